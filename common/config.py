@@ -1,0 +1,117 @@
+"""The configuration of a job, grouped by intent. Pure data: it travels on the wire and decides every bit of a result.
+
+Two presets: ``default`` (all of Atoll's additions) and ``paper`` (Table II of Schmidt & Lipson 2008, nothing added).
+Fields left ``None`` are resolved from the data when the job is prepared, see `coordinator.service`.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Preset = Literal["default", "paper"]
+Loss = Literal["mae", "mse"]
+
+PositiveInt = Annotated[int, Field(ge=1)]
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class Model(BaseModel):
+    """Base of everything that is validated: frozen, unknown fields refused, NaN and infinity refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Angle(Model):
+    """One state that is an angle: it is unwrapped before smoothing."""
+
+    column: str
+    degrees: bool = False
+
+
+class DataConfig(Model):
+    """How the columns of the table are to be read. Names are column names as in the header, without units."""
+
+    time: str | None = Field(None, description="time column; `t` or `time` unless named")
+    states: tuple[str, ...] | None = Field(None, description="state columns; all other numeric columns unless named")
+    inputs: tuple[str, ...] = Field((), description="columns that are variables without an equation; may name time")
+    trajectory: str | None = Field(None, description="column whose value changes where a new trajectory begins")
+    target: str | None = Field(None, description="explicit regression of this column on the others; no time needed")
+    derivatives: tuple[str, ...] | None = Field(None, description="given derivatives, one column per state, in order")
+    order: Literal[1, 2] = Field(1, description="2: positions are measured, the second derivative is sought")
+    angles: tuple[Angle, ...] = ()
+    only: tuple[str, ...] | None = Field(None, description="search these equations only")
+    missing: Literal["refuse", "drop"] = Field("refuse", description="what to do with rows holding NaN or infinity")
+
+
+class SpaceConfig(Model):
+    """The space of expressions."""
+
+    operators: tuple[str, ...] = ("+", "-", "*", "/", "sin", "cos")
+    terminals: PositiveInt | None = Field(None, description="first nodes of a list; None: max(7, variables + 5)")
+    operator_nodes: Annotated[int, Field(ge=1, le=100)] = 25
+    max_size: Annotated[int, Field(ge=1, le=120)] | None = Field(None, description="largest complexity on the front")
+
+
+class EvolutionConfig(Model):
+    """Variation, selection and the fitting of constants."""
+
+    islands: Annotated[int, Field(ge=1, le=1024)] = 8
+    population: Annotated[int, Field(ge=4, le=4096, multiple_of=2)] = 64
+    crossover: Probability = 0.75
+    mutation: Probability = Field(0.05, description="per node")
+    loss: Loss = "mae"
+    constant_fit_steps: Annotated[int, Field(ge=0, le=100)] = Field(4, description="Levenberg-Marquardt steps a child")
+    linear_scaling: bool = True
+    scaled_constants: bool = Field(True, description="draw constants over the data's scales, not from [-10, 10]")
+    refit_interval: Annotated[int, Field(ge=0)] = Field(10, description="generations between refits on all rows; 0: none")
+
+
+class PredictorConfig(Model):
+    """Coevolved fitness predictors (paper, section 2.3 and Table II)."""
+
+    enabled: bool = True
+    rows: Annotated[int, Field(ge=4, le=1024)] | None = Field(None, description="None: 16, or 64 with noisy targets")
+    predictors: Annotated[int, Field(ge=2, le=64)] = 8
+    trainers: Annotated[int, Field(ge=1, le=64)] = 8
+    renewal: PositiveInt = Field(50, description="predictor generations between trainer renewals")
+    effort: Probability = Field(0.05, description="largest share of all point evaluations")
+
+
+class MigrationConfig(Model):
+    """When solutions are reshuffled over the islands of a variable."""
+
+    generations: Annotated[int, Field(ge=1, le=10_000)] = 100
+
+
+class BudgetConfig(Model):
+    """When a job ends. By default by convergence, stagnation or a fixed number of epochs: never by the clock."""
+
+    target_error: Annotated[float, Field(gt=0.0)] | None = Field(None, description="normalized error that is enough")
+    max_epochs: PositiveInt = 1000
+    max_epochs_of: dict[str, PositiveInt] = Field(default_factory=dict, description="per variable; overrides")
+    max_time: Annotated[float, Field(gt=0.0)] | None = Field(None, description="seconds")
+    stagnation: PositiveInt = Field(150, description="epochs without a better equation after which a search ends")
+
+
+class JobConfig(Model):
+    """Everything that decides a result, apart from the table itself."""
+
+    preset: Preset = "default"
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    data: DataConfig = DataConfig()
+    space: SpaceConfig = SpaceConfig()
+    evolution: EvolutionConfig = EvolutionConfig()
+    predictors: PredictorConfig = PredictorConfig()
+    migration: MigrationConfig = MigrationConfig()
+    budget: BudgetConfig = BudgetConfig()
+
+
+PAPER = JobConfig(
+    preset="paper",
+    space=SpaceConfig(terminals=7),
+    evolution=EvolutionConfig(constant_fit_steps=0, linear_scaling=False, scaled_constants=False, refit_interval=0),
+    predictors=PredictorConfig(rows=16),
+)
+"""Table II of the paper, nothing added."""
+
+PRESETS: dict[Preset, JobConfig] = {"default": JobConfig(), "paper": PAPER}

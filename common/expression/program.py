@@ -1,0 +1,79 @@
+"""A program: the canonical operation list of one expression, as it stands on a front and travels on the wire.
+
+Node i refers to earlier nodes only, so the list is an acyclic graph that can always be evaluated; the last node is the
+output. Here every node is live: evolution's own lists (with dead nodes, fixed length) live in `island_worker.evolution`.
+"""
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from common.errors import RemoteProtocolError
+from common.expression.operators import ARITY, CONSTANT, VARIABLE
+
+MAX_NODES = 240
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Operation list of N nodes.
+
+    `operators`: (N,) int8 codes. `left`, `right`: (N,) int16; for VARIABLE `left` is the index of the input variable,
+    for CONSTANT both are 0, for operators they are indices of earlier nodes (`right` is 0 when unary).
+    `constants`: (N,) float64, the value at CONSTANT nodes and 0.0 elsewhere.
+    """
+
+    operators: npt.NDArray[np.int8]
+    left: npt.NDArray[np.int16]
+    right: npt.NDArray[np.int16]
+    constants: npt.NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.operators)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Program) and self.to_bytes() == other.to_bytes()
+
+    def __hash__(self) -> int:
+        return hash(self.to_bytes())
+
+    def to_bytes(self) -> bytes:
+        """Return the canonical bytes: count, codes, left, right (little endian), then the constants in node order."""
+        live = self.constants[self.operators == CONSTANT]
+        return (
+            struct.pack("<B", len(self))
+            + self.operators.astype("<i1").tobytes()
+            + self.left.astype("<i2").tobytes()
+            + self.right.astype("<i2").tobytes()
+            + live.astype("<f8").tobytes()
+        )
+
+    @classmethod
+    def from_bytes(cls, data: bytes, variables: int) -> "Program":
+        """Parse and check canonical bytes of a program over `variables` inputs; raises RemoteProtocolError."""
+        count = data[0] if data else 0
+        if not 1 <= count <= MAX_NODES or len(data) < 1 + 5 * count:
+            raise RemoteProtocolError(f"a program of {len(data)} bytes claims {count} nodes, which does not fit")
+        operators = np.frombuffer(data, "<i1", count, 1).astype(np.int8)
+        left = np.frombuffer(data, "<i2", count, 1 + count).astype(np.int16)
+        right = np.frombuffer(data, "<i2", count, 1 + 3 * count).astype(np.int16)
+        is_constant = operators == CONSTANT
+        if len(data) != 1 + 5 * count + 8 * int(is_constant.sum()):
+            raise RemoteProtocolError(f"a program of {count} nodes has {len(data)} bytes, which does not fit")
+        constants = np.zeros(count)
+        constants[is_constant] = np.frombuffer(data, "<f8", -1, 1 + 5 * count)
+        program = cls(operators, left, right, constants)
+        program.validate(variables)
+        return program
+
+    def validate(self, variables: int) -> None:
+        """Check that the list is acyclic and refers to existing inputs; raises RemoteProtocolError."""
+        for index in range(len(self)):
+            code, left, right = int(self.operators[index]), int(self.left[index]), int(self.right[index])
+            if not 0 <= code < len(ARITY):
+                raise RemoteProtocolError(f"node {index} of a program has unknown operator code {code}")
+            limits = {VARIABLE: (variables, 1), CONSTANT: (1, 1)}.get(code, (index, index if ARITY[code] == 2 else 1))
+            if not (0 <= left < limits[0] and 0 <= right < limits[1]):
+                raise RemoteProtocolError(f"node {index} of a program refers to {left}, {right}, which do not exist")

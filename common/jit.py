@@ -1,0 +1,53 @@
+"""The one place where numba is chosen and configured: strict IEEE arithmetic, cached machine code, no GIL.
+
+No fast-math and no contraction, so that one seed gives one answer on every processor (ADR 0002). Kernels stay in the
+subset of Python that also runs interpreted (``NUMBA_DISABLE_JIT=1``), which the oracles and the coverage run use.
+The cache lies under the user's cache directory, one folder per digest of the kernels' source text, so that kernels
+compile once per machine and a stale cache can never be loaded.
+"""
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+_ROOT = Path(__file__).resolve().parent.parent
+_SOURCES = ("common/jit.py", "common/expression", "island_worker/evolution", "coordinator/data")
+
+
+def source_digest() -> str:
+    """Return a short digest of every source file that takes part in compiled kernels."""
+    digest = hashlib.blake2b(digest_size=8)
+    for place in _SOURCES:
+        path = _ROOT / place
+        for file in [path] if path.is_file() else sorted(path.glob("kernels*.py")):
+            digest.update(file.name.encode())
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def cache_directory() -> Path:
+    """Return the folder of compiled kernels: ``ATOLL_KERNEL_CACHE``, else under the user's cache directory."""
+    chosen = os.environ.get("ATOLL_KERNEL_CACHE")
+    base = Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "atoll"
+    return base / f"kernels-{source_digest()}"
+
+
+os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_directory()))
+
+import numba  # noqa: E402  the cache directory must be set before numba reads its configuration
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def kernel(function: F) -> F:
+    """Compile `function` on first call: strict arithmetic, numpy's division rules, GIL released, cached on disk."""
+    compiled: F = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False)(function)
+    return compiled
+
+
+def inlined(function: F) -> F:
+    """Compile `function` into its callers; for the few-line helpers of inner loops."""
+    compiled: F = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False, inline="never")(function)
+    return compiled

@@ -1,0 +1,55 @@
+"""What the coordinator tells its clients about jobs and workers; the shapes behind `status`, `jobs` and `workers`."""
+
+from typing import Literal
+
+from common.config import Model
+
+JobState = Literal["queued", "preparing", "running", "refining", "done", "failed", "cancelled"]
+FINAL_STATES: frozenset[JobState] = frozenset({"done", "failed", "cancelled"})
+WorkerState = Literal["compiling", "ready", "computing", "waiting", "lost"]
+
+
+class VariableView(Model):
+    """Progress of one equation. `epoch` counts completely reported epochs; `why` says how its search ended."""
+
+    variable: str
+    lhs: str
+    epoch: int
+    error: float | None = None
+    normalized_error: float | None = None
+    complexity: int | None = None
+    expression: str | None = None
+    point_evaluations: int = 0
+    converged: bool = False
+    finished: bool = False
+    why: Literal["target", "stagnation", "max-epochs", "max-time", "cancelled"] | None = None
+
+
+class JobView(Model):
+    """One job as `jobs` and `status` show it. Times are seconds; `reason` says why it failed or what it waits for."""
+
+    job: str
+    name: str
+    state: JobState
+    seed: int
+    preset: str
+    reason: str | None = None
+    warnings: tuple[str, ...] = ()
+    submitted: str
+    elapsed: float
+    workers: int
+    point_evaluations: int
+    point_evaluations_per_second: float | None = None
+    variables: tuple[VariableView, ...] = ()
+
+
+class WorkerView(Model):
+    """One worker as `workers` shows it; `silent` is seconds since it was last heard of."""
+
+    worker: str
+    host: str
+    pid: int
+    state: WorkerState
+    islands: int
+    silent: float
+    version: str
