@@ -1,0 +1,321 @@
+"""Bytes on the wire and in the store: msgpack for messages, a small header and raw columns for arrays.
+
+The only module that knows msgpack. What comes from a peer is not trusted: its structure is walked once before anything
+is allocated for it (size, nesting, lengths that fit the bytes there are), then the model decides. Whatever is wrong,
+the caller meets a RemoteProtocolError with one sentence. Nothing that travels is code.
+"""
+
+import math
+import struct
+from collections.abc import Mapping
+from typing import Any, Final, TypeVar, cast
+
+import msgpack
+import numpy as np
+import numpy.typing as npt
+from pydantic import TypeAdapter, ValidationError
+
+from common.config import Model
+from common.dataset import Dataset, FloatArray, Target
+from common.errors import LocalProtocolError, RemoteProtocolError
+from common.wire.bus import MAX_PAYLOAD
+
+M = TypeVar("M")
+AnyArray = npt.NDArray[Any]
+
+MAX_NESTING: Final = 32
+MAX_ARRAYS_BYTES: Final = 2**31
+MAX_DIMENSIONS: Final = 4
+DTYPES: Final = ("f8", "i8", "i4", "i2", "i1", "u1", "u8")
+
+_MAGIC: Final = b"atollar1"
+_ALIGNMENT: Final = 64
+_LENGTHS: Final = {1: ">B", 2: ">H", 4: ">I"}
+_BROKEN: Final = (
+    ValueError,
+    TypeError,
+    KeyError,
+    OverflowError,
+    RecursionError,
+    MemoryError,
+    msgpack.exceptions.UnpackException,
+)
+
+
+def encode(model: Model) -> bytes:
+    """Return the msgpack bytes of a message. Keys of maps must be text.
+
+    Raises:
+        LocalProtocolError: the message holds something that cannot travel.
+    """
+    return _pack(model.model_dump(warnings="none"))
+
+
+def decode(data: bytes, kind: type[M] | TypeAdapter[M], max_bytes: int = MAX_PAYLOAD) -> M:
+    """Return the message in `data`, checked by the model (or, for a tagged union, by the type adapter) `kind`.
+
+    Raises:
+        RemoteProtocolError: `data` is oversized, malformed or not what `kind` describes.
+    """
+    tree = _unpack(data, max_bytes)
+    try:
+        return _validated(tree, kind)
+    except ValidationError as error:
+        raise RemoteProtocolError(f"a message does not fit {_name(kind)}: {_first(error)}") from error
+    except _BROKEN as error:
+        raise RemoteProtocolError(f"a message does not fit {_name(kind)}: {_brief(error)}") from error
+
+
+def encode_arrays(header: Mapping[str, object], arrays: Mapping[str, AnyArray]) -> bytes:
+    """Return one block of bytes: magic, length of the head, the head (msgpack), then every array's bytes, aligned.
+
+    The same header and arrays give the same bytes on every machine (little endian, C order).
+
+    Raises:
+        LocalProtocolError: an array is not of a type in `DTYPES`, or the header cannot travel.
+    """
+    plain = {name: _little_endian(name, array) for name, array in arrays.items()}
+    head = _pack({"header": dict(header), "arrays": [[n, a.dtype.str[1:], list(a.shape)] for n, a in plain.items()]})
+    parts = [_MAGIC, struct.pack("<Q", len(head)), head]
+    place = len(_MAGIC) + 8 + len(head)
+    for array in plain.values():
+        gap = -place % _ALIGNMENT
+        parts += [bytes(gap), array.tobytes()]
+        place += gap + array.nbytes
+    return b"".join(parts)
+
+
+def decode_arrays(data: bytes, max_bytes: int = MAX_ARRAYS_BYTES) -> tuple[dict[str, Any], dict[str, AnyArray]]:
+    """Return header and arrays of `encode_arrays`. The arrays are read-only views of `data`.
+
+    Raises:
+        RemoteProtocolError: the block is oversized, malformed, or its shapes do not fit its bytes.
+    """
+    if len(data) > max_bytes:
+        raise RemoteProtocolError(f"a block of arrays has {len(data)} bytes, more than the {max_bytes} allowed")
+    try:
+        return _decode_arrays(data)
+    except _BROKEN as error:
+        raise RemoteProtocolError(f"a block of arrays is malformed: {_brief(error)}") from error
+
+
+def dataset_to_bytes(dataset: Dataset) -> bytes:
+    """Return the bytes under which a prepared dataset is stored and fetched."""
+    header = {
+        "names": list(dataset.names),
+        "symbols": [list(pair) for pair in dataset.symbols.items()],
+        "warnings": list(dataset.warnings),
+        "targets": [[t.variable, t.lhs, float(t.floor), float(t.deviation), float(t.noise)] for t in dataset.targets],
+    }
+    values = {f"target {index}": target.values for index, target in enumerate(dataset.targets)}
+    return encode_arrays(header, {"inputs": dataset.inputs, **values})
+
+
+def dataset_from_bytes(data: bytes, max_bytes: int = MAX_ARRAYS_BYTES) -> Dataset:
+    """Return the dataset in `data`: finite, shapes checked, arrays aligned and writable as compiled kernels expect.
+
+    Raises:
+        RemoteProtocolError: the bytes are not those of a dataset.
+    """
+    header, arrays = decode_arrays(data, max_bytes)
+    try:
+        names = _texts(header["names"])
+        inputs = _finite("inputs", arrays["inputs"], (len(names), -1))
+        return Dataset(
+            names=names,
+            inputs=inputs,
+            targets=tuple(_target(arrays, inputs, *each) for each in enumerate(header["targets"])),
+            symbols=dict(map(_pair, header["symbols"])),
+            warnings=_texts(header["warnings"]),
+        )
+    except _BROKEN as error:
+        raise RemoteProtocolError(f"a dataset is malformed: {_brief(error)}") from error
+
+
+def _pack(tree: object) -> bytes:
+    try:
+        data = cast(bytes, msgpack.packb(tree, default=_plain))
+        _walk(data)
+    except (RemoteProtocolError, *_BROKEN) as error:
+        raise LocalProtocolError(f"a message cannot be encoded: {_brief(error)}") from error
+    return data
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} cannot travel")
+
+
+def _unpack(data: bytes, max_bytes: int) -> object:
+    if len(data) > max_bytes:
+        raise RemoteProtocolError(f"a message has {len(data)} bytes, more than the {max_bytes} allowed")
+    try:
+        _walk(data)
+        return msgpack.unpackb(data, raw=False, strict_map_key=True)
+    except _BROKEN as error:
+        raise RemoteProtocolError(f"a message is not well-formed msgpack: {_brief(error)}") from error
+
+
+def _walk(data: bytes) -> None:
+    """Check the structure of msgpack bytes without building it.
+
+    Every item takes at least one byte, so an announced length beyond the bytes that are left is a lie; this bounds the
+    memory that unpacking takes by a small multiple of `len(data)`. Map keys must be text, extension types are refused.
+    """
+    place, size = 0, len(data)
+    open_items, keys_due, levels = 1, [False], [1]  # per open container: are keys due, and items still to come
+    while levels:
+        if levels[-1] == 0:
+            levels.pop()
+            keys_due.pop()
+            continue
+        if place >= size:
+            raise ValueError("it ends too early")
+        is_key = keys_due[-1] and levels[-1] % 2 == 0
+        levels[-1] -= 1
+        place, kind, count = _item(data, place)
+        if is_key and kind != "text":
+            raise ValueError("the key of a map is not text")
+        open_items += count - 1
+        if open_items > size - place:
+            raise ValueError("it announces more items than it has bytes")
+        if kind in ("array", "map"):
+            levels.append(count)
+            keys_due.append(kind == "map")
+            if len(levels) > MAX_NESTING + 1:
+                raise ValueError(f"it is nested deeper than {MAX_NESTING} levels")
+    if place != size:
+        raise ValueError(f"{size - place} bytes follow its end")
+
+
+def _item(data: bytes, place: int) -> tuple[int, str, int]:
+    """Return (place after the item or its head, what it is, how many items it contains)."""
+    kind, base, length_bytes = _FORMATS[data[place]]
+    place += 1
+    count = base
+    if length_bytes:
+        if place + length_bytes > len(data):
+            raise ValueError("it ends within a length")
+        (count,) = struct.unpack_from(_LENGTHS[length_bytes], data, place)
+        place += length_bytes
+    if kind == "array":
+        return place, kind, count
+    if kind == "map":
+        return place, kind, 2 * count
+    if kind == "refused":
+        raise ValueError(f"it holds the extension or unused type 0x{data[place - 1]:02x}")
+    if place + count > len(data):
+        raise ValueError("it ends within a value")
+    return place + count, kind, 0
+
+
+def _formats() -> list[tuple[str, int, int]]:
+    """Return by first byte: (kind, length in bytes or items, how many bytes of length follow). msgpack's own table."""
+    table = [("refused", 0, 0)] * 256
+    table[0x00:0x80] = [("value", 0, 0)] * 0x80
+    table[0xE0:0x100] = [("value", 0, 0)] * 0x20
+    table[0x80:0x90] = [("map", count, 0) for count in range(16)]
+    table[0x90:0xA0] = [("array", count, 0) for count in range(16)]
+    table[0xA0:0xC0] = [("text", count, 0) for count in range(32)]
+    for code in (0xC0, 0xC2, 0xC3):
+        table[code] = ("value", 0, 0)
+    for code, width in zip(range(0xC4, 0xC7), (1, 2, 4), strict=True):
+        table[code] = ("value", 0, width)
+    for code, width in zip(range(0xCA, 0xD4), (4, 8, 1, 2, 4, 8, 1, 2, 4, 8), strict=True):
+        table[code] = ("value", width, 0)
+    for code, width in zip(range(0xD9, 0xDC), (1, 2, 4), strict=True):
+        table[code] = ("text", 0, width)
+    table[0xDC:0xE0] = [("array", 0, 2), ("array", 0, 4), ("map", 0, 2), ("map", 0, 4)]
+    return table
+
+
+_FORMATS: Final = _formats()
+
+
+def _validated(tree: object, kind: type[M] | TypeAdapter[M]) -> M:
+    if isinstance(kind, TypeAdapter):
+        return kind.validate_python(tree)
+    return cast(M, cast(type[Model], kind).model_validate(tree))
+
+
+def _name(kind: object) -> str:
+    return kind.__name__ if isinstance(kind, type) else "any known kind of message"
+
+
+def _first(error: ValidationError) -> str:
+    first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+    return f"field {'.'.join(map(str, first['loc'])) or '(whole)'}: {first['msg']}"[:300]
+
+
+def _brief(error: BaseException) -> str:
+    return f"{error}"[:300] or type(error).__name__
+
+
+def _little_endian(name: str, array: AnyArray) -> AnyArray:
+    if array.dtype.str[1:] not in DTYPES or array.ndim > MAX_DIMENSIONS:
+        raise LocalProtocolError(f"array {name!r} of type {array.dtype} and {array.ndim} dimensions cannot travel")
+    return np.asarray(array, dtype=array.dtype.newbyteorder("<"), order="C")
+
+
+def _decode_arrays(data: bytes) -> tuple[dict[str, Any], dict[str, AnyArray]]:
+    start = len(_MAGIC) + 8
+    if data[: len(_MAGIC)] != _MAGIC or len(data) < start:
+        raise ValueError("it does not begin as one")
+    (head_bytes,) = struct.unpack_from("<Q", data, len(_MAGIC))
+    head = _unpack(bytes(data[start : start + head_bytes]), min(len(data) - start, MAX_PAYLOAD))
+    if not isinstance(head, dict) or head.keys() != {"header", "arrays"} or not isinstance(head["header"], dict):
+        raise ValueError("its head is not a header and a list of arrays")
+    place = start + head_bytes
+    arrays: dict[str, AnyArray] = {}
+    for name, dtype, shape in head["arrays"]:
+        count = _count(name, dtype, shape)
+        place += -place % _ALIGNMENT
+        _require(name not in arrays, f"array {name!r} is there twice")
+        _require(place + count * int(dtype[1]) <= len(data), f"array {name!r} is longer than the block")
+        arrays[name] = np.frombuffer(data, "<" + dtype, count, place).reshape(shape)
+        place += count * int(dtype[1])
+    _require(place == len(data), f"{len(data)} bytes were found and {place} expected")
+    return head["header"], arrays
+
+
+def _count(name: object, dtype: object, shape: object) -> int:
+    _require(isinstance(name, str), "an array has no name")
+    _require(isinstance(dtype, str) and dtype in DTYPES, f"array {name!r} is of a type that is not allowed")
+    _require(isinstance(shape, list) and len(shape) <= MAX_DIMENSIONS, f"array {name!r} has no proper shape")
+    sizes = cast(list[object], shape)
+    _require(all(type(size) is int and size >= 0 for size in sizes), f"array {name!r} has no proper shape")
+    return math.prod(cast(list[int], sizes))
+
+
+def _require(condition: bool, sentence: str) -> None:
+    if not condition:
+        raise ValueError(sentence)
+
+
+def _texts(value: object) -> tuple[str, ...]:
+    _require(isinstance(value, list) and all(isinstance(each, str) for each in value), "a list of texts is missing")
+    return tuple(cast(list[str], value))
+
+
+def _pair(value: object) -> tuple[str, str]:
+    key, text = _texts(value)
+    return key, text
+
+
+def _finite(name: str, array: AnyArray, shape: tuple[int, ...]) -> FloatArray:
+    _require(array.dtype == np.float64 and array.ndim == len(shape), f"{name} are not numbers of the right shape")
+    fits = all(wanted in (-1, found) for found, wanted in zip(array.shape, shape, strict=True))
+    _require(fits, f"{name} have shape {array.shape} instead of {shape}")
+    _require(bool(np.isfinite(array).all()), f"{name} hold NaN or infinity")
+    return np.array(array, dtype=np.float64, order="C")
+
+
+def _target(arrays: Mapping[str, AnyArray], inputs: FloatArray, index: int, fields: object) -> Target:
+    _require(isinstance(fields, list) and len(fields) == 5, "a target does not have five fields")
+    variable, lhs, *numbers = cast(list[Any], fields)
+    _texts([variable, lhs])
+    good = all(type(number) is float and math.isfinite(number) and number >= 0.0 for number in numbers)
+    _require(good, f"floor, deviation or noise of target {variable!r} is not a number of at least 0")
+    values = _finite(f"values of target {variable!r}", arrays[f"target {index}"], (inputs.shape[1],))
+    return Target(variable, lhs, values, *numbers)

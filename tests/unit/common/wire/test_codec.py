@@ -1,0 +1,216 @@
+"""What the codec promises: what goes in comes out, and whatever else arrives ends in one sentence."""
+
+import contextlib
+from typing import Annotated, Literal
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import Field, TypeAdapter
+
+from common.config import Model
+from common.dataset import Dataset, Target
+from common.errors import LocalProtocolError, RemoteProtocolError
+from common.wire import codec
+
+
+class Ping(Model):
+    kind: Literal["ping"] = "ping"
+    number: int = 0
+    ratio: float | None = None
+    text: str = ""
+    block: bytes = b""
+    rows: tuple[tuple[int, str], ...] = ()
+    names: dict[str, int] = Field(default_factory=dict)
+
+
+class Pong(Model):
+    kind: Literal["pong"] = "pong"
+    ping: Ping
+
+
+EITHER: TypeAdapter[Ping | Pong] = TypeAdapter(Annotated[Ping | Pong, Field(discriminator="kind")])
+
+INTEGERS = st.integers(-(2**63), 2**64 - 1)
+TEXT = st.text(st.characters(exclude_categories=["Cs"]))
+PINGS = st.builds(
+    Ping,
+    number=INTEGERS,
+    ratio=st.none() | st.floats(allow_nan=False, allow_infinity=False),
+    text=TEXT,
+    block=st.binary(max_size=300),
+    rows=st.lists(st.tuples(INTEGERS, TEXT), max_size=20).map(tuple),
+    names=st.dictionaries(TEXT, INTEGERS, max_size=20),
+)
+
+
+@given(PINGS)
+def test_a_message_comes_back_as_it_was(ping: Ping) -> None:
+    assert codec.decode(codec.encode(ping), Ping) == ping
+    assert codec.decode(codec.encode(Pong(ping=ping)), EITHER) == Pong(ping=ping)
+
+
+def test_bytes_stay_bytes_and_numpy_scalars_become_numbers() -> None:
+    ping = Ping.model_construct(kind="ping", number=np.int64(7), ratio=np.float64(0.1), block=b"\xff\x00")  # type: ignore[arg-type]
+    back = codec.decode(codec.encode(ping), Ping)
+    assert (back.number, back.ratio, back.block) == (7, 0.1, b"\xff\x00")
+    assert type(back.number) is int
+
+
+@given(st.binary(max_size=400))
+def test_noise_is_never_anything_but_a_remote_error(noise: bytes) -> None:
+    for act in (
+        lambda: codec.decode(noise, Ping),
+        lambda: codec.decode(noise, EITHER),
+        lambda: codec.decode_arrays(b"atollar1" + noise),
+        lambda: codec.dataset_from_bytes(noise),
+    ):
+        with pytest.raises(RemoteProtocolError):
+            act()
+
+
+@given(PINGS, st.data())
+def test_a_damaged_message_is_a_message_or_a_remote_error(ping: Ping, data: st.DataObject) -> None:
+    good = bytearray(codec.encode(ping))
+    good[data.draw(st.integers(0, len(good) - 1))] = data.draw(st.integers(0, 255))
+    del good[data.draw(st.integers(0, len(good))) :]
+    with contextlib.suppress(RemoteProtocolError):
+        assert isinstance(codec.decode(bytes(good), Ping), Ping)
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"", "ends too early"),
+        (b"\xdd\xff\xff\xff\xff", "more items than it has bytes"),
+        (b"\xdf\xff\xff\xff\xff", "more items than it has bytes"),
+        (b"\xdc\x00\x80" * 200 + bytes(200), "nested|more items"),
+        (b"\x91" * 100 + b"\x00", "nested deeper than 32"),
+        (b"\xc6\xff\xff\xff\xff\x00", "within a value"),
+        (b"\xc6\xff", "within a length"),
+        (b"\x81\x01\x02", "key of a map is not text"),
+        (b"\xd6\xff\x00\x00\x00\x00", "extension"),
+        (b"\xc1", "unused"),
+        (b"\x80\x80", "1 bytes follow"),
+        (b"\xa2\xff\xfe", "malformed|utf-8"),
+        (b"\x07", "field"),
+        (msgpack.packb({"kind": "ping", "extra": 1}), "extra"),
+        (msgpack.packb({"kind": "pong"}), "kind"),
+        (msgpack.packb({"kind": "ping", "ratio": float("nan")}), "ratio"),
+        (msgpack.packb({"kind": "ping", "number": "x" * 10_000}), "number"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_sentence(data: bytes, reason: str) -> None:
+    with pytest.raises(RemoteProtocolError, match=reason) as caught:
+        codec.decode(data, Ping)
+    assert len(str(caught.value)) < 500
+
+
+def test_a_message_larger_than_allowed_is_refused_before_it_is_read() -> None:
+    with pytest.raises(RemoteProtocolError, match="more than the 100 allowed"):
+        codec.decode(codec.encode(Ping(block=bytes(200))), Ping, max_bytes=100)
+
+
+@pytest.mark.parametrize("value", [{3: 1}, object(), 2**64, "\ud800", np.zeros(3)])
+def test_what_cannot_travel_is_our_own_error(value: object) -> None:
+    with pytest.raises(LocalProtocolError):
+        codec.encode(Ping.model_construct(kind="ping", names=value))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("dtype", codec.DTYPES)
+@pytest.mark.parametrize("shape", [(), (0,), (3,), (2, 3), (2, 0, 4)])
+def test_arrays_come_back_with_type_shape_and_bits(dtype: str, shape: tuple[int, ...]) -> None:
+    array = np.arange(int(np.prod(shape)), dtype=dtype).reshape(shape)
+    header, arrays = codec.decode_arrays(codec.encode_arrays({"a": [1, None, "x"]}, {"one": array, "two": array.T}))
+    assert header == {"a": [1, None, "x"]}
+    for found, expected in ((arrays["one"], array), (arrays["two"], array.T)):
+        assert found.dtype == expected.dtype
+        assert found.shape == expected.shape
+        assert found.tobytes() == expected.tobytes()
+
+
+def test_big_endian_arrays_travel_as_little_endian_ones() -> None:
+    little = np.array([1.5, -2.0])
+    assert codec.encode_arrays({}, {"x": little.astype(">f8")}) == codec.encode_arrays({}, {"x": little})
+
+
+@pytest.mark.parametrize("array", [np.array(["text"]), np.array([None]), np.zeros(2, dtype=bool), np.zeros((1,) * 5)])
+def test_other_types_of_arrays_do_not_travel(array: np.ndarray) -> None:
+    with pytest.raises(LocalProtocolError, match="cannot travel"):
+        codec.encode_arrays({}, {"x": array})
+
+
+def _block(head: object, rest: bytes = b"") -> bytes:
+    packed = msgpack.packb(head)
+    start = b"atollar1" + len(packed).to_bytes(8, "little") + packed
+    return start + bytes(-len(start) % 64) + rest
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"", "begin"),
+        (b"atollar1" + b"\xff" * 8, "early"),
+        (_block([]), "head"),
+        (_block({"header": {}, "arrays": 3}), "iterable|int"),
+        (_block({"header": {}, "arrays": [["x", "O", [1]]]}), "not allowed"),
+        (_block({"header": {}, "arrays": [["x", "f8", [-1]]]}), "shape"),
+        (_block({"header": {}, "arrays": [["x", "f8", [True]]]}), "shape"),
+        (_block({"header": {}, "arrays": [["x", "f8", [2**62, 2**62]]]}, bytes(8)), "longer"),
+        (_block({"header": {}, "arrays": [["x", "f8", [1]], ["x", "f8", [0]]]}, bytes(64)), "twice"),
+        (_block({"header": {}, "arrays": [["x", "f8", [1]]]}, bytes(9)), "were found"),
+        (_block({"header": {}, "arrays": [[3, "f8", [1]]]}, bytes(8)), "name"),
+        (_block({"header": {}, "arrays": [["x", "f8"]]}, bytes(8)), "unpack"),
+    ],
+)
+def test_a_malformed_block_of_arrays_is_refused(data: bytes, reason: str) -> None:
+    with pytest.raises(RemoteProtocolError, match=reason):
+        codec.decode_arrays(data)
+
+
+def test_a_block_larger_than_allowed_is_refused() -> None:
+    with pytest.raises(RemoteProtocolError, match="more than the 50 allowed"):
+        codec.decode_arrays(codec.encode_arrays({}, {"x": np.zeros(10)}), max_bytes=50)
+
+
+def _dataset(values: np.ndarray | None = None) -> Dataset:
+    inputs = np.array([[1.0, 2.0, 3.0], [-0.0, 1e-300, 0.1]])
+    values = np.array([0.1, -1.0, 5.0]) if values is None else values
+    target = Target("v [m/s]", "dv/dt", values, 1e-9, np.float64(0.5), 0)
+    return Dataset(("v", "θ"), inputs, (target,), {"v [m/s]": "v", "θ": "θ"}, ("a warning",))
+
+
+def test_a_dataset_comes_back_with_the_same_digest() -> None:
+    data = codec.dataset_to_bytes(_dataset())
+    back = codec.dataset_from_bytes(data)
+    assert back.digest == _dataset().digest
+    assert (back.names, back.symbols, back.warnings) == (("v", "θ"), {"v [m/s]": "v", "θ": "θ"}, ("a warning",))
+    assert back.targets[0].lhs == "dv/dt"
+    assert codec.dataset_to_bytes(back) == data
+
+
+def test_arrays_of_a_decoded_dataset_are_aligned_writable_and_contiguous() -> None:
+    back = codec.dataset_from_bytes(codec.dataset_to_bytes(_dataset()))
+    for array in (back.inputs, back.targets[0].values):
+        assert array.flags.carray
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        (np.array([1.0, np.nan, 0.0]), "NaN"),
+        (np.zeros(4), "shape"),
+        (np.zeros((3, 1)), "shape"),
+        (np.zeros(3, "i8"), "numbers"),
+    ],
+)
+def test_a_dataset_that_is_not_finite_or_does_not_fit_is_refused(values: np.ndarray, reason: str) -> None:
+    with pytest.raises(RemoteProtocolError, match=reason):
+        codec.dataset_from_bytes(codec.dataset_to_bytes(_dataset(values)))
+
+
+def test_a_dataset_without_its_fields_is_refused() -> None:
+    with pytest.raises(RemoteProtocolError, match="names"):
+        codec.dataset_from_bytes(codec.encode_arrays({}, {"inputs": np.zeros((2, 3))}))
