@@ -26,7 +26,10 @@ class VariableView(Model):
 
 
 class JobView(Model):
-    """One job as `jobs` and `status` show it. Times are seconds; `reason` says why it failed or what it waits for."""
+    """One job as `jobs` and `status` show it. Times are seconds; `reason` says why it failed or what it waits for.
+
+    `fault` of a failed job: the data could not be used, two workers diverged, or something of ours broke.
+    """
 
     job: str
     name: str
@@ -34,6 +37,7 @@ class JobView(Model):
     seed: int
     preset: str
     reason: str | None = None
+    fault: Literal["data", "diverged", "internal"] | None = None
     warnings: tuple[str, ...] = ()
     submitted: str
     elapsed: float
