@@ -48,7 +48,7 @@ class JobView(Model):
 
 
 class WorkerView(Model):
-    """One worker as `workers` shows it; `silent` is seconds since it was last heard of."""
+    """One worker as `workers` shows it; `silent` is seconds since it was last heard of, `detail` for a person."""
 
     worker: str
     host: str
@@ -57,3 +57,4 @@ class WorkerView(Model):
     islands: int
     silent: float
     version: str
+    detail: str = ""
