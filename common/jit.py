@@ -49,5 +49,5 @@ def kernel(function: F) -> F:
 
 def inlined(function: F) -> F:
     """Compile `function` into its callers; for the few-line helpers of inner loops."""
-    compiled: F = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False, inline="never")(function)
+    compiled: F = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False, forceinline=True)(function)
     return compiled
