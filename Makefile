@@ -1,0 +1,48 @@
+# Every target prepares what it needs: a fresh clone and Python >= 3.11 are enough.
+# Another interpreter: make demo PYTHON=/path/to/python3
+
+PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 python3.11,$(shell \
+  $(name) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $(name))))
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/atoll-installed
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test quick check bench clean
+
+help:
+	@echo "make demo    find the two equations of a Lotka-Volterra system, on two workers"
+	@echo "make test    all tests"
+	@echo "make quick   the tests that take less than about ten seconds each"
+	@echo "make check   style, formatting, types, import contracts"
+	@echo "make bench   the short benchmarks; benchmarks/RESULTS.md has the long ones"
+	@echo "make clean   remove the environment, caches and build products"
+
+$(STAMP): pyproject.toml
+	@$(if $(PYTHON),$(PYTHON),false) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
+	  { echo "make: Atoll needs Python 3.11 or newer; install one, or name it: make $(MAKECMDGOALS) PYTHON=/path/to/python3"; exit 1; }
+	@test -x $(BIN)/python || { echo "preparing $(VENV) with $$($(PYTHON) --version) (once)"; $(PYTHON) -m venv $(VENV); }
+	@echo "installing Atoll and its tools into $(VENV) (once, about a minute)"
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[dev]'
+	@touch $@
+
+demo: $(STAMP)
+	@$(BIN)/python -m examples.demo
+
+test: $(STAMP)
+	@$(BIN)/pytest
+
+quick: $(STAMP)
+	@$(BIN)/pytest -m "not slow"
+
+check: $(STAMP)
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check --quiet . || { echo "formatting differs; run: $(BIN)/ruff format ."; exit 1; }
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+
+bench: $(STAMP)
+	@$(BIN)/python -m benchmarks
+
+clean:
+	@rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

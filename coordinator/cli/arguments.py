@@ -1,0 +1,238 @@
+"""The command line itself: verbs, options, help. Standard library only, because ``--help`` must be instant.
+
+What the options mean for a job is decided in `coordinator.cli.options`; what a verb does, in the module that
+`HANDLERS` names.
+"""
+
+import argparse
+import re
+from collections.abc import Sequence
+from typing import Any, Final, NoReturn
+
+from common.errors import UsageError
+
+HANDLERS: Final = {
+    "run": "coordinator.cli.run",
+    "serve": "coordinator.cli.serve",
+    "submit": "coordinator.cli.submit",
+    "jobs": "coordinator.cli.jobs",
+    "status": "coordinator.cli.jobs",
+    "workers": "coordinator.cli.jobs",
+    "cancel": "coordinator.cli.jobs",
+    "result": "coordinator.cli.result",
+}
+"""The module of each verb. Its function of the verb's name takes the parsed options and returns the exit code."""
+
+LATER_VERBS: Final = ("logs", "doctor", "simulate", "analyse", "analyze", "report", "export")
+LATER_OPTIONS: Final = ("--holdout", "--weights", "--guess")
+
+EXIT_CODES: Final = (
+    "exit codes: 0 done, 1 job failed, 2 bad usage or bad data, 3 coordinator not reachable,\n"
+    "4 an explicit --target-error was not met within the budget, 130 detached or interrupted"
+)
+RESULT_FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
+DEFAULT_LISTEN: Final = "tcp/127.0.0.1:7447"
+DEFAULT_STATE: Final = "atoll-state"
+
+
+class _Parser(argparse.ArgumentParser):
+    """Raises UsageError where argparse would print its usage and exit."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{self._reword(message)}; see {self.prog} --help")
+
+    def _reword(self, message: str) -> str:
+        """Return argparse's complaint in the order found, expected."""
+        choice = re.fullmatch(r"argument (.+): invalid choice: (.+) \(choose from (.+)\)", message)
+        if choice:
+            return f"{choice[1]} must be one of {choice[3]}, but {choice[2]} was given"
+        return message.replace("unrecognized arguments:", "unknown option").removeprefix("argument ")
+
+
+class _NotInThisVersion(argparse.Action):
+    """Refuses an option of a later version."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        raise UsageError(f"{self.option_strings[0]} is not in this version")
+
+
+def parse(argv: Sequence[str]) -> argparse.Namespace:
+    """Return the parsed options; `verb` is one of `HANDLERS`.
+
+    Raises:
+        UsageError: an option or verb is unknown, incomplete or of a later version.
+        SystemExit: after ``--help`` or ``--version``.
+    """
+    verb = next((word for word in argv if not word.startswith("-")), None)
+    if verb in LATER_VERBS:
+        raise UsageError(f"{verb} is not in this version")
+    options = build_parser().parse_args(_join_operators(argv))
+    if options.verb is None:
+        raise UsageError(f"no command was given, expected one of {', '.join(HANDLERS)}; see coordinator --help")
+    return options
+
+
+def _join_operators(argv: Sequence[str]) -> list[str]:
+    """Write ``--operators -,+`` as one word, since argparse takes a leading minus for an option."""
+    words: list[str] = []
+    for word in argv:
+        if words and words[-1] == "--operators" and (word == "-" or word.startswith("-,")):
+            words[-1] = f"--operators={word}"
+        else:
+            words.append(word)
+    return words
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the whole command line."""
+    parser = _Parser(
+        prog="coordinator",
+        description="Atoll finds the differential equations behind measured trajectories.",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", title="commands")
+    _add_run(verbs)
+    _add_serve(verbs)
+    _add_submit(verbs)
+    _add_readers(verbs)
+    return parser
+
+
+class _Version(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        from common import PROTOCOL_VERSION, VERSION
+
+        parser.exit(message=f"coordinator {VERSION} (protocol {PROTOCOL_VERSION})\n")
+
+
+def _verb(verbs: Any, name: str, text: str) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        name,
+        help=text,
+        description=text[0].upper() + text[1:] + ".",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    return parser
+
+
+def _add_run(verbs: Any) -> None:
+    parser = _verb(verbs, "run", "search on this machine; nothing needs to be started beforehand")
+    _add_job(parser)
+    parser.add_argument(
+        "--workers", type=_positive, metavar="N", help="worker processes (default: one per core this process may use)"
+    )
+    parser.add_argument("--out", metavar="DIR", help="folder of result.json and the log (default: runs/JOB)")
+
+
+def _add_serve(verbs: Any) -> None:
+    parser = _verb(verbs, "serve", "run the coordinator for workers and jobs of any machine")
+    parser.add_argument(
+        "--listen",
+        default=DEFAULT_LISTEN,
+        metavar="tcp/HOST:PORT",
+        help=f"where workers and clients connect; tcp/0.0.0.0:7447 for every network (default: {DEFAULT_LISTEN})",
+    )
+    parser.add_argument(
+        "--state", default=DEFAULT_STATE, metavar="DIR", help=f"folder of the job store (default: {DEFAULT_STATE})"
+    )
+
+
+def _add_submit(verbs: Any) -> None:
+    parser = _verb(verbs, "submit", "give a job to a coordinator and follow it; Ctrl-C detaches, the job goes on")
+    _add_connect(parser)
+    _add_job(parser)
+    parser.add_argument("--no-wait", action="store_true", help="print the job id, and nothing else, and return")
+    parser.add_argument("--out", metavar="DIR", help="also write result.json into this folder")
+
+
+def _add_readers(verbs: Any) -> None:
+    texts = {
+        "jobs": "list the jobs of a coordinator",
+        "status": "show how far a job has come (default: the jobs that are not finished)",
+        "workers": "list the workers of a coordinator",
+        "result": "print the equations of a job; while it runs, the best so far",
+        "cancel": "end a job and keep its best equations",
+    }
+    for name, text in texts.items():
+        parser = _verb(verbs, name, text)
+        if name in ("status", "result", "cancel"):
+            count = "?" if name == "status" else None
+            parser.add_argument("job", metavar="ID", nargs=count, help="the job's id or its beginning")
+        _add_connect(parser)
+        parser.add_argument("--json", action="store_true", help="print JSON")
+        if name == "result":
+            _add_result(parser)
+
+
+def _add_result(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--format", choices=RESULT_FORMATS, help="form of the output (default: text)")
+    parser.add_argument(
+        "--pick", action="append", default=[], metavar="x=2", help="take member 2 of the front of x; repeatable"
+    )
+
+
+def _add_connect(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--connect", metavar="tcp/HOST:PORT", help="the coordinator (default: $ATOLL_CONNECT)")
+
+
+def _add_job(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("data", nargs="+", metavar="DATA", help="CSV, TSV or Parquet files with a header")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--name", metavar="NAME", help="a label for lists (default: the first file's name)")
+    parser.add_argument("--id", metavar="ID", help="the job's id (default: made up)")
+    parser.add_argument("--config", metavar="job.toml", help="the same settings as a file; options override it")
+    _add_data(parser.add_argument_group("data"))
+    _add_search(parser.add_argument_group("search"))
+    _add_budget(parser.add_argument_group("budget"))
+    for option in LATER_OPTIONS:
+        parser.add_argument(option, nargs="?", action=_NotInThisVersion, help=argparse.SUPPRESS)
+
+
+def _add_data(group: Any) -> None:
+    group.add_argument("--time", metavar="t", help="time column (default: t or time)")
+    group.add_argument("--states", metavar="x,y", help="state columns (default: all other numeric columns)")
+    group.add_argument("--inputs", metavar="u", help="columns that are variables without an equation; may name time")
+    group.add_argument("--trajectory", metavar="run", help="column whose value changes where a trajectory begins")
+    group.add_argument("--target", metavar="y", help="explicit regression of y on the other columns")
+    group.add_argument("--derivatives", metavar="dx,dy", help="measured derivatives, one column per state")
+    group.add_argument("--order", metavar="1|2", help="2: seek d2x/dt2 from positions (default: 1)")
+    group.add_argument(
+        "--angle", action="append", metavar="theta[:deg]", help="a state that is an angle, to be unwrapped; repeatable"
+    )
+    group.add_argument("--only", metavar="x", help="search these equations only; the other states stay usable")
+    group.add_argument(
+        "--missing", metavar="refuse|drop", help="what to do with rows holding NaN or infinity (default: refuse)"
+    )
+
+
+def _add_search(group: Any) -> None:
+    group.add_argument("--seed", metavar="S", help="same seed, same answer (default: 0)")
+    group.add_argument(
+        "--preset", metavar="default|paper", help="paper: Table II of Schmidt & Lipson 2008, nothing added"
+    )
+    group.add_argument("--operators", metavar="LIST", help="what expressions are made of (default: +,-,*,/,sin,cos)")
+    group.add_argument("--islands", metavar="K", help="islands per state variable (default: 8)")
+    group.add_argument("--max-size", metavar="N", help="largest complexity of an equation (default: no limit)")
+
+
+def _add_budget(group: Any) -> None:
+    group.add_argument("--max-time", metavar="60s", help="end after 90, 60s, 10m, 1h (default: never by the clock)")
+    group.add_argument(
+        "--max-epochs", metavar="N", help="end after N epochs, or x=20,y=12 by state variable (default: 1000)"
+    )
+    group.add_argument(
+        "--target-error",
+        metavar="E",
+        help="normalized error at which an equation counts as found (default: from the data)",
+    )
+
+
+def _positive(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, but {text!r} was given")
+    return int(text)

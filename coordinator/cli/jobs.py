@@ -1,0 +1,97 @@
+"""The verbs that look at a coordinator, and the one that ends a job: ``jobs``, ``status``, ``workers``, ``cancel``."""
+
+import argparse
+from collections.abc import Sequence
+
+from common.config import Model
+from common.wire.views import FINAL_STATES, JobView, WorkerView
+from coordinator.cli.output import as_json, clipped, count, duration, say, table
+from coordinator.cli.progress import plain_lines
+from coordinator.cli.request import CONNECT_LIMIT_S, address_of
+from coordinator.client import connected
+
+
+def jobs(options: argparse.Namespace) -> int:
+    """List all jobs."""
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        views = client.jobs()
+    say(_json(views) if options.json else _job_table(views))
+    return 0
+
+
+def status(options: argparse.Namespace) -> int:
+    """Show one job, or all that have not ended."""
+    address = address_of(options)
+    with connected(address, CONNECT_LIMIT_S) as client:
+        if options.job is not None:
+            views = [client.status(client.resolve(options.job))]
+        else:
+            views = [view for view in client.jobs() if view.state not in FINAL_STATES]
+        workers = client.workers()
+    if options.json:
+        say(as_json(views[0].model_dump(mode="json")) if options.job is not None else _json(views))
+    else:
+        hint = f"island-worker --connect {address}"
+        say("\n\n".join(_status_text(view, workers, hint) for view in views) or "every job has ended")
+    return 0
+
+
+def workers(options: argparse.Namespace) -> int:
+    """List all workers."""
+    address = address_of(options)
+    with connected(address, CONNECT_LIMIT_S) as client:
+        views = client.workers()
+    if options.json:
+        say(_json(views))
+    else:
+        say(
+            _worker_table(views)
+            if views
+            else f"no worker has joined; start one with: island-worker --connect {address}"
+        )
+    return 0
+
+
+def cancel(options: argparse.Namespace) -> int:
+    """End a job; its best equations stay."""
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        job = client.resolve(options.job)
+        had_ended = client.status(job).state in FINAL_STATES
+        view = client.cancel(job)
+    if options.json:
+        say(as_json(view.model_dump(mode="json")))
+    elif had_ended:
+        say(f"job {job} had ended already: {view.state}")
+    else:
+        say(f"job {job} is cancelled; its best equations: coordinator result {job}")
+    return 0
+
+
+def _json(views: Sequence[Model]) -> str:
+    return as_json([view.model_dump(mode="json") for view in views])
+
+
+def _status_text(view: JobView, workers: Sequence[WorkerView], hint: str) -> str:
+    notes = [f"  note: {warning}" for warning in view.warnings]
+    return "\n".join([*plain_lines(view, workers, hint), *notes])
+
+
+def _job_table(views: Sequence[JobView]) -> str:
+    if not views:
+        return "no job yet; give one with: coordinator submit DATA"
+    rows = [(view.job, clipped(view.name, 24), view.state, duration(view.elapsed), *_measures(view)) for view in views]
+    return table(("ID", "NAME", "STATE", "TIME", "WORKERS", "EPOCHS", "POINT-EVALS", "FOUND"), rows)
+
+
+def _measures(view: JobView) -> tuple[str, str, str, str]:
+    epochs = ",".join(str(variable.epoch) for variable in view.variables) or "-"
+    found = sum(variable.converged for variable in view.variables)
+    return str(view.workers), epochs, count(view.point_evaluations), f"{found} of {len(view.variables)}"
+
+
+def _worker_table(views: Sequence[WorkerView]) -> str:
+    rows = [
+        (view.worker, view.host, str(view.pid), view.state, str(view.islands), f"{view.silent:.1f} s", view.version)
+        for view in views
+    ]
+    return table(("NAME", "HOST", "PID", "STATE", "ISLANDS", "SILENT", "VERSION"), rows)

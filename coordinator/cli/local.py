@@ -1,0 +1,164 @@
+"""Everything that ``run`` starts on this machine: router and coordinator in a thread, workers as processes.
+
+Workers start before the router listens, and connect as soon as it does; their log is one file. Whatever happens, the
+workers end: they are told to, then terminated, then killed; and they watch this process themselves, should it be killed.
+"""
+
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Final, Self
+
+from common.errors import AtollError, UnreachableError
+from common.wire.addresses import bindable, parse_address
+
+_STOP_LIMIT_S: Final = 5.0
+_OPEN_LIMIT_S: Final = 20.0
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def free_endpoint() -> str:
+    """Return an address of this machine, for this machine alone, on which nobody listens."""
+    return str(bindable(parse_address("tcp/127.0.0.1:0")))
+
+
+class NoWorkerLeftError(AtollError):
+    """Raised when the last worker of a local run has ended before its job."""
+
+
+class Workers:
+    """Worker processes of this machine; a context manager that leaves none behind."""
+
+    def __init__(self, endpoint: str, number: int, log: Path) -> None:
+        self.log = log
+        self._endpoint = endpoint
+        self._number = number
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._file: IO[bytes] | None = None
+
+    def __enter__(self) -> Self:
+        self._file = self.log.open("ab")
+        try:
+            for index in range(self._number):
+                self._start(f"w{index}")
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def check(self) -> list[str]:
+        """Return a sentence for each worker that died since the last check; raise NoWorkerLeftError without any."""
+        sentences = []
+        for name, process in list(self._processes.items()):
+            if process.poll() is not None:
+                del self._processes[name]
+                sentences.append(f"worker {name} ended with {_ending(process.returncode)}; its log is {self.log}")
+        if not self._processes:
+            raise NoWorkerLeftError(f"every worker has ended; the reason is in {self.log}{self._last_line()}")
+        return sentences
+
+    def dismiss(self) -> None:
+        """Tell all workers to end, without waiting for it."""
+        for process in self._processes.values():
+            process.terminate()
+
+    def stop(self) -> None:
+        """End all workers, in three steps of rising force. An interrupt goes straight to the last."""
+        try:
+            self.dismiss()
+            for process in self._processes.values():
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(_STOP_LIMIT_S)
+        finally:
+            for process in self._processes.values():
+                process.kill()
+                process.wait()
+            self._processes.clear()
+            if self._file is not None:
+                self._file.close()
+
+    def _start(self, name: str) -> None:
+        self._processes[name] = subprocess.Popen(
+            worker_command(self._endpoint, name),
+            stdin=subprocess.DEVNULL,
+            stdout=self._file,
+            stderr=self._file,
+            start_new_session=True,  # a Ctrl-C on the terminal is ours alone to handle
+        )
+
+    def _last_line(self) -> str:
+        lines = self.log.read_text("utf-8", "replace").strip().splitlines()
+        return f": {lines[-1]}" if lines else ""
+
+
+def worker_command(endpoint: str, name: str) -> Sequence[str]:
+    """Return the command of one worker process."""
+    return [sys.executable, "-m", "island_worker", "--connect", endpoint, "--processes", "1", "--name", name]
+
+
+def _ending(code: int) -> str:
+    return f"exit code {code}" if code >= 0 else f"signal {-code}"
+
+
+class Coordinator:
+    """Router and service in a thread of their own, the store in memory; a context manager."""
+
+    def __init__(self, endpoint: str) -> None:
+        self._endpoint = endpoint
+        self._stop = threading.Event()
+        self._listening = threading.Event()
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._work, name="coordinator", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join(_STOP_LIMIT_S)
+
+    def wait(self) -> None:
+        """Wait until the router listens; raises what kept it from doing so."""
+        if not self._listening.wait(_OPEN_LIMIT_S):
+            raise UnreachableError(f"the router did not listen on {self._endpoint} within {_OPEN_LIMIT_S:.0f} s")
+        self.check()
+
+    def check(self) -> None:
+        """Raise what has ended the coordinator, if it has ended."""
+        if self._error is not None:
+            raise self._error
+        if not self._thread.is_alive():
+            raise AtollError("the coordinator ended by itself, which it never should")
+
+    def _work(self) -> None:
+        try:
+            self._serve()
+        except BaseException as error:  # handed to the main thread, which raises it
+            self._error = error
+        finally:
+            self._listening.set()
+
+    def _serve(self) -> None:
+        from common.wire.zenoh_bus import open_router
+        from coordinator.service.service import Service
+        from coordinator.service.store import Store
+
+        with Store.open(None) as store, open_router(self._endpoint) as bus:
+            service = Service(bus, store)
+            self._listening.set()
+            service.run(self._stop)

@@ -1,0 +1,78 @@
+"""The entry of the ``coordinator`` program: parse, dispatch, and turn every error into one sentence and an exit code.
+
+Nothing heavy is imported here; each verb's module is imported when it is called.
+"""
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+INTERRUPTED = 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command line and return its exit code. Never raises but SystemExit after ``--help``."""
+    check_product()
+    from common.errors import AtollError
+
+    try:
+        return _dispatch(sys.argv[1:] if argv is None else argv)
+    except AtollError as error:
+        return _complain(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:
+        return _forget_stdout()
+    except Exception as error:
+        if os.environ.get("ATOLL_DEBUG") == "1":
+            raise
+        return _complain(_record(error), 1)
+
+
+def check_product() -> None:
+    """Refuse to run with a foreign package named ``common`` in front of ours; exits with status 2."""
+    import common
+
+    if getattr(common, "PRODUCT", None) != "atoll":
+        sys.exit(f"coordinator: 'common' at {common.__file__} is not Atoll's package; use an environment of its own")
+
+
+def _dispatch(argv: Sequence[str]) -> int:
+    from coordinator.cli.arguments import HANDLERS, parse
+
+    options = parse(argv)
+    handler = getattr(importlib.import_module(HANDLERS[options.verb]), options.verb)
+    code: int = handler(options)
+    sys.stdout.flush()
+    return code
+
+
+def _complain(sentence: str, code: int) -> int:
+    sys.stdout.flush()
+    sys.stderr.write(f"coordinator: {sentence}\n")
+    return code
+
+
+def _forget_stdout() -> int:
+    """The reader of our output has gone: be quiet, also when Python flushes at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
+
+
+def _record(error: Exception) -> str:
+    """Write the traceback of an unexpected error to a file; return the sentence that names it."""
+    import tempfile
+    import traceback
+
+    folder = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "atoll"
+    text = "".join(traceback.format_exception(error))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(".log", "coordinator-", folder)
+    except OSError:
+        handle, name = tempfile.mkstemp(".log", "atoll-coordinator-")
+    with os.fdopen(handle, "w") as file:
+        file.write(text)
+    return f"an unexpected error ({type(error).__name__}) stopped this command; the details are in {name}"

@@ -1,0 +1,75 @@
+"""``coordinator serve``: router, coordinator and store for workers and clients of any machine."""
+
+import argparse
+import contextlib
+import logging
+import socket
+import struct
+import sys
+import threading
+from pathlib import Path
+from typing import Final
+
+from common import VERSION
+from common.wire.addresses import Address, parse_address
+from coordinator.cli.output import note, say
+from coordinator.cli.signals import stopping
+
+_EVERYWHERE: Final = ("0.0.0.0", "::")
+_SIOCGIFADDR: Final = 0x8915
+
+
+def serve(options: argparse.Namespace) -> int:
+    """Serve until SIGTERM or Ctrl-C; return 0."""
+    wanted = parse_address(options.listen)
+    configure_log()
+    from common.wire.zenoh_bus import open_router
+    from coordinator.service.service import Service
+    from coordinator.service.store import Store
+
+    stop = threading.Event()
+    with stopping(stop), Store.open(Path(options.state)) as store, open_router(str(wanted)) as bus:
+        service = Service(bus, store)
+        say(greeting(parse_address(bus.endpoint), options.state))
+        service.run(stop)
+    note("coordinator: stopped; jobs and results are kept")
+    return 0
+
+
+def configure_log() -> None:
+    """Send the log to stderr, one line an event."""
+    logging.basicConfig(
+        level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s %(message)s", force=True
+    )
+
+
+def greeting(listen: Address, state: str) -> str:
+    """Return what a person needs who wants to use this coordinator: one line for each address heard on."""
+    addresses = [Address(listen.protocol, host, listen.port) for host in heard_on(listen.host)]
+    lines = [f"coordinator {VERSION} listens on {listen}, state in {state}", "start a worker with:"]
+    lines += [f"  island-worker --connect {address}" for address in addresses]
+    lines += ["submit a job with:", f"  coordinator submit DATA --connect {addresses[0]}"]
+    if listen.host in _EVERYWHERE:
+        lines.append("whoever reaches this port can use it: listen on a trusted network only")
+    return "\n".join(lines)
+
+
+def heard_on(host: str) -> list[str]:
+    """Return the addresses by which others reach a listener on `host`: all of this machine's for ``0.0.0.0``."""
+    if host not in _EVERYWHERE:
+        return [host]
+    found = [address for _, name in socket.if_nameindex() if (address := _interface_address(name))]
+    others = [address for address in found if not address.startswith("127.")]
+    return [*others, "127.0.0.1"]
+
+
+def _interface_address(name: str) -> str | None:
+    """Return the IPv4 address of a network interface (Linux; elsewhere that of the host's name)."""
+    with contextlib.suppress(OSError, ImportError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        if sys.platform == "linux":
+            import fcntl
+
+            answer = fcntl.ioctl(probe.fileno(), _SIOCGIFADDR, struct.pack("256s", name.encode()[:15]))
+            return socket.inet_ntoa(answer[20:24])
+        return socket.gethostbyname(socket.gethostname())
+    return None
