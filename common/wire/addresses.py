@@ -1,0 +1,81 @@
+"""Addresses such as ``tcp/HOST:PORT``: reading them, and finding out what is there before a connection is tried."""
+
+import errno
+import socket
+from dataclasses import dataclass
+from typing import Final
+
+from common.errors import UsageError
+
+_PROTOCOLS: Final = ("tcp", "tls", "quic")
+_PROBE_LIMIT_S: Final = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Where a router listens. Port 0 stands for any free port."""
+
+    protocol: str
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.protocol}/{host}:{self.port}"
+
+
+def parse_address(text: str) -> Address:
+    """Return the address that `text` names; raises UsageError."""
+    protocol, _, place = text.strip().partition("/")
+    host, _, port = place.rpartition(":")
+    host = host.removeprefix("[").removesuffix("]")
+    good_port = port.isascii() and port.isdigit() and int(port) < 65536
+    if protocol not in _PROTOCOLS or not host or not good_port or any(c in host for c in "/?#, "):
+        raise UsageError(f"address {text!r} was found where tcp/HOST:PORT was expected, such as tcp/127.0.0.1:7447")
+    return Address(protocol, host, int(port))
+
+
+def bindable(address: Address) -> Address:
+    """Return `address` with port 0 replaced by a free one, after checking that a router could listen there.
+
+    Raises:
+        UsageError: the port is in use or may not be used, or the host is not one of this machine's.
+    """
+    kind = socket.SOCK_DGRAM if address.protocol == "quic" else socket.SOCK_STREAM
+    try:
+        family, _, _, _, place = socket.getaddrinfo(address.host, address.port, type=kind, flags=socket.AI_PASSIVE)[0]
+        with socket.socket(family, kind) as probe:
+            if kind == socket.SOCK_STREAM:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(place)
+            return Address(address.protocol, address.host, probe.getsockname()[1])
+    except OSError as error:
+        raise UsageError(_cannot_listen(address, error)) from error
+
+
+def why_unreachable(address: Address, limit_s: float = _PROBE_LIMIT_S) -> str | None:
+    """Return why nothing can be reached at `address` right now, or None when something accepts connections there."""
+    if address.protocol == "quic":
+        return None
+    try:
+        socket.create_connection((address.host, address.port), timeout=limit_s).close()
+    except socket.gaierror:
+        return f"the host {address.host!r} is not known"
+    except TimeoutError:
+        return "there was no answer"
+    except OSError as error:
+        return (error.strerror or str(error)).lower()
+    return None
+
+
+def _cannot_listen(address: Address, error: OSError) -> str:
+    if isinstance(error, socket.gaierror):
+        return f"cannot listen on {address}: the host {address.host!r} is not known; try tcp/0.0.0.0:{address.port}"
+    if error.errno == errno.EADDRINUSE:
+        return (
+            f"cannot listen on {address}: the port is in use (is another coordinator running?); "
+            "choose another with --listen"
+        )
+    if error.errno == errno.EADDRNOTAVAIL:
+        return f"cannot listen on {address}: the host is not this machine; try tcp/0.0.0.0:{address.port}"
+    return f"cannot listen on {address}: {(error.strerror or str(error)).lower()}; choose another with --listen"
