@@ -34,9 +34,6 @@ from common.expression.program import Program
 FUNCTIONS: Final = {SIN: "sin", COS: "cos", EXP: "exp", LOG: "log", SQRT: "sqrt", ABS: "abs", TANH: "tanh"}
 """Operators that are printed as a call, and the name that our parser, sympy and Python read alike."""
 
-RESERVED: Final = frozenset({*FUNCTIONS.values(), "Abs", "tan", "cot", "pow", "inverse", "square", "neg", "pi"})
-"""Names that mean a function or number in expressions; no symbol may be called so."""
-
 PRINTABLE_SIZE: Final = 5_000
 """Largest tree that is printed. Shared nodes are printed once per use, so a short list can be a huge text."""
 
