@@ -7,7 +7,8 @@ envelope        key (`common.wire.topics`)             bodies
 =============== ====================================== =====================================================
 Greeting        hello (question)                       Hello
 GreetingAnswer  hello (answer)                         Welcome, Refusal
-Control         control, job (answer), placement       JobAnnouncement, Placements, Commit, Close, Shutdown
+Control         control, job (answer), placement       JobAnnouncement, Placements, Commit, Close, Shutdown,
+                                                       Introduce
 WorkerStatus    worker/{name}/status                   (a message of its own: the heartbeat)
 EpochReport     worker/{name}/report                   (a message of its own)
 Mail            worker/{name}/to/{peer}                Migrants, Finished
@@ -57,7 +58,8 @@ class Tolerant(Model):
 class Hello(Tolerant):
     """The first words of a worker or a client. `instance` is drawn anew by each process.
 
-    `fingerprint` names the kernels' source text of a worker ("" for a client, which computes nothing).
+    `fingerprint` names what the bits of a worker's islands depend on ("" while its kernels are not ready, and for a
+    client, which computes nothing).
     """
 
     kind: Literal["hello"] = "hello"
@@ -124,7 +126,7 @@ class JobAnnouncement(Model):
 
 
 class Placement(Model):
-    """Who computes which island of one archipelago: `workers[k]` has island k.
+    """Who computes which island of one archipelago: `workers[k]` has island k. Every term begins at epoch 0.
 
     No island begins epoch `epochs` or later, nor an epoch more than twice `interval` after the last commit.
     """
@@ -137,7 +139,6 @@ class Placement(Model):
     workers: Annotated[tuple[Id, ...], Field(min_length=1, max_length=1024)]
     epochs: Annotated[int, Field(ge=1)]
     interval: Annotated[int, Field(ge=1)]
-    commit: Count = 0
 
     def islands_of(self, worker: str) -> tuple[int, ...]:
         """Return the islands that `worker` computes."""
@@ -152,7 +153,7 @@ class Placements(Model):
 
 
 class Commit(Model):
-    """Nobody will need reports or emigrants of epochs below `epoch` of this archipelago again."""
+    """Every island has reported `epoch` under this term: what was sent in epochs below it is needed no more."""
 
     kind: Literal["commit"] = "commit"
     job: Id
@@ -177,10 +178,16 @@ class Shutdown(Model):
     refused: bool = False
 
 
+class Introduce(Model):
+    """The coordinator does not know this worker (it started anew, perhaps): greet again."""
+
+    kind: Literal["introduce"] = "introduce"
+
+
 class Control(Model):
     """From the coordinator to workers."""
 
-    body: Annotated[JobAnnouncement | Placements | Commit | Close | Shutdown, Field(discriminator="kind")]
+    body: Annotated[JobAnnouncement | Placements | Commit | Close | Shutdown | Introduce, Field(discriminator="kind")]
 
 
 # ---------------------------------------------------------------------------------------------- heartbeat
@@ -201,6 +208,16 @@ class Holding(Model):
     commit: Count
 
 
+class Trouble(Model):
+    """Something of ours broke while this island computed; repeated until its archipelago is closed."""
+
+    job: Id
+    variable: Variable
+    term: Term
+    island: IslandIndex
+    sentence: Sentence
+
+
 class WorkerStatus(Model):
     """The heartbeat. `progress` rises while the compute thread gets on; `detail` says what a person should know."""
 
@@ -210,6 +227,7 @@ class WorkerStatus(Model):
     state: WorkerState
     progress: Count
     holdings: tuple[Holding, ...] = ()
+    troubles: tuple[Trouble, ...] = ()
     detail: Sentence = ""
 
 

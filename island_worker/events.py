@@ -1,0 +1,240 @@
+"""What happens to a worker's session (events) and what it wants done (actions). Plain data, no behaviour."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from common.wire.messages import (
+    Close,
+    Commit,
+    EpochReport,
+    Finished,
+    IslandReport,
+    Migrants,
+    NewerTerm,
+    NotYet,
+    Placement,
+    PullMigrants,
+    PullReports,
+    Reports,
+    Sent,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TaskKey:
+    """One island's one epoch, under one term."""
+
+    job: str
+    variable: str
+    term: int
+    island: int
+    epoch: int
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """Begin epoch `key.epoch` (with the immigrants `blocks` by source island; None at epoch 0) and finish it.
+
+    Emigrants are wanted unless the epoch `is_last`.
+    """
+
+    key: TaskKey
+    blocks: Mapping[int, bytes] | None
+    is_last: bool
+
+
+# ------------------------------------------------------------------------------------------------ events
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """The coordinator placed an archipelago."""
+
+    placement: Placement
+
+
+@dataclass(frozen=True, slots=True)
+class JobReady:
+    """The job's configuration and dataset are loaded: its islands can be computed."""
+
+    job: str
+
+
+@dataclass(frozen=True, slots=True)
+class Committed:
+    """The coordinator moved an archipelago's commit forward."""
+
+    commit: Commit
+
+
+@dataclass(frozen=True, slots=True)
+class Closed:
+    """The coordinator needs an archipelago, or a whole job, no more."""
+
+    close: Close
+
+
+@dataclass(frozen=True, slots=True)
+class Mailed:
+    """Another worker sent migrants, or the statement that none will come."""
+
+    sender: str
+    body: Migrants | Finished
+
+
+@dataclass(frozen=True, slots=True)
+class PullAsked:
+    """Somebody asks for what we sent; to be answered under `handle`."""
+
+    handle: Any
+    body: PullMigrants | PullReports
+
+
+@dataclass(frozen=True, slots=True)
+class PullAnswered:
+    """Worker `peer` answered our pull."""
+
+    peer: str
+    body: Sent | Reports | NotYet | NewerTerm
+
+
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """An island finished an epoch.
+
+    `emigrants`: blocks by destination island, its own included (empty after a hit or the last epoch); `senders`: the
+    other islands whose blocks it needs to begin the next epoch; `seconds` of computing, for fairness between jobs.
+    """
+
+    key: TaskKey
+    report: IslandReport
+    emigrants: Mapping[int, bytes]
+    senders: frozenset[int]
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """An island refused its immigrants' blocks as malformed and is unchanged."""
+
+    key: TaskKey
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class Broken:
+    """Something of ours broke while an island computed."""
+
+    key: TaskKey
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class Abandoned:
+    """A task was given up because its archipelago had been discarded."""
+
+    key: TaskKey
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Time has passed; `now` is the bus's monotonic seconds."""
+
+    now: float
+
+
+@dataclass(frozen=True, slots=True)
+class Reset:
+    """Everything held is void: another coordinator, or another incarnation of ours, is there."""
+
+
+SessionEvent = (
+    Placed
+    | JobReady
+    | Committed
+    | Closed
+    | Mailed
+    | PullAsked
+    | PullAnswered
+    | Computed
+    | Rejected
+    | Broken
+    | Abandoned
+    | Tick
+    | Reset
+)
+
+
+# ----------------------------------------------------------------------------------------------- actions
+
+
+@dataclass(frozen=True, slots=True)
+class FetchJob:
+    """Load the job's configuration and dataset; JobReady follows."""
+
+    job: str
+
+
+@dataclass(frozen=True, slots=True)
+class FetchPlacements:
+    """Ask the coordinator for the job's current placements; Placed follows."""
+
+    job: str
+
+
+@dataclass(frozen=True, slots=True)
+class Compute:
+    """Give the task to the compute thread; Computed, Rejected, Broken or Abandoned follows."""
+
+    task: Task
+
+
+@dataclass(frozen=True, slots=True)
+class Discard:
+    """Forget the islands of one archipelago under one term, also if one is being computed."""
+
+    job: str
+    variable: str
+    term: int
+
+
+@dataclass(frozen=True, slots=True)
+class DiscardJob:
+    """Forget the job's dataset."""
+
+    job: str
+
+
+@dataclass(frozen=True, slots=True)
+class Send:
+    """Send mail to worker `peer`."""
+
+    peer: str
+    body: Migrants | Finished
+
+
+@dataclass(frozen=True, slots=True)
+class SendReport:
+    """Report to the coordinator."""
+
+    report: EpochReport
+
+
+@dataclass(frozen=True, slots=True)
+class AskPeer:
+    """Pull from worker `peer`; PullAnswered may follow."""
+
+    peer: str
+    body: PullMigrants
+
+
+@dataclass(frozen=True, slots=True)
+class Respond:
+    """Answer the pull that came under `handle`."""
+
+    handle: Any
+    body: Sent | Reports | NotYet | NewerTerm
+
+
+Action = FetchJob | FetchPlacements | Compute | Discard | DiscardJob | Send | SendReport | AskPeer | Respond

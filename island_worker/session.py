@@ -1,0 +1,303 @@
+"""A worker's session: what it computes next, what it sends, keeps, asks and answers. A pure state machine.
+
+Events in, actions out (`island_worker.events`); no clock, no I/O, no thread. `Session.handle` is called by the runtime,
+by the simulation and by tests alike. The rules it keeps are those of docs/protocol.md.
+"""
+
+from collections.abc import Mapping
+from functools import singledispatchmethod
+from typing import Final, Literal
+
+from common.errors import LocalProtocolError, RemoteProtocolError
+from common.wire.messages import Finished, Holding, Migrants, NewerTerm, PullReports, Sent, Trouble
+from common.wire.views import WorkerState
+from island_worker.events import (
+    Abandoned,
+    Action,
+    AskPeer,
+    Broken,
+    Closed,
+    Committed,
+    Compute,
+    Computed,
+    Discard,
+    DiscardJob,
+    FetchJob,
+    FetchPlacements,
+    JobReady,
+    Mailed,
+    Placed,
+    PullAnswered,
+    PullAsked,
+    Rejected,
+    Reset,
+    Respond,
+    SessionEvent,
+    TaskKey,
+    Tick,
+)
+from island_worker.share import Share
+
+JobState = Literal["unknown", "loading", "loaded"]
+JobStep = Literal["placed", "ready", "close"]
+
+JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
+    "unknown": {"placed": "loading", "ready": "loaded", "close": "unknown"},
+    "loading": {"placed": "loading", "ready": "loaded", "close": "unknown"},
+    "loaded": {"placed": "loaded", "ready": "loaded", "close": "unknown"},
+}
+"""What this worker has of a job's configuration and dataset -> what happens -> what it has then."""
+
+MAX_EARLY: Final = 256
+"""Messages kept of terms whose placement has not come yet."""
+
+Archipelago = tuple[str, str]
+
+
+class Session:
+    """All shares of one worker. Not thread-safe; owned by the runtime's loop."""
+
+    def __init__(self, worker: str) -> None:
+        self.worker = worker
+        self._shares: dict[Archipelago, Share] = {}
+        self._jobs: dict[str, JobState] = {}
+        self._terms: dict[Archipelago, int] = {}
+        self._computing: TaskKey | None = None
+        self._charged: dict[str, float] = {}
+        self._early: list[Mailed] = []
+        self._troubles: list[Trouble] = []
+
+    def handle(self, event: SessionEvent) -> list[Action]:
+        """Take in one event and return what is to be done, the next computation first.
+
+        Raises:
+            RemoteProtocolError: A peer's message cannot be; nothing has changed.
+            LocalProtocolError: This side broke its own rules.
+        """
+        actions = self._on(event)
+        return self._next_computation() + actions
+
+    def state(self) -> WorkerState:
+        """Return what the heartbeat says of this worker once its kernels are ready."""
+        if self._computing is not None:
+            return "computing"
+        return "waiting" if any(share.is_waiting() for share in self._shares.values()) else "ready"
+
+    def holdings(self) -> tuple[Holding, ...]:
+        """Return what the heartbeat says of every share."""
+        return tuple(share.holding() for share in self._shares.values())
+
+    def troubles(self) -> tuple[Trouble, ...]:
+        """Return what broke and has not been closed yet."""
+        return tuple(self._troubles)
+
+    def wants(self, job: str) -> bool:
+        """Tell whether the job's dataset is still wanted."""
+        return any(name == job for name, _ in self._shares)
+
+    def validate(self) -> None:
+        """Check the invariants; raises LocalProtocolError."""
+        for (job, variable), share in self._shares.items():
+            share.validate()
+            busy = [each.index for each in share.islands.values() if each.state == "computing"]
+            ours = self._computing
+            expected = [ours.island] if ours and self._share_of(ours) is share else []
+            if busy != expected:
+                raise LocalProtocolError(f"islands {busy} of {job}/{variable} compute, expected {expected}")
+            if self._terms[job, variable] != share.placement.term:
+                raise LocalProtocolError(f"the share of {job}/{variable} is not of the newest term")
+
+    # ------------------------------------------------------------------------------------ coordinator
+
+    @singledispatchmethod
+    def _on(self, event: SessionEvent) -> list[Action]:
+        raise LocalProtocolError(f"the session does not know events of kind {type(event).__name__}")
+
+    @_on.register
+    def _placed(self, event: Placed) -> list[Action]:
+        placement = event.placement
+        key = (placement.job, placement.variable)
+        if placement.term <= self._terms.get(key, 0):
+            return []
+        actions = self._drop(key)
+        self._terms[key] = placement.term
+        if self.worker not in placement.workers:
+            return actions
+        self._shares[key] = Share(placement, self.worker)
+        if placement.job not in self._charged:
+            self._charged[placement.job] = min(self._charged.values(), default=0.0)
+        if self._jobs.get(placement.job, "unknown") == "unknown":
+            actions.append(FetchJob(placement.job))
+        self._step_job(placement.job, "placed")
+        self._deliver_early(key)
+        return actions
+
+    @_on.register
+    def _job_ready(self, event: JobReady) -> list[Action]:
+        self._step_job(event.job, "ready")
+        return []
+
+    @_on.register
+    def _committed(self, event: Committed) -> list[Action]:
+        commit = event.commit
+        share = self._shares.get((commit.job, commit.variable))
+        if share is not None and share.placement.term == commit.term:
+            share.commit_at(commit.epoch)
+        return []
+
+    @_on.register
+    def _closed(self, event: Closed) -> list[Action]:
+        job, variable = event.close.job, event.close.variable
+        keys = [key for key in self._shares if key[0] == job and variable in (None, key[1])]
+        actions: list[Action] = [action for key in keys for action in self._drop(key)]
+        if variable is None and self._jobs.get(job, "unknown") != "unknown":
+            self._step_job(job, "close")
+            actions.append(DiscardJob(job))
+        if not self.wants(job):
+            self._charged.pop(job, None)
+        return actions
+
+    @_on.register
+    def _reset(self, event: Reset) -> list[Action]:
+        actions: list[Action] = [action for key in list(self._shares) for action in self._drop(key)]
+        actions += [DiscardJob(job) for job, state in self._jobs.items() if state != "unknown"]
+        self._jobs.clear()
+        self._terms.clear()
+        self._charged.clear()
+        self._early.clear()
+        return actions
+
+    # ------------------------------------------------------------------------------------------ peers
+
+    @_on.register
+    def _mailed(self, event: Mailed) -> list[Action]:
+        key = (event.body.job, event.body.variable)
+        term = self._terms.get(key, 0)
+        if event.body.term > term:
+            return self._keep_early(event)
+        share = self._shares.get(key)
+        if share is not None and event.body.term == term:
+            share.receive(event.sender, event.body)
+        return []
+
+    @_on.register
+    def _pull_asked(self, event: PullAsked) -> list[Action]:
+        pull = event.body
+        key = (pull.job, pull.variable)
+        share = self._shares.get(key)
+        if share is None or pull.term != share.placement.term:
+            term = self._terms.get(key, 0)
+            return [Respond(event.handle, NewerTerm(job=pull.job, variable=pull.variable, term=term))]
+        if isinstance(pull, PullReports):
+            return [Respond(event.handle, share.answer_reports(pull))]
+        return [Respond(event.handle, share.answer_migrants(pull))]
+
+    @_on.register
+    def _pull_answered(self, event: PullAnswered) -> list[Action]:
+        body = event.body
+        if isinstance(body, NewerTerm) and body.term > self._terms.get((body.job, body.variable), 0):
+            return [FetchPlacements(body.job)]
+        actions: list[Action] = []
+        if isinstance(body, Sent):
+            mail: list[Migrants | Finished] = [*([body.migrants] if body.migrants else []), *body.finished]
+            for each in mail:
+                actions += self._mailed(Mailed(event.peer, each))
+        return actions
+
+    @_on.register
+    def _tick(self, event: Tick) -> list[Action]:
+        return [AskPeer(peer, pull) for share in self._shares.values() for peer, pull in share.due_pulls(event.now)]
+
+    # ---------------------------------------------------------------------------------------- compute
+
+    @_on.register
+    def _computed(self, event: Computed) -> list[Action]:
+        share = self._release(event.key)
+        if event.key.job in self._charged:
+            self._charged[event.key.job] += event.seconds
+        return list(share.computed(event)) if share else []
+
+    @_on.register
+    def _rejected(self, event: Rejected) -> list[Action]:
+        share = self._release(event.key)
+        if share is not None and not share.rejected(event.key.island):
+            self._note_trouble(share, event.key, event.sentence)
+        return []
+
+    @_on.register
+    def _broken(self, event: Broken) -> list[Action]:
+        share = self._release(event.key)
+        if share is not None:
+            self._note_trouble(share, event.key, event.sentence)
+        return []
+
+    @_on.register
+    def _abandoned(self, event: Abandoned) -> list[Action]:
+        self._release(event.key)
+        return []
+
+    # ----------------------------------------------------------------------------------------- private
+
+    def _next_computation(self) -> list[Action]:
+        """Begin the runnable island of the job charged least, then of lowest epoch, then of lowest name and index."""
+        if self._computing is not None:
+            return []
+        order = (
+            (self._charged[job], local.epoch, job, variable, local.index)
+            for (job, variable), share in self._shares.items()
+            if self._jobs.get(job) == "loaded"
+            for local in share.runnable()
+        )
+        chosen = min(order, default=None)
+        if chosen is None:
+            return []
+        _, _, job, variable, island = chosen
+        task = self._shares[job, variable].begin(island)
+        self._computing = task.key
+        return [Compute(task)]
+
+    def _release(self, key: TaskKey) -> Share | None:
+        """Note that the compute thread is free again; return the share concerned unless it is gone."""
+        if key != self._computing:
+            raise LocalProtocolError(f"{key} was computed, but the session waits for {self._computing}")
+        self._computing = None
+        return self._share_of(key)
+
+    def _share_of(self, key: TaskKey) -> Share | None:
+        share = self._shares.get((key.job, key.variable))
+        return share if share is not None and share.placement.term == key.term else None
+
+    def _note_trouble(self, share: Share, key: TaskKey, sentence: str) -> None:
+        share.islands[key.island].step("end")
+        trouble = Trouble(
+            job=key.job, variable=key.variable, term=key.term, island=key.island, sentence=sentence[:1000]
+        )
+        self._troubles.append(trouble)
+
+    def _drop(self, key: Archipelago) -> list[Action]:
+        share = self._shares.pop(key, None)
+        self._troubles = [each for each in self._troubles if (each.job, each.variable) != key]
+        return [Discard(*key, share.placement.term)] if share is not None else []
+
+    def _step_job(self, job: str, step: JobStep) -> None:
+        self._jobs[job] = JOB_TRANSITIONS[self._jobs.get(job, "unknown")][step]
+
+    def _keep_early(self, event: Mailed) -> list[Action]:
+        """Keep mail of a term we have not heard of, and ask for its placement."""
+        is_first = all(
+            (each.body.job, each.body.variable) != (event.body.job, event.body.variable) for each in self._early
+        )
+        self._early = [*self._early[-(MAX_EARLY - 1) :], event]
+        return [FetchPlacements(event.body.job)] if is_first else []
+
+    def _deliver_early(self, key: Archipelago) -> None:
+        """File the mail that came before its placement; what does not fit is dropped, it can be pulled."""
+        share = self._shares[key]
+        mine = [each for each in self._early if (each.body.job, each.body.variable) == key]
+        self._early = [each for each in self._early if each not in mine]
+        for each in mine:
+            if each.body.term == share.placement.term:
+                try:
+                    share.receive(each.sender, each.body)
+                except RemoteProtocolError:
+                    continue

@@ -1,0 +1,328 @@
+"""A worker's share of one archipelago under one term: its islands, their mail, and what is kept for pulls. Pure.
+
+An island waits for exactly the senders that the reshuffle names, blocks are filed by (epoch, destination, source), and
+the immigrants are handed over together: so the order in which mail arrives cannot matter.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from common.errors import LocalProtocolError, RemoteProtocolError
+from common.wire.messages import (
+    Block,
+    EpochReport,
+    Finished,
+    Holding,
+    IslandReport,
+    Migrants,
+    NotYet,
+    Placement,
+    PullMigrants,
+    PullReports,
+    Reports,
+    Sent,
+)
+from island_worker.events import Computed, Send, SendReport, Task, TaskKey
+
+IslandState = Literal["ready", "computing", "waiting", "stopped"]
+IslandStep = Literal["begin", "emigrate", "complete", "end", "reject"]
+
+ISLAND_TRANSITIONS: Final[Mapping[IslandState, Mapping[IslandStep, IslandState]]] = {
+    "ready": {"begin": "computing", "end": "stopped"},
+    "computing": {"emigrate": "waiting", "end": "stopped", "reject": "waiting"},
+    "waiting": {"complete": "ready", "end": "stopped"},
+    "stopped": {},
+}
+"""State of one island -> what happens -> its next state. `end`: a hit here or elsewhere, or the last epoch."""
+
+PULL_AFTER_S: Final = 1.0
+"""An island that has waited this long asks the senders; the pause doubles with every question."""
+
+PULL_PAUSE_MAX_S: Final = 8.0
+
+
+@dataclass(slots=True)
+class LocalIsland:
+    """One island computed here. `epoch` is the one it computes, or will begin; `needs` its sources once it waits."""
+
+    index: int
+    state: IslandState = "ready"
+    epoch: int = 0
+    needs: frozenset[int] = frozenset()
+    pause_s: float = PULL_AFTER_S
+    ask_at: float | None = None
+
+    def step(self, step: IslandStep) -> None:
+        """Go to the next state by the table; raises LocalProtocolError for a pair that is not in it."""
+        following = ISLAND_TRANSITIONS[self.state].get(step)
+        if following is None:
+            raise LocalProtocolError(f"island {self.index} in epoch {self.epoch} cannot {step} while {self.state}")
+        self.state = following
+
+
+class Share:
+    """The islands of one archipelago that this worker computes under one term."""
+
+    def __init__(self, placement: Placement, worker: str) -> None:
+        self.placement = placement
+        self.worker = worker
+        self.commit = 0
+        self.islands = {island: LocalIsland(island) for island in placement.islands_of(worker)}
+        self.hits: dict[int, Finished] = {}
+        self.reported = 0
+        self._inbox: dict[tuple[int, int], dict[int, bytes]] = {}
+        self._sent: dict[tuple[int, int], dict[int, bytes]] = {}
+        self._reports: dict[int, dict[int, IslandReport]] = {}
+        self._others = tuple(dict.fromkeys(name for name in placement.workers if name != worker))
+
+    @property
+    def stop_epoch(self) -> int:
+        """The last epoch that anybody needs to compute, as far as known here."""
+        return min((hit.epoch for hit in self.hits.values()), default=self.placement.epochs - 1)
+
+    def holding(self) -> Holding:
+        """Return what the heartbeat says of this share."""
+        placed = self.placement
+        return Holding(
+            job=placed.job,
+            variable=placed.variable,
+            term=placed.term,
+            islands=len(self.islands),
+            reported=self.reported,
+            commit=self.commit,
+        )
+
+    def runnable(self) -> Iterator[LocalIsland]:
+        """Yield the islands that may begin an epoch now: ready, and within the lead over the last commit."""
+        limit = self.commit + 2 * self.placement.interval
+        return (each for each in self.islands.values() if each.state == "ready" and each.epoch <= limit)
+
+    def begin(self, island: int) -> Task:
+        """Return the task of an island that is ready."""
+        local = self.islands[island]
+        local.step("begin")
+        blocks = None
+        if local.epoch > 0:
+            filed = self._inbox[local.epoch - 1, island]
+            blocks = {source: filed[source] for source in sorted(local.needs)}
+        return Task(self._key(local), blocks, local.epoch + 1 >= self.placement.epochs)
+
+    def computed(self, done: Computed) -> list[Send | SendReport]:
+        """File a finished epoch: report it, and send emigrants or the statement of a hit."""
+        local = self.islands[done.key.island]
+        self._inbox.pop((done.key.epoch - 1, local.index), None)
+        actions = self._depart(local, done)
+        self._end_late_islands()
+        return actions + self._file_report(done)
+
+    def rejected(self, island: int) -> bool:
+        """File that an island refused its immigrants: forget the foreign blocks, so that they are pulled again.
+
+        Returns False when all of them are our own, which no pull can mend.
+        """
+        local = self.islands[island]
+        if local.epoch == 0 or local.needs <= self.islands.keys():
+            return False
+        filed = self._inbox[local.epoch - 1, island]
+        self._inbox[local.epoch - 1, island] = {k: v for k, v in filed.items() if k in self.islands}
+        local.step("reject")
+        local.ask_at = None
+        return True
+
+    def receive(self, sender: str, body: Migrants | Finished) -> None:
+        """File mail of this share's term.
+
+        Raises:
+            RemoteProtocolError: The placement does not give the sender that island, or ours that destination, or the
+                epoch cannot be.
+        """
+        if body.epoch > self.commit + 4 * self.placement.interval or body.epoch >= self.placement.epochs:
+            raise RemoteProtocolError(f"mail of epoch {body.epoch} came, far beyond commit {self.commit}")
+        if isinstance(body, Finished):
+            self._check_owner(sender, body.island)
+            self.hits.setdefault(body.island, body)
+            self._end_late_islands()
+            return
+        for block in body.blocks:
+            self._check_owner(sender, block.source)
+            if block.destination not in self.islands:
+                raise RemoteProtocolError(f"mail came for island {block.destination}, which is not computed here")
+        for block in body.blocks:
+            self._deliver(body.epoch, block)
+
+    def commit_at(self, epoch: int) -> None:
+        """Forget what nobody can ask for any more: everything of epochs below `epoch`.
+
+        Raises:
+            RemoteProtocolError: The epoch is beyond what has been reported from here.
+        """
+        if epoch > self.reported:
+            raise RemoteProtocolError(f"commit {epoch} came, but only {self.reported} epochs were reported from here")
+        if epoch <= self.commit:
+            return
+        self.commit = epoch
+        self._sent = {key: blocks for key, blocks in self._sent.items() if key[0] >= epoch}
+        self._reports = {number: reports for number, reports in self._reports.items() if number >= epoch}
+
+    def answer_migrants(self, pull: PullMigrants) -> Sent | NotYet:
+        """Return what islands of ours have sent to one destination in one epoch."""
+        blocks = [
+            Block(source=source, destination=pull.destination, data=data)
+            for source in pull.sources
+            if (data := self._sent.get((pull.epoch, source), {}).get(pull.destination)) is not None
+        ]
+        finished = tuple(hit for source in pull.sources if (hit := self.hits.get(source)) and hit.epoch <= pull.epoch)
+        if not blocks and not finished:
+            return NotYet()
+        return Sent(migrants=self._migrants(pull.epoch, blocks) if blocks else None, finished=finished)
+
+    def answer_reports(self, pull: PullReports) -> Reports | NotYet:
+        """Return the complete reports of the epochs asked for that are still kept."""
+        epochs = [each for each in range(pull.first, min(pull.last, self.reported)) if each in self._reports]
+        return Reports(reports=tuple(self._report(each) for each in epochs)) if epochs else NotYet()
+
+    def due_pulls(self, now: float) -> list[tuple[str, PullMigrants]]:
+        """Return (worker, question) for islands that have waited too long, and note when to ask next."""
+        pulls = []
+        for local in self.islands.values():
+            if local.state == "waiting" and self._is_due(local, now):
+                pulls += self._pulls_of(local)
+        return pulls
+
+    def is_waiting(self) -> bool:
+        """Tell whether any island here still has something to do or to wait for."""
+        return any(local.state != "stopped" for local in self.islands.values())
+
+    def validate(self) -> None:
+        """Check the invariants; raises LocalProtocolError."""
+        for local in self.islands.values():
+            have = self._inbox.get((local.epoch - 1, local.index), {}).keys()
+            complete = local.epoch == 0 or local.needs <= have
+            _require(local.state != "ready" or complete, f"island {local.index} is ready without its immigrants")
+            _require(local.state != "waiting" or not complete, f"island {local.index} waits for nothing")
+            _require(local.epoch < self.placement.epochs, f"island {local.index} is beyond the last epoch")
+        _require(all(epoch >= self.commit for epoch, _ in self._sent), "emigrants below the commit are kept")
+        _require(
+            all(epoch >= self.islands[island].epoch - 1 for epoch, island in self._inbox), "old immigrants are kept"
+        )
+
+    def _key(self, local: LocalIsland) -> TaskKey:
+        return TaskKey(self.placement.job, self.placement.variable, self.placement.term, local.index, local.epoch)
+
+    def _depart(self, local: LocalIsland, done: Computed) -> list[Send | SendReport]:
+        """Take an island out of `computing`."""
+        if done.report.hit is not None:
+            return self._state_hit(local, done.report.hit.generation)
+        if local.epoch + 1 >= self.placement.epochs:
+            local.step("end")
+            return []
+        local.step("emigrate")
+        actions = self._emigrate(local, done.emigrants)
+        local.epoch += 1
+        local.needs = done.senders | (frozenset({local.index}) & frozenset(done.emigrants))
+        local.pause_s, local.ask_at = PULL_AFTER_S, None
+        self._complete(local)
+        return actions
+
+    def _state_hit(self, local: LocalIsland, generation: int) -> list[Send | SendReport]:
+        local.step("end")
+        placed = self.placement
+        hit = Finished(
+            job=placed.job,
+            variable=placed.variable,
+            term=placed.term,
+            epoch=local.epoch,
+            generation=generation,
+            island=local.index,
+        )
+        self.hits[local.index] = hit
+        return [Send(peer, hit) for peer in self._others]
+
+    def _emigrate(self, local: LocalIsland, emigrants: Mapping[int, bytes]) -> list[Send | SendReport]:
+        """Keep, deliver and send an island's emigrants: one message for each other worker."""
+        self._sent[local.epoch, local.index] = dict(emigrants)
+        leaving: dict[str, list[Block]] = {}
+        for destination in sorted(emigrants):
+            block = Block(source=local.index, destination=destination, data=emigrants[destination])
+            if destination in self.islands:
+                self._deliver(local.epoch, block)
+            else:
+                leaving.setdefault(self.placement.workers[destination], []).append(block)
+        return [Send(peer, self._migrants(local.epoch, blocks)) for peer, blocks in leaving.items()]
+
+    def _migrants(self, epoch: int, blocks: Iterable[Block]) -> Migrants:
+        placed = self.placement
+        return Migrants(job=placed.job, variable=placed.variable, term=placed.term, epoch=epoch, blocks=tuple(blocks))
+
+    def _deliver(self, epoch: int, block: Block) -> None:
+        """File one block, once; one that is no longer needed is dropped."""
+        local = self.islands[block.destination]
+        is_late = epoch < local.epoch - 1 or (epoch == local.epoch - 1 and local.state in ("computing", "stopped"))
+        if is_late or local.state == "stopped":
+            return
+        self._inbox.setdefault((epoch, block.destination), {}).setdefault(block.source, block.data)
+        self._complete(local)
+
+    def _complete(self, local: LocalIsland) -> None:
+        if local.state == "waiting" and local.needs <= self._inbox.get((local.epoch - 1, local.index), {}).keys():
+            local.step("complete")
+
+    def _end_late_islands(self) -> None:
+        """Stop the islands whose next epoch nobody needs."""
+        for local in self.islands.values():
+            if local.state in ("ready", "waiting") and local.epoch > self.stop_epoch:
+                local.step("end")
+
+    def _file_report(self, done: Computed) -> list[Send | SendReport]:
+        epoch = done.key.epoch
+        if epoch > self.stop_epoch:
+            return []
+        filed = self._reports.setdefault(epoch, {})
+        filed[done.key.island] = done.report
+        if len(filed) < len(self.islands):
+            return []
+        self.reported = epoch + 1
+        return [SendReport(self._report(epoch))]
+
+    def _report(self, epoch: int) -> EpochReport:
+        placed = self.placement
+        islands = tuple(self._reports[epoch][island] for island in sorted(self._reports[epoch]))
+        return EpochReport(job=placed.job, variable=placed.variable, term=placed.term, epoch=epoch, islands=islands)
+
+    def _check_owner(self, sender: str, island: int) -> None:
+        workers = self.placement.workers
+        if island >= len(workers) or workers[island] != sender:
+            raise RemoteProtocolError(f"worker {sender} spoke for island {island}, which is placed elsewhere")
+
+    def _is_due(self, local: LocalIsland, now: float) -> bool:
+        if local.ask_at is None:
+            local.ask_at = now + local.pause_s
+        if now < local.ask_at:
+            return False
+        local.pause_s = min(2 * local.pause_s, PULL_PAUSE_MAX_S)
+        local.ask_at = now + local.pause_s
+        return True
+
+    def _pulls_of(self, local: LocalIsland) -> list[tuple[str, PullMigrants]]:
+        have = self._inbox.get((local.epoch - 1, local.index), {})
+        missing: dict[str, list[int]] = {}
+        for source in sorted(local.needs - have.keys() - self.islands.keys()):
+            missing.setdefault(self.placement.workers[source], []).append(source)
+        return [(peer, self._pull(local, sources)) for peer, sources in missing.items()]
+
+    def _pull(self, local: LocalIsland, sources: list[int]) -> PullMigrants:
+        placed = self.placement
+        return PullMigrants(
+            job=placed.job,
+            variable=placed.variable,
+            term=placed.term,
+            epoch=local.epoch - 1,
+            destination=local.index,
+            sources=tuple(sources),
+        )
+
+
+def _require(condition: bool, sentence: str) -> None:
+    if not condition:
+        raise LocalProtocolError(f"a share of an archipelago is inconsistent: {sentence}")
