@@ -1,0 +1,148 @@
+"""Values, derivatives and their uncertainty along trajectories, for one state at a time (pure).
+
+Noisy states are smoothed by loess. Where leaving rows out shows that the data follow local polynomials of high order
+better than any smoother (there is no noise to speak of), they are interpolated instead: the derivative is that of the
+polynomial through the 3 to 15 nearest rows, each row taking the stencil whose step from the next narrower one is least
+(weights by Fornberg 1988, good for uneven steps). That difference between two orders is the row's uncertainty.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from common.dataset import FloatArray
+from coordinator.data.kernels_smoothing import HALF_WIDTHS, best_stencil_into, differences_into, left_out_into, moments
+from coordinator.data.smoothing import Run, Smoothed, choose, noise_of, smooth
+
+END_ROWS: Final = 4
+"""Rows at each end of a trajectory whose derivatives by interpolation are much worse than the others'."""
+TRIMMED_LENGTH: Final = 20
+"""Shortest trajectory whose ends are left out."""
+JUDGED_SHARE: Final = 0.95
+"""Share of rows, the best ones, by which interpolation and smoothing are compared: a few jumps must not decide."""
+LARGEST_ERROR: Final = 0.01
+"""Left-out error, as a share of the state's standard deviation, beyond which data are never interpolated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What is known of one state over all its rows, in the order of the runs. All arrays are (R,).
+
+    `values` are interpolated (as measured) or smoothed; `derivative` is the one sought, `velocity` the first one;
+    `uncertainty` belongs to `derivative`; `noise` is the relative noise of the measurements, 0.0 when `interpolated`.
+    """
+
+    values: FloatArray
+    velocity: FloatArray
+    derivative: FloatArray
+    uncertainty: FloatArray
+    noise: float
+    interpolated: bool
+
+
+def estimate(runs: Sequence[Run], order: int, *, paper: bool = False) -> Estimate:
+    """Return values and derivatives of one state.
+
+    Args:
+        runs: the state along each trajectory, 5 rows or more each.
+        order: 1 or 2, the derivative sought.
+        paper: as in the paper: loess of degree 2, no interpolation.
+    """
+    degrees = (2,) if paper else (2, 3, 4) if order == 1 else (3, 4)
+    choice = choose(runs, degrees)
+    smoothed = [smooth(run, choice) for run in runs]
+    if not paper:
+        errors, gains = _left_out(runs)
+        if _interpolation_error(runs, errors) < min(_loess_error(runs, smoothed), LARGEST_ERROR * _deviation(runs)):
+            return _interpolated(runs, order, _value_noise(errors, gains))
+    return _by_loess(runs, smoothed, order)
+
+
+def end_rows(lengths: Sequence[int]) -> FloatArray:
+    """Return 1.0 at rows that stand at the ends of long enough trajectories, else 0.0."""
+    ends = np.zeros(sum(lengths))
+    first = 0
+    for length in lengths:
+        if length >= TRIMMED_LENGTH:
+            ends[first : first + END_ROWS] = 1.0
+            ends[first + length - END_ROWS : first + length] = 1.0
+        first += length
+    return ends
+
+
+def _by_loess(runs: Sequence[Run], smoothed: Sequence[Smoothed], order: int) -> Estimate:
+    noise = noise_of(runs, smoothed)
+    fits = np.concatenate([its.fits for its in smoothed], axis=1)
+    gains = np.concatenate([its.gains for its in smoothed], axis=1)
+    return Estimate(fits[0], fits[1], fits[order], noise * gains[order], noise / _deviation(runs), interpolated=False)
+
+
+def _deviation(runs: Sequence[Run]) -> float:
+    return moments(np.concatenate([run.values for run in runs]))[1]
+
+
+def _left_out(runs: Sequence[Run]) -> tuple[FloatArray, FloatArray]:
+    """Return errors of predicting each row from its neighbours, and their noise gains, both (R, H)."""
+    errors, gains = [], []
+    for run in runs:
+        shape = (len(run.times), HALF_WIDTHS)
+        errors.append(np.empty(shape))
+        gains.append(np.empty(shape))
+        left_out_into(errors[-1], gains[-1], run.times, run.values)
+    return np.concatenate(errors), np.concatenate(gains)
+
+
+def _interpolation_error(runs: Sequence[Run], errors: FloatArray) -> float:
+    """Return the typical leave-one-out error of the best stencil width."""
+    inner = end_rows([len(run.times) for run in runs]) == 0.0
+    return min(_typical(errors[inner, width]) for width in range(HALF_WIDTHS))
+
+
+def _loess_error(runs: Sequence[Run], smoothed: Sequence[Smoothed]) -> float:
+    """Return the typical leave-one-out error of loess: residual / (1 - leverage)."""
+    inner = end_rows([len(run.times) for run in runs]) == 0.0
+    values = np.concatenate([run.values for run in runs])
+    fits = np.concatenate([its.fits[0] for its in smoothed])
+    rest = 1.0 - np.concatenate([its.gains[3] for its in smoothed])
+    return _typical(((values - fits) / np.maximum(rest, 1e-12))[inner])
+
+
+def _typical(errors: FloatArray) -> float:
+    """Return the root mean square of the smaller errors; infinite when not all of them are finite."""
+    ordered = np.sort(np.abs(errors))[: max(1, int(JUDGED_SHARE * len(errors)))]
+    mean, deviation = moments(ordered)
+    typical = math.sqrt(mean * mean + deviation * deviation)
+    return typical if math.isfinite(typical) else math.inf
+
+
+def _value_noise(errors: FloatArray, gains: FloatArray) -> float:
+    """Return an upper estimate of the values' noise: the median left-out error over its gain, at the best width."""
+    noises = np.sort(np.abs(errors) / gains, axis=0)[len(errors) // 2]
+    return min(float(noise) for noise in noises if not math.isnan(float(noise)))
+
+
+def _interpolated(runs: Sequence[Run], order: int, noise: float) -> Estimate:
+    velocity, uncertainty = _differentiated(runs, 1, noise)
+    derivative = velocity
+    if order == 2:
+        derivative, uncertainty = _differentiated(runs, 2, noise)
+    values = np.concatenate([run.values for run in runs])
+    return Estimate(values, velocity, derivative, uncertainty, 0.0, interpolated=True)
+
+
+def _differentiated(runs: Sequence[Run], order: int, noise: float) -> tuple[FloatArray, FloatArray]:
+    """Return the derivative of the given order and its uncertainty, over all rows."""
+    derivatives, uncertainties = [], []
+    for run in runs:
+        rows = len(run.times)
+        slopes, gains = np.empty((rows, HALF_WIDTHS)), np.empty((rows, HALF_WIDTHS))
+        differences_into(slopes, gains, run.times, run.values, order)
+        derivatives.append(np.empty(rows))
+        uncertainties.append(np.empty(rows))
+        rounding = np.maximum(noise, 2.0**-53 * np.abs(run.values))
+        best_stencil_into(derivatives[-1], uncertainties[-1], slopes, gains, rounding)
+    return np.concatenate(derivatives), np.concatenate(uncertainties)
+

@@ -1,0 +1,96 @@
+"""Trajectories: rows of a table that belong to one continuous measurement, and what is done to them before smoothing.
+
+Times are centred over the whole data set, and made exactly even where they are even within their own precision, so
+that an offset of 1900 or of 10**9 costs nothing. Angles are unwrapped. Pure.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from common.config import Angle
+from common.dataset import FloatArray
+from common.table import Table
+from coordinator.data.checks import check_length, check_times
+from coordinator.data.columns import Roles
+
+RADIANS_PER_DEGREE: Final = math.pi / 180.0
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectories:
+    """Where the rows kept of a table lie: `rows` table rows in order, `runs` half-open ranges into `rows`.
+
+    `times[i]` are the centred times of run i, ascending strictly.
+    """
+
+    rows: tuple[int, ...]
+    runs: tuple[tuple[int, int], ...]
+    times: tuple[FloatArray, ...]
+
+    def split(self, values: FloatArray) -> list[FloatArray]:
+        """Return the part of `values` (one per kept row) that belongs to each run."""
+        return [values[first:last] for first, last in self.runs]
+
+
+def runs_of(table: Table, rows: Sequence[int], trajectory: str | None) -> tuple[tuple[int, int], ...]:
+    """Return the half-open ranges into `rows` between which a new trajectory begins."""
+    numbers = table.column(trajectory) if trajectory is not None else np.zeros(table.rows)
+    segment = np.zeros(table.rows, dtype=np.int64)
+    for start in table.starts[1:]:
+        segment[start:] += 1
+    breaks = [
+        place
+        for place, (row, after) in enumerate(pairwise(rows), start=1)
+        if segment[row] != segment[after] or numbers[row] != numbers[after]
+    ]
+    return tuple(pairwise([0, *breaks, len(rows)]))
+
+
+def trajectories_of(table: Table, roles: Roles, rows: Sequence[int]) -> Trajectories:
+    """Return the trajectories among `rows`; raises DataError when one is too short or its times do not ascend."""
+    assert roles.time is not None
+    raw = table.column(roles.time)[list(rows)]
+    runs = runs_of(table, rows, roles.trajectory)
+    for number, (first, last) in enumerate(runs, start=1):
+        check_times(table, roles.time, raw[first:last], rows[first:last])
+        check_length(table, rows[first:last], number)
+    centre = 0.5 * (float(np.min(raw)) + float(np.max(raw)))
+    return Trajectories(tuple(rows), runs, tuple(_evened(raw[first:last], centre) for first, last in runs))
+
+
+def _evened(times: FloatArray, centre: float) -> FloatArray:
+    """Return times - centre, exactly even when they are even to within their last bits."""
+    precision = 4.0 * float(np.spacing(np.max(np.abs(times))))
+    step = _plainest(float(times[-1]) - float(times[0]), len(times) - 1, precision)
+    steps: FloatArray = step * np.arange(len(times), dtype=np.float64)
+    if np.all(np.abs(times - (float(times[0]) + steps)) <= precision) and precision < 0.1 * step:
+        return (float(times[0]) - centre) + steps
+    return times - centre
+
+
+def _plainest(length: float, steps: int, precision: float) -> float:
+    """Return the step with the fewest digits that spans `length` in `steps` to within `precision`."""
+    step = length / steps
+    rounded = (float(f"{step:.{digits}g}") for digits in range(1, 17))
+    return next((each for each in rounded if abs(each * steps - length) <= precision), step)
+
+
+def in_radians(values: FloatArray, angle: Angle) -> FloatArray:
+    """Return an angle's values in radians: sin and cos of expressions need them."""
+    return values * RADIANS_PER_DEGREE if angle.degrees else values
+
+
+def unwrapped(values: FloatArray) -> FloatArray:
+    """Return an angle (radians) of one run with jumps of more than half a turn taken out."""
+    turn = 2.0 * math.pi
+    result = values.copy()
+    turns = 0
+    for index in range(1, len(values)):
+        turns -= round((float(values[index]) - float(values[index - 1])) / turn)
+        result[index] = float(values[index]) + turns * turn
+    return result
