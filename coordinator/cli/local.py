@@ -1,7 +1,7 @@
 """Everything that ``run`` starts on this machine: router and coordinator in a thread, workers as processes.
 
 Workers start before the router listens, and connect as soon as it does; their log is one file. Whatever happens, the
-workers end: they are told to, then terminated, then killed; and they watch this process themselves, should it be killed.
+workers end: they are told to, then killed; and they watch this process themselves, should it be killed.
 """
 
 import contextlib

@@ -86,6 +86,7 @@ def write_result(folder: Path, result: dict[str, Any]) -> Path:
     Raises:
         UsageError: there is a result already, or the folder cannot be written.
     """
+    refuse_existing_result(folder)
     path, draft = folder / "result.json", folder / ".result.json.part"
     try:
         folder.mkdir(parents=True, exist_ok=True)

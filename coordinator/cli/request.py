@@ -1,4 +1,4 @@
-"""What ``run`` and ``submit`` have in common: the job that the options describe, its data, and how its result appears."""
+"""What ``run`` and ``submit`` have in common: the job that the options describe, its data, how its result appears."""
 
 import argparse
 import os

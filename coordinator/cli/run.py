@@ -49,7 +49,7 @@ class _Run:
 
     def conduct(self) -> int:
         """Start everything, follow the job, write and print its result, end everything; return the exit code."""
-        with self._workers, self._coordinator:
+        with self._coordinator, self._workers:
             table = self._request.read()
             self._coordinator.wait()
             with connected(self._endpoint, _CONNECT_LIMIT_S) as client:

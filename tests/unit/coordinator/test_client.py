@@ -1,0 +1,194 @@
+"""The client: what it asks, what it understands, and that it never waits for ever."""
+
+import hashlib
+import json
+from collections.abc import Callable
+
+import pytest
+
+from common.config import JobConfig
+from common.errors import AtollError, DataError, RefusedError, UnreachableError
+from common.wire.bus import Event, Message, Reply
+from common.wire.codec import decode, encode
+from common.wire.messages import (
+    CHUNK_SIZE,
+    Answer,
+    Ask,
+    Cancel,
+    Failure,
+    FailureKind,
+    GetResult,
+    GreetingAnswer,
+    JobList,
+    Jobs,
+    JobStatus,
+    Refusal,
+    Result,
+    Status,
+    Submit,
+    Upload,
+    Uploaded,
+    Welcome,
+    WorkerList,
+    Workers,
+)
+from common.wire.views import JobView
+from coordinator.client import ANSWER_LIMIT_S, Client
+
+Body = Upload | Submit | Jobs | Status | Workers | GetResult | Cancel
+AnswerBody = Uploaded | JobList | JobStatus | WorkerList | Result | Failure
+WELCOME = Welcome(realm="r1", incarnation=1, protocol=1, version="0.1.0", engine=1)
+
+
+def view_of(job: str, **changes: object) -> JobView:
+    view = JobView(
+        job=job,
+        name="n",
+        state="running",
+        seed=0,
+        preset="default",
+        submitted="2026-01-01T00:00:00Z",
+        elapsed=0.0,
+        workers=0,
+        point_evaluations=0,
+    )
+    return view.model_copy(update=changes)
+
+
+class AnsweringBus:
+    """A bus on which `answer` replies at once to every question; virtual time passes only in `receive`."""
+
+    def __init__(self, answer: Callable[[str, bytes], bytes | None]) -> None:
+        self._answer = answer
+        self._events: list[Event] = []
+        self._now = 0.0
+        self.keys: list[str] = []
+
+    def get(self, key: str, payload: bytes = b"", timeout_s: float = 5.0) -> int:
+        self.keys.append(key)
+        self._events += [Message("atoll/noise", b""), Reply(len(self.keys), self._answer(key, payload))]
+        return len(self.keys)
+
+    def receive(self, timeout_s: float) -> Event | None:
+        if self._events:
+            return self._events.pop(0)
+        self._now += timeout_s
+        return None
+
+    def now(self) -> float:
+        return self._now
+
+
+def client_with(handle: Callable[[Body], AnswerBody | None]) -> tuple[Client, AnsweringBus]:
+    def answer(key: str, payload: bytes) -> bytes | None:
+        if key == "atoll/hello":
+            return encode(GreetingAnswer(body=WELCOME))
+        body = handle(decode(payload, Ask).body)
+        return None if body is None else encode(Answer(body=body))
+
+    bus = AnsweringBus(answer)
+    return Client(bus, "tcp/there:7447"), bus  # type: ignore[arg-type]
+
+
+def test_questions_go_under_the_realm_and_the_clients_own_name() -> None:
+    client, bus = client_with(lambda body: WorkerList(workers=()))
+    assert client.workers() == ()
+    assert bus.keys[0] == "atoll/hello"
+    assert bus.keys[1].startswith("atoll/r1/client/client-")
+
+
+def test_an_upload_sends_exactly_the_missing_chunks_and_returns_the_digest() -> None:
+    data = bytes(range(256)) * (CHUNK_SIZE // 128)
+    sent: dict[int, bytes] = {}
+
+    def handle(body: Body) -> AnswerBody:
+        assert isinstance(body, Upload)
+        if body.data is not None:
+            assert hashlib.sha256(body.data).hexdigest() == body.sha256
+            sent[body.index] = body.data
+        return Uploaded(blob=body.blob, missing=tuple(i for i in (0, 1) if i not in sent))
+
+    client, _ = client_with(handle)
+    digest = client.upload(data)
+    assert digest == hashlib.sha256(data).hexdigest()
+    assert sent[0] + sent[1] == data
+    bodies = len(sent)
+    client.upload(data)
+    assert len(sent) == bodies
+
+
+def test_a_job_is_submitted_under_the_clients_id() -> None:
+    seen: list[Submit] = []
+
+    def handle(body: Body) -> AnswerBody:
+        assert isinstance(body, Submit)
+        seen.append(body)
+        return JobStatus(job=view_of(body.job))
+
+    client, _ = client_with(handle)
+    assert client.submit("j1", "name", JobConfig(seed=3), "0" * 64).job == "j1"
+    assert (seen[0].config.seed, seen[0].table) == (3, "0" * 64)
+
+
+def test_a_result_is_the_contents_of_result_json() -> None:
+    client, _ = client_with(lambda body: Result(json_text=json.dumps({"schema": 1})))
+    assert client.result("j1") == {"schema": 1}
+
+
+@pytest.mark.parametrize(
+    ("failure", "error", "code"),
+    [
+        ("unknown-job", RefusedError, 2),
+        ("data", DataError, 2),
+        ("too-early", RefusedError, 2),
+        ("internal", AtollError, 1),
+    ],
+)
+def test_a_failure_raises_the_error_with_its_exit_code(
+    failure: FailureKind, error: type[AtollError], code: int
+) -> None:
+    client, _ = client_with(lambda body: Failure(failure=failure, sentence="so it is"))
+    with pytest.raises(error, match="so it is") as caught:
+        client.status("j1")
+    assert caught.value.exit_code == code
+
+
+def test_silence_ends_in_an_error_that_says_what_was_waited_for() -> None:
+    client, bus = client_with(lambda body: None)
+    with pytest.raises(UnreachableError, match="the status of job j1") as caught:
+        client.status("j1")
+    assert "tcp/there:7447" in str(caught.value)
+    assert caught.value.exit_code == 3
+    assert bus.now() <= ANSWER_LIMIT_S + 0.01
+
+
+def test_a_lost_answer_is_asked_for_again() -> None:
+    answers: list[AnswerBody | None] = [None, None, JobStatus(job=view_of("j1"))]
+    client, _ = client_with(lambda body: answers.pop(0))
+    assert client.status("j1").job == "j1"
+
+
+def test_a_refusal_says_why() -> None:
+    refusal = Refusal(protocol=9, version="9.0", engine=9, sentence="client has 0.1.0, coordinator 9.0")
+    client = Client(AnsweringBus(lambda key, payload: encode(GreetingAnswer(body=refusal))), "tcp/x:1")  # type: ignore[arg-type]
+    with pytest.raises(RefusedError, match=r"coordinator 9\.0"):
+        client.jobs()
+
+
+def test_an_answer_that_is_not_in_our_words_is_refused() -> None:
+    client = Client(AnsweringBus(lambda key, payload: b"\xc1garbage"), "tcp/x:1")  # type: ignore[arg-type]
+    with pytest.raises(RefusedError, match="not understood"):
+        client.jobs()
+    other, _ = client_with(lambda body: WorkerList(workers=()))
+    with pytest.raises(RefusedError, match="worker-list"):
+        other.jobs()
+
+
+def test_the_beginning_of_an_id_is_enough_when_it_is_the_only_one() -> None:
+    client, _ = client_with(lambda body: JobList(jobs=tuple(map(view_of, ("abc1", "abd2", "ab")))))
+    assert client.resolve("abc") == "abc1"
+    assert client.resolve("ab") == "ab"
+    with pytest.raises(RefusedError, match="3 jobs begin with 'a'"):
+        client.resolve("a")
+    with pytest.raises(RefusedError, match="no job 'x'"):
+        client.resolve("x")
