@@ -172,7 +172,7 @@ def _add_readers(verbs: Any) -> None:
 def _add_result(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--format", choices=RESULT_FORMATS, help="form of the output (default: text)")
     parser.add_argument(
-        "--pick", action="append", default=[], metavar="x=2", help="take member 2 of the front of x; repeatable"
+        "--pick", action="append", default=[], metavar="x=2", help="take number 2 of the front of x; repeatable"
     )
 
 

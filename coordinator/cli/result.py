@@ -1,0 +1,39 @@
+"""``coordinator result``: the equations of a job, in the form that is asked for; of a running job, the best so far."""
+
+import argparse
+from collections.abc import Mapping
+from typing import Any
+
+from common.errors import UsageError
+from coordinator.cli.output import as_json, say
+from coordinator.cli.request import CONNECT_LIMIT_S, address_of
+from coordinator.client import connected
+
+
+def result(options: argparse.Namespace) -> int:
+    """Print the result of ``options.job``."""
+    if options.json and options.format not in (None, "json"):
+        raise UsageError(f"--json and --format {options.format} contradict each other; give one of them")
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        found = client.result(client.resolve(options.job))
+    say(_text(found, "json" if options.json else options.format or "text", options.pick))
+    return 0
+
+
+def _text(found: dict[str, Any], how: str, picks: list[str]) -> str:
+    from coordinator.model.render import parse_picks, pick, render, render_text
+
+    chosen = pick(found, parse_picks(picks)) if picks else found
+    if how == "json":
+        return as_json(chosen)
+    if how == "text":
+        return "\n".join([*_heading(chosen), render_text(chosen, fronts=True)])
+    return render(chosen, how)
+
+
+def _heading(found: Mapping[str, Any]) -> list[str]:
+    """Return a line on the state of a job that is not done."""
+    if found["state"] == "done":
+        return []
+    reason = f": {found['reason']}" if found.get("reason") else ""
+    return [f"job {found['job']} is {found['state']}{reason}"]
