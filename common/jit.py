@@ -10,7 +10,7 @@ import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 _ROOT = Path(__file__).resolve().parent.parent
 _SOURCES = ("common/jit.py", "common/expression", "island_worker/evolution", "coordinator/data")
@@ -43,11 +43,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def kernel(function: F) -> F:
     """Compile `function` on first call: strict arithmetic, numpy's division rules, GIL released, cached on disk."""
-    compiled: F = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False)(function)
-    return compiled
+    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False)(function))
 
 
 def inlined(function: F) -> F:
-    """Compile `function` into its callers; for the few-line helpers of inner loops."""
-    compiled: F = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False, forceinline=True)(function)
-    return compiled
+    """Compile `function` into its callers, whatever its size: loops over it can then be vectorised."""
+    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False, forceinline=True)(function))
