@@ -1,0 +1,136 @@
+"""The store's file: its tables and versions, opening it, and refusing what is no store of ours. SQLite in WAL mode."""
+
+import contextlib
+import os
+import sqlite3
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from common.errors import StoreError
+
+FILE_NAME: Final = "atoll.sqlite3"
+LOCK_NAME: Final = "lock"
+SCHEMA_VERSION: Final = 1
+_APPLICATION: Final = 0x41544F4C  # "ATOL"; SQLite keeps it in the file's head
+_CHECKED_BYTES: Final = 256 * 1024 * 1024
+
+_TABLES: Final = """
+CREATE TABLE realm (id TEXT NOT NULL, incarnation INTEGER NOT NULL);
+CREATE TABLE jobs (
+    number INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT NOT NULL UNIQUE, name TEXT NOT NULL, spec TEXT NOT NULL,
+    table_digest TEXT NOT NULL, submitted TEXT NOT NULL, state TEXT NOT NULL, reason TEXT, dataset_digest TEXT,
+    elapsed REAL NOT NULL, finished TEXT, result TEXT
+);
+CREATE TABLE blobs (digest TEXT PRIMARY KEY, size INTEGER NOT NULL, complete INTEGER NOT NULL);
+CREATE TABLE chunks (
+    digest TEXT NOT NULL REFERENCES blobs ON DELETE CASCADE, number INTEGER NOT NULL, data BLOB NOT NULL,
+    PRIMARY KEY (digest, number)
+);
+CREATE TABLE archipelagos (
+    job TEXT NOT NULL REFERENCES jobs (id), variable TEXT NOT NULL, term INTEGER NOT NULL DEFAULT 0, placement BLOB,
+    cut BLOB, PRIMARY KEY (job, variable)
+);
+"""
+
+
+def connect(directory: Path | None) -> sqlite3.Connection:
+    """Open the store's file in `directory` (None: in memory), making it if there is none; raise its incarnation.
+
+    Raises:
+        StoreError: the file is damaged, foreign or of a newer version, or cannot be written.
+    """
+    file = directory / FILE_NAME if directory else None
+    with translated(file):
+        connection = sqlite3.connect(file or ":memory:", isolation_level=None, check_same_thread=False, timeout=1.0)
+    try:
+        with translated(file):
+            _prepare(connection, file)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+class Lock:
+    """A lock on the store's directory, so that no second coordinator serves from it. Gone with its process."""
+
+    def __init__(self, directory: Path) -> None:
+        """Take the lock; raises StoreError when another process has it or the directory cannot be written."""
+        import fcntl
+
+        path = directory / LOCK_NAME
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise StoreError(f"the store {directory} cannot be written: {(error.strerror or '').lower()}") from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            holder = os.read(self._file, 32).decode("ascii", "replace").strip() or "unknown"
+            os.close(self._file)
+            raise StoreError(
+                f"the store {directory} is in use by another coordinator (process {holder}); "
+                "stop that one, or choose another directory with --state"
+            ) from error
+        os.ftruncate(self._file, 0)
+        os.write(self._file, f"{os.getpid()}\n".encode())
+
+    def release(self) -> None:
+        """Give the lock back."""
+        os.close(self._file)
+
+
+@contextlib.contextmanager
+def translated(place: Path | None) -> Iterator[None]:
+    """Turn what SQLite raises about the store at `place` into a StoreError."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise StoreError(f"the store {place or 'in memory'} fails: {error}; {_advice(error)}") from error
+
+
+def _advice(error: sqlite3.Error) -> str:
+    if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT):
+        return "restore it from a copy, or choose another directory with --state"
+    return "check that its directory can be written and that there is room"
+
+
+def _prepare(connection: sqlite3.Connection, file: Path | None) -> None:
+    (application,) = connection.execute("PRAGMA application_id").fetchone()
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    if application != _APPLICATION and (tables or application):
+        raise StoreError(f"{file} is a database, but not a store of this program; choose another directory")
+    if version > SCHEMA_VERSION:
+        raise StoreError(
+            f"the store {file} was written by a newer version (layout {version}, this version knows {SCHEMA_VERSION}); "
+            "use that version, or choose another directory with --state"
+        )
+    for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
+        connection.execute(f"PRAGMA {pragma}")
+    _check(connection, file)
+    connection.execute("BEGIN IMMEDIATE")
+    if not tables:
+        _create(connection)
+    connection.execute("UPDATE realm SET incarnation = incarnation + 1")
+    connection.execute("COMMIT")
+
+
+def _check(connection: sqlite3.Connection, file: Path | None) -> None:
+    """Look for damage; in a large file only later, when it is met."""
+    if file is None or file.stat().st_size > _CHECKED_BYTES:
+        return
+    (finding,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+    if finding != "ok":
+        raise StoreError(f"the store {file} is damaged ({finding.splitlines()[-1]}); restore it from a copy")
+
+
+def _create(connection: sqlite3.Connection) -> None:
+    for statement in _TABLES.split(";"):
+        connection.execute(statement)
+    connection.execute(f"PRAGMA application_id = {_APPLICATION}")
+    connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+    connection.execute("INSERT INTO realm VALUES (?, 0)", (uuid.uuid4().hex[:12],))

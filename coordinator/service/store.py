@@ -1,0 +1,316 @@
+"""The coordinator's memory: what it must still know after its own end. SQLite; every method is one transaction.
+
+Any thread may call. When a method returns, what it wrote is on the disk (``synchronous=FULL``): what is announced
+afterwards is never taken back. Contents are opaque here: JSON text and bytes whose meaning others know.
+"""
+
+import contextlib
+import hashlib
+import sqlite3
+import threading
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self, cast
+
+from common.errors import LocalProtocolError, RemoteProtocolError
+from common.wire.messages import CHUNK_SIZE, chunk_count
+from coordinator.service.schema import Lock, connect, translated
+
+
+@dataclass(frozen=True, slots=True)
+class JobRecord:
+    """One job as it is kept. `spec` is JSON; `submitted` and `finished` are ISO times; `elapsed` is seconds of work.
+
+    `table_digest` names the uploaded table and `dataset_digest` the prepared dataset among the blobs.
+    """
+
+    id: str
+    name: str
+    spec: str
+    table_digest: str
+    submitted: str
+    state: str = "queued"
+    reason: str | None = None
+    dataset_digest: str | None = None
+    elapsed: float = 0.0
+    finished: str | None = None
+
+
+_COLUMNS: Final = tuple(field.name for field in fields(JobRecord))
+_FIXED: Final = ("id", "spec", "table_digest", "submitted")
+
+
+class Store:
+    """An open store; a context manager. `realm` is its random name, `incarnation` counts how often it was opened."""
+
+    realm: Final[str]
+    incarnation: Final[int]
+
+    def __init__(self, connection: sqlite3.Connection, lock: Lock | None, directory: Path | None) -> None:
+        self._connection = connection
+        self._lock_on_directory = lock
+        self._directory = directory
+        self._lock = threading.RLock()
+        self.realm, self.incarnation = connection.execute("SELECT id, incarnation FROM realm").fetchone()
+
+    @classmethod
+    def open(cls, directory: Path | None) -> Self:
+        """Open the store in `directory`, making it if need be; None: in memory, gone when closed.
+
+        Raises:
+            StoreError: another coordinator serves from it, it is damaged, of a newer version, or cannot be written.
+        """
+        if directory is None:
+            return cls(connect(None), None, None)
+        lock = Lock(directory)
+        try:
+            return cls(connect(directory), lock, directory)
+        except BaseException:
+            lock.release()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the store and let others open it. Repeatable."""
+        with self._lock:
+            self._connection.close()
+            if self._lock_on_directory is not None:
+                self._lock_on_directory.release()
+                self._lock_on_directory = None
+
+    # jobs
+
+    def add_job(self, job: JobRecord) -> bool:
+        """Keep a new job; return False, changing nothing, when a job of this id is kept already."""
+        values = tuple(getattr(job, name) for name in _COLUMNS)
+        marks = ", ".join("?" * len(_COLUMNS))
+        with self._transaction() as sql:
+            done = sql.execute(f"INSERT OR IGNORE INTO jobs ({', '.join(_COLUMNS)}) VALUES ({marks})", values)
+            return done.rowcount == 1
+
+    def job(self, job: str) -> JobRecord | None:
+        """Return one job; None for an unknown id."""
+        with self._transaction() as sql:
+            row = sql.execute(f"SELECT {', '.join(_COLUMNS)} FROM jobs WHERE id = ?", (job,)).fetchone()
+        return JobRecord(*row) if row else None
+
+    def jobs(self) -> tuple[JobRecord, ...]:
+        """Return all jobs, in the order in which they came."""
+        with self._transaction() as sql:
+            rows = sql.execute(f"SELECT {', '.join(_COLUMNS)} FROM jobs ORDER BY number").fetchall()
+        return tuple(JobRecord(*row) for row in rows)
+
+    def update_job(self, job: str, only_in: Collection[str] | None = None, **changes: str | float | None) -> bool:
+        """Change fields of a job; return False, changing nothing, when its state is not in `only_in` (if given).
+
+        Raises:
+            LocalProtocolError: there is no such job or field, or the field cannot change.
+        """
+        wrong = [name for name in changes if name not in _COLUMNS or name in _FIXED]
+        if wrong or not changes:
+            raise LocalProtocolError(f"fields {wrong} of job {job} cannot be changed")
+        with self._transaction() as sql:
+            if not self._is_in(sql, job, only_in):
+                return False
+            assignments = ", ".join(f"{name} = ?" for name in changes)
+            sql.execute(f"UPDATE jobs SET {assignments} WHERE id = ?", (*changes.values(), job))
+            return True
+
+    def commit_result(
+        self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None
+    ) -> bool:
+        """Make a job's final `state` and `result` (JSON) durable; return False when it had ended before: first wins."""
+        with self._transaction() as sql:
+            self._is_in(sql, job, None)
+            done = sql.execute(
+                "UPDATE jobs SET state = ?, result = ?, reason = ?, finished = ? "
+                "WHERE id = ? AND state NOT IN ('done', 'failed', 'cancelled')",
+                (state, result, reason, finished, job),
+            )
+            return done.rowcount == 1
+
+    def result(self, job: str) -> str | None:
+        """Return a job's result as JSON; None while there is none."""
+        with self._transaction() as sql:
+            row = sql.execute("SELECT result FROM jobs WHERE id = ?", (job,)).fetchone()
+        return cast(str | None, row[0]) if row else None
+
+    # archipelagos
+
+    def raise_term(self, job: str, variable: str) -> int:
+        """Return the next term of an archipelago, 1 at first; no term is ever issued twice."""
+        with self._transaction() as sql:
+            self._ensure_archipelago(sql, job, variable)
+            row = sql.execute(
+                "UPDATE archipelagos SET term = term + 1 WHERE job = ? AND variable = ? RETURNING term", (job, variable)
+            ).fetchall()
+            return cast(int, row[0][0])
+
+    def commit_placement(self, job: str, variable: str, placement: bytes) -> None:
+        """Make the placement of the archipelago's current term durable."""
+        with self._transaction() as sql:
+            self._ensure_archipelago(sql, job, variable)
+            sql.execute(
+                "UPDATE archipelagos SET placement = ? WHERE job = ? AND variable = ?", (placement, job, variable)
+            )
+
+    def placements(self, job: str) -> dict[str, tuple[int, bytes | None]]:
+        """Return term and placement by variable."""
+        with self._transaction() as sql:
+            rows = sql.execute("SELECT variable, term, placement FROM archipelagos WHERE job = ?", (job,)).fetchall()
+        return {variable: (term, placement) for variable, term, placement in rows}
+
+    def commit_cut(self, job: str, variable: str, cut: bytes) -> bool:
+        """Make the end of an archipelago durable; return False when it had one before: first wins."""
+        with self._transaction() as sql:
+            self._ensure_archipelago(sql, job, variable)
+            done = sql.execute(
+                "UPDATE archipelagos SET cut = ? WHERE job = ? AND variable = ? AND cut IS NULL", (cut, job, variable)
+            )
+            return done.rowcount == 1
+
+    def cuts(self, job: str) -> dict[str, bytes]:
+        """Return the committed cuts by variable."""
+        with self._transaction() as sql:
+            rows = sql.execute(
+                "SELECT variable, cut FROM archipelagos WHERE job = ? AND cut IS NOT NULL", (job,)
+            ).fetchall()
+        return dict(rows)
+
+    # blobs
+
+    def put_blob(self, data: bytes) -> str:
+        """Keep `data`; return its digest (SHA-256, hex) under which it is found again."""
+        digest = hashlib.sha256(data).hexdigest()
+        with self._transaction() as sql:
+            if not self._is_complete(sql, digest):
+                sql.execute("INSERT OR REPLACE INTO blobs VALUES (?, ?, 1)", (digest, len(data)))
+                pieces = (
+                    (digest, n, data[n * CHUNK_SIZE : (n + 1) * CHUNK_SIZE]) for n in range(chunk_count(len(data)))
+                )
+                sql.executemany("INSERT INTO chunks VALUES (?, ?, ?)", pieces)
+        return digest
+
+    def has_blob(self, digest: str) -> bool:
+        """Return whether the blob is there, whole."""
+        with self._transaction() as sql:
+            return self._is_complete(sql, digest)
+
+    def blob_size(self, digest: str) -> int:
+        """Return the size of a blob in bytes; raises KeyError when it is not there, whole."""
+        with self._transaction() as sql:
+            row = sql.execute("SELECT size FROM blobs WHERE digest = ? AND complete", (digest,)).fetchone()
+        if row is None:
+            raise KeyError(digest)
+        return cast(int, row[0])
+
+    def get_blob(self, digest: str) -> bytes:
+        """Return a blob; raises KeyError when it is not there, whole."""
+        size = self.blob_size(digest)
+        return b"".join(self.get_chunk(digest, index) for index in range(chunk_count(size)))
+
+    def get_chunk(self, digest: str, index: int) -> bytes:
+        """Return chunk `index` (of `CHUNK_SIZE` bytes, the last one shorter) of a blob; raises KeyError."""
+        with self._transaction() as sql:
+            row = sql.execute(
+                "SELECT data FROM chunks JOIN blobs USING (digest) WHERE digest = ? AND number = ? AND complete",
+                (digest, index),
+            ).fetchone()
+        if row is None:
+            raise KeyError(f"{digest} {index}")
+        return cast(bytes, row[0])
+
+    def missing_chunks(self, digest: str, size: int) -> tuple[int, ...]:
+        """Return which chunks of a blob of `size` bytes are still to be put; none when it is there, whole."""
+        with self._transaction() as sql:
+            if self._is_complete(sql, digest):
+                return ()
+            rows = sql.execute("SELECT number FROM chunks WHERE digest = ?", (digest,)).fetchall()
+        there = {number for (number,) in rows}
+        return tuple(number for number in range(chunk_count(size)) if number not in there)
+
+    def put_chunk(self, digest: str, size: int, index: int, data: bytes) -> bool:
+        """Keep one chunk of an upload; return whether the blob is whole now. Putting it again changes nothing.
+
+        Raises:
+            RemoteProtocolError: index, sizes or, with the last chunk, the digest do not fit; a blob whose digest is
+                wrong is forgotten.
+        """
+        expected = min(CHUNK_SIZE, size - index * CHUNK_SIZE)
+        if not 0 <= index < chunk_count(size) or len(data) != expected:
+            raise RemoteProtocolError(f"chunk {index} of {len(data)} bytes does not fit an upload of {size} bytes")
+        with self._transaction() as sql:
+            if self._is_complete(sql, digest):
+                return True
+            self._begin_upload(sql, digest, size)
+            sql.execute("INSERT OR IGNORE INTO chunks VALUES (?, ?, ?)", (digest, index, data))
+            (count,) = sql.execute("SELECT count(*) FROM chunks WHERE digest = ?", (digest,)).fetchone()
+            whole = bool(count == chunk_count(size))
+            fits = not whole or self._finish_upload(sql, digest)
+        if not fits:
+            raise RemoteProtocolError(
+                f"an upload of {size} bytes does not have the digest {digest} it was announced with"
+            )
+        return whole
+
+    def blob_bytes(self) -> int:
+        """Return how many bytes all blobs have, announced ones included."""
+        with self._transaction() as sql:
+            (total,) = sql.execute("SELECT coalesce(sum(size), 0) FROM blobs").fetchone()
+        return cast(int, total)
+
+    def drop_blob(self, digest: str) -> None:
+        """Forget a blob or what has come of it; without effect when there is none."""
+        with self._transaction() as sql:
+            sql.execute("DELETE FROM blobs WHERE digest = ?", (digest,))
+
+    @contextlib.contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        with self._lock, translated(self._directory):
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._connection
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:  # SQLite rolls back by itself when the disk is full
+                    self._connection.execute("ROLLBACK")
+                raise
+
+    def _is_in(self, sql: sqlite3.Connection, job: str, states: Collection[str] | None) -> bool:
+        row = sql.execute("SELECT state FROM jobs WHERE id = ?", (job,)).fetchone()
+        if row is None:
+            raise LocalProtocolError(f"job {job} is not in the store")
+        return states is None or row[0] in states
+
+    def _ensure_archipelago(self, sql: sqlite3.Connection, job: str, variable: str) -> None:
+        self._is_in(sql, job, None)
+        sql.execute("INSERT OR IGNORE INTO archipelagos (job, variable) VALUES (?, ?)", (job, variable))
+
+    def _is_complete(self, sql: sqlite3.Connection, digest: str) -> bool:
+        row = sql.execute("SELECT complete FROM blobs WHERE digest = ?", (digest,)).fetchone()
+        return bool(row and row[0])
+
+    def _begin_upload(self, sql: sqlite3.Connection, digest: str, size: int) -> None:
+        sql.execute("INSERT OR IGNORE INTO blobs VALUES (?, ?, 0)", (digest, size))
+        (known,) = sql.execute("SELECT size FROM blobs WHERE digest = ?", (digest,)).fetchone()
+        if known != size:
+            raise RemoteProtocolError(f"an upload of {size} bytes was announced before as one of {known} bytes")
+
+    def _finish_upload(self, sql: sqlite3.Connection, digest: str) -> bool:
+        found = hashlib.sha256()
+        for (data,) in sql.execute("SELECT data FROM chunks WHERE digest = ? ORDER BY number", (digest,)):
+            found.update(data)
+        if found.hexdigest() == digest:
+            sql.execute("UPDATE blobs SET complete = 1 WHERE digest = ?", (digest,))
+            return True
+        sql.execute("DELETE FROM blobs WHERE digest = ?", (digest,))
+        return False

@@ -1,0 +1,287 @@
+"""The store keeps what it was given, once, through its own end; and says what is wrong with a file."""
+
+import contextlib
+import hashlib
+import sqlite3
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from common.errors import LocalProtocolError, RemoteProtocolError, StoreError
+from common.wire.messages import CHUNK_SIZE
+from coordinator.service.schema import FILE_NAME, SCHEMA_VERSION
+from coordinator.service.store import JobRecord, Store
+
+JOB = JobRecord("j1", "lynx θ", '{"seed": 0}', "ab" * 32, "2026-01-01T00:00:00Z")
+
+
+@pytest.fixture(params=["memory", "disk"])
+def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
+    with Store.open(None if request.param == "memory" else tmp_path / "state") as opened:
+        yield opened
+
+
+def test_a_job_is_kept_as_it_was_given_and_changed_as_told(store: Store) -> None:
+    assert store.add_job(JOB)
+    assert store.job("j1") == JOB
+    assert store.update_job("j1", state="running", elapsed=1.5, dataset_digest="cd")
+    changed = store.job("j1")
+    assert changed is not None
+    assert (changed.state, changed.elapsed, changed.dataset_digest, changed.name) == ("running", 1.5, "cd", "lynx θ")
+
+
+def test_a_second_job_of_the_same_id_changes_nothing(store: Store) -> None:
+    store.add_job(JOB)
+    assert not store.add_job(JobRecord("j1", "other", "{}", "", ""))
+    assert store.jobs() == (JOB,)
+
+
+def test_jobs_come_in_the_order_in_which_they_were_added(store: Store) -> None:
+    for name in ("z", "a", "m"):
+        store.add_job(JobRecord(name, name, "{}", "", ""))
+    assert [job.id for job in store.jobs()] == ["z", "a", "m"]
+    assert store.job("none") is None
+
+
+def test_a_change_may_depend_on_the_state(store: Store) -> None:
+    store.add_job(JOB)
+    assert store.update_job("j1", only_in=("queued",), state="preparing")
+    assert not store.update_job("j1", only_in=("queued",), state="running")
+    assert store.jobs()[0].state == "preparing"
+
+
+@pytest.mark.parametrize("changes", [{"id": "x"}, {"spec": "{}"}, {"colour": "red"}, {"result": "{}"}, {}])
+def test_what_cannot_change_is_our_own_error(store: Store, changes: dict[str, str]) -> None:
+    store.add_job(JOB)
+    with pytest.raises(LocalProtocolError, match="cannot be changed"):
+        store.update_job("j1", **changes)  # type: ignore[arg-type]
+
+
+def test_an_unknown_job_is_our_own_error(store: Store) -> None:
+    for act in (
+        lambda: store.update_job("x", state="done"),
+        lambda: store.raise_term("x", "v"),
+        lambda: store.commit_cut("x", "v", b""),
+        lambda: store.commit_result("x", "done", "{}"),
+    ):
+        with pytest.raises(LocalProtocolError, match="not in the store"):
+            act()
+
+
+def test_the_first_end_of_a_job_wins(store: Store) -> None:
+    store.add_job(JOB)
+    assert store.result("j1") is None
+    assert store.commit_result("j1", "done", '{"schema": 1}', finished="2026-01-02")
+    assert not store.commit_result("j1", "cancelled", None, "by hand")
+    job = store.job("j1")
+    assert job is not None
+    assert (job.state, job.reason, job.finished, store.result("j1")) == ("done", None, "2026-01-02", '{"schema": 1}')
+
+
+def test_terms_rise_by_one_and_belong_to_a_variable(store: Store) -> None:
+    store.add_job(JOB)
+    assert [store.raise_term("j1", "x") for _ in range(3)] == [1, 2, 3]
+    assert store.raise_term("j1", "y") == 1
+    store.commit_placement("j1", "x", b"w1 w2")
+    assert store.placements("j1") == {"x": (3, b"w1 w2"), "y": (1, None)}
+
+
+def test_the_first_cut_of_a_variable_wins(store: Store) -> None:
+    store.add_job(JOB)
+    assert store.commit_cut("j1", "v [m/s]", b"\x00cut")
+    assert not store.commit_cut("j1", "v [m/s]", b"other")
+    store.raise_term("j1", "y")
+    assert store.cuts("j1") == {"v [m/s]": b"\x00cut"}
+
+
+@pytest.mark.parametrize("size", [0, 1, CHUNK_SIZE, CHUNK_SIZE + 1, 3 * CHUNK_SIZE])
+def test_a_blob_is_found_by_its_digest_whole_or_by_chunks(store: Store, size: int) -> None:
+    data = bytes(range(251)) * (size // 251 + 1)
+    data = data[:size]
+    digest = store.put_blob(data)
+    assert digest == hashlib.sha256(data).hexdigest() == store.put_blob(data)
+    assert store.has_blob(digest)
+    assert store.get_blob(digest) == data
+    assert store.blob_size(digest) == store.blob_bytes() == size
+    if size:
+        assert store.get_chunk(digest, (size - 1) // CHUNK_SIZE)[-1] == data[-1]
+
+
+def test_what_is_not_there_is_a_key_error(store: Store) -> None:
+    digest = store.put_blob(b"abc")
+    for act in (
+        lambda: store.get_blob("none"),
+        lambda: store.blob_size("none"),
+        lambda: store.get_chunk("none", 0),
+        lambda: store.get_chunk(digest, 1),
+    ):
+        with pytest.raises(KeyError):
+            act()
+    assert not store.has_blob("none")
+    store.drop_blob(digest)
+    assert not store.has_blob(digest)
+    store.drop_blob(digest)
+
+
+def _upload(size: int) -> tuple[bytes, str]:
+    data = b"\x07" * size
+    return data, hashlib.sha256(data).hexdigest()
+
+
+def test_an_upload_comes_chunk_by_chunk_in_any_order_and_more_than_once(store: Store) -> None:
+    data, digest = _upload(2 * CHUNK_SIZE + 5)
+    size = len(data)
+    assert store.missing_chunks(digest, size) == (0, 1, 2)
+    for index, whole in ((2, False), (0, False), (2, False), (1, True), (1, True)):
+        assert store.put_chunk(digest, size, index, data[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE]) is whole
+        assert store.has_blob(digest) is whole
+    assert store.missing_chunks(digest, size) == ()
+    assert store.get_blob(digest) == data
+
+
+def test_a_started_upload_is_not_there_yet(store: Store) -> None:
+    data, digest = _upload(CHUNK_SIZE + 1)
+    store.put_chunk(digest, len(data), 1, data[-1:])
+    assert store.missing_chunks(digest, len(data)) == (0,)
+    with pytest.raises(KeyError):
+        store.get_chunk(digest, 1)
+    assert store.put_blob(data) == digest
+    assert store.get_blob(digest) == data
+
+
+def test_an_upload_with_the_wrong_digest_is_refused_and_forgotten(store: Store) -> None:
+    with pytest.raises(RemoteProtocolError, match="does not have the digest"):
+        store.put_chunk("00" * 32, 3, 0, b"abc")
+    assert store.missing_chunks("00" * 32, 3) == (0,)
+    assert store.blob_bytes() == 0
+
+
+@pytest.mark.parametrize(
+    ("size", "index", "data"), [(3, 0, b"ab"), (3, 1, b""), (3, -1, b"abc"), (CHUNK_SIZE + 1, 1, b"ab")]
+)
+def test_a_chunk_that_does_not_fit_its_upload_is_refused(store: Store, size: int, index: int, data: bytes) -> None:
+    with pytest.raises(RemoteProtocolError, match="does not fit"):
+        store.put_chunk("00" * 32, size, index, data)
+
+
+def test_an_upload_cannot_change_its_size(store: Store) -> None:
+    data, digest = _upload(CHUNK_SIZE + 1)
+    store.put_chunk(digest, len(data), 1, data[-1:])
+    with pytest.raises(RemoteProtocolError, match="announced before"):
+        store.put_chunk(digest, len(data) + 1, 1, b"ab")
+
+
+def test_threads_may_share_a_store(store: Store) -> None:
+    store.add_job(JOB)
+    terms: list[int] = []
+    threads = [threading.Thread(target=lambda: terms.append(store.raise_term("j1", "x"))) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(terms) == list(range(1, 9))
+
+
+def test_everything_is_there_after_opening_again_under_a_higher_incarnation(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        realm, incarnation = store.realm, store.incarnation
+        store.add_job(JOB)
+        store.raise_term("j1", "x")
+        store.commit_cut("j1", "x", b"cut")
+        digest = store.put_blob(b"abc")
+    with Store.open(tmp_path) as store:
+        assert (store.realm, store.incarnation) == (realm, incarnation + 1)
+        assert store.jobs() == (JOB,)
+        assert store.raise_term("j1", "x") == 2
+        assert store.cuts("j1") == {"x": b"cut"}
+        assert store.get_blob(digest) == b"abc"
+
+
+def test_two_stores_are_two_realms() -> None:
+    with Store.open(None) as one, Store.open(None) as two:
+        assert one.realm != two.realm
+        assert one.incarnation == 1
+
+
+def test_what_was_committed_survives_a_process_that_is_killed(tmp_path: Path) -> None:
+    script = (
+        "import os, signal, sys; from pathlib import Path; from coordinator.service.store import *;"
+        "s = Store.open(Path(sys.argv[1])); s.add_job(JobRecord('j1', 'n', '{}', '', ''));"
+        "s.commit_cut('j1', 'x', b'cut'); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=False, timeout=60)
+    with Store.open(tmp_path) as store:
+        assert store.incarnation == 2
+        assert store.cuts("j1") == {"x": b"cut"}
+
+
+def test_a_second_coordinator_on_the_same_store_is_refused_and_told_who_has_it(tmp_path: Path) -> None:
+    with Store.open(tmp_path), pytest.raises(StoreError, match=r"in use by another coordinator \(process \d+\)"):
+        Store.open(tmp_path)
+    Store.open(tmp_path).close()
+
+
+def test_a_transaction_that_fails_leaves_nothing_behind(store: Store) -> None:
+    with pytest.raises(LocalProtocolError):
+        store.commit_cut("none", "x", b"cut")
+    assert store.cuts("none") == {}
+    assert store.add_job(JOB)
+
+
+def _spoil(directory: Path, how: str) -> None:
+    with Store.open(directory) as store:
+        store.put_blob(bytes(100_000))
+    file = directory / FILE_NAME
+    if how == "text":
+        file.write_text("this is no database at all, however long one may look at it. " * 100)
+    elif how == "truncated":
+        file.write_bytes(file.read_bytes()[:20_000])
+    elif how == "scribbled":
+        data = bytearray(file.read_bytes())
+        data[4096:8192] = b"\xff" * 4096
+        file.write_bytes(data)
+    else:
+        with contextlib.closing(sqlite3.connect(file)) as connection:
+            connection.execute(
+                "PRAGMA application_id = 7" if how == "foreign" else f"PRAGMA user_version = {SCHEMA_VERSION + 1}"
+            )
+
+
+@pytest.mark.parametrize(
+    ("how", "reason"),
+    [
+        ("text", "not a database.*restore it from a copy"),
+        ("truncated", "restore it from a copy"),
+        ("scribbled", "restore it from a copy"),
+        ("foreign", "not a store of this program"),
+        ("newer", "written by a newer version"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_refused_in_one_sentence_and_left_alone(
+    tmp_path: Path, how: str, reason: str
+) -> None:
+    _spoil(tmp_path, how)
+    before = (tmp_path / FILE_NAME).read_bytes()
+    with pytest.raises(StoreError, match=reason) as caught:
+        Store.open(tmp_path)
+    assert "\n" not in str(caught.value)
+    assert (tmp_path / FILE_NAME).read_bytes() == before
+
+
+def test_a_state_directory_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    place = tmp_path / "file"
+    place.write_text("")
+    with pytest.raises(StoreError, match="cannot be written"):
+        Store.open(place)
+
+
+def test_a_closed_store_says_so(tmp_path: Path) -> None:
+    store = Store.open(tmp_path)
+    store.close()
+    store.close()
+    with pytest.raises(StoreError, match="closed"):
+        store.jobs()
