@@ -4,6 +4,7 @@ No algebra in the sense of the real numbers: ``x - x`` stays, for it is no numbe
 the canonical program: nodes in the order in which a reader meets them, left operand first.
 """
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -114,7 +115,7 @@ def _value(code: int, a: float, b: float) -> float:
         return float(_ARITHMETIC[code](x, y))
 
 
-_ARITHMETIC: Final = {
+_ARITHMETIC: Final[dict[int, Callable[[np.float64, np.float64], np.float64]]] = {
     ADD: lambda x, y: x + y,
     SUBTRACT: lambda x, y: x - y,
     MULTIPLY: lambda x, y: x * y,

@@ -1,0 +1,194 @@
+"""A result for people and for other programs: text, CSV, sympy, LaTeX. Works on the dictionary of ``result.json``."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from common.errors import UsageError
+from common.expression.export import to_latex
+from common.expression.parse import from_infix
+from common.expression.text import to_infix
+
+FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
+DIGITS: Final = 6
+"""Significant digits of the constants that people are shown."""
+
+_COLUMNS: Final = (
+    "variable",
+    "lhs",
+    "pick",
+    "selected",
+    "complexity",
+    "error",
+    "normalized_error",
+    "r2",
+    "expression",
+)
+_ENDS: Final = {
+    "target": "the target error was met",
+    "stagnation": "no better equation was found for long",
+    "max-epochs": "the number of epochs was used up",
+    "max-time": "the time was used up",
+    "cancelled": "it was cancelled",
+}
+
+
+def render(result: Mapping[str, Any], how: str) -> str:
+    """Return `result` in one of `FORMATS` but json, which needs nothing from here.
+
+    Raises:
+        UsageError: `how` is no such format.
+    """
+    renderers = {"text": render_text, "csv": render_csv, "sympy": render_sympy, "latex": render_latex}
+    if how not in renderers:
+        raise UsageError(f"{how!r} is no format of a result; choose one of {', '.join(FORMATS)}")
+    return renderers[how](result)
+
+
+def pick(result: Mapping[str, Any], picks: Mapping[str, int]) -> dict[str, Any]:
+    """Return `result` with other members of the fronts selected: by variable, the number that the front table shows.
+
+    What belongs to the selected equation is taken from the front; when and at what cost the search ended stays.
+
+    Raises:
+        UsageError: a variable or number does not exist.
+    """
+    known = [equation["variable"] for equation in result["equations"]]
+    for variable in picks:
+        if variable not in known:
+            raise UsageError(f"--pick names the equation {variable!r}, but there are only {', '.join(known)}")
+    equations = [
+        _picked(equation, picks[equation["variable"]]) if equation["variable"] in picks else equation
+        for equation in result["equations"]
+    ]
+    return {**result, "equations": equations}
+
+
+def parse_picks(texts: Sequence[str]) -> dict[str, int]:
+    """Return picks from options such as ``x=2``; raises UsageError."""
+    picks: dict[str, int] = {}
+    for text in texts:
+        variable, _, number = text.rpartition("=")
+        if not variable or not number.isdecimal():
+            raise UsageError(f"--pick wants VARIABLE=NUMBER such as x=2, but got {text!r}")
+        picks[variable] = int(number)
+    return picks
+
+
+def render_text(result: Mapping[str, Any], *, fronts: bool = False) -> str:
+    """Return the equations for people, one after another; with `fronts`, each front as a table with numbers to pick."""
+    names = _names(result)
+    blocks = [_equation_text(equation, names, fronts) for equation in result["equations"]]
+    blocks += [f"warning: {warning}" for warning in result.get("warnings", ())]
+    evaluations, seconds = result["point_evaluations"], result["search_seconds"]
+    blocks.append(f"{_count(evaluations)} point evaluations in {_number(seconds)} s of search, seed {result['seed']}")
+    return "\n".join(blocks)
+
+
+def render_csv(result: Mapping[str, Any]) -> str:
+    """Return all fronts as CSV, one line for each member, with a header."""
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, _COLUMNS, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    for equation in result["equations"]:
+        for number, member in enumerate(equation["front"]):
+            writer.writerow({**member, "variable": equation["variable"], "lhs": equation["lhs"], "pick": number})
+    return stream.getvalue().rstrip("\n")
+
+
+def render_sympy(result: Mapping[str, Any]) -> str:
+    """Return Python source that makes the symbols and a dictionary ``equations`` from left-hand side to expression."""
+    names = _names(result)
+    lines = ["import sympy", "", f"names = {names!r}", "symbols = {name: sympy.Symbol(name) for name in names}"]
+    lines += ["equations = {"]
+    for equation in result["equations"]:
+        if equation["expression"] is not None:
+            parsed = f"sympy.parse_expr({equation['expression']!r}, local_dict=symbols)"
+            lines.append(f"    {equation['lhs']!r}: {parsed},")
+    return "\n".join([*lines, "}"])
+
+
+def render_latex(result: Mapping[str, Any]) -> str:
+    """Return an ``align*`` environment with one line for each equation."""
+    names = _names(result)
+    lines = [
+        rf"  {_lhs_latex(equation['lhs'])} &= {to_latex(from_infix(equation['expression'], names), names)}"
+        for equation in result["equations"]
+        if equation["expression"] is not None
+    ]
+    return "\n".join([r"\begin{align*}", " \\\\\n".join(lines), r"\end{align*}"])
+
+
+def display(expression: str, names: Sequence[str]) -> str:
+    """Return an expression of a result with its constants rounded to `DIGITS`."""
+    return to_infix(from_infix(expression, names), names, digits=DIGITS)
+
+
+def _names(result: Mapping[str, Any]) -> list[str]:
+    return list(result["symbols"].values())
+
+
+def _picked(equation: Mapping[str, Any], number: int) -> dict[str, Any]:
+    front = equation["front"]
+    if not 0 <= number < len(front):
+        there = f"from 0 to {len(front) - 1}" if front else "there are none yet"
+        raise UsageError(f"--pick {equation['variable']}={number} is not on the front; choose a number {there}")
+    taken = ("expression", "complexity", "error", "normalized_error", "constants")
+    members = [{**member, "selected": index == number} for index, member in enumerate(front)]
+    best = {key: front[number][key] for key in taken}
+    error = best["normalized_error"]
+    converged = error is not None and error <= equation["target_error"]
+    return {**equation, **best, "converged": converged, "front": members}
+
+
+def _equation_text(equation: Mapping[str, Any], names: Sequence[str], with_front: bool) -> str:
+    if equation["expression"] is None:
+        return f"{equation['lhs']} = ?\n    nothing found yet"
+    lines = [f"{equation['lhs']} = {display(equation['expression'], names)}", f"    {_verdict(equation)}"]
+    if with_front:
+        lines += _front_lines(equation["front"], names)
+    return "\n".join(lines)
+
+
+def _verdict(equation: Mapping[str, Any]) -> str:
+    found = "converged" if equation["converged"] else "not converged"
+    text = f"{found}: error {_number(equation['normalized_error'])} of the target's deviation"
+    text += f", size {equation['complexity']}, epoch {equation['epoch']}"
+    if not equation["converged"] and equation["why"]:
+        text += f"; {_ENDS.get(equation['why'], equation['why'])}"
+    return text
+
+
+def _front_lines(front: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[str]:
+    lines = [f"    {'pick':>4}   {'size':>4} {'error':>10} {'R2':>9}  expression"]
+    for number, member in enumerate(front):
+        mark = "*" if member["selected"] else " "
+        figures = f"{member['complexity']:>4} {_number(member['normalized_error']):>10} {_number(member['r2'], 6):>9}"
+        lines.append(f"    {number:>4} {mark} {figures}  {display(member['expression'], names)}")
+    return lines
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    return "?" if value is None else f"{value:.{digits}g}"
+
+
+def _count(value: int) -> str:
+    for size, unit in ((1e9, " G"), (1e6, " M"), (1e3, " k")):
+        if value >= size:
+            return f"{value / size:.3g}{unit}"
+    return str(value)
+
+
+def _lhs_latex(lhs: str) -> str:
+    """Return ``dx/dt`` and ``d2x/dt2`` as fractions, any other left-hand side as a name."""
+    import sympy
+
+    above, slash, below = lhs.rpartition("/")
+    if not slash:
+        return str(sympy.latex(sympy.Symbol(lhs)))
+    second = above.startswith("d2") and below.endswith("2")
+    numerator = str(sympy.latex(sympy.Symbol(above[2:] if second else above[1:])))
+    denominator = str(sympy.latex(sympy.Symbol(below[1:-1] if second else below[1:])))
+    order = "^{2}" if second else ""
+    return rf"\frac{{d{order} {numerator}}}{{d {denominator}{order}}}"

@@ -1,0 +1,191 @@
+"""The result of a job as other programs read it: schema 1 of ``result.json`` (DESIGN section 8).
+
+Plain dictionaries, lists, texts and numbers only; a number that is not finite becomes null.
+"""
+
+import math
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, Final
+
+import numpy as np
+
+from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from common.config import JobConfig
+from common.dataset import Dataset, Target
+from common.expression.operators import CONSTANT
+from common.expression.program import Program
+from common.expression.text import PRINTABLE_SIZE, to_infix, tree_size
+from common.pareto import FrontEntry
+from common.wire.views import JobState
+from coordinator.model.digest import result_digest
+from coordinator.model.select import select, threshold
+
+SCHEMA: Final = 1
+_PACKAGES: Final = ("eclipse-zenoh", "numpy", "numba", "scipy", "sympy", "msgpack", "pydantic", "polars")
+
+
+@dataclass(frozen=True)
+class VariableOutcome:
+    """How the search for one equation stands or ended.
+
+    `front` is the merged front up to the cut, by rising complexity; `epoch` the number of completely reported epochs
+    up to the cut (0: none yet); `generation` the one that met the target, counted from the search's beginning, or None
+    when none did; `evaluations` the cumulative point evaluations by part, all islands together; `seconds` the time from
+    the first epoch's start to the cut's end; `why` how the search ended (None: it has not), as in
+    `common.wire.views.VariableView`.
+    """
+
+    variable: str
+    front: tuple[FrontEntry, ...]
+    epoch: int
+    generation: int | None = None
+    evaluations: Mapping[str, int] = field(default_factory=dict)
+    seconds: float = 0.0
+    why: str | None = None
+
+
+@dataclass(frozen=True)
+class Account:
+    """What a result says of the job as a whole.
+
+    `seconds` is the time since the job was submitted, `search_seconds` from the first epoch's start to the last needed
+    epoch's end; `reason` says why a job failed; `warnings` are sentences beyond those about the data.
+    """
+
+    state: JobState
+    seconds: float
+    search_seconds: float
+    reason: str | None = None
+    warnings: tuple[str, ...] = ()
+
+
+def build_result(
+    job: str, config: JobConfig, dataset: Dataset, outcomes: Sequence[VariableOutcome], account: Account
+) -> dict[str, Any]:
+    """Return the result of `job` as it is written to ``result.json``; also the best so far while it runs.
+
+    Args:
+        job: the job's id.
+        config: the configuration that was run.
+        dataset: the regression problems; supplies names, left-hand sides, scales and warnings.
+        outcomes: one for each equation, in the dataset's order.
+        account: state and times.
+    """
+    return {
+        "schema": SCHEMA,
+        "job": job,
+        "seed": config.seed,
+        "preset": config.preset,
+        "state": account.state,
+        "reason": account.reason,
+        "equations": [_equation(config, dataset, outcome) for outcome in outcomes],
+        "symbols": dict(dataset.symbols),
+        "warnings": [*dataset.warnings, *account.warnings],
+        "point_evaluations": sum(_total(outcome) for outcome in outcomes),
+        "search_seconds": _finite(account.search_seconds),
+        "seconds": _finite(account.seconds),
+        "digest": result_digest(outcomes),
+        "versions": versions(),
+    }
+
+
+def versions() -> dict[str, str | int]:
+    """Return the versions of everything that can matter to a result."""
+    found: dict[str, str | int] = {
+        "atoll": VERSION,
+        "engine": ENGINE_REVISION,
+        "protocol": PROTOCOL_VERSION,
+        "python": platform.python_version(),
+    }
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "unknown"
+    return found
+
+
+def _equation(config: JobConfig, dataset: Dataset, outcome: VariableOutcome) -> dict[str, Any]:
+    target = dataset.problem(outcome.variable).target
+    front = [entry for entry in outcome.front if _is_printable(entry, dataset)]
+    chosen = select(front, len(target.values), target, config.budget.target_error) if front else None
+    members = [_member(entry, dataset, target, index == chosen) for index, entry in enumerate(front)]
+    return {
+        "variable": target.variable,
+        "lhs": target.lhs,
+        **_best(None if chosen is None else front[chosen], dataset, target, config),
+        **_course(None if chosen is None else front[chosen], outcome, config),
+        "derivative_floor": _finite(target.floor),
+        "target_error": threshold(target, config.budget.target_error),
+        "front": members,
+    }
+
+
+def _is_printable(entry: FrontEntry, dataset: Dataset) -> bool:
+    return tree_size(_program(entry, dataset)) <= PRINTABLE_SIZE
+
+
+def _best(entry: FrontEntry | None, dataset: Dataset, target: Target, config: JobConfig) -> dict[str, Any]:
+    """Return what is said of the selected equation; all null when there is none."""
+    if entry is None:
+        unknown = dict.fromkeys(("expression", "complexity", "error", "normalized_error"))
+        return {**unknown, "converged": False, "constants": []}
+    normalized = entry.error / target.deviation if target.deviation else math.inf
+    return {
+        "expression": to_infix(_program(entry, dataset), dataset.names),
+        "complexity": entry.complexity,
+        "error": _finite(entry.error),
+        "normalized_error": _finite(normalized),
+        "converged": normalized <= threshold(target, config.budget.target_error),
+        "constants": _constants(_program(entry, dataset)),
+    }
+
+
+def _course(entry: FrontEntry | None, outcome: VariableOutcome, config: JobConfig) -> dict[str, Any]:
+    """Return when the equation was found and what that took."""
+    generation = outcome.generation
+    if generation is None and entry is not None:
+        generation = entry.epoch * config.migration.generations + entry.generation
+    return {
+        "epoch": outcome.epoch,
+        "generation": generation,
+        "point_evaluations": _total(outcome),
+        "point_evaluations_by_part": {part: int(outcome.evaluations[part]) for part in sorted(outcome.evaluations)},
+        "seconds": _finite(outcome.seconds),
+        "why": outcome.why,
+    }
+
+
+def _member(entry: FrontEntry, dataset: Dataset, target: Target, selected: bool) -> dict[str, Any]:
+    program = _program(entry, dataset)
+    variance = target.deviation * target.deviation
+    return {
+        "expression": to_infix(program, dataset.names),
+        "complexity": entry.complexity,
+        "error": _finite(entry.error),
+        "normalized_error": _finite(entry.error / target.deviation if target.deviation else math.inf),
+        "r2": _finite(1.0 - entry.mse / variance if variance else math.nan),
+        "holdout_error": None,
+        "constants": _constants(program),
+        "selected": selected,
+    }
+
+
+def _constants(program: Program) -> list[dict[str, float | None]]:
+    values = program.constants[program.operators == np.int8(CONSTANT)].tolist()
+    return [{"value": _finite(value), "std_error": None} for value in values]
+
+
+def _program(entry: FrontEntry, dataset: Dataset) -> Program:
+    return Program.from_bytes(entry.program, len(dataset.names))
+
+
+def _total(outcome: VariableOutcome) -> int:
+    return int(sum(outcome.evaluations.values()))
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

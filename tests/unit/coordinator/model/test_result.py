@@ -1,0 +1,185 @@
+"""Results: the shape other programs rely on, the digest, and the renderings for people."""
+
+import csv
+import io
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from common.config import BudgetConfig, JobConfig
+from common.dataset import Dataset, Target
+from common.errors import UsageError
+from common.expression.algebra import complexity
+from common.expression.parse import from_infix
+from common.pareto import FrontEntry
+from coordinator.model.digest import result_digest
+from coordinator.model.render import parse_picks, pick, render, render_text
+from coordinator.model.result import Account, VariableOutcome, build_result
+
+NAMES = ("x", "S", "v")
+SYMBOLS = {"x": "x", "S": "S", "v [m/s]": "v"}
+TRUTH = "3.0*x - x**2 - 2.0*x*S"
+
+
+def entry(text: str, error: float, epoch: int = 0, generation: int = 5, island: int = 0) -> FrontEntry:
+    program = from_infix(text, NAMES)
+    return FrontEntry(complexity(program), error, error * error, epoch, generation, island, program.to_bytes())
+
+
+def dataset(floor: float = 0.0) -> Dataset:
+    values = np.linspace(-2.0, 2.0, 50)
+    targets = (Target("x", "dx/dt", values, floor, 1.25, 0.0), Target("v", "dv/dt", values, floor, 1.25, 0.0))
+    return Dataset(NAMES, np.ones((3, 50)), targets, SYMBOLS, ("two rows were dropped",))
+
+
+def outcomes() -> list[VariableOutcome]:
+    front = (entry("1.5", 1.0), entry("2.0*x", 0.4), entry(TRUTH, 1e-13, epoch=2, generation=85))
+    first = VariableOutcome("x", front, 3, 285, {"offspring": 2000, "fitting": 130}, 0.05, "target")
+    return [first, VariableOutcome("v", (), 0)]
+
+
+def result(**changes: object) -> dict:
+    account = Account("done", 1.9, 0.4)
+    return build_result("job-1", JobConfig(seed=7), dataset(), outcomes(), replace(account, **changes))
+
+
+def test_the_equation_says_what_was_found_when_and_at_what_cost():
+    equation = result()["equations"][0]
+    assert equation["expression"] == TRUTH
+    assert equation["lhs"] == "dx/dt"
+    assert equation["converged"] is True
+    assert (equation["epoch"], equation["generation"], equation["why"]) == (3, 285, "target")
+    assert equation["error"] == 1e-13
+    assert equation["normalized_error"] == 1e-13 / 1.25
+    assert equation["constants"] == [{"value": 3.0, "std_error": None}, {"value": 2.0, "std_error": None}]
+    assert equation["point_evaluations"] == 2130
+    assert equation["point_evaluations_by_part"] == {"fitting": 130, "offspring": 2000}
+
+
+def test_the_front_marks_exactly_the_selected_member():
+    front = result()["equations"][0]["front"]
+    assert [member["selected"] for member in front] == [False, False, True]
+    assert front[1]["r2"] == pytest.approx(1.0 - 0.16 / 1.5625)
+    assert {member["holdout_error"] for member in front} == {None}
+
+
+def test_an_equation_without_a_front_is_null_and_not_converged():
+    equation = result(state="running")["equations"][1]
+    assert equation["expression"] is None
+    assert equation["converged"] is False
+    assert equation["front"] == []
+
+
+def test_a_generation_without_a_hit_is_that_of_the_selected_member():
+    changed = [replace(outcomes()[0], generation=None), outcomes()[1]]
+    built = build_result("j", JobConfig(), dataset(), changed, Account("done", 1.0, 1.0))
+    assert built["equations"][0]["generation"] == 285
+
+
+def test_numbers_that_are_not_finite_become_null():
+    strange = replace(entry("x", 0.5), mse=math.inf)
+    built = build_result(
+        "j", JobConfig(), dataset(), [VariableOutcome("x", (strange,), 1)], Account("done", math.inf, 1.0)
+    )
+    text = json.dumps(built, allow_nan=False)
+    assert json.loads(text)["seconds"] is None
+    assert built["equations"][0]["front"][0]["r2"] is None
+
+
+def test_an_explicit_target_error_decides_what_has_converged():
+    config = JobConfig(budget=BudgetConfig(target_error=0.5))
+    front = (entry("2.0*x", 0.4),)
+    built = build_result("j", config, dataset(), [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
+    assert built["equations"][0]["converged"] is True
+    stricter = JobConfig(budget=BudgetConfig(target_error=0.1))
+    built = build_result("j", stricter, dataset(), [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
+    assert built["equations"][0]["converged"] is False
+
+
+def test_an_expression_too_long_to_print_is_left_out():
+    text = "x + S*v"
+    for _ in range(15):
+        text = f"sin({text})/({text})" if len(text) < 40_000 else text
+    huge = entry(text, 1e-3)
+    built = build_result("j", JobConfig(), dataset(), [VariableOutcome("x", (huge,), 1)], Account("done", 1.0, 1.0))
+    assert built["equations"][0]["front"] == []
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"epoch": 4},
+        {"generation": 284},
+        {"evaluations": {"offspring": 2001, "fitting": 130}},
+        {"front": (entry("1.5", 1.0), entry("2.0000000000000004*x", 0.4), outcomes()[0].front[2])},
+        {"front": outcomes()[0].front[:2]},
+        {"front": (replace(outcomes()[0].front[0], error=math.nextafter(1.0, 2.0)), *outcomes()[0].front[1:])},
+    ],
+)
+def test_the_digest_sees_every_bit_of_what_was_found(change):
+    assert result_digest([replace(outcomes()[0], **change)]) != result_digest(outcomes()[:1])
+
+
+def test_the_digest_does_not_see_times_or_reasons():
+    changed = replace(outcomes()[0], seconds=9.0, why="max-time", evaluations={"fitting": 130, "offspring": 2000})
+    assert result_digest([changed]) == result_digest(outcomes()[:1])
+
+
+def test_text_shows_rounded_equations_and_the_front_on_request():
+    plain = render_text(result())
+    assert "dx/dt = 3*x - x**2 - 2*x*S" in plain
+    assert "dv/dt = ?" in plain
+    assert "warning: two rows were dropped" in plain
+    assert "pick" not in plain
+    table = render_text(result(), fronts=True)
+    assert [line.split()[0] for line in table.splitlines() if line.strip()[:1].isdigit()][:3] == ["0", "1", "2"]
+
+
+def test_csv_has_one_line_for_each_member():
+    rows = list(csv.DictReader(io.StringIO(render(result(), "csv"))))
+    assert [row["pick"] for row in rows] == ["0", "1", "2"]
+    assert rows[2]["expression"] == TRUTH
+    assert rows[2]["selected"] == "True"
+
+
+def test_sympy_source_runs_and_gives_the_equations():
+    scope: dict = {}
+    exec(render(result(), "sympy"), scope)
+    x, s = scope["symbols"]["x"], scope["symbols"]["S"]
+    assert scope["equations"]["dx/dt"].subs({x: 2, s: 5}) == -18.0
+
+
+def test_latex_writes_fractions_and_rounded_constants():
+    text = render(result(), "latex")
+    assert r"\frac{d x}{d t} &= " in text
+    assert r"\begin{align*}" in text
+    assert "3 x" in text
+
+
+def test_picking_takes_another_member():
+    picked = pick(result(), parse_picks(["x=1"]))
+    equation = picked["equations"][0]
+    assert equation["expression"] == "2.0*x"
+    assert equation["converged"] is False
+    assert [member["selected"] for member in equation["front"]] == [False, True, False]
+    assert result()["equations"][0]["expression"] == TRUTH
+
+
+@pytest.mark.parametrize("picks", [{"x": 3}, {"v": 0}, {"q": 0}])
+def test_picking_what_is_not_there_is_refused(picks):
+    with pytest.raises(UsageError):
+        pick(result(), picks)
+
+
+@pytest.mark.parametrize("text", ["x", "x=", "x=two", "=1", "x=-1"])
+def test_malformed_picks_are_refused(text):
+    with pytest.raises(UsageError, match="--pick wants"):
+        parse_picks([text])
+
+
+def test_an_unknown_format_is_refused():
+    with pytest.raises(UsageError, match="choose one of"):
+        render(result(), "yaml")
