@@ -150,7 +150,7 @@ def _multiply(left: _Piece, right: _Piece) -> _Piece:
     power = _power(left, right)
     if power is not None:
         return replace(power, negative=negative)
-    if right.kind == _CONSTANT or (right.kind == _PRODUCT and left.kind not in (_PRODUCT, _CONSTANT)):
+    if left.kind != _CONSTANT and (right.kind == _CONSTANT or (right.kind == _PRODUCT and left.kind != _PRODUCT)):
         left, right = right, left
     return _Piece(_PRODUCT, f"{left.text}*{_factor(right)}", negative)
 

@@ -1,0 +1,98 @@
+"""What must hold of every program: encoding, printing and parsing, simplification."""
+
+import contextlib
+import math
+import struct
+
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+from common.errors import UsageError
+from common.expression.algebra import complexity, simplify_program
+from common.expression.operators import ARITY, CONSTANT, COS, EXP, LOG, POW, SIN, TANH
+from common.expression.parse import from_infix
+from common.expression.program import Program
+from common.expression.text import PRINTABLE_SIZE, to_infix, tree_size
+from tests.oracles.evaluate import evaluate
+from tests.property.programs import NAMES, ROWS, programs
+
+TAME = st.floats(0.5, 2.0)
+QUICK = settings(max_examples=300, deadline=None, derandomize=True, database=None)
+
+
+def bits(value: float) -> bytes:
+    """Return the bits of `value`; all NaN are one."""
+    return b"nan" if math.isnan(value) else struct.pack("<d", value)
+
+
+@QUICK
+@given(programs(), ROWS)
+def test_parsing_what_was_printed_evaluates_to_the_same_bits(program, row):
+    assume(tree_size(program) <= PRINTABLE_SIZE)
+    text = to_infix(program, NAMES)
+    assert bits(evaluate(from_infix(text, NAMES), row)) == bits(evaluate(program, row)), text
+
+
+@QUICK
+@given(programs())
+def test_printing_what_was_parsed_gives_the_same_text(program):
+    assume(tree_size(program) <= PRINTABLE_SIZE)
+    text = to_infix(from_infix(to_infix(program, NAMES), NAMES), NAMES)
+    assert to_infix(from_infix(text, NAMES), NAMES) == text
+
+
+@QUICK
+@given(programs(), ROWS)
+def test_simplifying_keeps_every_bit(program, row):
+    simple = simplify_program(program)
+    simple.validate(len(NAMES))
+    assume(not folded_elementary(program))
+    assert bits(evaluate(simple, row)) == bits(evaluate(program, row))
+
+
+@QUICK
+@given(programs())
+def test_simplifying_twice_changes_nothing_more(program):
+    simple = simplify_program(program)
+    assert simplify_program(simple) == simple
+    assert complexity(program) == complexity(simple) == len(simple) <= len(program)
+
+
+@QUICK
+@given(programs())
+def test_programs_survive_their_bytes(program):
+    assert Program.from_bytes(program.to_bytes(), len(NAMES)) == program
+
+
+@settings(QUICK, suppress_health_check=[HealthCheck.filter_too_much])
+@given(programs(largest=10, constants=TAME), st.tuples(TAME, TAME, TAME))
+def test_display_has_the_value_up_to_rounding(program, row):
+    exact = evaluate(program, row)
+    assume(is_tame(program, row))
+    text = to_infix(program, NAMES, digits=17)
+    assert math.isclose(evaluate(from_infix(text, NAMES), row), exact, rel_tol=1e-9, abs_tol=1e-9), text
+
+
+@QUICK
+@given(st.text(alphabet="xyθ0123456789.+-*/() sincoexplgjq^,", max_size=30))
+def test_any_text_is_an_expression_or_refused(text):
+    with contextlib.suppress(UsageError):
+        from_infix(text, NAMES).validate(len(NAMES))
+
+
+def folded_elementary(program: Program) -> bool:
+    """Say whether constants meet a function whose last bit is the kernels' own, not the C library's."""
+    constant: list[bool] = []
+    for code, left, right in zip(program.operators.tolist(), program.left, program.right, strict=True):
+        operands = [constant[left], constant[right]][: ARITY[code]] if ARITY[code] else []
+        constant.append(code == CONSTANT or (bool(operands) and all(operands)))
+        if constant[-1] and code in (SIN, COS, EXP, LOG, TANH, POW):
+            return True
+    return False
+
+
+def is_tame(program: Program, row: tuple[float, ...]) -> bool:
+    """Say whether no part of `program` is so large or so small that rounding is magnified."""
+    columns = (program.operators, program.left, program.right, program.constants)
+    parts = [Program(*(column[:count] for column in columns)) for count in range(1, len(program) + 1)]
+    return all(1e-2 < abs(evaluate(part, row)) < 1e2 for part in parts)
