@@ -87,7 +87,7 @@ class _Run:
 
     def _sum_up(self, result: dict[str, Any], phases: dict[str, float], path: Path) -> None:
         total = time.monotonic() - self._started
-        searching, compiling = float(result["search_seconds"]), phases.get("compiling", 0.0)
+        searching, compiling = float(result["search_seconds"] or 0.0), phases.get("compiling", 0.0)
         parts = [f"search {duration(searching)}"]
         if compiling:
             parts.append(f"compiling kernels {duration(compiling)}")

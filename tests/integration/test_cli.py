@@ -1,0 +1,222 @@
+"""The programs as people use them: real processes, a real router, real kernels."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = str(ROOT / "examples" / "lotka_volterra.csv")
+PROGRAM = [sys.executable, "-m", "coordinator"]
+LIMIT_S = 200
+
+
+def coordinator(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*PROGRAM, *words], cwd=cwd, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+
+
+@contextlib.contextmanager
+def started(*words: str, cwd: Path, program: str = "coordinator") -> Iterator[subprocess.Popen[str]]:
+    """Start a program; its end is the test's business, but not beyond the test."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", program, *words],
+        cwd=cwd,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def read_until(stream: Any, words: str) -> str:
+    """Return the lines up to the first that contains `words`."""
+    lines = []
+    for line in stream:
+        lines.append(line)
+        if words in line:
+            return "".join(lines)
+    raise AssertionError(f"{words!r} never came; what came was: {''.join(lines)}")
+
+
+def finish(process: subprocess.Popen[str]) -> tuple[str, str]:
+    """Return what is still to be read of stdout and stderr of a process that ends by itself."""
+    assert process.stdout is not None
+    assert process.stderr is not None
+    err, out = process.stderr.read(), process.stdout.read()
+    process.wait(LIMIT_S)
+    return out, err
+
+
+def workers_of(run: Path) -> list[int]:
+    """Return the process ids of the workers of the run in that folder."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        with contextlib.suppress(OSError):
+            words = (entry / "cmdline").read_bytes().decode().split("\0")
+            if "island_worker" in words and str(run) == str((entry / "cwd").readlink()):
+                found.append(int(entry.name))
+    return found
+
+
+def wait_until_gone(run: Path) -> None:
+    end = time.monotonic() + 20
+    while workers_of(run):
+        assert time.monotonic() < end, f"workers {workers_of(run)} are still there"
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def environment() -> Iterator[None]:
+    """Let the programs be importable from any folder."""
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = str(ROOT)
+    os.environ.pop("ATOLL_CONNECT", None)
+    yield
+    if before is None:
+        del os.environ["PYTHONPATH"]
+    else:
+        os.environ["PYTHONPATH"] = before
+
+
+def test_run_finds_the_equations_writes_the_result_and_leaves_no_process(tmp_path: Path) -> None:
+    done = coordinator("run", DATA, "--workers", "2", "--out", "out", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    printed = json.loads(done.stdout)
+    assert printed == json.loads((tmp_path / "out" / "result.json").read_text())
+    assert (printed["schema"], printed["state"]) == (1, "done")
+    assert [equation["converged"] for equation in printed["equations"]] == [True, True]
+    for words in ("4 trajectories", "states: x, y", "converged", "total", "result in out/result.json"):
+        assert words in done.stderr
+    assert workers_of(tmp_path) == []
+    again = coordinator("run", DATA, "--out", "out", cwd=tmp_path)
+    assert again.returncode == 2
+    assert again.stderr == (
+        "coordinator: out/result.json exists already; name another folder with --out, or remove it\n"
+    )
+
+
+def test_a_target_error_that_is_not_met_is_exit_code_4_with_the_models_written(tmp_path: Path) -> None:
+    options = ["--workers", "1", "--target-error", "1e-300", "--max-epochs", "1", "--id", "hopeless"]
+    done = coordinator("run", DATA, *options, cwd=tmp_path)
+    assert done.returncode == 4, done.stderr
+    assert "--target-error 1e-300 was not met" in done.stderr
+    result = json.loads((tmp_path / "runs" / "hopeless" / "result.json").read_text())
+    assert [equation["epoch"] for equation in result["equations"]] == [1, 1]
+    assert "dx/dt = " in done.stdout
+
+
+ENDLESS = ["--target-error", "1e-300", "--max-epochs", "1000000", "--workers", "2", "--out", "out"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_keeps_the_best_so_far_and_leaves_no_process(tmp_path: Path, number: signal.Signals) -> None:
+    with started("run", DATA, *ENDLESS, cwd=tmp_path) as process:
+        read_until(process.stderr, "(searching)")
+        assert len(workers_of(tmp_path)) == 2
+        process.send_signal(number)
+        out, err = finish(process)
+    assert process.returncode == 130, err
+    assert "dx/dt = " in out
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert result["state"] == "cancelled"
+    assert workers_of(tmp_path) == []
+
+
+def test_no_worker_survives_a_run_that_is_killed(tmp_path: Path) -> None:
+    with started("run", DATA, *ENDLESS, cwd=tmp_path) as process:
+        read_until(process.stderr, "(searching)")
+        process.kill()
+        process.wait()
+        wait_until_gone(tmp_path)
+
+
+def test_a_worker_that_dies_is_said_and_the_others_go_on(tmp_path: Path) -> None:
+    with started("run", DATA, *ENDLESS, cwd=tmp_path) as process:
+        read_until(process.stderr, "(searching)")
+        os.kill(workers_of(tmp_path)[0], signal.SIGKILL)
+        read_until(process.stderr, "ended with signal 9")
+        os.kill(workers_of(tmp_path)[0], signal.SIGKILL)
+        _, err = finish(process)
+    assert process.returncode == 1
+    assert "every worker has ended" in err
+
+
+def test_nobody_at_the_address_is_exit_code_3_within_seconds(tmp_path: Path) -> None:
+    for verb in ("jobs", "status", "workers"):
+        done = coordinator(verb, "--connect", "tcp/127.0.0.1:9", cwd=tmp_path)
+        assert done.returncode == 3
+        assert done.stderr.startswith("coordinator: ")
+        assert done.stderr.count("\n") == 1
+        assert "tcp/127.0.0.1:9" in done.stderr
+
+
+def test_no_address_is_a_usage_error(tmp_path: Path) -> None:
+    done = coordinator("jobs", cwd=tmp_path)
+    assert (done.returncode, "--connect" in done.stderr, "ATOLL_CONNECT" in done.stderr) == (2, True, True)
+
+
+def test_serve_submit_status_result_and_cancel_by_hand(tmp_path: Path) -> None:
+    """The story of several machines, on one."""
+    with contextlib.ExitStack() as stack:
+        serve = stack.enter_context(started("serve", "--listen", "tcp/127.0.0.1:0", "--state", "s", cwd=tmp_path))
+        line = read_until(serve.stdout, "island-worker --connect").splitlines()[-1]
+        address = line.split()[-1]
+        stack.enter_context(
+            started("--connect", address, "--processes", "1", "--name", "lab", cwd=tmp_path, program="island_worker")
+        )
+        there = ["--connect", address]
+
+        followed = coordinator("submit", DATA, *there, "--id", "first", cwd=tmp_path)
+        assert followed.returncode == 0, followed.stderr
+        assert "dx/dt = " in followed.stdout
+
+        endless = ["--target-error", "1e-300", "--max-epochs", "1000000", "--id", "second"]
+        assert coordinator("submit", DATA, *there, "--no-wait", *endless, cwd=tmp_path).stdout == "second\n"
+        jobs = json.loads(coordinator("jobs", "--json", *there, cwd=tmp_path).stdout)
+        assert [job["job"] for job in jobs] == ["first", "second"]
+        status = json.loads(coordinator("status", "sec", "--json", *there, cwd=tmp_path).stdout)
+        assert status["state"] in ("queued", "preparing", "running")
+        names = [
+            worker["worker"] for worker in json.loads(coordinator("workers", "--json", *there, cwd=tmp_path).stdout)
+        ]
+        assert names == ["lab"]
+        assert coordinator("cancel", "second", *there, cwd=tmp_path).returncode == 0
+        assert "cancelled" in coordinator("status", "second", *there, cwd=tmp_path).stdout
+
+        result = json.loads(coordinator("result", "first", "--format", "json", *there, cwd=tmp_path).stdout)
+        assert result["job"] == "first"
+        for form, words in (("text", "pick"), ("csv", "variable,"), ("sympy", "import sympy"), ("latex", "align")):
+            assert words in coordinator("result", "first", "--format", form, *there, cwd=tmp_path).stdout
+        picked = coordinator("result", "first", "--pick", "x=0", "--json", *there, cwd=tmp_path)
+        assert json.loads(picked.stdout)["equations"][0]["front"][0]["selected"]
+        assert coordinator("result", "nothing", *there, cwd=tmp_path).returncode == 2
+
+        serve.send_signal(signal.SIGTERM)
+        finish(serve)
+        assert serve.returncode == 0
+
+
+def test_ctrl_c_on_submit_detaches_and_the_job_goes_on(tmp_path: Path) -> None:
+    with started("serve", "--listen", "tcp/127.0.0.1:0", "--state", "s", cwd=tmp_path) as serve:
+        address = read_until(serve.stdout, "island-worker --connect").splitlines()[-1].split()[-1]
+        with started("submit", DATA, "--connect", address, "--id", "mine", cwd=tmp_path) as process:
+            read_until(process.stderr, "no worker has joined; start one with: island-worker --connect")
+            process.send_signal(signal.SIGINT)
+            out, err = finish(process)
+        assert (process.returncode, out) == (130, "")
+        assert "coordinator status mine" in err
+        jobs = json.loads(coordinator("jobs", "--json", "--connect", address, cwd=tmp_path).stdout)
+        assert [(job["job"], job["state"] in ("done", "failed", "cancelled")) for job in jobs] == [("mine", False)]
