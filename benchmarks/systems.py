@@ -120,9 +120,7 @@ TRUTH: Final = {name: system.truth for name, system in SYSTEMS.items()}
 """TRUTH[system][state] is the right-hand side as sympy text; for the pendulum "theta_dot" is the one to be found."""
 
 
-def trajectories(
-    system: str, step: float = 0.1, seed: int = 0, noise: float = 0.0, duration: float = 10.0
-) -> Sampled:
+def trajectories(system: str, step: float = 0.1, seed: int = 0, noise: float = 0.0, duration: float = 10.0) -> Sampled:
     """Return four sampled trajectories of `system`.
 
     Args:

@@ -21,10 +21,11 @@ END_ROWS: Final = 4
 """Rows at each end of a trajectory whose derivatives by interpolation are much worse than the others'."""
 TRIMMED_LENGTH: Final = 20
 """Shortest trajectory whose ends are left out."""
-JUDGED_SHARE: Final = 0.95
-"""Share of rows, the best ones, by which interpolation and smoothing are compared: a few jumps must not decide."""
-LARGEST_ERROR: Final = 0.01
-"""Left-out error, as a share of the state's standard deviation, beyond which data are never interpolated."""
+JUDGED_SHARES: Final = (0.95, 0.75)
+"""Shares of the rows, the best ones, by which interpolation and smoothing are compared: jumps must not decide, nor must
+rows at rest. Without noise interpolation wins by either; with noise it loses by a factor near 1.5 by both."""
+LARGEST_NOISE: Final = 3e-4
+"""Noise, as a share of the state's standard deviation, beyond which data are never interpolated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +57,9 @@ def estimate(runs: Sequence[Run], order: int, *, paper: bool = False) -> Estimat
     smoothed = [smooth(run, choice) for run in runs]
     if not paper:
         errors, gains = _left_out(runs)
-        if _interpolation_error(runs, errors) < min(_loess_error(runs, smoothed), LARGEST_ERROR * _deviation(runs)):
-            return _interpolated(runs, order, _value_noise(errors, gains))
+        noise = _value_noise(errors, gains)
+        if noise <= LARGEST_NOISE * _deviation(runs) and _is_better(runs, errors, smoothed):
+            return _interpolated(runs, order, noise)
     return _by_loess(runs, smoothed, order)
 
 
@@ -95,24 +97,29 @@ def _left_out(runs: Sequence[Run]) -> tuple[FloatArray, FloatArray]:
     return np.concatenate(errors), np.concatenate(gains)
 
 
-def _interpolation_error(runs: Sequence[Run], errors: FloatArray) -> float:
-    """Return the typical leave-one-out error of the best stencil width."""
+def _is_better(runs: Sequence[Run], errors: FloatArray, smoothed: Sequence[Smoothed]) -> bool:
+    """Say whether interpolation predicts rows that are left out better than loess does."""
     inner = end_rows([len(run.times) for run in runs]) == 0.0
-    return min(_typical(errors[inner, width]) for width in range(HALF_WIDTHS))
+    by_loess = _loess_errors(runs, smoothed)[inner]
+    for share in JUDGED_SHARES:
+        typical = min(_typical(errors[inner, width], share) for width in range(HALF_WIDTHS))
+        if typical < _typical(by_loess, share):
+            return True
+    return False
 
 
-def _loess_error(runs: Sequence[Run], smoothed: Sequence[Smoothed]) -> float:
-    """Return the typical leave-one-out error of loess: residual / (1 - leverage)."""
-    inner = end_rows([len(run.times) for run in runs]) == 0.0
+def _loess_errors(runs: Sequence[Run], smoothed: Sequence[Smoothed]) -> FloatArray:
+    """Return the leave-one-out errors (R,) of loess: residual / (1 - leverage)."""
     values = np.concatenate([run.values for run in runs])
     fits = np.concatenate([its.fits[0] for its in smoothed])
-    rest = 1.0 - np.concatenate([its.gains[3] for its in smoothed])
-    return _typical(((values - fits) / np.maximum(rest, 1e-12))[inner])
+    leverages = np.concatenate([its.gains[3] for its in smoothed])
+    errors: FloatArray = (values - fits) / np.maximum(1.0 - leverages, 1e-12)
+    return errors
 
 
-def _typical(errors: FloatArray) -> float:
-    """Return the root mean square of the smaller errors; infinite when not all of them are finite."""
-    ordered = np.sort(np.abs(errors))[: max(1, int(JUDGED_SHARE * len(errors)))]
+def _typical(errors: FloatArray, share: float) -> float:
+    """Return the root mean square of the smallest errors; infinite when not all of them are finite."""
+    ordered = np.sort(np.abs(errors))[: max(1, int(share * len(errors)))]
     mean, deviation = moments(ordered)
     typical = math.sqrt(mean * mean + deviation * deviation)
     return typical if math.isfinite(typical) else math.inf
@@ -145,4 +152,3 @@ def _differentiated(runs: Sequence[Run], order: int, noise: float) -> tuple[Floa
         rounding = np.maximum(noise, 2.0**-53 * np.abs(run.values))
         best_stencil_into(derivatives[-1], uncertainties[-1], slopes, gains, rounding)
     return np.concatenate(derivatives), np.concatenate(uncertainties)
-
