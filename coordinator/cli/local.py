@@ -106,8 +106,9 @@ class Workers:
 
 
 def worker_command(endpoint: str, name: str) -> Sequence[str]:
-    """Return the command of one worker process."""
-    return [sys.executable, "-m", "island_worker", "--connect", endpoint, "--processes", "1", "--name", name]
+    """Return the command of one worker process, which ends when this process does."""
+    options = ["--connect", endpoint, "--processes", "1", "--name", name, "--wait", "30"]
+    return [sys.executable, "-m", "island_worker", *options, "--parent", str(os.getpid())]
 
 
 def _ending(code: int) -> str:

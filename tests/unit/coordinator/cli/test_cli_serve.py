@@ -1,0 +1,27 @@
+"""What a coordinator says when it starts."""
+
+from common.wire.addresses import parse_address
+from coordinator.cli import serve
+from coordinator.cli.serve import greeting, heard_on
+
+
+def test_one_address_gives_the_line_that_starts_a_worker() -> None:
+    lines = greeting(parse_address("tcp/10.0.0.5:7447"), "state").splitlines()
+    assert "  island-worker --connect tcp/10.0.0.5:7447" in lines
+    assert "  coordinator submit DATA --connect tcp/10.0.0.5:7447" in lines
+    assert not any("trusted" in line for line in lines)
+
+
+def test_every_address_heard_on_is_named_when_listening_everywhere(monkeypatch) -> None:
+    monkeypatch.setattr(serve, "_interface_address", {"lo": "127.0.0.1", "a": "10.0.0.5", "b": None}.get)
+    monkeypatch.setattr(serve.socket, "if_nameindex", lambda: [(1, "lo"), (2, "a"), (3, "b")])
+    lines = greeting(parse_address("tcp/0.0.0.0:7447"), "state").splitlines()
+    assert [line.split()[-1] for line in lines if "island-worker" in line] == [
+        "tcp/10.0.0.5:7447",
+        "tcp/127.0.0.1:7447",
+    ]
+    assert "trusted network" in lines[-1]
+
+
+def test_this_machine_hears_on_its_own_address() -> None:
+    assert "127.0.0.1" in heard_on("0.0.0.0")
