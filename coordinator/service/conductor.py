@@ -1,0 +1,355 @@
+"""What becomes of jobs and workers: who computes what, what is committed, and what everybody is told.
+
+Knows no bus: what is to be said goes through an `Outlet`, what must last through the store. The order is always the
+same: first commit, then say.
+"""
+
+import logging
+from collections.abc import Callable
+from typing import Final, Protocol
+
+from common.config import JobConfig
+from common.errors import RefusedError, RemoteProtocolError
+from common.wire.codec import decode, encode
+from common.wire.messages import (
+    Close,
+    Commit,
+    EpochReport,
+    Holding,
+    Introduce,
+    JobAnnouncement,
+    Placement,
+    Placements,
+    PullReports,
+    Submit,
+    WorkerStatus,
+)
+from common.wire.views import FINAL_STATES, JobView
+from coordinator.service.archipelago import INTERVAL_EPOCHS, Archipelago
+from coordinator.service.cut import Cut
+from coordinator.service.job import Conclude, Fault, Job, JobAction, KeepCut, Prepared, TellCommit
+from coordinator.service.membership import Membership
+from coordinator.service.placement import spread
+from coordinator.service.ports import StorePort
+from coordinator.service.progress import ended_view, job_result, job_view, result_text
+from coordinator.service.store import JobRecord
+
+_LOG = logging.getLogger(__name__)
+
+MAX_RUNNING: Final = 4
+"""Jobs searched at the same time; further ones wait in the order of their submission."""
+
+REPLACE_WITHIN_S: Final = 5.0
+"""A worker that joins this soon after a placement takes part in it: the little that was computed is computed again."""
+
+EXPECT_S: Final = 10.0
+"""How long the first ready worker waits for the others that are expected."""
+
+WorkerWord = JobAnnouncement | Placements | Commit | Close | Introduce
+
+
+class Outlet(Protocol):
+    """How a conductor reaches the others."""
+
+    def tell(self, body: WorkerWord, worker: str | None = None) -> None:
+        """Send to one worker, or to all."""
+
+    def pull(self, worker: str, body: PullReports) -> None:
+        """Ask a worker for reports; they come as reports."""
+
+    def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
+        """Have the table prepared elsewhere; `Conductor.prepared` or `Conductor.job_failed` follows."""
+
+
+class Conductor:
+    """All live jobs, all workers, and the views of the jobs that have ended."""
+
+    def __init__(self, store: StorePort, outlet: Outlet, clock: Callable[[], str], expected_workers: int = 1) -> None:
+        """`clock` gives the time of day as ISO text; no island is placed before the expected workers are ready."""
+        self.membership: Final = Membership()
+        self.jobs: dict[str, Job] = {}
+        self.ended: dict[str, JobView] = {}
+        self._store = store
+        self._outlet = outlet
+        self._clock = clock
+        self._expected = expected_workers
+        self._first_ready_at: float | None = None
+
+    # ------------------------------------------------------------------------------------------- jobs
+
+    def recover(self, now: float) -> None:
+        """Take over the jobs of the store: those that had not ended begin again, and come to the same result."""
+        for record in self._store.jobs():
+            if record.state in FINAL_STATES:
+                self.ended[record.id] = ended_view(record, self._store.result(record.id))
+            else:
+                config = JobConfig.model_validate_json(record.spec)
+                self.jobs[record.id] = Job(
+                    record.id, record.name, config, record.table_digest, record.submitted, now - record.elapsed
+                )
+
+    def submit(self, body: Submit, now: float) -> None:
+        """Take in a job. The same id with the same contents again changes nothing.
+
+        Raises:
+            RefusedError: The id belongs to another job, or the table has not been uploaded.
+        """
+        spec = body.config.model_dump_json()
+        known = self._store.job(body.job)
+        if known is not None:
+            if (known.spec, known.table_digest) != (spec, body.table):
+                raise RefusedError(f"job {body.job} exists already with other contents; submit under another id")
+            return
+        if not self._store.has_blob(body.table):
+            raise RefusedError(f"the table of job {body.job} has not been uploaded; upload it, then submit again")
+        submitted = self._clock()
+        self._store.add_job(JobRecord(body.job, body.name, spec, body.table, submitted))
+        self.jobs[body.job] = Job(body.job, body.name, body.config, body.table, submitted, now)
+        _LOG.info("job submitted job=%s name=%s", body.job, body.name)
+        self._prepare_next()
+
+    def cancel(self, job_id: str, now: float) -> None:
+        """End a job and keep what it has found; without effect when it has ended."""
+        job = self.jobs.get(job_id)
+        if job is not None:
+            self._carry_out(job, job.cancel(), now)
+
+    def prepared(self, job_id: str, prepared: Prepared, now: float) -> None:
+        """Take in a prepared dataset: announce the job and place its islands."""
+        job = self.jobs.get(job_id)
+        if job is None or job.state != "preparing":
+            return
+        unknown = sorted(set(job.config.budget.max_epochs_of) - set(prepared.dataset.variables))
+        if unknown:
+            sought = ", ".join(prepared.dataset.variables)
+            sentence = f"--max-epochs names {unknown[0]!r}, for which no equation is sought; sought are {sought}"
+            self.job_failed(job_id, "data", sentence, now)
+            return
+        cuts = {name: decode(data, Cut) for name, data in self._store.cuts(job_id).items()}
+        actions = job.begin(prepared, cuts)
+        self._store.update_job(job_id, state="running", dataset_digest=prepared.blob)
+        self._outlet.tell(job.announcement())
+        self._carry_out(job, actions, now)
+        self.place(now)
+
+    def job_failed(self, job_id: str, fault: Fault, sentence: str, now: float) -> None:
+        """Let a job fail; without effect when it has ended."""
+        job = self.jobs.get(job_id)
+        if job is not None:
+            self._carry_out(job, job.fail(fault, sentence), now)
+
+    def view(self, job_id: str, now: float) -> JobView | None:
+        """Return what people are shown of a job; None for an unknown one."""
+        if job_id in self.jobs:
+            return job_view(self.jobs[job_id], self.membership, now)
+        return self.ended.get(job_id)
+
+    def result(self, job_id: str, now: float) -> str | None:
+        """Return a job's result as JSON text, while it runs the best so far; None while there is none."""
+        job = self.jobs.get(job_id)
+        if job is not None:
+            return result_text(job_result(job, now)) if job.prepared is not None else None
+        return self._store.result(job_id)
+
+    def announcement(self, job_id: str) -> JobAnnouncement | None:
+        """Return what workers must know of a job that is being searched."""
+        job = self.jobs.get(job_id)
+        return job.announcement() if job is not None and job.state == "running" else None
+
+    def placements(self, job_id: str) -> Placements:
+        """Return the current placements of a job."""
+        job = self.jobs.get(job_id)
+        open_ones = job.open_archipelagos if job is not None else ()
+        return Placements(placements=tuple(each.placement for each in open_ones if each.placement is not None))
+
+    # ---------------------------------------------------------------------------------------- workers
+
+    def heartbeat(self, worker: str, status: WorkerStatus, now: float) -> None:
+        """Take in a heartbeat and set right what the worker holds and should not, or should and does not."""
+        was_ready = worker in self.membership.ready()
+        if not self.membership.hear(worker, status, now):
+            self._outlet.tell(Introduce(), worker)
+            return
+        if not was_ready and worker in self.membership.ready():
+            self.place(now)
+        for trouble in status.troubles:
+            if self._is_current(trouble.job, trouble.variable, trouble.term):
+                self.job_failed(trouble.job, "internal", f"{trouble.sentence} (on worker {worker})", now)
+        held = {(each.job, each.variable): each for each in status.holdings}
+        for holding in status.holdings:
+            self._check_holding(worker, holding)
+        self._send_missing_placements(worker, held)
+
+    def report(self, worker: str, report: EpochReport, now: float) -> None:
+        """Take in a report; raises RemoteProtocolError when it cannot be."""
+        job = self.jobs.get(report.job)
+        if job is None:
+            if report.job not in self.ended:
+                raise RemoteProtocolError(f"a report of job {report.job} came, which does not exist")
+            return
+        self._carry_out(job, job.receive(worker, report, now), now)
+
+    def tick(self, now: float) -> None:
+        """Let time pass: lost workers, `--max-time`, jobs that wait for their turn."""
+        lost = self.membership.expire(now)
+        for worker in lost:
+            _LOG.warning("worker lost worker=%s", worker)
+        for job in list(self.jobs.values()):
+            self._carry_out(job, job.tick(now), now)
+        self._prepare_next()
+        self.place(now)
+
+    # --------------------------------------------------------------------------------------- placement
+
+    def place(self, now: float) -> None:
+        """Place, or place anew, every archipelago that has nobody, or somebody who is lost, or newcomers to use."""
+        ready = self.membership.ready()
+        if ready and self._first_ready_at is None:
+            self._first_ready_at = now
+        for job in list(self.jobs.values()):
+            placed_before = 0
+            for archipelago in job.archipelagos.values():
+                if archipelago.cut is None and job.state == "running":
+                    self._place(job, archipelago, placed_before, ready, now)
+                placed_before += archipelago.collector.limits.islands
+
+    def _place(self, job: Job, archipelago: Archipelago, first: int, ready: tuple[str, ...], now: float) -> None:
+        placement = archipelago.placement
+        if placement is not None and any(self.membership.is_lost(worker) for worker in placement.workers):
+            archipelago.unplace()
+            _LOG.warning("placement lost job=%s variable=%s", job.id, archipelago.variable)
+        elif placement is not None and not self._is_worth_replacing(archipelago, placement, ready, now):
+            return
+        if not ready or not self._is_quorate(len(ready), now):
+            return
+        workers = spread(archipelago.collector.limits.islands, first, ready)
+        if archipelago.placement is None or set(workers) != set(archipelago.placement.workers):
+            self._issue(job, archipelago, workers, now)
+
+    def _issue(self, job: Job, archipelago: Archipelago, workers: tuple[str, ...], now: float) -> None:
+        """Begin a term: first in the store, then on the bus."""
+        placement = Placement(
+            incarnation=self._store.incarnation,
+            term=self._store.raise_term(job.id, archipelago.variable),
+            job=job.id,
+            variable=archipelago.variable,
+            workers=workers,
+            epochs=archipelago.collector.limits.epochs,
+            interval=INTERVAL_EPOCHS,
+        )
+        self._store.commit_placement(job.id, archipelago.variable, encode(placement))
+        archipelago.place(placement, now)
+        job.start(now)
+        self._outlet.tell(Placements(placements=(placement,)))
+        _LOG.info(
+            "placed job=%s variable=%s term=%d workers=%d",
+            job.id, archipelago.variable, placement.term, len(set(workers)),
+        )  # fmt: skip
+
+    def _is_worth_replacing(
+        self, archipelago: Archipelago, placement: Placement, ready: tuple[str, ...], now: float
+    ) -> bool:
+        used = len(set(placement.workers))
+        could_use = min(len(ready), archipelago.collector.limits.islands)
+        return could_use > used and now - archipelago.placed_at <= REPLACE_WITHIN_S
+
+    def _is_quorate(self, ready: int, now: float) -> bool:
+        """Whether the expected workers are there, or have been waited for long enough."""
+        waited = now - self._first_ready_at if self._first_ready_at is not None else 0.0
+        if ready >= self._expected or waited >= EXPECT_S:
+            self._expected = 1
+            return True
+        return False
+
+    # -------------------------------------------------------------------------------- what workers hold
+
+    def _check_holding(self, worker: str, holding: Holding) -> None:
+        archipelago = self._archipelago(holding.job, holding.variable)
+        if archipelago is None or archipelago.cut is not None:
+            job = self.jobs.get(holding.job)
+            is_over = job is None or job.state != "running"
+            self._outlet.tell(Close(job=holding.job, variable=None if is_over else holding.variable), worker)
+            return
+        placement = archipelago.placement
+        if placement is None:
+            return
+        if holding.term < placement.term:
+            self._outlet.tell(Placements(placements=(placement,)), worker)
+        elif holding.term == placement.term:
+            self._catch_up(worker, archipelago, holding)
+
+    def _catch_up(self, worker: str, archipelago: Archipelago, holding: Holding) -> None:
+        """Pull reports that were lost, and repeat a commit that was."""
+        archipelago.note_holding(worker, holding)
+        pull = archipelago.missing_reports(worker, holding)
+        if pull is not None:
+            self._outlet.pull(worker, pull)
+        due = archipelago.commit_due()
+        if due is not None:
+            self._outlet.tell(due)
+        commit = archipelago.commit()
+        if commit is not None and holding.commit < commit.epoch:
+            self._outlet.tell(commit, worker)
+
+    def _send_missing_placements(self, worker: str, held: dict[tuple[str, str], Holding]) -> None:
+        missing = [
+            archipelago.placement
+            for job in self.jobs.values()
+            for archipelago in job.open_archipelagos
+            if archipelago.placement is not None
+            and worker in archipelago.placement.workers
+            and (job.id, archipelago.variable) not in held
+        ]
+        if missing:
+            self._outlet.tell(Placements(placements=tuple(missing)), worker)
+
+    def _archipelago(self, job_id: str, variable: str) -> Archipelago | None:
+        job = self.jobs.get(job_id)
+        return job.archipelagos.get(variable) if job is not None and job.state == "running" else None
+
+    def _is_current(self, job_id: str, variable: str, term: int) -> bool:
+        archipelago = self._archipelago(job_id, variable)
+        placement = archipelago.placement if archipelago is not None and archipelago.cut is None else None
+        return placement is not None and placement.term == term
+
+    # ----------------------------------------------------------------------------------------- outcomes
+
+    def _carry_out(self, job: Job, actions: list[JobAction], now: float) -> None:
+        for action in actions:
+            match action:
+                case KeepCut():
+                    self._keep_cut(job, action.cut)
+                case TellCommit():
+                    self._outlet.tell(action.commit)
+                case Conclude():
+                    self._conclude(job, now)
+
+    def _keep_cut(self, job: Job, cut: Cut) -> None:
+        self._store.commit_cut(job.id, cut.variable, encode(cut))
+        self._outlet.tell(Close(job=job.id, variable=cut.variable))
+        _LOG.info("cut job=%s variable=%s epochs=%d why=%s", job.id, cut.variable, cut.epochs, cut.why)
+
+    def _conclude(self, job: Job, now: float) -> None:
+        text = result_text(job_result(job, now)) if job.prepared is not None else None
+        self._store.update_job(job.id, elapsed=now - job.submitted_at)
+        self._store.commit_result(job.id, job.state, text, job.reason, self._clock())
+        self._outlet.tell(Close(job=job.id))
+        self.ended[job.id] = replace_workers(job_view(job, self.membership, now))
+        del self.jobs[job.id]
+        _LOG.info("job ended job=%s state=%s reason=%s", job.id, job.state, job.reason)
+        self._prepare_next()
+
+    def _prepare_next(self) -> None:
+        """Begin to prepare the next job that waits, one at a time, while there is room for more."""
+        states = [job.state for job in self.jobs.values()]
+        waiting = next((job for job in self.jobs.values() if job.state == "queued"), None)
+        if waiting is None or "preparing" in states or states.count("running") >= MAX_RUNNING:
+            return
+        waiting.prepare()
+        self._store.update_job(waiting.id, state="preparing")
+        self._outlet.prepare(waiting.id, self._store.get_blob(waiting.table), waiting.config)
+
+
+def replace_workers(view: JobView) -> JobView:
+    """Return the view of a job that has ended: nobody works on it."""
+    return view.model_copy(update={"workers": 0})

@@ -1,0 +1,56 @@
+"""A cut: where the search of one equation ended and what it had found there. Durable once it is committed."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from common.config import Model
+from common.pareto import FrontEntry
+
+Why = Literal["target", "stagnation", "max-epochs", "max-time", "cancelled"]
+
+
+class CutEntry(Model):
+    """A `common.pareto.FrontEntry` as it is stored."""
+
+    complexity: int
+    error: float
+    mse: float
+    epoch: int
+    generation: int
+    island: int
+    program: bytes
+
+
+class Cut(Model):
+    """The end of one archipelago.
+
+    `epochs` are counted, so the last one is `epochs` - 1; `generation`, counted from the start of the search, is the
+    one that met the target (None: it was not met); `evaluations` are point evaluations by part of all islands up to
+    the cut; `seconds` run from the first epoch's start to the last one's end.
+    """
+
+    variable: str
+    epochs: Annotated[int, Field(ge=0)]
+    generation: Annotated[int, Field(ge=0)] | None
+    why: Why
+    front: tuple[CutEntry, ...]
+    evaluations: dict[str, int]
+    seconds: float
+
+    def entries(self) -> tuple[FrontEntry, ...]:
+        """Return the front."""
+        return tuple(FrontEntry(**entry.model_dump()) for entry in self.front)
+
+
+def stored(entry: FrontEntry) -> CutEntry:
+    """Return a front member as it is stored."""
+    return CutEntry(
+        complexity=entry.complexity,
+        error=entry.error,
+        mse=entry.mse,
+        epoch=entry.epoch,
+        generation=entry.generation,
+        island=entry.island,
+        program=entry.program,
+    )

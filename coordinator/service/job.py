@@ -1,0 +1,237 @@
+"""One job: its states, its archipelagos, and what is to be done when something happens to it. Pure; time comes in."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from common.config import JobConfig
+from common.dataset import Dataset, Target
+from common.errors import LocalProtocolError, RemoteProtocolError
+from common.expression.program import Program
+from common.pareto import FrontEntry
+from common.wire.messages import Commit, EpochReport, JobAnnouncement, chunk_count
+from common.wire.views import FINAL_STATES, JobState
+from coordinator.model.select import count_constants, description_length
+from coordinator.service.archipelago import Archipelago
+from coordinator.service.collector import DivergedError, Limits, Measure
+from coordinator.service.cut import Cut
+
+JobStep = Literal["prepare", "prepared", "searched", "refined", "fail", "cancel"]
+Fault = Literal["data", "diverged", "internal"]
+
+JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
+    "queued": {"prepare": "preparing", "fail": "failed", "cancel": "cancelled"},
+    "preparing": {"prepared": "running", "fail": "failed", "cancel": "cancelled"},
+    "running": {"searched": "done", "fail": "failed", "cancel": "cancelled"},
+    "refining": {"refined": "done", "fail": "failed", "cancel": "cancelled"},
+    "done": {},
+    "failed": {},
+    "cancelled": {},
+}
+"""State of a job -> what happens -> its next state. Nothing happens to a job that has ended."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeepCut:
+    """Commit the cut, then tell the workers that its archipelago is closed."""
+
+    cut: Cut
+
+
+@dataclass(frozen=True, slots=True)
+class TellCommit:
+    """Tell the workers of a new commit."""
+
+    commit: Commit
+
+
+@dataclass(frozen=True, slots=True)
+class Conclude:
+    """The job has ended: commit its result, then close it."""
+
+
+JobAction = KeepCut | TellCommit | Conclude
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """What preparing gave: the dataset, the resolved configuration, and the dataset's bytes by digest and size."""
+
+    dataset: Dataset
+    config: JobConfig
+    blob: str
+    size: int
+
+
+class Job:
+    """A job from its submission to its end."""
+
+    def __init__(self, job: str, name: str, config: JobConfig, table: str, submitted: str, now: float) -> None:
+        """`table` is the digest of the uploaded table, `submitted` an ISO time, `now` the bus's seconds."""
+        self.id: Final = job
+        self.name: Final = name
+        self.config: Final = config
+        self.table: Final = table
+        self.submitted: Final = submitted
+        self.submitted_at: Final = now
+        self.state: JobState = "queued"
+        self.reason: str | None = None
+        self.fault: Fault | None = None
+        self.prepared: Prepared | None = None
+        self.archipelagos: dict[str, Archipelago] = {}
+        self.started_at: float | None = None
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether nothing can happen to it any more."""
+        return self.state in FINAL_STATES
+
+    @property
+    def open_archipelagos(self) -> tuple[Archipelago, ...]:
+        """The archipelagos that are still searched."""
+        if self.state != "running":
+            return ()
+        return tuple(each for each in self.archipelagos.values() if each.cut is None)
+
+    def announcement(self) -> JobAnnouncement:
+        """Return what workers need to know; raises LocalProtocolError before the job is prepared."""
+        if self.prepared is None:
+            raise LocalProtocolError(f"job {self.id} cannot be announced before it is prepared")
+        return JobAnnouncement(
+            job=self.id,
+            config=self.prepared.config,
+            variables=self.prepared.dataset.variables,
+            blob=self.prepared.blob,
+            size=self.prepared.size,
+            chunks=chunk_count(self.prepared.size),
+        )
+
+    def prepare(self) -> None:
+        """Note that its data are being prepared."""
+        self._step("prepare")
+
+    def begin(self, prepared: Prepared, cuts: Mapping[str, Cut]) -> list[JobAction]:
+        """Set up the archipelagos; those of `cuts` have ended before."""
+        self._step("prepared")
+        self.prepared = prepared
+        for target in prepared.dataset.targets:
+            archipelago = self._archipelago(prepared, target)
+            if target.variable in cuts:
+                archipelago.restore(cuts[target.variable])
+            self.archipelagos[target.variable] = archipelago
+        return self._conclude_if_cut()
+
+    def start(self, now: float) -> None:
+        """Note that islands have been placed: the time of the search begins, once."""
+        if self.started_at is None:
+            self.started_at = now
+
+    def search_seconds(self, now: float) -> float:
+        """Return how long the search has lasted."""
+        return now - self.started_at if self.started_at is not None else 0.0
+
+    def receive(self, worker: str, report: EpochReport, now: float) -> list[JobAction]:
+        """Take in a report; raises RemoteProtocolError when it cannot be."""
+        archipelago = self.archipelagos.get(report.variable)
+        if self.state != "running":
+            return []
+        if archipelago is None:
+            raise RemoteProtocolError(f"job {self.id} has no variable {report.variable!r}")
+        try:
+            advanced = archipelago.receive(worker, report, self.search_seconds(now))
+        except DivergedError as error:
+            return self.fail("diverged", str(error))
+        return self._after_epoch(archipelago) if advanced else self._commit_of(archipelago)
+
+    def tick(self, now: float) -> list[JobAction]:
+        """Let time pass: `--max-time` cuts every variable at its last completely reported epoch."""
+        limit = self.config.budget.max_time
+        if self.state != "running" or limit is None or self.search_seconds(now) < limit:
+            return []
+        actions: list[JobAction] = []
+        for archipelago in self.open_archipelagos:
+            archipelago.collector.cut_now("max-time")
+            actions += self._cut_of(archipelago)
+        return actions + (self._conclude_if_cut() if actions else [])
+
+    def cancel(self) -> list[JobAction]:
+        """End it and keep what has been found; without effect on a job that has ended."""
+        if self.has_ended:
+            return []
+        actions: list[JobAction] = []
+        for archipelago in self.open_archipelagos:
+            archipelago.collector.cut_now("cancelled")
+            actions += self._cut_of(archipelago)
+        self._step("cancel")
+        return [*actions, Conclude()]
+
+    def fail(self, fault: Fault, sentence: str) -> list[JobAction]:
+        """End it with a reason; without effect on a job that has ended."""
+        if self.has_ended:
+            return []
+        self._step("fail")
+        self.fault, self.reason = fault, sentence
+        return [Conclude()]
+
+    def validate(self) -> None:
+        """Check the invariants; raises AssertionError."""
+        for archipelago in self.archipelagos.values():
+            archipelago.validate()
+        is_searching = bool(self.open_archipelagos)
+        assert self.state != "running" or is_searching or not self.archipelagos, "a searched job is still running"
+
+    def _step(self, step: JobStep) -> None:
+        following = JOB_TRANSITIONS[self.state].get(step)
+        if following is None:
+            raise LocalProtocolError(f"job {self.id} is {self.state} and cannot {step}")
+        self.state = following
+
+    def _archipelago(self, prepared: Prepared, target: Target) -> Archipelago:
+        config, inputs = prepared.config, len(prepared.dataset.names)
+        budget = config.budget
+        limits = Limits(
+            islands=config.evolution.islands,
+            epochs=budget.max_epochs_of.get(target.variable, budget.max_epochs),
+            stagnation=budget.stagnation,
+            generations=config.migration.generations,
+        )
+        return Archipelago(
+            self.id, target.variable, limits, measure_of(target), lambda data: check_program(data, inputs)
+        )
+
+    def _after_epoch(self, archipelago: Archipelago) -> list[JobAction]:
+        if archipelago.cut is None:
+            return self._commit_of(archipelago)
+        return [*self._cut_of(archipelago), *self._conclude_if_cut()]
+
+    def _commit_of(self, archipelago: Archipelago) -> list[JobAction]:
+        commit = archipelago.commit_due()
+        return [TellCommit(commit)] if commit is not None else []
+
+    def _cut_of(self, archipelago: Archipelago) -> list[JobAction]:
+        return [KeepCut(archipelago.cut)] if archipelago.cut is not None else []
+
+    def _conclude_if_cut(self) -> list[JobAction]:
+        if self.open_archipelagos:
+            return []
+        self._step("searched")
+        return [Conclude()]
+
+
+def measure_of(target: Target) -> Measure:
+    """Return the measure by which a front of this target is better than another: its least description length."""
+    rows = len(target.values)
+
+    def least(front: tuple[FrontEntry, ...]) -> float:
+        lengths = (
+            description_length(entry, rows, target.floor, target.deviation, count_constants(entry.program))
+            for entry in front
+        )
+        return min(lengths, default=float("inf"))
+
+    return least
+
+
+def check_program(data: bytes, inputs: int) -> None:
+    """Raise RemoteProtocolError unless `data` is a program over that many inputs."""
+    Program.from_bytes(data, inputs)

@@ -1,0 +1,73 @@
+"""What the service needs from outside itself, beside the bus: a store, a place for slow work, the time of day."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from common.config import JobConfig
+from common.dataset import Dataset
+from coordinator.service.store import JobRecord
+
+
+class StorePort(Protocol):
+    """The part of `coordinator.service.store.Store` that the service uses; its promises are described there."""
+
+    @property
+    def realm(self) -> str:
+        """Random name of the store."""
+
+    @property
+    def incarnation(self) -> int:
+        """How often the store has been opened."""
+
+    def add_job(self, job: JobRecord) -> bool: ...
+
+    def job(self, job: str) -> JobRecord | None: ...
+
+    def jobs(self) -> tuple[JobRecord, ...]: ...
+
+    def update_job(self, job: str, **changes: str | float | None) -> bool: ...
+
+    def commit_result(
+        self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None
+    ) -> bool: ...
+
+    def result(self, job: str) -> str | None: ...
+
+    def raise_term(self, job: str, variable: str) -> int: ...
+
+    def commit_placement(self, job: str, variable: str, placement: bytes) -> None: ...
+
+    def commit_cut(self, job: str, variable: str, cut: bytes) -> bool: ...
+
+    def cuts(self, job: str) -> dict[str, bytes]: ...
+
+    def put_blob(self, data: bytes) -> str: ...
+
+    def has_blob(self, digest: str) -> bool: ...
+
+    def get_blob(self, digest: str) -> bytes: ...
+
+    def get_chunk(self, digest: str, index: int) -> bytes: ...
+
+    def missing_chunks(self, digest: str, size: int) -> tuple[int, ...]: ...
+
+    def put_chunk(self, digest: str, size: int, index: int, data: bytes) -> bool: ...
+
+    def blob_bytes(self) -> int: ...
+
+
+Preparer = Callable[[bytes, JobConfig], Dataset]
+"""Turns an uploaded table into regression problems; raises DataError or UsageError with a sentence for the user."""
+
+Background = Callable[[Callable[[], None]], None]
+"""Has a piece of work done elsewhere than on the caller's thread, and returns at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """The outside world of a service. `clock` gives the time of day as ISO text."""
+
+    preparer: Preparer
+    background: Background
+    clock: Callable[[], str]

@@ -1,0 +1,37 @@
+"""From an uploaded table to regression problems, away from the service's loop."""
+
+import threading
+from collections.abc import Callable
+from datetime import UTC, datetime
+from typing import Final
+
+from common.config import JobConfig
+from common.dataset import Dataset
+from coordinator.service.ports import Ports
+
+
+def prepare_table(table: bytes, config: JobConfig) -> Dataset:
+    """Smooth and differentiate an uploaded table.
+
+    Raises:
+        DataError: The measurements cannot be used as they are.
+        UsageError: Options contradict each other or name columns that are not there.
+        RemoteProtocolError: The bytes are not those of a table.
+    """
+    from common.table import Table
+    from coordinator.data.prepare import prepare
+
+    return prepare(Table.from_bytes(table), config)
+
+
+def in_thread(work: Callable[[], None]) -> None:
+    """Have `work` done in a thread that keeps no process alive."""
+    threading.Thread(target=work, name="preparing", daemon=True).start()
+
+
+def iso_now() -> str:
+    """Return the time of day, UTC, to the millisecond."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+REAL: Final = Ports(prepare_table, in_thread, iso_now)

@@ -1,0 +1,153 @@
+"""What people are shown of a job: its view, and its result, also while it runs. Pure."""
+
+import json
+from typing import Any, cast
+
+from common.expression.program import Program
+from common.expression.text import PRINTABLE_SIZE, to_infix, tree_size
+from common.pareto import FrontEntry
+from common.wire.views import JobState, JobView, VariableView
+from coordinator.model.result import Account, VariableOutcome, build_result
+from coordinator.model.select import select, threshold
+from coordinator.service.archipelago import Archipelago
+from coordinator.service.cut import Why
+from coordinator.service.job import Job, Prepared
+from coordinator.service.membership import Membership
+from coordinator.service.store import JobRecord
+
+
+def job_result(job: Job, now: float) -> dict[str, Any]:
+    """Return the contents of result.json for a prepared job: final, or the best so far."""
+    prepared = job.prepared
+    if prepared is None:
+        raise ValueError(f"job {job.id} has no dataset yet")
+    outcomes = [outcome_of(each) for each in job.archipelagos.values()]
+    account = Account(
+        state=job.state,
+        seconds=now - job.submitted_at,
+        search_seconds=max((outcome.seconds for outcome in outcomes), default=0.0),
+        reason=job.reason,
+    )
+    return build_result(job.id, prepared.config, prepared.dataset, outcomes, account)
+
+
+def result_text(result: dict[str, Any]) -> str:
+    """Return a result as JSON text."""
+    return json.dumps(result, ensure_ascii=False, allow_nan=False)
+
+
+def outcome_of(archipelago: Archipelago) -> VariableOutcome:
+    """Return how the search of one equation ended, or how it stands after the epochs that are complete."""
+    cut = archipelago.cut
+    if cut is not None:
+        return VariableOutcome(
+            archipelago.variable, cut.entries(), cut.epochs, cut.generation, cut.evaluations, cut.seconds, cut.why
+        )
+    progress = archipelago.collector.progress
+    return VariableOutcome(
+        archipelago.variable, progress.front, progress.epochs, None, progress.evaluations, progress.seconds
+    )
+
+
+def job_view(job: Job, membership: Membership, now: float) -> JobView:
+    """Return what `jobs` and `status` show of a live job, or of one that ends now."""
+    outcomes = [outcome_of(each) for each in job.archipelagos.values()]
+    evaluations = sum(sum(outcome.evaluations.values()) for outcome in outcomes)
+    seconds = job.search_seconds(now)
+    variables = tuple(_variable_view(job.prepared, each) for each in outcomes) if job.prepared else ()
+    return JobView(
+        job=job.id,
+        name=job.name,
+        state=job.state,
+        seed=job.config.seed,
+        preset=job.config.preset,
+        reason=job.reason or _waits_for(job, membership),
+        fault=job.fault,
+        warnings=job.prepared.dataset.warnings if job.prepared else (),
+        submitted=job.submitted,
+        elapsed=now - job.submitted_at,
+        workers=_workers(job),
+        point_evaluations=evaluations,
+        point_evaluations_per_second=evaluations / seconds if seconds > 0.0 and evaluations else None,
+        variables=variables,
+    )
+
+
+def ended_view(record: JobRecord, result: str | None) -> JobView:
+    """Return the view of a job that ended before this coordinator started, from what was stored."""
+    spec = json.loads(record.spec)
+    contents: dict[str, Any] = {"equations": [], "point_evaluations": 0, "warnings": []}
+    if result is not None:
+        contents = json.loads(result)
+    return JobView(
+        job=record.id,
+        name=record.name,
+        state=cast(JobState, record.state),
+        seed=spec["seed"],
+        preset=spec["preset"],
+        reason=record.reason,
+        warnings=tuple(contents["warnings"]),
+        submitted=record.submitted,
+        elapsed=record.elapsed,
+        workers=0,
+        point_evaluations=contents["point_evaluations"],
+        variables=tuple(_stored_variable_view(each) for each in contents["equations"]),
+    )
+
+
+def _variable_view(prepared: Prepared, outcome: VariableOutcome) -> VariableView:
+    target = prepared.dataset.problem(outcome.variable).target
+    target_error = prepared.config.budget.target_error
+    view = VariableView(
+        variable=outcome.variable,
+        lhs=target.lhs,
+        epoch=outcome.epoch,
+        point_evaluations=sum(outcome.evaluations.values()),
+        finished=outcome.why is not None,
+        why=cast(Why | None, outcome.why),
+    )
+    names = prepared.dataset.names
+    front = [entry for entry in outcome.front if is_printable(entry, len(names))]
+    if not front:
+        return view
+    entry = front[select(front, len(target.values), target, target_error)]
+    normalized = entry.error / target.deviation if target.deviation else None
+    return view.model_copy(
+        update={
+            "error": entry.error,
+            "normalized_error": normalized,
+            "complexity": entry.complexity,
+            "expression": to_infix(Program.from_bytes(entry.program, len(names)), names),
+            "converged": normalized is not None and normalized <= threshold(target, target_error),
+        }
+    )
+
+
+def is_printable(entry: FrontEntry, inputs: int) -> bool:
+    """Tell whether an equation, written out, has a length that anybody could read."""
+    return tree_size(Program.from_bytes(entry.program, inputs)) <= PRINTABLE_SIZE
+
+
+def _stored_variable_view(equation: dict[str, Any]) -> VariableView:
+    fields = ("variable", "lhs", "epoch", "error", "normalized_error", "complexity", "expression", "converged", "why")
+    known = {name: equation[name] for name in fields}
+    return VariableView(**known, point_evaluations=equation["point_evaluations"], finished=True)
+
+
+def _workers(job: Job) -> int:
+    placements = [each.placement for each in job.open_archipelagos]
+    return len({worker for placement in placements if placement is not None for worker in placement.workers})
+
+
+def _waits_for(job: Job, membership: Membership) -> str | None:
+    """Return what a job waits for, if it cannot get on by itself."""
+    if job.state == "queued":
+        return "waits for its turn"
+    if not any(each.placement is None for each in job.open_archipelagos):
+        return None
+    arriving = membership.arriving()
+    if arriving:
+        return f"waits for {arriving} worker{'s' if arriving > 1 else ''} to load or compile the kernels"
+    if not membership.ready():
+        return "waits for a worker: none has joined, or all are lost"
+    return "waits for the other workers to join"

@@ -1,0 +1,31 @@
+"""Fields of a configuration that are left open until the data are known."""
+
+from typing import Final
+
+from common.config import JobConfig
+from common.dataset import Dataset
+
+CLEAN_FLOOR: Final = 1e-3
+"""Targets known better than this, relative to their spread, count as noise-free."""
+
+ROWS_CLEAN: Final = 16
+ROWS_NOISY: Final = 64
+PAPER_TERMINALS: Final = 7
+TERMINALS_BEYOND_VARIABLES: Final = 5
+
+
+def resolve(config: JobConfig, dataset: Dataset) -> JobConfig:
+    """Return `config` with the rows of a predictor and the number of terminals filled in, as workers need it."""
+    rows = config.predictors.rows or _rows(dataset)
+    terminals = config.space.terminals or max(PAPER_TERMINALS, len(dataset.names) + TERMINALS_BEYOND_VARIABLES)
+    return config.model_copy(
+        update={
+            "predictors": config.predictors.model_copy(update={"rows": rows}),
+            "space": config.space.model_copy(update={"terminals": terminals}),
+        }
+    )
+
+
+def _rows(dataset: Dataset) -> int:
+    is_clean = all(target.floor < CLEAN_FLOOR and target.noise == 0.0 for target in dataset.targets)
+    return ROWS_CLEAN if is_clean else ROWS_NOISY

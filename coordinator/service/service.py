@@ -1,0 +1,289 @@
+"""The coordinator at work: the only loop. Bus events go to conductor and desk, their words to the bus.
+
+`Service.step` takes one event and never blocks for long; `Service.run` is the thin loop around `Bus.receive`.
+"""
+
+import hashlib
+import logging
+import threading
+from dataclasses import dataclass
+from functools import singledispatchmethod
+from typing import Final
+
+from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from common.config import JobConfig
+from common.errors import DataError, RemoteProtocolError, UsageError
+from common.wire import topics
+from common.wire.bus import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
+from common.wire.codec import dataset_to_bytes, decode, encode
+from common.wire.messages import (
+    MAX_MESSAGE,
+    Answer,
+    Ask,
+    Control,
+    EpochReport,
+    Failure,
+    Greeting,
+    GreetingAnswer,
+    Hello,
+    Pull,
+    PullAnswer,
+    PullReports,
+    Refusal,
+    Reports,
+    Shutdown,
+    Welcome,
+    WorkerStatus,
+)
+from common.wire.rejects import Rejects
+from coordinator.service.conductor import Conductor, WorkerWord
+from coordinator.service.desk import Body, Desk
+from coordinator.service.job import Fault, Prepared
+from coordinator.service.membership import version_refusal
+from coordinator.service.ports import Ports, StorePort
+from coordinator.service.preparing import REAL
+from coordinator.service.resolve import resolve
+
+_LOG = logging.getLogger(__name__)
+
+TICK_S: Final = 0.5
+PULL_TIMEOUT_S: Final = 5.0
+_TICK: Final = "tick"
+
+
+@dataclass(frozen=True, slots=True)
+class _Ready:
+    """Posted by the preparing thread: a job's dataset and its bytes."""
+
+    job: str
+    prepared: Prepared
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class _Unprepared:
+    """Posted by the preparing thread: why there is no dataset."""
+
+    job: str
+    fault: Fault
+    sentence: str
+
+
+class Service:
+    """One coordinator on one bus, over one store. Owned by the bus's owner thread."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        store: StorePort,
+        *,
+        expected_workers: int = 1,
+        dismisses_workers: bool = False,
+        ports: Ports | None = None,
+    ) -> None:
+        """Set up a coordinator.
+
+        Args:
+            bus: open, with a router that workers and clients reach.
+            store: open; decides realm and incarnation.
+            expected_workers: how many workers the first placement waits for, within limits.
+            dismisses_workers: whether workers are told to end when this ends; otherwise they wait for its return.
+            ports: preparing, background work and time of day; the real ones unless given.
+        """
+        self.rejects: Final = Rejects(_LOG)
+        self._bus = bus
+        self._store = store
+        self._dismisses_workers = dismisses_workers
+        self._ports = ports or REAL
+        self._asked: dict[int, str] = {}
+        self.conductor: Final = Conductor(store, self, self._ports.clock, expected_workers)
+        self._desk = Desk(self.conductor, store, bus.now)
+
+    # ------------------------------------------------------------------------------------------- life
+
+    def start(self) -> None:
+        """Take over what the store holds, then listen."""
+        realm = self._store.realm
+        self.conductor.recover(self._bus.now())
+        self._bus.subscribe(topics.all_workers(realm, "status"))
+        self._bus.subscribe(topics.all_workers(realm, "report"))
+        self._bus.watch(topics.all_workers(realm, "alive"))
+        for expression in (topics.all_jobs(realm), topics.all_blobs(realm), topics.all_clients(realm), topics.HELLO):
+            self._bus.serve(expression)
+        self._bus.call_later(TICK_S, _TICK)
+        _LOG.info("coordinator ready realm=%s incarnation=%d", realm, self._store.incarnation)
+
+    def run(self, stop: threading.Event) -> None:
+        """Work until `stop` is set."""
+        self.start()
+        while not stop.is_set():
+            event = self._bus.receive(0.1)
+            if event is not None:
+                self.step(event)
+        if self._dismisses_workers:
+            self._put(topics.control(self._store.realm), Control(body=Shutdown(sentence="the coordinator ended")))
+
+    def step(self, event: Event) -> None:
+        """Take in one event. What a peer did wrong is counted, logged once and changes nothing."""
+        try:
+            self._on(event)
+        except RemoteProtocolError as error:
+            self.rejects.note(event.key if isinstance(event, Message | Query | Presence) else "answer", error)
+
+    # ------------------------------------------------------------------------------- what others hear
+
+    def tell(self, body: WorkerWord, worker: str | None = None) -> None:
+        """See `Outlet.tell`."""
+        self._put(topics.control(self._store.realm, worker), Control(body=body))
+
+    def pull(self, worker: str, body: PullReports) -> None:
+        """See `Outlet.pull`."""
+        key = topics.worker(self._store.realm, worker, "pull")
+        self._asked[self._bus.get(key, encode(Pull(body=body)), PULL_TIMEOUT_S)] = worker
+
+    def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
+        """See `Outlet.prepare`."""
+        self._ports.background(lambda: self._bus.post(self._prepare(job, table, config)))
+
+    def _prepare(self, job: str, table: bytes, config: JobConfig) -> _Ready | _Unprepared:
+        """Smooth and differentiate; runs in the background."""
+        try:
+            dataset = self._ports.preparer(table, config)
+            data = dataset_to_bytes(dataset)
+            prepared = Prepared(dataset, resolve(config, dataset), hashlib.sha256(data).hexdigest(), len(data))
+            return _Ready(job, prepared, data)
+        except (DataError, UsageError, RemoteProtocolError) as error:
+            return _Unprepared(job, "data", str(error))
+        except Exception as error:  # the job fails with it, the coordinator goes on
+            _LOG.exception("preparing broke job=%s", job)
+            return _Unprepared(job, "internal", f"preparing the data broke ({type(error).__name__}: {error})")
+
+    def _put(self, key: str, message: Control) -> None:
+        self._bus.put(key, encode(message))
+
+    # ----------------------------------------------------------------------------------------- events
+
+    @singledispatchmethod
+    def _on(self, event: Event) -> None:
+        raise RemoteProtocolError(f"events of kind {type(event).__name__} are not expected here")
+
+    @_on.register
+    def _on_timer(self, event: Timer) -> None:
+        if event.name == _TICK:
+            self.conductor.tick(self._bus.now())
+            self._bus.call_later(TICK_S, _TICK)
+
+    @_on.register
+    def _on_posted(self, event: Posted) -> None:
+        item, now = event.item, self._bus.now()
+        match item:
+            case _Ready():
+                self._store.put_blob(item.data)
+                self.conductor.prepared(item.job, item.prepared, now)
+            case _Unprepared():
+                self.conductor.job_failed(item.job, item.fault, item.sentence, now)
+
+    @_on.register
+    def _on_link(self, event: Link) -> None:
+        _LOG.warning("router link up=%s", event.up)
+
+    @_on.register
+    def _on_presence(self, event: Presence) -> None:
+        key = topics.parse(event.key)
+        if isinstance(key, topics.WorkerKey):
+            self.conductor.membership.see(key.worker, event.present, self._bus.now())
+
+    @_on.register
+    def _on_message(self, event: Message) -> None:
+        key = topics.parse(event.key)
+        match key:
+            case topics.WorkerKey(part="status"):
+                status = decode(event.payload, WorkerStatus, MAX_MESSAGE)
+                self.conductor.heartbeat(key.worker, status, self._bus.now())
+            case topics.WorkerKey(part="report"):
+                report = decode(event.payload, EpochReport, MAX_MESSAGE)
+                self.conductor.report(key.worker, report, self._bus.now())
+            case _:
+                raise RemoteProtocolError(f"nothing is expected on key {event.key}")
+
+    @_on.register
+    def _on_reply(self, event: Reply) -> None:
+        worker = self._asked.pop(event.token, None)
+        if worker is None or event.payload is None:
+            return
+        body = decode(event.payload, PullAnswer, MAX_MESSAGE).body
+        if isinstance(body, Reports):
+            for report in body.reports:
+                self.conductor.report(worker, report, self._bus.now())
+
+    # ---------------------------------------------------------------------------------------- queries
+
+    @_on.register
+    def _on_query(self, event: Query) -> None:
+        try:
+            answer = self._answer(event)
+        except RemoteProtocolError:
+            self._bus.reply(event, None)
+            raise
+        self._bus.reply(event, answer)
+
+    def _answer(self, event: Query) -> bytes | None:
+        key = topics.parse(event.key)
+        match key:
+            case topics.HelloKey():
+                return encode(GreetingAnswer(body=self._greet(event.payload)))
+            case topics.JobKey():
+                announcement = self.conductor.announcement(key.job)
+                return encode(Control(body=announcement)) if announcement is not None else None
+            case topics.PlacementKey():
+                return encode(Control(body=self.conductor.placements(key.job)))
+            case topics.BlobKey():
+                return self._chunk(key)
+            case topics.ClientKey():
+                return encode(Answer(body=self._serve_client(event)))
+            case _:
+                raise RemoteProtocolError(f"nothing is served on key {event.key}")
+
+    def _greet(self, payload: bytes) -> Welcome | Refusal:
+        try:
+            hello = decode(payload, Greeting, MAX_MESSAGE).body
+        except RemoteProtocolError as error:
+            self.rejects.note(topics.HELLO, error)
+            return _refusal(
+                f"the coordinator is Atoll {VERSION} (protocol {PROTOCOL_VERSION}) and did not understand the "
+                "greeting; install the same version on both sides"
+            )
+        sentence = self._refuse(hello)
+        if sentence is not None:
+            _LOG.warning("refused role=%s name=%s reason=%s", hello.role, hello.name, sentence)
+            return _refusal(sentence)
+        return Welcome(
+            realm=self._store.realm,
+            incarnation=self._store.incarnation,
+            protocol=PROTOCOL_VERSION,
+            version=VERSION,
+            engine=ENGINE_REVISION,
+        )
+
+    def _refuse(self, hello: Hello) -> str | None:
+        if hello.role == "client":
+            return version_refusal(hello)
+        return self.conductor.membership.greet(hello, self._bus.now())
+
+    def _chunk(self, key: topics.BlobKey) -> bytes | None:
+        try:
+            return self._store.get_chunk(key.digest, key.index)
+        except KeyError:
+            return None
+
+    def _serve_client(self, event: Query) -> Body:
+        try:
+            ask = decode(event.payload, Ask, MAX_MESSAGE)
+        except RemoteProtocolError as error:
+            self.rejects.note(event.key, error)
+            return Failure(failure="protocol", sentence=f"the coordinator did not understand the question: {error}")
+        return self._desk.answer(ask)
+
+
+def _refusal(sentence: str) -> Refusal:
+    return Refusal(protocol=PROTOCOL_VERSION, version=VERSION, engine=ENGINE_REVISION, sentence=sentence[:4000])
