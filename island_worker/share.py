@@ -218,12 +218,11 @@ class Share:
             local.step("end")
             return []
         local.step("emigrate")
-        actions = self._emigrate(local, done.emigrants)
         local.epoch += 1
         local.needs = done.senders | (frozenset({local.index}) & frozenset(done.emigrants))
         local.pause_s, local.ask_at = PULL_AFTER_S, None
         self._complete(local)
-        return actions
+        return self._emigrate(done.key, done.emigrants)
 
     def _state_hit(self, local: LocalIsland, generation: int) -> list[Send | SendReport]:
         local.step("end")
@@ -239,17 +238,17 @@ class Share:
         self.hits[local.index] = hit
         return [Send(peer, hit) for peer in self._others]
 
-    def _emigrate(self, local: LocalIsland, emigrants: Mapping[int, bytes]) -> list[Send | SendReport]:
+    def _emigrate(self, key: TaskKey, emigrants: Mapping[int, bytes]) -> list[Send | SendReport]:
         """Keep, deliver and send an island's emigrants: one message for each other worker."""
-        self._sent[local.epoch, local.index] = dict(emigrants)
+        self._sent[key.epoch, key.island] = dict(emigrants)
         leaving: dict[str, list[Block]] = {}
         for destination in sorted(emigrants):
-            block = Block(source=local.index, destination=destination, data=emigrants[destination])
+            block = Block(source=key.island, destination=destination, data=emigrants[destination])
             if destination in self.islands:
-                self._deliver(local.epoch, block)
+                self._deliver(key.epoch, block)
             else:
                 leaving.setdefault(self.placement.workers[destination], []).append(block)
-        return [Send(peer, self._migrants(local.epoch, blocks)) for peer, blocks in leaving.items()]
+        return [Send(peer, self._migrants(key.epoch, blocks)) for peer, blocks in leaving.items()]
 
     def _migrants(self, epoch: int, blocks: Iterable[Block]) -> Migrants:
         placed = self.placement
