@@ -1,0 +1,188 @@
+"""The entry of the ``island-worker`` program: options, help, exit codes. Light, because ``--help`` must be instant.
+
+One process is one worker. With more than one, this process only starts the others, each a fresh one, and ends with
+them; it never forks one that has a bus.
+"""
+
+import argparse
+import os
+import re
+import sys
+from collections.abc import Sequence
+from typing import Final, NoReturn
+
+INTERRUPTED: Final = 130
+_WAIT_S: Final = 10.0
+_NAME: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
+_MOST_PROCESSES: Final = 1024
+
+_EPILOG: Final = """\
+exit codes: 0 the coordinator ended or the worker was told to end, 1 failed, 2 bad usage or refused by the coordinator,
+3 coordinator not reachable, 130 interrupted
+
+examples:
+  island-worker --connect tcp/192.168.1.5:7447               one process per core, until the coordinator ends
+  ATOLL_CONNECT=tcp/lab1:7447 island-worker --processes 4    the address from the environment
+  island-worker --connect tcp/lab1:7447 --wait 3600          wait up to an hour for a coordinator to come (back)
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command line and return its exit code; as a program (`argv` None) end the process with it.
+
+    A process that works may have a thread in the middle of compiling machine code, which cannot be stopped; what must
+    be closed has been closed by then, so the process ends without waiting for anything.
+    """
+    _check_product()
+    code = _guarded(sys.argv[1:] if argv is None else argv)
+    if argv is None:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    return code
+
+
+def _check_product() -> None:
+    """Refuse to run with a foreign package named ``common`` in front of ours; exits with status 2."""
+    import common
+
+    if getattr(common, "PRODUCT", None) != "atoll":
+        sys.stderr.write(
+            f"island-worker: 'common' at {common.__file__} is not Atoll's package; use an environment of its own\n"
+        )
+        raise SystemExit(2)
+
+
+def _guarded(argv: Sequence[str]) -> int:
+    from common.errors import AtollError
+
+    try:
+        return _dispatch(_parse(argv))
+    except AtollError as error:
+        sys.stderr.write(f"island-worker: {error}\n")
+        return error.exit_code
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except SystemExit as error:
+        return error.code if isinstance(error.code, int) else 0
+
+
+class _Parser(argparse.ArgumentParser):
+    """Raises UsageError where argparse would print its usage and exit."""
+
+    def error(self, message: str) -> NoReturn:
+        from common.errors import UsageError
+
+        sentence = message.replace("unrecognized arguments:", "unknown option").removeprefix("argument ")
+        raise UsageError(f"{sentence}; see {self.prog} --help")
+
+
+def _parse(argv: Sequence[str]) -> argparse.Namespace:
+    from common import VERSION
+
+    parser = _Parser(
+        prog="island-worker",
+        description="Evolve islands for a coordinator: connects to it, computes what it places here, ends with it.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "--connect",
+        metavar="tcp/HOST:PORT",
+        default=os.environ.get("ATOLL_CONNECT"),
+        help="address of the coordinator (default: the environment variable ATOLL_CONNECT)",
+    )
+    parser.add_argument(
+        "--processes",
+        metavar="auto|N",
+        type=_processes,
+        default=None,
+        help="worker processes; auto (default): one per core that may be used",
+    )
+    parser.add_argument("--name", type=_name, help="name in lists and logs (default: host and process id)")
+    parser.add_argument(
+        "--wait",
+        metavar="SECONDS",
+        type=_seconds,
+        default=_WAIT_S,
+        help="how long the coordinator may be away, at the start or later (default: %(default)g)",
+    )
+    parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # end with this process
+    parser.add_argument("--version", action="version", version=f"atoll {VERSION}")
+    return parser.parse_args(argv)
+
+
+def _dispatch(options: argparse.Namespace) -> int:
+    from common.errors import UsageError
+    from common.wire.addresses import parse_address
+    from island_worker.processes import choose_number, supervise, worker_command
+
+    if not options.connect:
+        raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
+    connect = str(parse_address(options.connect))
+    name = options.name or _default_name()
+    number = options.processes
+    if number is None:
+        number, reason = choose_number(os.environ)
+        sys.stderr.write(f"island-worker: {number} {'process' if number == 1 else 'processes'}: {reason}\n")
+    if number == 1:
+        return _work(connect, name, options.wait, options.parent)
+    names = [f"{name[:58]}-{index}" for index in range(number)]
+    return supervise([worker_command(connect, each, options.wait) for each in names], options.parent)
+
+
+def _work(connect: str, name: str, wait_s: float, parent: int | None) -> int:
+    from island_worker.processes import end_with_parent, ending_on_signals
+
+    with ending_on_signals():
+        if parent is not None:
+            end_with_parent(parent)
+        _configure_log(name)
+        from island_worker.runtime import run_worker
+
+        return run_worker(connect, name, wait_s)
+
+
+def _configure_log(name: str) -> None:
+    import logging
+
+    logging.basicConfig(
+        level=logging.INFO,
+        stream=sys.stderr,
+        format=f"%(asctime)s %(levelname)s {name} %(name)s %(message)s",
+        force=True,
+    )
+
+
+def _default_name() -> str:
+    import socket
+
+    host = re.sub(r"[^A-Za-z0-9_-]", "-", socket.gethostname().split(".")[0])[:40] or "worker"
+    return f"{host}-{os.getpid()}"
+
+
+def _processes(text: str) -> int | None:
+    if text == "auto":
+        return None
+    if text.isascii() and text.isdigit() and 1 <= int(text) <= _MOST_PROCESSES:
+        return int(text)
+    raise argparse.ArgumentTypeError(
+        f"auto or a number from 1 to {_MOST_PROCESSES} was expected, but {text!r} was given"
+    )
+
+
+def _name(text: str) -> str:
+    if _NAME.fullmatch(text):
+        return text
+    raise argparse.ArgumentTypeError(f"up to 64 letters, digits, - and _ were expected, but {text!r} was given")
+
+
+def _seconds(text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = -1.0
+    if 0.0 <= seconds < 1e9:
+        return seconds
+    raise argparse.ArgumentTypeError(f"a number of seconds was expected, but {text!r} was given")

@@ -1,0 +1,157 @@
+"""Processes of workers: how many, starting them, and that none outlives what it belongs to.
+
+A child is a fresh interpreter (never a fork: a bus does not survive one) in a session of its own, so that a Ctrl-C on
+the terminal reaches the parent alone, which tells the children. Should the parent die without a word, the kernel (on
+Linux) and a watching thread end the child.
+"""
+
+import contextlib
+import ctypes
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from types import FrameType
+from typing import Any, Final
+
+from island_worker.cores import usable_cores
+
+INTERRUPTED: Final = 130
+_STOP_LIMIT_S: Final = 5.0
+_WATCH_INTERVAL_S: Final = 1.0
+_WAIT_S: Final = 0.2
+_PR_SET_PDEATHSIG: Final = 1
+_ENDING: Final = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+choose_number = usable_cores
+
+Command = Sequence[str]
+
+
+def worker_command(connect: str, name: str, wait_s: float) -> Command:
+    """Return the command of one worker process that ends with this one."""
+    options = ["--connect", connect, "--processes", "1", "--name", name, "--wait", f"{wait_s:g}"]
+    return [sys.executable, "-m", "island_worker", *options, "--parent", str(os.getpid())]
+
+
+def supervise(commands: Sequence[Command], parent: int | None = None) -> int:
+    """Run the commands as children until all have ended; return the worst exit code, or 130 after a Ctrl-C.
+
+    SIGTERM and Ctrl-C are passed on as SIGTERM; who has not ended `_STOP_LIMIT_S` later, or at a second signal, is
+    killed. `parent`: the process with which this one ends.
+    """
+    return _Children().run(commands, parent)
+
+
+def worst(codes: Sequence[int]) -> int:
+    """Return the worst of some exit codes; death by a signal is failure."""
+    return max((1 if code < 0 else code for code in codes), default=0)
+
+
+@contextlib.contextmanager
+def ending_on_signals() -> Iterator[None]:
+    """Raise SystemExit(0) for SIGTERM and hang-up, once, and KeyboardInterrupt for Ctrl-C, so that all is closed."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        for each in _ENDING:
+            signal.signal(each, signal.SIG_IGN)
+        raise SystemExit(0)
+
+    with _handlers({**dict.fromkeys(_ending_signals(), end), signal.SIGINT: signal.default_int_handler}):
+        yield
+
+
+def end_with_parent(parent: int) -> None:
+    """End this process, by a SIGTERM to itself, as soon as `parent` is no longer its parent; if need be, forcibly."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    threading.Thread(target=_watch, args=(parent,), name="watching the parent", daemon=True).start()
+
+
+def _watch(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(_WATCH_INTERVAL_S)
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(_STOP_LIMIT_S)
+    os._exit(1)
+
+
+class _Children:
+    """Children of this process; whatever happens is one event in one queue."""
+
+    def __init__(self) -> None:
+        self._events: queue.SimpleQueue[tuple[str, int]] = queue.SimpleQueue()
+        self._children: list[subprocess.Popen[bytes]] = []
+        self._deadline: float | None = None
+        self._signals: list[int] = []
+
+    def run(self, commands: Sequence[Command], parent: int | None) -> int:
+        asked = dict.fromkeys((signal.SIGINT, *_ending_signals()), self._on_signal)
+        with _handlers(asked):
+            if parent is not None:
+                end_with_parent(parent)
+            try:
+                for command in commands:
+                    self._start(command)
+                codes = [self._next_code() for _ in commands]
+            finally:
+                self._kill()
+        if self._deadline is not None:  # who was told before it could listen has ended as it was told
+            codes = [0 if code == -signal.SIGTERM else code for code in codes]
+        return INTERRUPTED if signal.SIGINT in self._signals else worst(codes)
+
+    def _start(self, command: Command) -> None:
+        child = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
+        self._children.append(child)
+        threading.Thread(target=lambda: self._events.put(("ended", child.wait())), daemon=True).start()
+
+    def _next_code(self) -> int:
+        """Wait for the next child to end, serving signals meanwhile."""
+        while True:
+            kind, number = self._next_event()
+            if kind == "ended":
+                return number
+            if self._deadline is None:
+                self._tell()
+            else:
+                self._kill()
+
+    def _next_event(self) -> tuple[str, int]:
+        """Return the next event. A signal that comes just before the wait is only seen after it: hence short waits."""
+        while True:
+            if self._deadline is not None and time.monotonic() > self._deadline:
+                self._kill()
+            with contextlib.suppress(queue.Empty):
+                return self._events.get(timeout=_WAIT_S)
+
+    def _tell(self) -> None:
+        self._deadline = time.monotonic() + _STOP_LIMIT_S
+        for child in self._children:
+            child.terminate()
+
+    def _kill(self) -> None:
+        for child in self._children:
+            child.kill()
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self._signals.append(number)
+        self._events.put(("signal", number))
+
+
+def _ending_signals() -> list[signal.Signals]:
+    """Return the signals that end us; one that is ignored (``nohup``) stays ignored."""
+    return [number for number in _ENDING if signal.getsignal(number) != signal.SIG_IGN]
+
+
+@contextlib.contextmanager
+def _handlers(handlers: Mapping[signal.Signals, Any]) -> Iterator[None]:
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)

@@ -1,0 +1,114 @@
+"""The worker's command line: what it says, what it starts, and how it ends."""
+
+import subprocess
+import sys
+
+import pytest
+
+from common.errors import RefusedError, UnreachableError
+from island_worker import cli, processes, runtime
+
+
+@pytest.fixture(autouse=True)
+def _no_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("ATOLL_CONNECT", raising=False)
+
+
+@pytest.fixture
+def worked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, float]]:
+    """What the one process was told to do."""
+    calls: list[tuple[str, str, float]] = []
+    monkeypatch.setattr(runtime, "run_worker", lambda *arguments: calls.append(arguments) or 0)
+    return calls
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ([], "no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT"),
+        (["--connect", "lab1"], "'lab1' was found where tcp/HOST:PORT was expected"),
+        (["--connect", "tcp/a:1", "--processes", "0"], "auto or a number"),
+        (["--connect", "tcp/a:1", "--processes", "some"], "auto or a number"),
+        (["--connect", "tcp/a:1", "--name", "a b"], "letters, digits"),
+        (["--connect", "tcp/a:1", "--name", "a" * 65], "letters, digits"),
+        (["--connect", "tcp/a:1", "--wait", "-1"], "number of seconds"),
+        (["--connect", "tcp/a:1", "--wait", "nan"], "number of seconds"),
+        (["--connect", "tcp/a:1", "--speed", "2"], "unknown option"),
+        (["--connect"], "expected one argument"),
+    ],
+)
+def test_a_wrong_command_line_is_one_sentence_and_exit_code_2(
+    arguments: list[str], reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(arguments) == 2
+    output = capsys.readouterr()
+    assert reason in output.err
+    assert output.err.startswith("island-worker: ")
+    assert output.err.count("\n") == 1
+    assert output.out == ""
+
+
+def test_one_process_works_under_the_name_it_was_given(worked: list[tuple[str, str, float]]) -> None:
+    assert cli.main(["--connect", "tcp/a:1", "--processes", "1", "--name", "w1", "--wait", "2.5"]) == 0
+    assert worked == [("tcp/a:1", "w1", 2.5)]
+
+
+def test_the_address_may_come_from_the_environment_and_the_name_from_host_and_process(
+    worked: list[tuple[str, str, float]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ATOLL_CONNECT", "tcp/b:2")
+    monkeypatch.setattr("socket.gethostname", lambda: "lab 1.example.org")
+    monkeypatch.setattr("os.getpid", lambda: 17)
+    assert cli.main(["--processes", "1"]) == 0
+    assert worked == [("tcp/b:2", "lab-1-17", 10.0)]
+
+
+def test_several_processes_have_numbered_names_and_end_with_this_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[list[str]] = []
+    monkeypatch.setattr(processes, "supervise", lambda commands, parent: started.extend(commands) or 3)
+    assert cli.main(["--connect", "tcp/a:1", "--processes", "2", "--name", "n" * 64]) == 3
+    for index, command in enumerate(started):
+        assert command[1:3] == ["-m", "island_worker"]
+        assert command[command.index("--name") + 1] == "n" * 58 + f"-{index}"
+        assert command[command.index("--processes") + 1] == "1"
+        assert "--parent" in command
+
+
+def test_the_automatic_number_of_processes_is_said_with_its_reason(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], worked: list[tuple[str, str, float]]
+) -> None:
+    monkeypatch.setenv("SLURM_CPUS_PER_TASK", "1")
+    assert cli.main(["--connect", "tcp/a:1"]) == 0
+    assert len(worked) == 1
+    assert "island-worker: 1 process: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (UnreachableError("nobody there"), 3),
+        (RefusedError("version 1 here, 2 there"), 2),
+        (KeyboardInterrupt(), 130),
+        (SystemExit(0), 0),
+    ],
+)
+def test_the_way_the_work_ends_is_the_exit_code(
+    error: BaseException, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: object) -> int:
+        raise error
+
+    monkeypatch.setattr(runtime, "run_worker", fail)
+    assert cli.main(["--connect", "tcp/a:1", "--processes", "1"]) == code
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_help_loads_nothing_heavy() -> None:
+    script = (
+        "import sys\nfrom island_worker.cli import main\nmain(['--help'])\n"
+        "print(sorted({'numpy', 'zenoh', 'pydantic', 'numba', 'msgpack', 'logging'} & sys.modules.keys()))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.splitlines()[-1] == "[]"
+    assert "exit codes" in done.stdout
+    assert "--parent" not in done.stdout

@@ -1,0 +1,131 @@
+"""Children are told, then killed, and never left behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from island_worker.processes import supervise, worst
+
+LIMIT_S = 30.0
+
+SUPERVISOR = """
+import sys
+from island_worker import processes
+processes._STOP_LIMIT_S = float(sys.argv[1])
+sys.exit(processes.supervise([[sys.executable, "-c", sys.argv[2]]] * 2))
+"""
+OBEDIENT = r"""
+import os, signal
+from island_worker.processes import end_with_parent, ending_on_signals
+with ending_on_signals():
+    end_with_parent(os.getppid())
+    os.write(1, b"%d\n" % os.getpid())
+    while True:
+        signal.pause()
+"""
+STUBBORN = r"""
+import os, signal
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+os.write(1, b"%d\n" % os.getpid())
+while True:
+    signal.pause()
+"""
+
+
+def is_gone(pid: int) -> bool:
+    """Return whether a process has ended; one that nobody has waited for yet has."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
+
+
+def wait_until_gone(pids: list[int]) -> None:
+    end = time.monotonic() + LIMIT_S
+    while not all(map(is_gone, pids)):
+        assert time.monotonic() < end, f"some of {pids} are still there"
+        time.sleep(0.01)
+
+
+class Family:
+    """A supervisor with two children."""
+
+    def __init__(self, child: str, stop_limit_s: float) -> None:
+        command = [sys.executable, "-c", SUPERVISOR, str(stop_limit_s), child]
+        self.parent = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self.parent.stdout is not None
+        self.children = [int(self.parent.stdout.readline()) for _ in range(2)]
+
+    def end(self, *signals: int) -> int:
+        for number in signals:
+            self.parent.send_signal(number)
+        return self.parent.wait(LIMIT_S)
+
+
+@pytest.fixture
+def families() -> Iterator[list[Family]]:
+    started: list[Family] = []
+    yield started
+    for family in started:
+        for pid in [family.parent.pid, *family.children]:
+            if not is_gone(pid):
+                os.kill(pid, signal.SIGKILL)
+        family.parent.wait(LIMIT_S)
+        if family.parent.stdout is not None:
+            family.parent.stdout.close()
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 0), (signal.SIGINT, 130), (signal.SIGHUP, 0)])
+def test_a_signal_to_the_parent_ends_the_children_in_order(number: int, code: int, families: list[Family]) -> None:
+    families.append(Family(OBEDIENT, LIMIT_S))
+    assert families[0].end(number) == code
+    wait_until_gone(families[0].children)
+
+
+def test_who_does_not_listen_is_killed_after_the_limit(families: list[Family]) -> None:
+    families.append(Family(STUBBORN, 0.2))
+    assert families[0].end(signal.SIGTERM) == 1
+    wait_until_gone(families[0].children)
+
+
+def test_a_second_signal_kills_at_once(families: list[Family]) -> None:
+    families.append(Family(STUBBORN, 10 * LIMIT_S))
+    assert families[0].end(signal.SIGINT, signal.SIGTERM) == 130
+    wait_until_gone(families[0].children)
+
+
+def test_children_end_when_the_parent_is_killed(families: list[Family]) -> None:
+    families.append(Family(OBEDIENT, LIMIT_S))
+    assert families[0].end(signal.SIGKILL) == -signal.SIGKILL
+    wait_until_gone(families[0].children)
+
+
+def test_a_child_whose_parent_died_before_it_looked_ends_too() -> None:
+    script = OBEDIENT.replace("os.getppid()", "1 << 30").replace("signal.pause()", "__import__('time').sleep(60)")
+    done = subprocess.run([sys.executable, "-c", script], stdout=subprocess.DEVNULL, timeout=LIMIT_S, check=False)
+    assert done.returncode == 0
+
+
+def _ending_with(code: str) -> list[str]:
+    return [sys.executable, "-c", f"import os, signal, sys; {code}"]
+
+
+@pytest.mark.parametrize(
+    ("codes", "expected"),
+    [(["sys.exit(0)", "sys.exit(0)"], 0), (["sys.exit(3)", "sys.exit(2)"], 3), (["os.abort()", "sys.exit(0)"], 1)],
+)
+def test_the_worst_exit_code_is_ours(codes: list[str], expected: int) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    assert supervise([_ending_with(code) for code in codes]) == expected
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+@pytest.mark.parametrize(("codes", "expected"), [([], 0), ([0, 0], 0), ([0, 3, 2], 3), ([-9, 0], 1), ([130, 1], 130)])
+def test_worst(codes: list[int], expected: int) -> None:
+    assert worst(codes) == expected
