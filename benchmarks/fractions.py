@@ -1,8 +1,8 @@
 """Expressions as fractions of polynomials in *atoms*: variables, sines and cosines of angles, other functions.
 
-A polynomial is a dictionary from monomials to coefficients, a monomial a sorted tuple of (atom, exponent > 0). sin**2 is
-always replaced by 1 - cos**2, so that every polynomial in sines and cosines has one form. Common polynomial factors of
-numerator and denominator are not looked for (`benchmarks.forms` solves for them), common monomials are cancelled.
+A polynomial is a dictionary from monomials to coefficients, a monomial a sorted tuple of (atom, exponent > 0). sin**2
+is always replaced by 1 - cos**2, so that every polynomial in sines and cosines has one form. Common polynomial factors
+of numerator and denominator are not looked for (`benchmarks.forms` solves for them), common monomials are cancelled.
 """
 
 import math
@@ -167,9 +167,7 @@ def multiply(atoms: Atoms, left: Fraction, right: Fraction) -> Fraction:
     """Return left * right."""
     left, right = _crossed(left, right)
     return cancelled(
-        Fraction(
-            atoms.multiply(left.numerator, right.numerator), atoms.multiply(left.denominator, right.denominator)
-        )
+        Fraction(atoms.multiply(left.numerator, right.numerator), atoms.multiply(left.denominator, right.denominator))
     )
 
 

@@ -1,26 +1,23 @@
-"""Write programs as fractions of polynomials: angle sums and multiples expanded, even and odd rules applied.
+"""Write expressions as fractions of polynomials: angle sums and multiples expanded, even and odd rules applied.
 
-Angles: the argument of sin or cos is split into terms ``c*m`` and a phase. For every m there is one base angle ``b*m``
-such that all its coefficients in an expression are whole multiples of b; sin and cos of multiples are polynomials in
-sin(b m) and cos(b m). Phases within `PHASE` of a multiple of pi/2 are that multiple; any other phase is expanded with
-its numbers. Model and truth share an atom when their bases agree within the tolerance, or stand in a ratio of small
-whole numbers within it. exp is treated likewise, with exp(b m) as atom.
+The argument of sin or cos is split into terms ``c*m`` (see `benchmarks.angles`) and a phase. Phases within `PHASE` of a
+multiple of pi/2 are that multiple; any other phase is expanded with its numbers.
 """
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from fractions import Fraction as Ratio
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from benchmarks.angles import LARGEST_MULTIPLE, NEGLIGIBLE, Key, SharedAtoms, Side
+from benchmarks.evaluation import OPERATIONS
 from benchmarks.fractions import (
     ONE,
     Atoms,
     FloatArray,
     Fraction,
-    Monomial,
     Polynomial,
     add,
     added,
@@ -30,120 +27,209 @@ from benchmarks.fractions import (
     inverse,
     multiply,
     power,
-    ratio,
     scaled,
 )
 from common.expression.operators import (
-    ABS,
     ADD,
     CONSTANT,
     COS,
     DIVIDE,
     EXP,
     INVERSE,
-    LOG,
     MULTIPLY,
     NEGATE,
     POW,
     SIN,
-    SQRT,
     SQUARE,
     SUBTRACT,
-    TANH,
     VARIABLE,
 )
 from common.expression.parse import from_infix
 from common.expression.program import Program
+from common.expression.text import FUNCTIONS
 
 PHASE: Final = 1e-6
 """Radians: phases as near as this to a multiple of pi/2 are that multiple."""
 
-NEGLIGIBLE: Final = 1e-6
-"""Angles (radians) and relative differences of angles inside one expression below this are none."""
 
-LARGEST_MULTIPLE: Final = 8
+@dataclass(frozen=True)
+class Rewritten:
+    """Two expressions over common `atoms`; `differences` are those between their angles, see `SharedAtoms`."""
 
-Key = tuple[str, Monomial, Monomial]
-"""What an angle is a multiple of: ("sin" or "exp", numerator, denominator)."""
-
-
-@dataclass
-class _Base:
-    """The atoms of one base angle and its size in the truth (or in the model, where the truth has none)."""
-
-    size: float
-    first: int
-    second: int
+    truth: Fraction
+    model: Fraction
+    atoms: Atoms
+    differences: tuple[float, ...]
 
 
-@dataclass
-class Rewriting:
-    """Turns programs over `columns` into fractions; the truth first, then the model.
+def rewrite(truth: str, model: str, columns: Mapping[str, FloatArray], tolerance: float) -> Rewritten:
+    """Return both expressions, over the names of `columns` (R values each), as fractions over common atoms.
 
-    `differences` collects the relative differences of the angles' coefficients between model and truth.
+    Raises:
+        UsageError: a text is no expression.
+        TooLargeError: a polynomial gets too many terms.
+        UndefinedError: a part divides by zero everywhere.
+    """
+    shared = SharedAtoms(columns, tolerance)
+    programs = {"truth": from_infix(truth, tuple(columns)), "model": from_infix(model, tuple(columns))}
+    met: dict[str, dict[Key, list[float]]] = {"truth": {}, "model": {}}
+    _Walk(shared, "truth", met["truth"]).walk(programs["truth"])
+    _Walk(shared, "model", met["model"]).walk(programs["model"])
+    shared.prepare(met["truth"], met["model"])
+    fractions = (
+        _Walk(shared, "truth", None).walk(programs["truth"]),
+        _Walk(shared, "model", None).walk(programs["model"]),
+    )
+    return Rewritten(*fractions, shared.atoms, tuple(shared.differences))
+
+
+class _Walk:
+    """Builds the fraction of every node of one program.
+
+    With `met`, angles are only collected there, and their sines and cosines are new atoms.
     """
 
-    columns: Mapping[str, FloatArray]
-    tolerance: float
-    atoms: Atoms = field(init=False)
-    differences: list[float] = field(default_factory=list)
-    _variables: list[Fraction] = field(default_factory=list)
-    _bases: dict[Key, list[_Base]] = field(default_factory=dict)
-    _opaque: list[tuple[str, tuple[Fraction, ...], int]] = field(default_factory=list)
+    def __init__(self, shared: SharedAtoms, side: Side, met: dict[Key, list[float]] | None) -> None:
+        self._shared = shared
+        self._atoms = shared.atoms
+        self._side: Side = side
+        self._met = met
 
-    def __post_init__(self) -> None:
-        rows = len(next(iter(self.columns.values())))
-        self.atoms = Atoms(rows)
-        self._variables = [atom(self.atoms.add(name, values)) for name, values in self.columns.items()]
+    def walk(self, program: Program) -> Fraction:
+        fractions: list[Fraction] = []
+        columns = (program.operators, program.left, program.right, program.constants)
+        for code, left, right, value in zip(*(column.tolist() for column in columns), strict=True):
+            if code == VARIABLE:
+                fractions.append(self._shared.variable(left))
+            elif code == CONSTANT:
+                fractions.append(constant(value))
+            elif code in (ADD, SUBTRACT, MULTIPLY, DIVIDE, POW):
+                fractions.append(self._binary(code, fractions[left], fractions[right]))
+            else:
+                fractions.append(self._unary(code, fractions[left]))
+        return fractions[-1]
 
-    def rewrite(self, text: str) -> Fraction:
-        """Return `text` as a fraction; raises UsageError, TooLargeError, UndefinedError."""
-        program = from_infix(text, tuple(self.columns))
-        collected: dict[Key, list[float]] = {}
-        _Walk(self, collected, is_collecting=True).walk(program)
-        for key, sizes in collected.items():
-            self._prepare(key, sizes)
-        return _Walk(self, collected, is_collecting=False).walk(program)
+    def _binary(self, code: int, left: Fraction, right: Fraction) -> Fraction:
+        if code == ADD:
+            return add(self._atoms, left, right)
+        if code == SUBTRACT:
+            return add(self._atoms, left, right, -1.0)
+        if code == POW:
+            return self._power(left, right)
+        return multiply(self._atoms, left, right if code == MULTIPLY else inverse(right))
 
-    def angle(self, key: Key, size: float) -> tuple[_Base, int]:
-        """Return the base of which `size` is a multiple, and how many times."""
-        for base, times in self._multiples(key, abs(size)):
-            return base, times if size > 0 else -times
-        base = self._new_base(key, abs(size))
-        return base, 1 if size > 0 else -1
+    def _unary(self, code: int, argument: Fraction) -> Fraction:
+        if code == NEGATE:
+            return Fraction(scaled(argument.numerator, -1.0), argument.denominator)
+        if code == SQUARE:
+            return multiply(self._atoms, argument, argument)
+        if code == INVERSE:
+            return inverse(argument)
+        number = _number(argument)
+        if number is not None:
+            return constant(float(OPERATIONS[code](number, number)))
+        if code in (SIN, COS):
+            return self._trigonometric(code, argument)
+        if code == EXP:
+            return self._exponential(argument)
+        return self._other(FUNCTIONS[code], argument, self._function(code, argument))
 
-    def opaque(self, name: str, arguments: tuple[Fraction, ...], values: FloatArray) -> Fraction:
-        """Return the atom of a function that is not looked into; one atom for equal arguments."""
-        for known_name, known, number in self._opaque:
-            if known_name == name and all(self._same(a, b) for a, b in zip(arguments, known, strict=True)):
-                return atom(number)
-        number = self.atoms.add(f"{name}(…)", values)
-        self._opaque.append((name, arguments, number))
-        return atom(number)
+    def _power(self, base: Fraction, exponent: Fraction) -> Fraction:
+        number = _number(exponent)
+        if number is not None and number.is_integer() and abs(number) <= LARGEST_MULTIPLE:
+            return power(self._atoms, base, int(number))
+        values = self._values(base) ** self._values(exponent)
+        return atom(self._shared.opaque("pow", (base, exponent), values))
 
-    def _same(self, left: Fraction, right: Fraction) -> bool:
-        crossed = (
-            self.atoms.multiply(left.numerator, right.denominator),
-            self.atoms.multiply(right.numerator, left.denominator),
-        )
-        found = ratio(*crossed, tolerance=self.tolerance)
-        return (not crossed[0] and not crossed[1]) or (found is not None and abs(found - 1.0) <= self.tolerance)
+    def _other(self, name: str, argument: Fraction, values: FloatArray) -> Fraction:
+        return atom(self._shared.opaque(name, (argument,), values))
 
-    def _prepare(self, key: Key, sizes: list[float]) -> None:
-        """Make sure that every one of `sizes` is a multiple of a base."""
-        for group, base_size in _groups(sizes):
-            known = self._related(key, base_size, group)
-            if known is None:
-                self._new_base(key, base_size)
+    def _function(self, code: int, argument: Fraction) -> FloatArray:
+        values = self._values(argument)
+        return np.asarray(OPERATIONS[code](values, values), dtype=np.float64)
 
-    def _related(self, key: Key, size: float, group: list[float]) -> _Base | None:
-        """Return the base of the truth to which the model's base `size` belongs, and refine it when that takes halves."""
-        for base in self._bases.get(key, []):
-            quotient = Ratio(size / base.size).limit_denominator(4)
-            if quotient == 0 or quotient.numerator > LARGEST_MULTIPLE:
-                continue
-            difference = abs(size / base.size / float(quotient) - 1.0)
-            if difference <= self.tolerance:
-                self.differences.append(difference)
-                return base
-        return None
+    def _values(self, fraction: Fraction) -> FloatArray:
+        return self._atoms.evaluate(fraction.numerator) / self._atoms.evaluate(fraction.denominator)
+
+    def _trigonometric(self, code: int, argument: Fraction) -> Fraction:
+        phase, terms = self._terms("sin", argument)
+        if self._met is not None:
+            return self._collected(code, argument, terms)
+        sine, cosine = _of_phase(phase)
+        for key, size in terms:
+            atoms, times = self._shared.angle(key, size, self._side)
+            sine, cosine = self._angle_sum((sine, cosine), self._multiple(atoms, times))
+        return Fraction(sine if code == SIN else cosine, {ONE: 1.0})
+
+    def _exponential(self, argument: Fraction) -> Fraction:
+        shift, terms = self._terms("exp", argument)
+        if self._met is not None:
+            return self._collected(EXP, argument, terms)
+        result = constant(math.exp(min(shift, 700.0)))
+        for key, size in terms:
+            (number,), times = self._shared.angle(key, size, self._side)
+            result = multiply(self._atoms, result, power(self._atoms, atom(number), times))
+        return result
+
+    def _collected(self, code: int, argument: Fraction, terms: list[tuple[Key, float]]) -> Fraction:
+        assert self._met is not None
+        for key, size in terms:
+            self._met.setdefault(key, []).append(size)
+        return self._other(FUNCTIONS[code], argument, self._function(code, argument))
+
+    def _terms(self, kind: str, argument: Fraction) -> tuple[float, list[tuple[Key, float]]]:
+        """Split an argument into its constant and its other terms, negligible ones left out."""
+        if len(argument.denominator) > 1:
+            whole = self._shared.opaque("angle", (argument,), self._values(argument))
+            return 0.0, [((kind, ((whole, 1),), ONE), 1.0)]
+        ((below, divisor),) = argument.denominator.items()
+        shift = 0.0
+        terms: list[tuple[Key, float]] = []
+        for above, coefficient in sorted(argument.numerator.items()):
+            term = cancelled(Fraction({above: coefficient / divisor}, {below: 1.0}))
+            ((monomial, size),), (rest,) = term.numerator.items(), term.denominator
+            if monomial == rest == ONE:
+                shift = size
+            elif _spread(size * self._atoms.value(monomial) / self._atoms.value(rest)) > NEGLIGIBLE:
+                terms.append(((kind, monomial, rest), size))
+        return shift, terms
+
+    def _multiple(self, atoms: tuple[int, ...], times: int) -> tuple[Polynomial, Polynomial]:
+        """Return sine and cosine of a multiple of a base angle; odd and even in `times`."""
+        one: tuple[Polynomial, Polynomial] = ({((atoms[0], 1),): 1.0}, {((atoms[1], 1),): 1.0})
+        total = one
+        for _ in range(abs(times) - 1):
+            total = self._angle_sum(total, one)
+        return (scaled(total[0], -1.0), total[1]) if times < 0 else total
+
+    def _angle_sum(
+        self, left: tuple[Polynomial, Polynomial], right: tuple[Polynomial, Polynomial]
+    ) -> tuple[Polynomial, Polynomial]:
+        product = self._atoms.multiply
+        sine = added(product(left[0], right[1]), product(left[1], right[0]))
+        cosine = added(product(left[1], right[1]), product(left[0], right[0]), -1.0)
+        return sine, cosine
+
+
+def _number(fraction: Fraction) -> float | None:
+    """Return the number that a fraction is, if it is one."""
+    if not fraction.numerator:
+        return 0.0
+    if fraction.numerator.keys() == fraction.denominator.keys() == {ONE}:
+        return fraction.numerator[ONE] / fraction.denominator[ONE]
+    return None
+
+
+def _of_phase(phase: float) -> tuple[Polynomial, Polynomial]:
+    """Return sine and cosine of a phase as polynomials; exact near multiples of pi/2."""
+    quarters = round(phase / (math.pi / 2))
+    if abs(phase - quarters * math.pi / 2) <= PHASE:
+        sine, cosine = ((0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0))[quarters % 4]
+    else:
+        sine, cosine = math.sin(phase), math.cos(phase)
+    return constant(sine).numerator, constant(cosine).numerator
+
+
+def _spread(values: FloatArray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if len(finite) else math.inf
