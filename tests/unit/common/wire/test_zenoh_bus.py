@@ -84,8 +84,12 @@ def test_a_setting_that_zenoh_does_not_know_is_a_usage_error(path: str, value: o
 def test_settings_reach_zenoh(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(zenoh_bus, "_ATTEMPT_MS", 500)
     one_session = {"transport/unicast/max_sessions": 1}
-    with open_router("tcp/127.0.0.1:0", one_session) as narrow, open_client(narrow.endpoint, wait_s=5.0):
-        pytest.raises(UnreachableError, open_client, narrow.endpoint)
+    with (
+        open_router("tcp/127.0.0.1:0", one_session) as narrow,
+        open_client(narrow.endpoint, wait_s=5.0),
+        pytest.raises(UnreachableError),
+    ):
+        open_client(narrow.endpoint)
 
 
 def test_a_flood_loses_nothing(router: ZenohBus) -> None:
