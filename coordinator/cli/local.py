@@ -118,8 +118,10 @@ def _ending(code: int) -> str:
 class Coordinator:
     """Router and service in a thread of their own, the store in memory; a context manager."""
 
-    def __init__(self, endpoint: str) -> None:
+    def __init__(self, endpoint: str, workers: int) -> None:
+        """`workers` is how many are expected to join."""
         self._endpoint = endpoint
+        self._workers = workers
         self._stop = threading.Event()
         self._listening = threading.Event()
         self._error: BaseException | None = None
@@ -160,6 +162,6 @@ class Coordinator:
         from coordinator.service.store import Store
 
         with Store.open(None) as store, open_router(self._endpoint) as bus:
-            service = Service(bus, store)
+            service = Service(bus, store, expected_workers=self._workers, dismisses_workers=True)
             self._listening.set()
             service.run(self._stop)

@@ -30,7 +30,7 @@ class Display(Protocol):
 
 
 def open_display(connect_hint: str) -> Display:
-    """Return the display that suits stderr. `connect_hint` is the command that starts a worker."""
+    """Return the display that suits stderr. `connect_hint` is the command that starts a worker, "" if nobody need."""
     return LiveDisplay(connect_hint) if sys.stderr.isatty() else PlainDisplay(connect_hint)
 
 
@@ -55,7 +55,7 @@ def _waiting(view: JobView, workers: Sequence[WorkerView], connect_hint: str) ->
         return ""
     alive = [worker for worker in workers if worker.state != "lost"]
     if not alive:
-        return f"; no worker has joined; start one with: {connect_hint}"
+        return f"; no worker has joined; start one with: {connect_hint}" if connect_hint else "; its workers are starting"
     if all(worker.state == "compiling" for worker in alive):
         details = [worker.detail for worker in alive if worker.detail]
         return f"; workers are getting ready: {details[0] if details else 'loading kernels'}"

@@ -43,7 +43,7 @@ class _Run:
         self._started = started
         endpoint = free_endpoint()
         self._endpoint = endpoint
-        self._coordinator = Coordinator(endpoint)
+        self._coordinator = Coordinator(endpoint, number)
         self._workers = Workers(endpoint, number, folder / _WORKER_LOG)
         self._forced: int | None = None
 
@@ -57,7 +57,7 @@ class _Run:
                 return self._see_through(client)
 
     def _see_through(self, client: Client) -> int:
-        with open_display("coordinator run") as display:
+        with open_display("") as display:
             follower = Follower(client, self._request.job, display, self._watch)
             view = self._follow(follower, client, display)
         self._workers.dismiss()
