@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 from common.config import JobConfig
 from common.errors import RemoteProtocolError
 from common.wire.messages import Addition, HitStatement, IslandReport
-from island_worker.events import Abandoned, Broken, Computed, JobReady, Rejected, Task
+from island_worker.events import Abandoned, Broken, Computed, JobReady, Rejected, Task, Unloadable
 
 if TYPE_CHECKING:
     from common.dataset import Dataset
@@ -50,15 +50,7 @@ class WarmUpFailed:
     sentence: str
 
 
-@dataclass(frozen=True, slots=True)
-class LoadFailed:
-    """The dataset of a job cannot be read, although its bytes are those announced."""
-
-    job: str
-    sentence: str
-
-
-Word = WarmUpNote | WarmedUp | WarmUpFailed | JobReady | LoadFailed | Computed | Rejected | Broken | Abandoned
+Word = WarmUpNote | WarmedUp | WarmUpFailed | JobReady | Unloadable | Computed | Rejected | Broken | Abandoned
 """What a Compute posts."""
 
 
@@ -76,7 +68,7 @@ class Compute(Protocol):
         """Make the kernels ready: any number of WarmUpNote, then WarmedUp or WarmUpFailed."""
 
     def load(self, job: str, config: JobConfig, dataset: bytes) -> None:
-        """Take in a job's configuration and encoded dataset: JobReady or LoadFailed."""
+        """Take in a job's configuration and encoded dataset: JobReady or Unloadable."""
 
     def advance(self, task: Task) -> None:
         """Compute one epoch of one island: Computed, Rejected, Broken or Abandoned."""
@@ -187,7 +179,7 @@ class IslandCompute:
         try:
             self._jobs[job] = (config, dataset_from_bytes(dataset))
         except RemoteProtocolError as error:
-            self._say(LoadFailed(job, str(error)))
+            self._say(Unloadable(job, str(error)))
         else:
             self._say(JobReady(job))
 

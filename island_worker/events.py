@@ -62,6 +62,14 @@ class JobReady:
 
 
 @dataclass(frozen=True, slots=True)
+class Unloadable:
+    """The dataset of a job cannot be read, although its bytes are those announced."""
+
+    job: str
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
 class Committed:
     """The coordinator moved an archipelago's commit forward."""
 
@@ -152,6 +160,7 @@ class Reset:
 SessionEvent = (
     Placed
     | JobReady
+    | Unloadable
     | Committed
     | Closed
     | Mailed

@@ -38,7 +38,7 @@ from common.wire.messages import (
 )
 from common.wire.rejects import Rejects
 from common.wire.views import WorkerState
-from island_worker.compute import Compute, IslandCompute, LoadFailed, WarmedUp, WarmUpFailed, WarmUpNote
+from island_worker.compute import Compute, IslandCompute, WarmedUp, WarmUpFailed, WarmUpNote
 from island_worker.download import Download
 from island_worker.events import (
     Abandoned,
@@ -64,6 +64,7 @@ from island_worker.events import (
     SendReport,
     SessionEvent,
     Tick,
+    Unloadable,
 )
 from island_worker.events import Compute as ComputeTask
 from island_worker.session import Session
@@ -111,7 +112,7 @@ class Worker:
         self._welcome: Welcome | None = None
         self._realms: set[str] = set()
         self._away_since: float | None = None
-        self._is_warm = False
+        self._is_accepted = False
         self._detail = "loading kernels"
         self._asked: dict[int, _Asked] = {}
         self._downloads: dict[str, Download] = {}
@@ -161,10 +162,7 @@ class Worker:
                 self._warmed_up(item)
             case WarmUpFailed():
                 self._leave(AtollError(item.sentence))
-            case LoadFailed():
-                self._detail = item.sentence
-                _LOG.error("%s", item.sentence)
-            case JobReady() | Computed() | Rejected() | Broken() | Abandoned():
+            case JobReady() | Unloadable() | Computed() | Rejected() | Broken() | Abandoned():
                 self._tell(item)
 
     @_on.register
@@ -207,17 +205,19 @@ class Worker:
             host=socket.gethostname()[:256],
             pid=os.getpid(),
         )
-        self._get(topics.HELLO, encode(Greeting(body=hello)), GREET_TIMEOUT_S, _Asked("hello"))
+        self._get(topics.HELLO, encode(Greeting(body=hello)), GREET_TIMEOUT_S, _Asked("hello", self._fingerprint))
 
-    def _greeted(self, payload: bytes | None) -> None:
+    def _greeted(self, fingerprint: str, payload: bytes | None) -> None:
+        """Take in the answer to a greeting that carried `fingerprint` ("": kernels not ready yet)."""
         if payload is None:
             self._bus.call_later(GREET_PAUSE_S, _GREET)
             return
         answer = decode(payload, GreetingAnswer, MAX_MESSAGE).body
         if isinstance(answer, Refusal):
             self._leave(RefusedError(answer.sentence))
-        else:
-            self._join(answer)
+            return
+        self._is_accepted = self._is_accepted or bool(fingerprint)
+        self._join(answer)
 
     def _join(self, welcome: Welcome) -> None:
         former, self._welcome, self._away_since = self._welcome, welcome, None
@@ -236,7 +236,7 @@ class Worker:
         self._beat()
 
     def _state(self) -> WorkerState:
-        return self.session.state() if self._is_warm else "compiling"
+        return self.session.state() if self._is_accepted else "compiling"
 
     def _beat(self) -> None:
         if self._welcome is None:
@@ -254,7 +254,7 @@ class Worker:
 
     def _warmed_up(self, item: WarmedUp) -> None:
         """Greet once more, now with the fingerprint; then say that islands can be computed here."""
-        self._is_warm, self._detail, self._fingerprint = True, "", item.fingerprint
+        self._detail, self._fingerprint = "", item.fingerprint
         _LOG.info("kernels ready seconds=%.2f fingerprint=%s", item.seconds, item.fingerprint)
         if self._welcome is not None:
             self._greet()
@@ -381,7 +381,7 @@ class Worker:
         asked = self._asked.pop(event.token, None)
         match asked:
             case _Asked("hello"):
-                self._greeted(event.payload)
+                self._greeted(asked.subject, event.payload)
             case _Asked("job"):
                 self._job_came(asked.subject, event.payload)
             case _Asked("chunk"):

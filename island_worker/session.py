@@ -35,6 +35,7 @@ from island_worker.events import (
     SessionEvent,
     TaskKey,
     Tick,
+    Unloadable,
 )
 from island_worker.share import Share
 
@@ -135,6 +136,15 @@ class Session:
     @_on.register
     def _job_ready(self, event: JobReady) -> list[Action]:
         self._step_job(event.job, "ready")
+        return []
+
+    @_on.register
+    def _unloadable(self, event: Unloadable) -> list[Action]:
+        for (job, variable), share in self._shares.items():
+            if job == event.job:
+                island = next(iter(share.islands))
+                key = TaskKey(job, variable, share.placement.term, island, 0)
+                self._note_trouble(share, key, f"the dataset of job {job} cannot be read: {event.sentence}")
         return []
 
     @_on.register
@@ -268,7 +278,9 @@ class Session:
         return share if share is not None and share.placement.term == key.term else None
 
     def _note_trouble(self, share: Share, key: TaskKey, sentence: str) -> None:
-        share.islands[key.island].step("end")
+        local = share.islands[key.island]
+        if local.state != "stopped":
+            local.step("end")
         trouble = Trouble(
             job=key.job, variable=key.variable, term=key.term, island=key.island, sentence=sentence[:1000]
         )

@@ -15,6 +15,7 @@ from common.wire.messages import (
     Close,
     Commit,
     EpochReport,
+    Hello,
     Holding,
     Introduce,
     JobAnnouncement,
@@ -163,6 +164,21 @@ class Conductor:
         return Placements(placements=tuple(each.placement for each in open_ones if each.placement is not None))
 
     # ---------------------------------------------------------------------------------------- workers
+
+    def greet(self, hello: Hello, now: float) -> str | None:
+        """Take in a worker; return a sentence instead when it must be refused.
+
+        A new process under a known name does not have the islands of the old one: they are placed anew.
+        """
+        is_new = self.membership.is_new(hello)
+        refusal = self.membership.greet(hello, now)
+        if refusal is None and is_new:
+            for job in self.jobs.values():
+                for archipelago in job.open_archipelagos:
+                    if archipelago.placement is not None and hello.name in archipelago.placement.workers:
+                        archipelago.unplace()
+            self.place(now)
+        return refusal
 
     def heartbeat(self, worker: str, status: WorkerStatus, now: float) -> None:
         """Take in a heartbeat and set right what the worker holds and should not, or should and does not."""

@@ -47,8 +47,8 @@ class Member:
 
     @property
     def is_ready(self) -> bool:
-        """Whether islands can be computed there now."""
-        return self.state != "lost" and self.status is not None and self.status.state != "compiling"
+        """Whether islands can be placed there now."""
+        return self.state == "here" and self.status is not None and self.status.state != "compiling"
 
 
 class Membership:
@@ -63,11 +63,11 @@ class Membership:
         refusal = version_refusal(hello) or self._name_refusal(hello) or self._fingerprint_refusal(hello)
         if refusal is not None:
             return refusal
-        known = self._members.get(hello.name)
-        if known is not None and known.hello.instance == hello.instance:
-            known.hello, known.heard_at = hello, now
-        else:
+        if self.is_new(hello):
             self._members[hello.name] = Member(hello, "here", now)
+        else:
+            known = self._members[hello.name]
+            known.hello, known.heard_at = hello, now
         return None
 
     def hear(self, worker: str, status: WorkerStatus, now: float) -> bool:
@@ -111,22 +111,17 @@ class Membership:
 
     def arriving(self) -> int:
         """Return how many workers are there but not ready yet."""
-        return sum(member.state != "lost" and not member.is_ready for member in self._members.values())
+        return sum(member.state == "here" and not member.is_ready for member in self._members.values())
 
     def is_lost(self, worker: str) -> bool:
         """Tell whether islands placed on this worker have nobody to compute them."""
         member = self._members.get(worker)
         return member is None or member.state == "lost"
 
-    def instance(self, worker: str) -> str | None:
-        """Return which process bears the name now."""
-        member = self._members.get(worker)
-        return member.hello.instance if member is not None else None
-
-    def status(self, worker: str) -> WorkerStatus | None:
-        """Return the last heartbeat."""
-        member = self._members.get(worker)
-        return member.status if member is not None else None
+    def is_new(self, hello: Hello) -> bool:
+        """Tell whether this process has not borne its name before."""
+        member = self._members.get(hello.name)
+        return member is None or member.hello.instance != hello.instance
 
     def views(self, now: float) -> tuple[WorkerView, ...]:
         """Return what people are shown, sorted by name."""

@@ -1,11 +1,11 @@
 """What people are shown of a job: its view, and its result, also while it runs. Pure."""
 
 import json
+from functools import lru_cache
 from typing import Any, cast
 
 from common.expression.program import Program
 from common.expression.text import PRINTABLE_SIZE, to_infix, tree_size
-from common.pareto import FrontEntry
 from common.wire.views import JobState, JobView, VariableView
 from coordinator.model.result import Account, VariableOutcome, build_result
 from coordinator.model.select import select, threshold
@@ -107,7 +107,7 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome) -> VariableView
         why=cast(Why | None, outcome.why),
     )
     names = prepared.dataset.names
-    front = [entry for entry in outcome.front if is_printable(entry, len(names))]
+    front = [entry for entry in outcome.front if is_printable(entry.program, len(names))]
     if not front:
         return view
     entry = front[select(front, len(target.values), target, target_error)]
@@ -123,9 +123,10 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome) -> VariableView
     )
 
 
-def is_printable(entry: FrontEntry, inputs: int) -> bool:
+@lru_cache(maxsize=4096)
+def is_printable(program: bytes, inputs: int) -> bool:
     """Tell whether an equation, written out, has a length that anybody could read."""
-    return tree_size(Program.from_bytes(entry.program, inputs)) <= PRINTABLE_SIZE
+    return tree_size(Program.from_bytes(program, inputs)) <= PRINTABLE_SIZE
 
 
 def _stored_variable_view(equation: dict[str, Any]) -> VariableView:

@@ -268,7 +268,7 @@ class Service:
     def _refuse(self, hello: Hello) -> str | None:
         if hello.role == "client":
             return version_refusal(hello)
-        return self.conductor.membership.greet(hello, self._bus.now())
+        return self.conductor.greet(hello, self._bus.now())
 
     def _chunk(self, key: topics.BlobKey) -> bytes | None:
         try:
