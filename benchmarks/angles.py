@@ -15,7 +15,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from benchmarks.fractions import Atoms, FloatArray, Fraction, Monomial, atom, ratio
+from benchmarks.fractions import Atoms, FloatArray, Fraction, Monomial, atom
 
 NEGLIGIBLE: Final = 1e-6
 """Angles (radians) and relative differences of angles inside one expression below this are none."""
@@ -42,12 +42,14 @@ class _Base:
 class SharedAtoms:
     """The atoms that truth and model share, over `columns` of R values each.
 
-    `differences` are the relative differences between angles of the model and those of the truth they were taken for.
+    `differences` are the relative differences between angles of the model and those of the truth they were taken for;
+    `loosest_argument` is the largest one between arguments of other functions that were taken for equal.
     """
 
     columns: Mapping[str, FloatArray]
     tolerance: float
     differences: list[float] = field(default_factory=list)
+    loosest_argument: float = 0.0
 
     def __post_init__(self) -> None:
         self.atoms = Atoms(len(next(iter(self.columns.values()))))
@@ -87,8 +89,12 @@ class SharedAtoms:
     def _is_same(self, left: Fraction, right: Fraction) -> bool:
         first = self.atoms.multiply(left.numerator, right.denominator)
         second = self.atoms.multiply(right.numerator, left.denominator)
-        found = ratio(first, second, self.tolerance)
-        return not (first or second) or (found is not None and abs(found - 1.0) <= self.tolerance)
+        if first.keys() != second.keys():
+            return False
+        difference = max((abs(first[monomial] / second[monomial] - 1.0) for monomial in first), default=0.0)
+        if difference <= self.tolerance:
+            self.loosest_argument = max(self.loosest_argument, difference)
+        return difference <= self.tolerance
 
     def _shared(self, truth: list[float], model: list[float]) -> list[_Base]:
         bases = [_Base({"truth": [size], "model": []}) for size in _bases_of(truth)]

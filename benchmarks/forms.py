@@ -11,6 +11,7 @@ A model may have a polynomial factor in numerator and denominator that cancels, 
 fraction N'/D' with the truth's monomials is sought that makes N D' - D N' vanish, N/D being the model: a linear problem
 in the coefficients of N' and D'. Its residual must be negligible monomial by monomial, not only in sum over the data:
 a model that merely approximates the truth does not pass. A factor that cancels only nearly leaves a residual, too.
+Constants inside sin, cos and other functions are coefficients like all others: they may differ by the tolerance.
 The truth must be written in lowest terms.
 """
 
@@ -36,7 +37,7 @@ from benchmarks.fractions import (
     TooLargeError,
     UndefinedError,
 )
-from benchmarks.rewriting import rewrite
+from benchmarks.rewriting import Rewritten, rewrite
 from common.errors import UsageError
 from common.expression.parse import from_infix
 
@@ -44,8 +45,8 @@ NEGLIGIBLE: Final = 1e-6
 """Share of the target's standard deviation below which a term counts as absent."""
 
 FRESH_POINTS: Final = 1_000
-LOOSE_ANGLES: Final = 0.05
-"""Largest error, over the target's deviation, that taking the model's angles for the truth's may make."""
+SLACK: Final = 3.0
+"""How often the effect of a small change of the truth's angles the same change of the model's angles may have."""
 
 
 @dataclass(frozen=True)
@@ -106,11 +107,10 @@ def _constants_error(
     sought, found = scale.without_negligible(both.truth), scale.without_negligible(both.model)
     if not sought.numerator or not found.numerator:
         raise _DifferentError("a term is missing: everything" if sought.numerator else "the truth is zero")
-    if max(both.differences, default=0.0) > NEGLIGIBLE:
-        _check_angles(model, data, scale.values(found), target_sd)
+    _check_arguments(model, data, both, found, scale)
     if not _has_same_monomials(found, sought):
         found = _in_form_of(sought, found, scale)
-    return max(_largest_difference(found, sought, scale), *both.differences, 0.0)
+    return max(_largest_difference(found, sought, scale), both.angle_difference, both.argument_difference)
 
 
 class _Scale:
@@ -133,6 +133,16 @@ class _Scale:
             for monomial, coefficient in polynomial.items()
         }
 
+    def sensitivity(self, fraction: Fraction, difference: float) -> float:
+        """Return what a relative `difference` of every base angle contributes, summed over the angles."""
+        before = self.values(fraction)
+        total = 0.0
+        for sine in self.atoms.angles:
+            self.atoms.turn(sine, 1.0 + difference)
+            total += self.contribution(self.values(fraction) - before)
+            self.atoms.turn(sine, 1.0)
+        return total
+
     def without_negligible(self, fraction: Fraction) -> Fraction:
         below = 1.0 / self.atoms.evaluate(fraction.denominator)
         above = self._kept(fraction.numerator, below)
@@ -143,13 +153,20 @@ class _Scale:
         return {monomial: value for monomial, value in polynomial.items() if sizes[monomial] >= NEGLIGIBLE}
 
 
-def _check_angles(model: str, data: Mapping[str, FloatArray], rewritten: FloatArray, target_sd: float) -> None:
-    """Refuse a model whose angles differ from the truth's by little, but to great effect (as differences of sines)."""
+def _check_arguments(
+    model: str, data: Mapping[str, FloatArray], both: Rewritten, found: Fraction, scale: _Scale
+) -> None:
+    """Refuse a model whose angles or other arguments differ from the truth's by little, but to great effect.
+
+    A difference of two sines of nearly equal angles vanishes when both are taken for the same angle.
+    """
+    if max(both.angle_difference, both.argument_difference) <= NEGLIGIBLE:
+        return
     actual = evaluate(from_infix(model, tuple(data)), tuple(data.values()))
-    finite = np.isfinite(actual) & np.isfinite(rewritten)
-    error = float(np.sqrt(np.mean((actual - rewritten)[finite] ** 2))) / target_sd if finite.any() else math.inf
-    if not error <= LOOSE_ANGLES:
-        raise _DifferentError(f"angles differ from the truth's, by {error:.3g} of the target's deviation")
+    error = scale.contribution(actual - scale.values(found))
+    allowed = SLACK * (scale.sensitivity(found, both.angle_difference) + both.argument_difference) + NEGLIGIBLE
+    if not error <= allowed:
+        raise _DifferentError(f"arguments differ from the truth's, by {error:.3g} of the target's deviation")
 
 
 def _has_same_monomials(left: Fraction, right: Fraction) -> bool:

@@ -42,12 +42,16 @@ class Fraction:
 
 
 class Atoms:
-    """The atoms known so far, their values on the data, and the arithmetic of polynomials in them."""
+    """The atoms known so far, their values on the data, and the arithmetic of polynomials in them.
+
+    `angles` are the values (R,) of the angle of each sine.
+    """
 
     def __init__(self, rows: int) -> None:
         self.rows = rows
         self.values: list[FloatArray] = []
         self.names: list[str] = []
+        self.angles: dict[int, FloatArray] = {}
         self._cosine_of: dict[int, int] = {}
         self._reduced: dict[Monomial, Polynomial] = {}
 
@@ -61,7 +65,13 @@ class Atoms:
         """Make the sine and the cosine of `angle` (R,); return their numbers."""
         sine, cosine = self.add(f"sin({name})", np.sin(angle)), self.add(f"cos({name})", np.cos(angle))
         self._cosine_of[sine] = cosine
+        self.angles[sine] = angle
         return sine, cosine
+
+    def turn(self, sine: int, factor: float) -> None:
+        """Set the values of a sine and its cosine to those of `factor` times the angle."""
+        self.values[sine] = np.sin(factor * self.angles[sine])
+        self.values[self._cosine_of[sine]] = np.cos(factor * self.angles[sine])
 
     def value(self, monomial: Monomial) -> FloatArray:
         """Return the values (R,) of `monomial` on the data."""

@@ -54,12 +54,13 @@ PHASE: Final = 1e-6
 
 @dataclass(frozen=True)
 class Rewritten:
-    """Two expressions over common `atoms`; `differences` are those between their angles, see `SharedAtoms`."""
+    """Two expressions over common `atoms`; by how much angles and other arguments differed that were taken for equal."""
 
     truth: Fraction
     model: Fraction
     atoms: Atoms
-    differences: tuple[float, ...]
+    angle_difference: float
+    argument_difference: float
 
 
 def rewrite(truth: str, model: str, columns: Mapping[str, FloatArray], tolerance: float) -> Rewritten:
@@ -80,7 +81,7 @@ def rewrite(truth: str, model: str, columns: Mapping[str, FloatArray], tolerance
         _Walk(shared, "truth", None).walk(programs["truth"]),
         _Walk(shared, "model", None).walk(programs["model"]),
     )
-    return Rewritten(*fractions, shared.atoms, tuple(shared.differences))
+    return Rewritten(*fractions, shared.atoms, max(shared.differences, default=0.0), shared.loosest_argument)
 
 
 class _Walk:

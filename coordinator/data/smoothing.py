@@ -1,7 +1,7 @@
 """Loess: local polynomials with tricube weights, their span and degree chosen by cross-validation (pure).
 
-Schmidt & Lipson 2008 take the slope of such a fit as the derivative. Here span and degree (2 to 4) are chosen per state
-by generalised cross-validation pooled over its trajectories.
+Schmidt & Lipson 2008 take the slope of such a fit as the derivative. Here span and degree are chosen per state by
+generalised cross-validation pooled over its trajectories.
 """
 
 import math
@@ -16,10 +16,10 @@ from coordinator.data.kernels_smoothing import DEGREES, loess_into, validate_int
 
 SPAN_RATIO: Final = 1.25
 SMALLEST_SPAN: Final = 5
-LARGEST_SPAN: Final = 1501
-PATIENCE: Final = 6
+LARGEST_SPAN: Final = 1001
+PATIENCE: Final = 5
 """Spans without a better score, each a quarter wider than the last, after which wider ones are not tried."""
-JUDGED_ROWS: Final = 4000
+JUDGED_ROWS: Final = 2000
 """Of more rows than this, every k-th one is judged when span and degree are chosen."""
 
 
@@ -54,7 +54,7 @@ def choose(runs: Sequence[Run], degrees: Sequence[int]) -> Choice:
     Craven & Wahba 1979, eq. 1.9: mean squared residual over the squared mean of (1 - leverage).
     """
     longest = max(len(run.times) for run in runs)
-    every = max(1, sum(len(run.times) for run in runs) // JUDGED_ROWS)
+    every = -(-sum(len(run.times) for run in runs) // JUDGED_ROWS)
     best = Choice(0, 0, math.inf)
     since = 0
     for span in _spans(longest):
