@@ -13,8 +13,6 @@ from dataclasses import dataclass, field
 from fractions import Fraction as Ratio
 from typing import Final, Literal
 
-import numpy as np
-
 from benchmarks.fractions import Atoms, FloatArray, Fraction, Monomial, atom
 
 NEGLIGIBLE: Final = 1e-6
@@ -126,7 +124,7 @@ class SharedAtoms:
             if kind == "sin":
                 base.atoms = self.atoms.add_angle(name, angle)
             else:
-                base.atoms = (self.atoms.add(f"exp({name})", np.exp(angle)),)
+                base.atoms = (self.atoms.add_exponential(name, angle),)
         return base.atoms
 
 

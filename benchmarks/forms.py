@@ -134,13 +134,13 @@ class _Scale:
         }
 
     def sensitivity(self, fraction: Fraction, difference: float) -> float:
-        """Return what a relative `difference` of every base angle contributes, summed over the angles."""
+        """Return what a relative `difference` of each base angle contributes, summed over the angles."""
         before = self.values(fraction)
         total = 0.0
-        for sine in self.atoms.angles:
-            self.atoms.turn(sine, 1.0 + difference)
+        for number in self.atoms.scalable:
+            self.atoms.scale_argument(number, 1.0 + difference)
             total += self.contribution(self.values(fraction) - before)
-            self.atoms.turn(sine, 1.0)
+            self.atoms.scale_argument(number, 1.0)
         return total
 
     def without_negligible(self, fraction: Fraction) -> Fraction:

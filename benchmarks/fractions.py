@@ -6,7 +6,7 @@ of numerator and denominator are not looked for (`benchmarks.forms` solves for t
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
 
@@ -42,16 +42,13 @@ class Fraction:
 
 
 class Atoms:
-    """The atoms known so far, their values on the data, and the arithmetic of polynomials in them.
-
-    `angles` are the values (R,) of the angle of each sine.
-    """
+    """The atoms known so far, their values on the data, and the arithmetic of polynomials in them."""
 
     def __init__(self, rows: int) -> None:
         self.rows = rows
         self.values: list[FloatArray] = []
         self.names: list[str] = []
-        self.angles: dict[int, FloatArray] = {}
+        self._scalable: dict[int, tuple[FloatArray, tuple[tuple[int, Callable[[FloatArray], FloatArray]], ...]]] = {}
         self._cosine_of: dict[int, int] = {}
         self._reduced: dict[Monomial, Polynomial] = {}
 
@@ -65,13 +62,25 @@ class Atoms:
         """Make the sine and the cosine of `angle` (R,); return their numbers."""
         sine, cosine = self.add(f"sin({name})", np.sin(angle)), self.add(f"cos({name})", np.cos(angle))
         self._cosine_of[sine] = cosine
-        self.angles[sine] = angle
+        self._scalable[sine] = (angle, ((sine, np.sin), (cosine, np.cos)))
         return sine, cosine
 
-    def turn(self, sine: int, factor: float) -> None:
-        """Set the values of a sine and its cosine to those of `factor` times the angle."""
-        self.values[sine] = np.sin(factor * self.angles[sine])
-        self.values[self._cosine_of[sine]] = np.cos(factor * self.angles[sine])
+    def add_exponential(self, name: str, argument: FloatArray) -> int:
+        """Make the exponential of `argument` (R,); return its number."""
+        number = self.add(f"exp({name})", np.exp(argument))
+        self._scalable[number] = (argument, ((number, np.exp),))
+        return number
+
+    @property
+    def scalable(self) -> tuple[int, ...]:
+        """Atoms whose argument `scale_argument` can change: sines, each with its cosine, and exponentials."""
+        return tuple(self._scalable)
+
+    def scale_argument(self, number: int, factor: float) -> None:
+        """Set the values of an atom, and of a sine's cosine, to those of `factor` times the argument."""
+        argument, functions = self._scalable[number]
+        for which, function in functions:
+            self.values[which] = function(factor * argument)
 
     def value(self, monomial: Monomial) -> FloatArray:
         """Return the values (R,) of `monomial` on the data."""

@@ -54,7 +54,7 @@ PHASE: Final = 1e-6
 
 @dataclass(frozen=True)
 class Rewritten:
-    """Two expressions over common `atoms`; by how much angles and other arguments differed that were taken for equal."""
+    """Two expressions over common `atoms`; by how much angles and other arguments taken for equal differed."""
 
     truth: Fraction
     model: Fraction
@@ -176,7 +176,7 @@ class _Walk:
         assert self._met is not None
         for key, size in terms:
             self._met.setdefault(key, []).append(size)
-        return self._other(FUNCTIONS[code], argument, self._function(code, argument))
+        return atom(self._atoms.add(FUNCTIONS[code], self._function(code, argument)))
 
     def _terms(self, kind: str, argument: Fraction) -> tuple[float, list[tuple[Key, float]]]:
         """Split an argument into its constant and its other terms, negligible ones left out."""
