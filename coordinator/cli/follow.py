@@ -94,14 +94,15 @@ class Follower:
 
 
 def phase(view: JobView, workers: Sequence[WorkerView]) -> str:
-    """Return what the time goes into: starting, compiling, preparing or searching."""
-    alive = [worker for worker in workers if worker.state != "lost"]
-    started = any(variable.epoch for variable in view.variables)
-    if not started and any(worker.state == "compiling" and worker.detail for worker in alive):
-        return "compiling"
-    if not started and all(worker.state == "compiling" for worker in alive):
-        return "starting"
-    return "preparing" if view.state in ("queued", "preparing") else "searching"
+    """Return what the time goes into: compiling or loading kernels, preparing the data, searching, or starting."""
+    if any(variable.epoch for variable in view.variables):
+        return "searching"
+    busy = [worker for worker in workers if worker.state == "compiling"]
+    if busy:
+        return "compiling kernels" if any("compiling" in worker.detail for worker in busy) else "loading kernels"
+    if view.state == "running":
+        return "searching"
+    return "preparing" if any(worker.state != "lost" for worker in workers) else "starting"
 
 
 def exit_code(view: JobView, target_error: float | None) -> int:

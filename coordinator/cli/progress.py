@@ -55,7 +55,9 @@ def _waiting(view: JobView, workers: Sequence[WorkerView], connect_hint: str) ->
         return ""
     alive = [worker for worker in workers if worker.state != "lost"]
     if not alive:
-        return f"; no worker has joined; start one with: {connect_hint}" if connect_hint else "; its workers are starting"
+        return (
+            f"; no worker has joined; start one with: {connect_hint}" if connect_hint else "; its workers are starting"
+        )
     if all(worker.state == "compiling" for worker in alive):
         details = [worker.detail for worker in alive if worker.detail]
         return f"; workers are getting ready: {details[0] if details else 'loading kernels'}"

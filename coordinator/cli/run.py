@@ -87,12 +87,11 @@ class _Run:
 
     def _sum_up(self, result: dict[str, Any], phases: dict[str, float], path: Path) -> None:
         total = time.monotonic() - self._started
-        searching, compiling = float(result["search_seconds"] or 0.0), phases.get("compiling", 0.0)
-        parts = [f"search {duration(searching)}"]
-        if compiling:
-            parts.append(f"compiling kernels {duration(compiling)}")
-        parts.append(f"start-up and the rest {duration(max(0.0, total - searching - compiling))}")
-        note(f"{', '.join(parts)}, total {duration(total)}")
+        parts = {name: phases.get(name, 0.0) for name in ("compiling kernels", "loading kernels")}
+        parts["search"] = float(result["search_seconds"] or 0.0)
+        rest = max(0.0, total - sum(parts.values()))
+        said = [f"{name} {duration(seconds)}" for name, seconds in parts.items() if seconds]
+        note(", ".join([f"start-up {duration(rest)}", *said, f"total {duration(total)}"]))
         note(f"result in {path}")
 
 

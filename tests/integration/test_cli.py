@@ -26,19 +26,18 @@ def coordinator(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 @contextlib.contextmanager
 def started(*words: str, cwd: Path, program: str = "coordinator") -> Iterator[subprocess.Popen[str]]:
     """Start a program; its end is the test's business, but not beyond the test."""
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, "-m", program, *words],
         cwd=cwd,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-    )
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def read_until(stream: Any, words: str) -> str:

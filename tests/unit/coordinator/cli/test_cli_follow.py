@@ -150,14 +150,22 @@ def test_time_is_counted_for_the_phase_that_was_seen() -> None:
     assert timeline.phases == {"compiling": 3.0, "searching": 0.5}
 
 
+READY: dict[str, object] = {"state": "ready"}
+LOADING: dict[str, object] = {"state": "compiling", "detail": "loading kernels"}
+COMPILING: dict[str, object] = {"state": "compiling", "detail": "compiling kernels, first time on this machine"}
+FOUND = (VariableView(variable="x", lhs="dx/dt", epoch=1),)
+
+
 @pytest.mark.parametrize(
-    ("changes", "worker", "name"),
+    ("changes", "workers", "name"),
     [
-        ({"state": "queued"}, {"state": "compiling"}, "starting"),
-        ({"state": "queued"}, {"state": "compiling", "detail": "compiling kernels"}, "compiling"),
-        ({"state": "preparing"}, {}, "preparing"),
-        ({"state": "running"}, {}, "searching"),
+        ({"state": "queued"}, [], "starting"),
+        ({"state": "preparing"}, [LOADING], "loading kernels"),
+        ({"state": "running"}, [LOADING, COMPILING], "compiling kernels"),
+        ({"state": "preparing"}, [READY], "preparing"),
+        ({"state": "running"}, [READY, READY], "searching"),
+        ({"state": "running", "variables": FOUND}, [READY, LOADING], "searching"),
     ],
 )
-def test_phases(changes: dict[str, object], worker: dict[str, object], name: str) -> None:
-    assert phase(view_of(**changes), [worker_of(**worker)]) == name
+def test_time_goes_into_phases(changes: dict[str, object], workers: list[dict[str, object]], name: str) -> None:
+    assert phase(view_of(**changes), [worker_of(**worker) for worker in workers]) == name
