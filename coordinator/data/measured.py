@@ -1,0 +1,96 @@
+"""A table whose columns have been given their parts and checked: all that is known before anything is computed. Pure.
+
+Cheap enough for a client to meet every objection to its data before it uploads them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.config import Angle, DataConfig
+from common.dataset import FloatArray
+from common.table import Table
+from coordinator.data import checks
+from coordinator.data.columns import Roles, resolve
+from coordinator.data.trajectories import Trajectories, in_radians, runs_of, trajectories_of, unwrapped
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """The rows kept of a table and what its columns mean.
+
+    `rows` are indices into the table; `trajectories` is None where the left-hand sides are given; `states[name][i]` is
+    a state along trajectory i, angles unwrapped; `warnings` are sentences for the user.
+    """
+
+    table: Table
+    config: DataConfig
+    roles: Roles
+    rows: tuple[int, ...]
+    trajectories: Trajectories | None
+    states: dict[str, list[FloatArray]]
+    warnings: tuple[str, ...]
+
+    @property
+    def runs(self) -> tuple[tuple[int, int], ...]:
+        """Half-open ranges into `rows`, one per trajectory."""
+        return runs_of(self.table, self.rows, self.roles.trajectory)
+
+    def column(self, name: str, angle_of: str | None = None) -> FloatArray:
+        """Return column `name` at the rows kept, in radians if it (or the state `angle_of`) is an angle in degrees."""
+        values = np.ascontiguousarray(self.table.column(name)[list(self.rows)])
+        angle = _angle(self.config, angle_of or name)
+        return in_radians(values, angle) if angle is not None else values
+
+
+def measured(table: Table, config: DataConfig) -> Measured:
+    """Give every column its part and check what was measured.
+
+    Raises:
+        UsageError: options contradict each other.
+        DataError: the measurements cannot be used as they are; the message says where and what to do.
+    """
+    roles = resolve(table, config)
+    checks.check_rows(table, table.rows)
+    rows, dropped = checks.finite_rows(table, roles, config.missing == "drop")
+    checks.check_rows(table, len(rows))
+    for name in roles.derivatives or roles.equations:
+        part = "state" if name in roles.states else "derivative" if roles.derivatives else "target"
+        checks.check_varies(table, name, table.column(name)[rows], part)
+    warnings = (*([dropped] if dropped else []), *_remarks(table, roles, rows, config))
+    if roles.target is not None or roles.derivatives:
+        return Measured(table, config, roles, tuple(rows), None, {}, warnings)
+    trajectories = trajectories_of(table, roles, rows)
+    states = {name: _along(table, name, trajectories, config) for name in roles.states}
+    return Measured(table, config, roles, tuple(rows), trajectories, states, warnings)
+
+
+def _angle(config: DataConfig, name: str) -> Angle | None:
+    return next((angle for angle in config.angles if angle.column == name), None)
+
+
+def _along(table: Table, name: str, trajectories: Trajectories, config: DataConfig) -> list[FloatArray]:
+    """Return a state along each trajectory, unwrapped if it is an angle; raises DataError if it should be."""
+    parts = trajectories.split(table.column(name)[list(trajectories.rows)])
+    angle = _angle(config, name)
+    if angle is None:
+        checks.check_no_turns(name, parts)
+        return [np.ascontiguousarray(part) for part in parts]
+    return [unwrapped(in_radians(part, angle)) for part in parts]
+
+
+def _remarks(table: Table, roles: Roles, rows: list[int], config: DataConfig) -> list[str]:
+    """Return sentences about choices that the user may not expect."""
+    remarks = []
+    if table.skipped:
+        remarks.append(f"Columns of text are not used: {', '.join(table.skipped)}.")
+    if roles.target is not None and config.states is None and not config.inputs:
+        left = [name for name in ("t", "time") if name in table.names and name not in roles.used]
+        remarks += [f"Column '{name}' is taken for time and not used; add --inputs {name} to use it." for name in left]
+    degrees = [angle.column for angle in config.angles if angle.degrees]
+    if degrees:
+        remarks.append(f"Degrees were converted to radians: {', '.join(degrees)}.")
+    variables = [name for name in (*roles.states, *roles.inputs) if name not in roles.equations or roles.derivatives]
+    constant = [name for name in variables if np.all(table.column(name)[rows] == table.column(name)[rows[0]])]
+    remarks += [f"Column '{name}' is constant and of no use to an equation." for name in constant]
+    return remarks
