@@ -66,7 +66,7 @@ class _Display:
                 sums.append(self._binary(code, sums[left], sums[right]))
             else:
                 sums.append(self._unary(code, sums[left]))
-        return self._text(sums[-1])
+        return _unbracketed(self._text(sums[-1]), sums[-1])
 
     def _binary(self, code: int, left: _Sum, right: _Sum) -> _Sum:
         if code == ADD:
@@ -123,6 +123,12 @@ class _Display:
         """Return the text of an operand of ``**``."""
         text = self._text(terms)
         return text if text.isidentifier() or text.replace(".", "").isdigit() else f"({text})"
+
+
+def _unbracketed(text: str, terms: _Sum) -> str:
+    """Return the text of a lone bracket without it."""
+    is_bracket = [(text, 1)] == [power for term in terms for power in term.powers] and text.startswith("(")
+    return text[1:-1] if is_bracket else text
 
 
 def _factor(text: str) -> _Sum:

@@ -37,15 +37,15 @@ LARGEST_POWER: Final = 64
 """Largest natural exponent that is written as multiplications."""
 
 _TOKEN: Final = re.compile(
-    r"""\s*(?:
+    r"""
     (?P<number>\d+\.?\d*(?:[eE][+-]?\d+)? | \.\d+(?:[eE][+-]?\d+)?) |
-    (?P<call>[^\W\d]\w*)(?=\s*\()\s*\( |
-    (?P<name>[^\W\d]\w*) |
     \*\*\s*(?P<natural>\d{1,3})(?![\w.])(?!\s*\*\*) |
     (?P<operator>\*\*|[-+*/()]) |
-    (?P<foreign>\S))""",
-    re.VERBOSE,
+    (?P<foreign>.)""",
+    re.VERBOSE | re.ASCII | re.DOTALL,
 )
+_BLANKS: Final = re.compile(r"\s*")
+_OPENING: Final = re.compile(r"\s*\(")
 _CALLS: Final = {**{name: code for code, name in FUNCTIONS.items()}, "Abs": ABS}
 _BINARY: Final = {"+": (1, ADD), "-": (1, SUBTRACT), "*": (2, MULTIPLY), "/": (2, DIVIDE), "**": (4, POW)}
 _UNARY_LEVEL: Final = 3
@@ -129,7 +129,7 @@ class _Parser:
     def _value(self, token: _Token) -> bool:
         """Take a token where a value must begin; return whether a value is still expected."""
         if token.kind == "number":
-            self._values.append(self._nodes.add(CONSTANT, value=float(token.text)))
+            self._values.append(self._number(token))
             return False
         if token.kind == "name":
             self._values.append(self._named(token))
@@ -160,6 +160,12 @@ class _Parser:
         self._reduce(level + 1 if token.text == "**" else level)
         self._pending.append(token)
         return True
+
+    def _number(self, token: _Token) -> int:
+        value = float(token.text)
+        if math.isinf(value):
+            raise UsageError(f"the number {token.text} {self._where(token)} is too large; the largest is 1.8e308")
+        return self._nodes.add(CONSTANT, value=value)
 
     def _named(self, token: _Token) -> int:
         if token.text in self._variables:
@@ -230,12 +236,32 @@ def _level(token: _Token) -> int:
 
 
 def _tokens(text: str) -> Iterator[_Token]:
-    position = 0
+    position = _after(_BLANKS, text, 0)
     while position < len(text):
-        match = _TOKEN.match(text, position)
-        if match is None:  # only blanks are left
-            break
-        kind = cast(_Kind, match.lastgroup)
-        yield _Token(kind, match[kind], match.start(kind))
-        position = match.end()
+        token, end = _named(text, position) if text[position].isidentifier() else _other(text, position)
+        yield token
+        position = _after(_BLANKS, text, end)
     yield _Token("end", "", len(text))
+
+
+def _named(text: str, start: int) -> tuple[_Token, int]:
+    """Return the name that begins at `start`, as a call when a bracket follows, and where it ends."""
+    end = start + 1
+    while end < len(text) and ("_" + text[end]).isidentifier():
+        end += 1
+    bracket = _OPENING.match(text, end)
+    if bracket is None:
+        return _Token("name", text[start:end], start), end
+    return _Token("call", text[start:end], start), bracket.end()
+
+
+def _other(text: str, start: int) -> tuple[_Token, int]:
+    match = _TOKEN.match(text, start)
+    assert match is not None  # any character is at least foreign
+    kind = cast(_Kind, match.lastgroup)
+    return _Token(kind, match[kind], match.start(kind)), match.end()
+
+
+def _after(pattern: re.Pattern[str], text: str, position: int) -> int:
+    match = pattern.match(text, position)
+    return match.end() if match else position

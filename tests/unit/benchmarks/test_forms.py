@@ -415,7 +415,7 @@ def test_an_approximation_that_is_good_on_the_data_is_not_the_form():
 
 
 @pytest.mark.parametrize(
-    "model", ["1/(x - x)", "x/0", "(x + y + sin(x) + cos(y) + 1)**40", "log(-x*x)", "0", "1e400*x"]
+    "model", ["1/(x - x)", "x/0", "(x + y + sin(x) + cos(y) + 1)**40", "log(-x*x)", "0", "1e300*x*1e300"]
 )
 def test_hopeless_models_are_refused_and_do_not_hang(model):
     assert not judge(model, "3*x - 2*x*y - x**2").exact

@@ -54,6 +54,11 @@ def test_a_column_may_be_called_like_the_number_pi():
     assert evaluate(from_infix("pi + 1", ("pi",)), (5.0,)) == 6.0
 
 
+def test_names_may_have_accents_and_combining_marks():
+    names = ("x\u0304", "čas", "x_1")
+    assert evaluate(from_infix("x\u0304*čas + x_1", names), (2.0, 3.0, 4.0)) == 10.0
+
+
 def test_natural_powers_are_multiplications():
     assert SQUARE in from_infix("x**2", NAMES).operators
     assert POW not in from_infix("x**7", NAMES).operators
@@ -94,6 +99,8 @@ def test_brackets_may_be_nested_as_deep_as_they_like():
         ("sin x", "'sin' at character 1"),
         ("*x", "stands at character 1"),
         ("x**", "the text ends"),
+        ("1e400*x", "the number 1e400 at character 1 of '1e400[*]x' is too large"),
+        ("x\n@", "'@' stands at character 3"),
     ],
 )
 def test_what_is_no_expression_is_refused_with_its_place(text, said):
