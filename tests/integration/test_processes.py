@@ -1,0 +1,197 @@
+"""Coordinator and workers as processes of several machines would be: who finds whom, and who is left when one dies."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+from coordinator.client import connected
+
+ROOT = Path(__file__).resolve().parents[2]
+LIMIT_S = 200.0
+SEARCH = ["--seed", "3", "--islands", "3", "--target-error", "1e-300", "--max-epochs", "4"]
+
+
+def _steps(x: float, y: float, count: int) -> Iterator[str]:
+    """Two competing species by Runge and Kutta's fourth-order rule."""
+
+    def slope(x: float, y: float) -> tuple[float, float]:
+        return 3 * x - 2 * x * y - x * x, 2 * y - x * y - y * y
+
+    h = 0.02
+    for step in range(count):
+        yield f"{step * h:.2f},{x!r},{y!r}"
+        a = slope(x, y)
+        b = slope(x + h / 2 * a[0], y + h / 2 * a[1])
+        c = slope(x + h / 2 * b[0], y + h / 2 * b[1])
+        d = slope(x + h * c[0], y + h * c[1])
+        x += h / 6 * (a[0] + 2 * b[0] + 2 * c[0] + d[0])
+        y += h / 6 * (a[1] + 2 * b[1] + 2 * c[1] + d[1])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder in which all programs run; it holds data.csv."""
+    folder = tmp_path_factory.mktemp("machines")
+    (folder / "data.csv").write_text("\n".join(["t,x,y", *_steps(1.2, 0.4, 60), "", *_steps(0.5, 2.0, 60)]) + "\n")
+    return folder
+
+
+def command(program: str, *words: str) -> list[str]:
+    return [sys.executable, "-m", program, *words]
+
+
+def environment() -> dict[str, str]:
+    kept = {name: value for name, value in os.environ.items() if name != "ATOLL_CONNECT"}
+    return kept | {"PYTHONPATH": str(ROOT)}
+
+
+def done(place: Path, program: str, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command(program, *words),
+        cwd=place, env=environment(), capture_output=True, text=True, timeout=LIMIT_S, check=False,
+    )  # fmt: skip
+
+
+@contextlib.contextmanager
+def started(place: Path, program: str, *words: str) -> Iterator[subprocess.Popen[str]]:
+    with (place / f"{program}.log").open("ab") as log:
+        process = subprocess.Popen(
+            command(program, *words), cwd=place, env=environment(), stdout=subprocess.PIPE, stderr=log, text=True
+        )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+@contextlib.contextmanager
+def serving(place: Path, state: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """Serve on a free port; yield the address that a worker is told to connect to."""
+    with started(place, "coordinator", "serve", "--listen", "tcp/127.0.0.1:0", "--state", state) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if "island-worker --connect" in line:
+                yield line.split()[-1], process
+                return
+        raise AssertionError("the coordinator never said how to start a worker")
+
+
+def until(condition: Callable[[], object]) -> bool:
+    """Ask again until the condition holds."""
+    end = time.monotonic() + LIMIT_S
+    while not condition():
+        assert time.monotonic() < end, "it never came true"
+        time.sleep(0.02)
+    return True
+
+
+def children(parent: int) -> list[int]:
+    found: list[int] = []
+    for task in Path(f"/proc/{parent}/task").iterdir():
+        with contextlib.suppress(OSError):
+            found += map(int, (task / "children").read_text().split())
+    return found
+
+
+def is_gone(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
+
+
+def all_gone(pids: Sequence[int]) -> bool:
+    return all(map(is_gone, pids))
+
+
+@pytest.fixture(scope="module")
+def digest(place: Path) -> str:
+    """The digest of a plain run with one worker."""
+    answer = done(place, "coordinator", "run", "data.csv", *SEARCH, "--workers", "1", "--out", "run", "--json")
+    assert answer.returncode == 4, answer.stderr
+    found = json.loads(answer.stdout)["digest"]
+    assert isinstance(found, str)
+    return found
+
+
+@pytest.mark.slow
+def test_a_job_on_several_machines_has_the_digest_of_a_run_on_one(place: Path, digest: str) -> None:
+    with serving(place, "one") as (address, _), connected(address) as coordinator:
+        worker = started(place, "island_worker", "--connect", address, "--processes", "2", "--name", "lab")
+        with worker as several, started(place, "island_worker", "--connect", address, "--processes", "1") as single:
+            until(lambda: len(coordinator.workers()) == 3)
+            assert {"lab-0", "lab-1"} < {each.worker for each in coordinator.workers()}
+            pids = children(several.pid)
+            assert len(pids) == 2
+            followed = done(place, "coordinator", "submit", "data.csv", *SEARCH, "--id", "j", "--connect", address)
+            assert followed.returncode == 4, followed.stderr
+            assert coordinator.status("j").state == "done"
+            assert coordinator.result("j")["digest"] == digest
+            for process in (several, single):
+                process.send_signal(signal.SIGTERM)
+                assert process.wait(LIMIT_S) == 0
+            assert until(lambda: all_gone(pids))
+
+
+@pytest.mark.slow
+def test_workers_that_are_killed_with_their_parent_leave_nothing_and_others_finish_the_job(
+    place: Path, digest: str
+) -> None:
+    with serving(place, "two") as (address, _), connected(address) as coordinator:
+        with started(place, "island_worker", "--connect", address, "--processes", "2", "--name", "first") as parent:
+            submitted = done(
+                place, "coordinator", "submit", "data.csv", *SEARCH, "--id", "j", "--no-wait", "--connect", address
+            )
+            assert submitted.stdout == "j\n", submitted.stderr
+            until(lambda: coordinator.status("j").point_evaluations > 0)
+            pids = children(parent.pid)
+            parent.kill()
+            assert until(lambda: all_gone(pids))
+        with started(place, "island_worker", "--connect", address, "--processes", "1", "--name", "second"):
+            until(lambda: coordinator.status("j").state == "done")
+            assert coordinator.result("j")["digest"] == digest
+
+
+def test_a_worker_without_a_coordinator_says_so_and_ends_with_3(place: Path) -> None:
+    for processes in ("1", "2"):
+        options = ["--connect", "tcp/127.0.0.1:9", "--processes", processes, "--wait", "0.5"]
+        answer = done(place, "island_worker", *options)
+        assert answer.returncode == 3
+        assert answer.stdout == ""
+        assert answer.stderr.count("no coordinator answers at tcp/127.0.0.1:9") == int(processes)
+        assert "Traceback" not in answer.stderr
+
+
+def test_a_worker_whose_coordinator_stays_away_says_so_and_ends_with_3(place: Path) -> None:
+    with serving(place, "three") as (address, process):
+        options = ["--connect", address, "--processes", "1", "--wait", "1"]
+        with started(place, "island_worker", *options) as worker:
+            with connected(address) as coordinator:
+                until(coordinator.workers)
+            process.kill()
+            assert worker.wait(LIMIT_S) == 3
+    assert "the coordinator has not answered for 1 s" in (place / "island_worker.log").read_text()
+
+
+def test_two_coordinators_share_neither_a_port_nor_a_store(place: Path) -> None:
+    with serving(place, "four") as (address, _):
+        same_port = done(place, "coordinator", "serve", "--listen", address, "--state", "five")
+        assert same_port.returncode == 2
+        assert "the port is in use" in same_port.stderr
+        same_store = done(place, "coordinator", "serve", "--listen", "tcp/127.0.0.1:0", "--state", "four")
+        assert same_store.returncode == 1
+        assert "is in use by another coordinator" in same_store.stderr
+        for answer in (same_port, same_store):
+            assert answer.stderr.count("\n") == 1
+            assert answer.stdout == ""
