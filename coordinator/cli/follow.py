@@ -13,7 +13,7 @@ PATIENCE_S: Final = 30.0
 """How long a coordinator that stopped answering is waited for."""
 
 _FIRST_INTERVAL_S: Final = 0.05
-_LAST_INTERVAL_S: Final = 0.5
+_LAST_INTERVAL_S: Final = 0.3
 
 DONE: Final = 0
 FAILED: Final = 1

@@ -41,14 +41,14 @@ class Workers:
     def __init__(self, endpoint: str, number: int, log: Path) -> None:
         self.log = log
         self._endpoint = endpoint
-        self._number = number
+        self.number = number
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._file: IO[bytes] | None = None
 
     def __enter__(self) -> Self:
         self._file = self.log.open("ab")
         try:
-            for index in range(self._number):
+            for index in range(self.number):
                 self._start(f"w{index}")
         except BaseException:
             self.stop()

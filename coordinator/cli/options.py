@@ -18,7 +18,6 @@ from common.errors import UsageError
 from common.expression.operators import BY_NAME
 
 _SECONDS: Final = {"": 1.0, "ms": 1e-3, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
-_ID: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
 def job_config(options: argparse.Namespace) -> JobConfig:
@@ -35,17 +34,6 @@ def job_config(options: argparse.Namespace) -> JobConfig:
         raise UsageError(_sentence(error, given, options.config)) from error
     _check(config)
     return config
-
-
-def job_id(text: str | None) -> str:
-    """Return the id given, checked, or a new one."""
-    if text is None:
-        import uuid
-
-        return uuid.uuid4().hex[:8]
-    if not _ID.fullmatch(text):
-        raise UsageError(f"--id must be 1 to 64 letters, digits, _ or -, but {text!r} was given")
-    return text
 
 
 def names(text: str, option: str) -> tuple[str, ...]:

@@ -11,7 +11,8 @@ from common.errors import DataError, RefusedError, UsageError
 from common.wire.addresses import parse_address
 from common.wire.views import JobView
 from coordinator.cli.follow import ending, exit_code
-from coordinator.cli.options import job_config, job_id
+from coordinator.cli.identity import job_id
+from coordinator.cli.options import job_config
 from coordinator.cli.output import as_json, note, say
 from coordinator.client import Client
 

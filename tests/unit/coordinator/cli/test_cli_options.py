@@ -7,7 +7,8 @@ import pytest
 from common.config import PRESETS, JobConfig
 from common.errors import UsageError
 from coordinator.cli.arguments import parse
-from coordinator.cli.options import epochs, job_config, job_id, names, seconds
+from coordinator.cli.identity import job_id
+from coordinator.cli.options import epochs, job_config, names, seconds
 
 
 def config_of(line: str) -> JobConfig:
