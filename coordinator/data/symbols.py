@@ -30,9 +30,9 @@ def symbols_for(columns: Sequence[str]) -> dict[str, str]:
 
 
 def _is_symbol(name: str) -> bool:
-    """Say whether `name` reads as one identifier; Python reads identifiers in the normal form NFKC."""
-    is_normal = unicodedata.normalize("NFKC", name) == name
-    return is_normal and name.isidentifier() and not keyword.iskeyword(name) and name not in RESERVED
+    """Say whether `name` reads as one identifier: to Python, which normalises to NFKC, and to sympy's tokenizer."""
+    is_plain = unicodedata.normalize("NFKC", name) == name and re.fullmatch(r"\w+", name) is not None
+    return is_plain and name.isidentifier() and not keyword.iskeyword(name) and name not in RESERVED
 
 
 def _rewritten(name: str) -> str:
