@@ -5,7 +5,8 @@ threads (``indirect=False``), so no thread of ours can keep a process from endin
 
 Settings and their reasons: no discovery (one address to dial), no shared memory (it may drop silently and fills
 /dev/shm), BLOCK instead of the default that drops under load, queues large enough for bursts, a hung peer is waited
-for at most `_WAIT_FOR_PEER_US`, and a lease short enough to notice a lost machine within seconds.
+for at most `_WAIT_FOR_PEER_US`, a lease short enough to notice a lost machine within seconds, and no message read that
+is larger than any of ours.
 """
 
 import itertools
@@ -21,7 +22,7 @@ from zenoh.handlers import Callback
 
 from common.errors import LocalProtocolError, UnreachableError, UsageError
 from common.wire.addresses import Address, bindable, parse_address, why_unreachable
-from common.wire.bus import Event, Link, Message, Posted, Presence, Query, Reply, Timer
+from common.wire.bus import MAX_PAYLOAD, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from common.wire.inbox import Inbox, Timers
 from common.wire.keys import check_expression, check_key, check_payload
 
@@ -31,6 +32,7 @@ _ATTEMPT_MS: Final = 3_000
 _PAUSE_S: Final = 0.2
 _CLOSE_LIMIT_S: Final = 5.0
 _FREE_PORT_ATTEMPTS: Final = 20
+_OVERHEAD: Final = 1024 * 1024  # key and attributes of a message, with room to spare
 
 Settings = Mapping[str, object]
 
@@ -266,7 +268,7 @@ def _tree(mode: str, listen: list[str], connect: list[str]) -> dict[str, object]
         "transport": {
             "shared_memory": {"enabled": False},
             "unicast": {"max_sessions": 10_000, "open_timeout": _ATTEMPT_MS, "accept_timeout": 10_000},
-            "link": {"tx": link_tx},
+            "link": {"tx": link_tx, "rx": {"max_message_size": MAX_PAYLOAD + _OVERHEAD}},
         },
     }
 
