@@ -3,6 +3,7 @@
 Nothing heavy is imported here; each verb's module is imported when it is called.
 """
 
+import contextlib
 import importlib
 import os
 import sys
@@ -13,12 +14,24 @@ INTERRUPTED = 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command line and return its exit code. Never raises but SystemExit after ``--help``."""
+    """Run one command line and return its exit code; as a program (`argv` None) end the process with it.
+
+    Whatever must be closed is closed by then, so the process does not wait for the interpreter to take itself apart,
+    which takes long once the libraries for numbers are loaded. Never raises but SystemExit after ``--help``.
+    """
     check_product()
+    code = _guarded(sys.argv[1:] if argv is None else argv)
+    if argv is None:
+        _flush()
+        os._exit(code)
+    return code
+
+
+def _guarded(argv: Sequence[str]) -> int:
     from common.errors import AtollError
 
     try:
-        return _dispatch(sys.argv[1:] if argv is None else argv)
+        return _dispatch(argv)
     except AtollError as error:
         return _complain(str(error), error.exit_code)
     except KeyboardInterrupt:
@@ -29,6 +42,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         if os.environ.get("ATOLL_DEBUG") == "1":
             raise
         return _complain(_record(error), 1)
+
+
+def _flush() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):
+            stream.flush()
 
 
 def check_product() -> None:
@@ -50,7 +69,7 @@ def _dispatch(argv: Sequence[str]) -> int:
 
 
 def _complain(sentence: str, code: int) -> int:
-    sys.stdout.flush()
+    _flush()
     sys.stderr.write(f"coordinator: {sentence}\n")
     return code
 
