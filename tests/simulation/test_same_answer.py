@@ -1,0 +1,134 @@
+"""Whatever happens on the way, one seed has one answer: whole stories of coordinator, workers and client."""
+
+from functools import cache
+
+import pytest
+
+from common.config import BudgetConfig, EvolutionConfig, JobConfig
+from common.wire.faults import Partition, Plan
+from tests.simulation.world import World, comparable
+
+SEEDS = range(8)
+
+
+def config(seed: int, islands: int = 4, **budget: object) -> JobConfig:
+    return JobConfig(
+        seed=seed, evolution=EvolutionConfig(islands=islands), budget=BudgetConfig(**{"max_epochs": 14, **budget})
+    )
+
+
+@cache
+def undisturbed(seed: int) -> str:
+    """The answer of one worker on a perfect network."""
+    world = World(workers=1, seed=seed)
+    return comparable(world.run(config(seed)))
+
+
+def answer(world: World, seed: int) -> str:
+    result = comparable(world.run(config(seed)))
+    dropped = [worker.rejects.counts for worker in world.workers.values() if worker.rejects.total]
+    assert not dropped
+    assert not world.service.rejects.counts
+    return result
+
+
+@pytest.mark.parametrize("workers", [2, 3, 4, 7])
+def test_any_number_of_workers_gives_the_same_answer(workers: int) -> None:
+    for seed in SEEDS:
+        assert answer(World(workers=workers, seed=seed), seed) == undisturbed(seed)
+
+
+def test_waiting_for_the_expected_workers_does_not_change_the_answer() -> None:
+    for seed in SEEDS:
+        world = World(workers=3, seed=seed, expected=3)
+        assert answer(world, seed) == undisturbed(seed)
+        assert {term for term, _ in world.store.placements("job").values()} == {1}
+
+
+def test_late_messages_do_not_change_the_answer() -> None:
+    plan = Plan(delay_s=(0.0002, 0.05), late=0.2, late_s=(0.1, 3.0))
+    for seed in SEEDS:
+        assert answer(World(workers=3, seed=seed, plan=plan), seed) == undisturbed(seed)
+
+
+def test_lost_and_doubled_messages_do_not_change_the_answer() -> None:
+    plan = Plan(drop=0.08, duplicate=0.2, late=0.05)
+    for seed in SEEDS:
+        assert answer(World(workers=3, seed=seed, plan=plan), seed) == undisturbed(seed)
+
+
+@pytest.mark.parametrize("at_s", [0.3, 0.9, 1.3, 1.8])
+def test_a_worker_that_dies_does_not_change_the_answer(at_s: float) -> None:
+    for seed in SEEDS:
+        world = World(workers=3, seed=seed)
+        world.at(at_s, lambda world=world: world.crash("w1"))  # type: ignore[misc]
+        assert answer(world, seed) == undisturbed(seed)
+
+
+def test_a_worker_that_dies_and_comes_back_at_once_under_its_name_does_not_change_the_answer() -> None:
+    def restart(world: World) -> None:
+        world.crash("w1")
+        world.at(world.network.now + 0.1, lambda: world.start_worker("w1"))
+
+    for seed in SEEDS:
+        world = World(workers=2, seed=seed)
+        world.at(1.2, lambda world=world: restart(world))  # type: ignore[misc]
+        assert answer(world, seed) == undisturbed(seed)
+
+
+def test_a_worker_that_joins_late_does_not_change_the_answer() -> None:
+    for seed in SEEDS:
+        world = World(workers=1, seed=seed)
+        world.at(0.8, lambda world=world: world.start_worker("late"))  # type: ignore[misc]
+        assert answer(world, seed) == undisturbed(seed)
+
+
+@pytest.mark.parametrize("duration_s", [0.5, 1.9, 5.0, 30.0])
+def test_a_worker_cut_off_for_a_while_does_not_change_the_answer(duration_s: float) -> None:
+    for seed in SEEDS:
+        plan = Plan(partitions=(Partition("w1", 1.1, 1.1 + duration_s),))
+        assert answer(World(workers=3, seed=seed, plan=plan), seed) == undisturbed(seed)
+
+
+def test_all_of_it_together_does_not_change_the_answer() -> None:
+    for seed in range(24):
+        plan = Plan(drop=0.03, duplicate=0.05, late=0.05, partitions=(Partition("w2", 1.0, 4.0),))
+        world = World(workers=3, seed=seed, plan=plan)
+        world.at(1.0 + 0.02 * seed, lambda world=world: world.crash("w0"))  # type: ignore[misc]
+        world.at(1.5, lambda world=world: world.start_worker("w3", slowness=3.0))  # type: ignore[misc]
+        assert answer(world, seed % 8) == undisturbed(seed % 8)
+
+
+def test_another_seed_gives_another_answer() -> None:
+    assert len({undisturbed(seed) for seed in SEEDS}) == len(SEEDS)
+
+
+def test_the_cuts_of_a_cancelled_job_given_as_epochs_give_its_digest() -> None:
+    """`--max-time` and cancel depend on the clock, but what they leave can be repeated."""
+    for seed in (1, 2, 5):
+        world = World(workers=2, seed=seed)
+        world.submit(config(seed, max_epochs=1000, stagnation=1000))
+        world.at(world.network.now + 1.3, lambda world=world: world.service.conductor.cancel("job", world.network.now))  # type: ignore[misc]
+        assert world.finish().state in ("cancelled", "done")
+        cancelled = world.result()
+        epochs = {each["variable"]: each["epoch"] for each in cancelled["equations"]}
+        again = World(workers=3, seed=seed + 100).run(config(seed, max_epochs_of=epochs))
+        assert again["digest"] == cancelled["digest"]
+
+
+def test_max_time_cuts_at_complete_epochs_and_can_be_repeated() -> None:
+    world = World(workers=2, seed=4, slowness=3.0)
+    timed = world.run(config(4, max_epochs=1000, stagnation=1000, max_time=1.0))
+    assert {each["why"] for each in timed["equations"]} <= {"max-time", "target"}
+    epochs = {each["variable"]: each["epoch"] for each in timed["equations"]}
+    again = World(workers=1, seed=9).run(config(4, max_epochs_of=epochs))
+    assert again["digest"] == timed["digest"]
+
+
+def test_two_jobs_at_once_do_not_disturb_each_other() -> None:
+    world = World(workers=3, seed=3)
+    world.submit(config(1), job="first")
+    world.submit(config(2), job="second")
+    assert world.finish("first").state == world.finish("second").state == "done"
+    assert comparable(world.result("first")) == undisturbed(1)
+    assert comparable(world.result("second")) == undisturbed(2)

@@ -1,0 +1,338 @@
+"""What cannot go well: it ends with a sentence, never in silence."""
+
+from pathlib import Path
+
+import pytest
+
+from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from common.config import BudgetConfig, EvolutionConfig, JobConfig
+from common.errors import DataError, RefusedError
+from common.wire import topics
+from common.wire.bus import Reply
+from common.wire.codec import decode, encode
+from common.wire.faults import Plan
+from common.wire.messages import (
+    MAX_MESSAGE,
+    Block,
+    Control,
+    EpochReport,
+    Finished,
+    Greeting,
+    GreetingAnswer,
+    Hello,
+    IslandReport,
+    Mail,
+    Migrants,
+    Refusal,
+    Shutdown,
+    Submit,
+    WorkerStatus,
+)
+from coordinator.service.store import Store
+from tests.simulation.world import World, bus_of, comparable
+
+BLOB = "0" * 64
+
+
+def config(seed: int = 1, **budget: object) -> JobConfig:
+    return JobConfig(
+        seed=seed, evolution=EvolutionConfig(islands=4), budget=BudgetConfig(**{"max_epochs": 14, **budget})
+    )
+
+
+def undisturbed(seed: int = 1) -> str:
+    return comparable(World(workers=1, seed=seed).run(config(seed)))
+
+
+# -------------------------------------------------------------------------------------------- workers
+
+
+def test_a_job_without_workers_waits_and_says_so() -> None:
+    world = World(workers=0)
+    world.submit(config())
+    world.client.pause(5.0)
+    view = world.client.status("job")
+    assert view.state == "running"
+    assert view.reason is not None
+    assert "waits for a worker" in view.reason
+    world.start_worker("late")
+    assert world.finish().state == "done"
+    assert comparable(world.result()) == undisturbed()
+
+
+def test_a_job_whose_workers_all_die_waits_for_another_and_says_so() -> None:
+    world = World(workers=2)
+    world.at(1.2, lambda: [world.crash(name) for name in ("w0", "w1")])
+    world.submit(config())
+    world.client.pause(6.0)
+    assert "all are lost" in (world.client.status("job").reason or "")
+    assert {view.state for view in world.client.workers()} == {"lost"}
+    world.start_worker("late")
+    world.finish()
+    assert comparable(world.result()) == undisturbed()
+
+
+def test_a_worker_that_hangs_is_lost_although_its_presence_is_still_shown() -> None:
+    world = World(workers=2)
+    world.at(1.2, lambda: world.network._buses["w1"].handle_with(lambda event: None))
+    world.submit(config())
+    assert world.finish().state == "done"
+    assert comparable(world.result()) == undisturbed()
+
+
+def test_an_island_that_breaks_fails_its_job_with_its_reason() -> None:
+    world = World(workers=2, broken=(2, 3))
+    world.submit(config())
+    view = world.finish()
+    assert view.state == "failed"
+    assert view.fault == "internal"
+    assert "broke as it was told to" in (view.reason or "")
+
+
+def test_two_workers_that_disagree_fail_the_job_as_diverged_and_are_both_named() -> None:
+    world = World(workers=1)
+    world.submit(config())
+    world.at(world.network.now + 1.5, lambda: world.crash("w0"))
+    world.at(world.network.now + 1.6, lambda: world.start_worker("liar", corrupt=True))
+    view = world.finish()
+    assert (view.state, view.fault) == ("failed", "diverged")
+    assert "w0" in (view.reason or "")
+    assert "liar" in (view.reason or "")
+
+
+def test_a_second_worker_of_the_same_name_is_refused_and_told_which_option_to_use() -> None:
+    world = World(workers=1)
+    world.network.run(1.0)
+    first = world.workers["w0"]
+    bus = world.network.bus("impostor")
+    from island_worker.runtime import Worker
+    from tests.simulation.stub import StubCompute
+
+    second = Worker(bus, StubCompute(world.network, "impostor", 0), "w0", wait_s=10.0)
+    bus.handle_with(second.step)
+    second.start()
+    world.network.run(2.0)
+    assert second.exit_code == 2
+    assert "--name" in str(second.error)
+    assert first.exit_code is None
+
+
+def test_a_worker_with_other_kernels_is_refused_before_it_gets_islands() -> None:
+    world = World(workers=1)
+    world.network.run(1.0)
+    other = world.start_worker("other", fingerprint="different")
+    world.submit(config())
+    world.finish()
+    assert other.exit_code == 2
+    assert "stub" in str(other.error)
+    assert "different" in str(other.error)
+
+
+def test_a_worker_leaves_when_the_coordinator_stays_away_for_too_long() -> None:
+    world = World(workers=1)
+    world.network.run(2.0)
+    worker = world.workers["w0"]
+    world.network.crash("coordinator")
+    world.network.run(30.0)
+    assert worker.exit_code is None
+    world.network.run(70.0)
+    assert worker.exit_code == 3
+    assert "has not answered" in str(worker.error)
+
+
+def test_a_worker_ends_with_0_when_the_coordinator_says_it_ends() -> None:
+    world = World(workers=2)
+    world.network.run(2.0)
+    workers = list(world.workers.values())
+    bus = world.network._buses["coordinator"]
+    bus.put(topics.control(world.store.realm), encode(Control(body=Shutdown(sentence="over"))))
+    world.network.run(3.0)
+    assert [worker.exit_code for worker in workers] == [0, 0]
+
+
+# ----------------------------------------------------------------------------------------- coordinator
+
+
+def test_a_coordinator_that_dies_and_returns_gives_the_same_answer(tmp_path: Path) -> None:
+    world = World(workers=2)
+    world.network.crash("coordinator")
+    world.store = Store.open(tmp_path)
+    world.service = world.start_service()
+    world.submit(config())
+
+    def restart() -> None:
+        world.network.crash("coordinator")
+        world.store.close()
+        world.store = Store.open(tmp_path)
+        world.service = world.start_service()
+
+    world.at(world.network.now + 1.0, restart)
+    assert world.finish().state == "done"
+    assert comparable(world.result()) == undisturbed()
+    terms = {term for term, _ in world.store.placements("job").values()}
+    assert min(terms) >= 2
+    world.close()
+
+
+def test_ended_jobs_are_still_known_after_a_restart(tmp_path: Path) -> None:
+    world = World(workers=2)
+    world.network.crash("coordinator")
+    world.store = Store.open(tmp_path)
+    world.service = world.start_service()
+    world.submit(config())
+    before = world.finish()
+    result = world.result()
+    world.network.crash("coordinator")
+    world.store.close()
+    world.store = Store.open(tmp_path)
+    world.service = world.start_service()
+    after = world.client.status("job")
+    assert world.result() == result
+    assert [each.expression for each in after.variables] == [each.expression for each in before.variables]
+    assert (after.state, after.point_evaluations) == (before.state, before.point_evaluations)
+    world.close()
+
+
+# --------------------------------------------------------------------------------------------- clients
+
+
+def test_the_same_job_again_is_the_same_job_and_other_contents_are_refused() -> None:
+    world = World(workers=1)
+    world.submit(config())
+    world.submit(config())
+    with pytest.raises(RefusedError, match="other contents"):
+        world.submit(config(2))
+    assert len(world.client.jobs()) == 1
+
+
+def test_a_job_without_its_table_is_refused() -> None:
+    world = World(workers=1)
+    with pytest.raises(RefusedError, match="has not been uploaded"):
+        world.client.submit("job", "", config(), BLOB)
+
+
+def test_unknown_jobs_are_refused() -> None:
+    world = World(workers=0)
+    for question in (world.client.status, world.client.result, world.client.cancel):
+        with pytest.raises(RefusedError, match="no job"):
+            question("nothing")
+
+
+def test_epochs_for_a_variable_that_is_not_sought_fail_the_job_as_a_data_error() -> None:
+    world = World(workers=1)
+    world.submit(config(max_epochs_of={"z": 3}))
+    view = world.finish()
+    assert (view.state, view.fault) == ("failed", "data")
+    assert "'z'" in (view.reason or "")
+    with pytest.raises(DataError, match="'z'"):
+        world.result()
+
+
+def test_a_cancelled_job_keeps_its_best_equations() -> None:
+    world = World(workers=2)
+    world.submit(config(3, max_epochs=1000, stagnation=1000))
+    world.client.pause(1.5)
+    assert world.result()["state"] == "running"
+    view = world.client.cancel("job")
+    assert view.state == "cancelled"
+    assert world.result()["state"] == "cancelled"
+    assert all(each["front"] for each in world.result()["equations"])
+    assert world.client.cancel("job").state == "cancelled"
+    world.client.pause(3.0)
+    assert all(not worker.session.holdings() for worker in world.workers.values())
+
+
+# ------------------------------------------------------------------------------------ foreign messages
+
+
+def nonsense(realm: str) -> list[tuple[str, bytes]]:
+    """Return puts that a stranger could make, none of which may change anything."""
+    status = WorkerStatus(instance="x", incarnation=1, state="ready", progress=0)
+    report = IslandReport(
+        island=0, generations=1, hit=None, additions=(), evaluations={}, best_error=None, digest="ab" * 16
+    )
+    reports = EpochReport(job="job", variable="x", term=1, epoch=0, islands=(report,))
+    migrants = Migrants(
+        job="job", variable="x", term=1, epoch=0, blocks=(Block(source=0, destination=1, data=b"junk"),)
+    )
+    hit = Finished(job="job", variable="x", term=1, epoch=0, generation=1, island=1)
+    keys = [
+        topics.control(realm),
+        topics.control(realm, "w0"),
+        topics.worker(realm, "w0", "status"),
+        topics.worker(realm, "w0", "report"),
+        topics.mail(realm, "stranger", "w0"),
+    ]
+    return [
+        *((key, payload) for key in keys for payload in (b"", b"\xc1", b"\x81\xa4body\x80", bytes(MAX_MESSAGE + 1))),
+        (topics.worker(realm, "stranger", "status"), encode(status)),
+        (topics.worker(realm, "stranger", "report"), encode(reports)),
+        (topics.mail(realm, "stranger", "w0"), encode(Mail(body=migrants))),
+        (topics.mail(realm, "stranger", "w1"), encode(Mail(body=hit))),
+    ]
+
+
+def test_foreign_malformed_and_oversized_messages_are_counted_and_change_nothing(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    world = World(workers=2, expected=2)
+    stranger = bus_of(world, "stranger")
+    for repeat in range(30):
+        for key, payload in nonsense(world.store.realm):
+            world.at(0.8 + 0.05 * repeat, lambda key=key, payload=payload: stranger.put(key, payload))  # type: ignore[misc]
+    assert comparable(world.run(config())) == undisturbed()
+    realm = world.store.realm
+    w0 = {topics.control(realm), topics.control(realm, "w0"), topics.mail(realm, "stranger", "w0")}
+    assert w0 <= world.workers["w0"].rejects.counts.keys()
+    assert {
+        topics.worker(realm, "w0", "status"),
+        topics.worker(realm, "w0", "report"),
+    } <= world.service.rejects.counts.keys()
+    assert topics.mail(realm, "stranger", "w1") in world.workers["w1"].rejects.counts
+    assert min(world.workers["w0"].rejects.counts.values()) > 20
+    lines = [record.getMessage() for record in caplog.records if "dropped message" in record.getMessage()]
+    sources = world.service.rejects.counts.keys()
+    assert len(lines) == len(sources) + sum(len(worker.rejects.counts) for worker in world.workers.values())
+
+
+def test_questions_that_are_not_understood_are_answered_at_once() -> None:
+    world = World(workers=1)
+    world.network.run(1.0)
+    stranger = bus_of(world, "stranger")
+    realm = world.store.realm
+    keys = [topics.client(realm, "c"), topics.worker(realm, "w0", "pull"), f"atoll/{realm}/job/x/y/z", topics.HELLO]
+    tokens = [stranger.get(key, b"nonsense", timeout_s=60.0) for key in keys]
+    replies = [stranger.receive(1.0) for _ in tokens]
+    assert {reply.token for reply in replies if isinstance(reply, Reply)} == set(tokens)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"protocol": PROTOCOL_VERSION + 1}, {"version": "9.9.9"}, {"engine": ENGINE_REVISION + 1}]
+)
+def test_a_worker_of_another_version_is_refused_with_both_versions_named(changes: dict[str, object]) -> None:
+    world = World(workers=0)
+    stranger = bus_of(world, "stranger")
+    versions = {"protocol": PROTOCOL_VERSION, "version": VERSION, "engine": ENGINE_REVISION, **changes}
+    hello = Hello.model_validate({"role": "worker", "name": "old", "instance": "i", "unknown": 1, **versions})
+    stranger.get(topics.HELLO, encode(Greeting(body=hello)))
+    reply = stranger.receive(5.0)
+    assert isinstance(reply, Reply)
+    assert reply.payload is not None
+    refusal = decode(reply.payload, GreetingAnswer).body
+    assert isinstance(refusal, Refusal)
+    for said in (f"Atoll {VERSION} (protocol {PROTOCOL_VERSION}", str(*changes.values())):
+        assert said in refusal.sentence
+    assert not world.client.workers()
+
+
+def test_a_submission_lost_on_the_way_is_repeated_without_harm() -> None:
+    world = World(workers=2, seed=7, plan=Plan(drop=0.12))
+    assert comparable(world.run(config())) == undisturbed()
+    assert len(world.client.jobs()) == 1
+
+
+def test_submit_by_hand_answers_with_the_job() -> None:
+    world = World(workers=1)
+    table = world.client.upload(b"x")
+    submit = Submit(job="j-1", name="by hand", config=config(), table=table)
+    assert world.client.submit(submit.job, submit.name, submit.config, submit.table).name == "by hand"

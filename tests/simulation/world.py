@@ -1,0 +1,128 @@
+"""A whole Atoll in virtual time: coordinator, workers and a client on the simulated bus; only the islands are stubs.
+
+After every step of a participant its invariants are checked.
+"""
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from common.config import JobConfig
+from common.dataset import Dataset, Target
+from common.wire.bus import Event
+from common.wire.faults import Plan
+from common.wire.simulated_bus import SimulatedBus, SimulatedNetwork
+from common.wire.views import FINAL_STATES, JobView
+from coordinator.client import Client
+from coordinator.service.ports import Ports
+from coordinator.service.service import Service
+from coordinator.service.store import Store
+from island_worker.runtime import Worker
+from tests.simulation.stub import StubCompute
+
+LIMIT_S = 600.0
+
+
+def prepare(table: bytes, config: JobConfig) -> Dataset:
+    """Return a dataset of the variables that the table's text lists."""
+    names = tuple(table.decode().split(","))
+    values = np.linspace(0.0, 1.0, 20)
+    targets = tuple(Target(name, f"d{name}/dt", values, 0.0, 0.3) for name in names)
+    return Dataset(names, np.stack([values] * len(names)), targets, {name: name for name in names})
+
+
+class World:
+    """Everything that takes part, and what a test does with it."""
+
+    def __init__(
+        self, workers: int = 2, seed: int = 0, plan: Plan | None = None, expected: int = 1, **compute: Any
+    ) -> None:
+        self.seed = seed
+        self.network = SimulatedNetwork(seed, plan)
+        self.store = Store.open(None)
+        self.expected = expected
+        self.workers: dict[str, Worker] = {}
+        self.computes: dict[str, StubCompute] = {}
+        self.service = self.start_service()
+        for index in range(workers):
+            self.start_worker(f"w{index}", **compute)
+        self.client = Client(self.network.bus("client"), "simulated")
+
+    def close(self) -> None:
+        self.store.close()
+
+    def start_service(self) -> Service:
+        bus = self.network.bus("coordinator", is_router=True)
+        ports = Ports(prepare, lambda work: work(), lambda: f"2026-01-01T00:00:{self.network.now:09.3f}")
+        service = Service(bus, self.store, expected_workers=self.expected, ports=ports)
+
+        def step(event: Event) -> None:
+            service.step(event)
+            for job in service.conductor.jobs.values():
+                job.validate()
+
+        bus.handle_with(step)
+        service.start()
+        return service
+
+    def start_worker(self, name: str, **compute: Any) -> Worker:
+        bus = self.network.bus(name)
+        stub = StubCompute(self.network, name, self.seed, **compute)
+        worker = Worker(bus, stub, name, wait_s=60.0)
+
+        def step(event: Event) -> None:
+            worker.step(event)
+            worker.session.validate()
+            if worker.exit_code is not None and not bus.closed:
+                stub.close()
+                bus.close()
+
+        bus.handle_with(step)
+        worker.start()
+        self.workers[name], self.computes[name] = worker, stub
+        return worker
+
+    def crash(self, name: str) -> None:
+        self.computes.pop(name).close()
+        self.workers.pop(name)
+        self.network.crash(name)
+
+    def at(self, time_s: float, action: Callable[[], object]) -> None:
+        self.network.at(time_s, lambda: (action(), None)[1])
+
+    def submit(self, config: JobConfig, variables: str = "x,y", job: str = "job") -> str:
+        """Submit a job through the client, which tries again whatever is lost."""
+        table = self.client.upload(variables.encode())
+        self.client.submit(job, "a simulated job", config, table)
+        return job
+
+    def finish(self, job: str = "job", limit_s: float = LIMIT_S) -> JobView:
+        """Follow a job to its end."""
+        end = self.network.now + limit_s
+        while (view := self.client.status(job)).state not in FINAL_STATES:
+            assert self.network.now < end, f"job {job} has not ended after {limit_s} s: {view}"
+            self.client.pause(0.5)
+        return view
+
+    def result(self, job: str = "job") -> dict[str, Any]:
+        return self.client.result(job)
+
+    def run(self, config: JobConfig, variables: str = "x,y") -> dict[str, Any]:
+        """Submit, follow, return the result."""
+        self.submit(config, variables)
+        view = self.finish()
+        assert view.state == "done", view
+        return self.result()
+
+
+def bus_of(world: World, name: str) -> SimulatedBus:
+    """Return a new participant's bus, for a stranger."""
+    return world.network.bus(name)
+
+
+def comparable(result: dict[str, Any]) -> str:
+    """Return what of a result must not depend on workers, faults and time."""
+    equations = [{k: v for k, v in each.items() if k != "seconds"} for each in result["equations"]]
+    return json.dumps({"equations": equations, "digest": result["digest"], "points": result["point_evaluations"]})
