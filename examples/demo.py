@@ -50,7 +50,7 @@ def main() -> int:
     result = json.loads((Path("runs") / job / "result.json").read_text("utf-8"))
     is_right = compare(result)
     say(f"\nall of it took {time.monotonic() - started:.1f} s; the whole result is in runs/{job}/result.json")
-    say(f"next, an angle and nothing else:  {command[0]} run examples/pendulum.csv --order 2 --angle theta")
+    say(f"next, a pendulum of which only the angle was measured:  {command[0]} run examples/pendulum.csv --order 2")
     return 0 if is_right else 1
 
 

@@ -120,7 +120,7 @@ def ending(view: JobView, target_error: float | None) -> str | None:
     if view.state == "failed":
         return f"job {view.job} failed: {view.reason}"
     if view.state == "cancelled":
-        return f"job {view.job} was cancelled; these are its best equations so far"
+        return f"job {view.job} was cancelled; what it had found is kept"
     if exit_code(view, target_error) == TARGET_MISSED:
         missed = ", ".join(variable.lhs for variable in view.variables if not variable.converged)
         return f"--target-error {target_error:g} was not met within the budget by {missed}"

@@ -51,8 +51,7 @@ class LocalRun:
             path = write_result(self._folder, result)
             self._request.show(result)
             self._sum_up(result, follower.timeline.phases, path)
-        code = self._request.finish(view)
-        return code if self._forced is None else self._forced
+        return self._request.finish(view) if self._forced is None else self._forced
 
     def _follow(self, follower: Follower, client: Client, display: Display) -> JobView:
         """Follow the job; an interrupt, or the loss of all workers, cancels it and keeps its best equations."""
