@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 Preset = Literal["default", "paper"]
-Loss = Literal["mae", "mse"]
+Loss = Literal["mae", "rmse"]
 
 PositiveInt = Annotated[int, Field(ge=1)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -63,7 +63,7 @@ class EvolutionConfig(Model):
     constant_fit_steps: Annotated[int, Field(ge=0, le=100)] = Field(4, description="Levenberg-Marquardt steps a child")
     linear_scaling: bool = True
     scaled_constants: bool = Field(True, description="draw constants over the data's scales, not from [-10, 10]")
-    refit_interval: Annotated[int, Field(ge=0)] = Field(10, description="generations between refits on all rows; 0: none")
+    refit_interval: Annotated[int, Field(ge=1)] = Field(10, description="generations between offers to the front")
 
 
 class PredictorConfig(Model):
@@ -109,7 +109,7 @@ class JobConfig(Model):
 PAPER = JobConfig(
     preset="paper",
     space=SpaceConfig(terminals=7),
-    evolution=EvolutionConfig(constant_fit_steps=0, linear_scaling=False, scaled_constants=False, refit_interval=0),
+    evolution=EvolutionConfig(constant_fit_steps=0, linear_scaling=False, scaled_constants=False),
     predictors=PredictorConfig(rows=16),
 )
 """Table II of the paper, nothing added."""

@@ -4,18 +4,32 @@
 No clock, no I/O, no global random state, no thread order in it (DESIGN section 1, promise 1).
 """
 
+import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
+
+import numpy as np
 
 from common.config import JobConfig
 from common.dataset import Problem
+from common.errors import LocalProtocolError, RemoteProtocolError
 from common.pareto import FrontEntry
+from common.seeding import stream_key
+from common.wire.codec import decode_arrays, encode_arrays
+from island_worker.evolution import migration
+from island_worker.evolution.front import Front, Offering
+from island_worker.evolution.kernels_coevolution import begin_coevolution, evolve, train, use_best_predictor
+from island_worker.evolution.kernels_generation import PARTS, develop
+from island_worker.evolution.kernels_variation import random_list
+from island_worker.evolution.setting import Setting
+from island_worker.evolution.structures import Lists, empty_lists
 
 
 @dataclass(frozen=True)
 class Hit:
-    """The target error was met: at this generation (1-based within the epoch; 0 = in the initial population)."""
+    """The target error was met: at this generation (1-based within the epoch), with this normalized error."""
 
     generation: int
     error: float
@@ -45,46 +59,185 @@ class Island:
     The life of an island: ``Island(...)`` (epoch 0, random population), then for every epoch: `advance` until it returns
     True, `outcome`, and, unless the archipelago ended, `emigrants` to send and `immigrate` with all that is due here
     (own ones included), which begins the next epoch.
+
+    Raises:
+        LocalProtocolError: a field of `config` that must be resolved is not, or a method is called out of turn.
     """
 
-    def __init__(self, problem: Problem, config: JobConfig, island: int) -> None: ...
+    def __init__(self, problem: Problem, config: JobConfig, island: int) -> None:
+        self._setting = Setting(problem, config, island)
+        self._lists = empty_lists(config.evolution.population, self._setting.space.nodes)
+        self._fitness = np.full(config.evolution.population, math.inf)
+        self._coevolution = self._setting.empty_coevolution()
+        self._counters = np.zeros(len(PARTS), np.int64)
+        self._front = Front()
+        self._offering = Offering(self._setting, self._front)
+        self.epoch = 0
+        self._start_epoch()
 
-    epoch: int
+    def _start_epoch(self) -> None:
+        self._generation = 0
+        self._hit: Hit | None = None
+        self._begun = False
+        self._additions: list[FrontEntry] = []
+        setting = self._setting
+        key = stream_key(setting.config.seed, setting.variable, setting.island, self.epoch, "generations")
+        self._stream = np.array([key], np.uint64)
 
     def advance(self, generations: int = 10) -> bool:
         """Advance at most `generations` generations; return True when the epoch is finished or the target was hit."""
-        raise NotImplementedError
+        if not self._begun:
+            self._begin()
+        interval, last = self._setting.config.evolution.refit_interval, self._setting.config.migration.generations
+        end = min(last, self._generation + generations)
+        while self._generation < end and self._hit is None:
+            step = min(end - self._generation, interval - self._generation % interval)
+            self._evolve(step)
+            if self._generation % interval == 0 or self._generation == last:
+                self._offer()
+        return self._hit is not None or self._generation == last
+
+    def _begin(self) -> None:
+        """Draw the first population and its predictors at epoch 0; measure what immigrated later on."""
+        setting, scratch = self._setting, self._setting.scratch
+        if self.epoch == 0:
+            for p in range(len(self._fitness)):
+                random_list(self._lists, p, setting.space, self._stream)
+            if setting.coevolving.enabled:
+                begin_coevolution(
+                    self._lists, self._coevolution, setting.every, setting.fit, scratch, self._stream, self._counters
+                )
+            setting.gather(self._coevolution)
+            for p in range(len(self._fitness)):
+                self._fitness[p] = develop(
+                    self._lists,
+                    p,
+                    setting.rows,
+                    setting.fit,
+                    scratch.tape,
+                    scratch.work,
+                    scratch.result,
+                    self._counters,
+                )
+        else:
+            use_best_predictor(
+                self._lists, self._fitness, self._coevolution, setting.every, setting.rows, setting.fit, scratch,
+                self._counters,
+            )  # fmt: skip
+        self._begun = True
+
+    def _evolve(self, generations: int) -> None:
+        setting = self._setting
+        evolve(
+            generations, self._lists, self._fitness, self._coevolution, setting.space, setting.fit, setting.coevolving,
+            setting.every, setting.rows, setting.scratch, self._stream, self._counters,
+        )  # fmt: skip
+        self._generation += generations
+
+    def _offer(self) -> None:
+        found = self._offering.offer(self._lists, self._fitness, self._counters, self._tag())
+        self._additions += found
+        least = self._front.least_error()
+        target = self._setting.target
+        if least is not None and least <= target:
+            self._additions += self._offering.prune(target, self._counters, self._tag())
+            self._hit = Hit(self._generation, self._normalized(self._front.least_error()))
+
+    def _tag(self) -> tuple[int, int, int]:
+        return (self.epoch, self._generation, self._setting.island)
+
+    def _normalized(self, error: float | None) -> float:
+        return math.inf if error is None else error / self._setting.deviation
 
     def outcome(self) -> EpochOutcome:
         """Return the report of the finished epoch."""
-        raise NotImplementedError
+        best = self._normalized(self._front.least_error())
+        return EpochOutcome(
+            self.epoch,
+            self._generation,
+            self._hit,
+            tuple(self._additions),
+            dict(zip(PARTS, self._counters.tolist(), strict=True)),
+            best if math.isfinite(best) else None,
+            self._digest(),
+        )
+
+    def _digest(self) -> str:
+        digest = hashlib.blake2b(digest_size=16)
+        for array in self._state_arrays().values():
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
 
     def emigrants(self) -> dict[int, bytes]:
         """Return, by destination island (this one included), a block of solutions with their destination slots."""
-        raise NotImplementedError
+        setting = self._setting
+        places = migration.destinations(setting.config, setting.variable, self.epoch)[setting.island]
+        return migration.pack(self._lists, places)
 
     def immigrate(self, blocks: Mapping[int, bytes]) -> None:
         """Rebuild the population by slot from the blocks of exactly `senders(...)`, keyed by source island.
 
         Raises RemoteProtocolError when a block is malformed or the slots do not add up; the island is then unchanged.
         """
-        raise NotImplementedError
+        if not self._begun:
+            raise LocalProtocolError(f"island {self._setting.island} cannot take immigrants before its epoch has run")
+        lists = migration.unpack(blocks, len(self._fitness), self._setting.space, self._setting.allowed)
+        self._replace_population(lists)
+        self.epoch += 1
+        self._start_epoch()
+
+    def _replace_population(self, lists: Lists) -> None:
+        for mine, theirs in zip(self._lists, lists, strict=True):
+            mine[...] = theirs
+
+    def _state_arrays(self) -> dict[str, Any]:
+        coevolution = self._coevolution
+        arrays = {f"list {name}": a for name, a in zip(Lists._fields, self._lists, strict=True)}
+        arrays |= {f"trainer {name}": a for name, a in zip(Lists._fields, coevolution.trainers, strict=True)}
+        arrays |= {
+            name: getattr(coevolution, name) for name in ("predictors", "quality", "exact", "born", "best", "clock")
+        }
+        return arrays | {
+            "fitness": self._fitness,
+            "counters": self._counters,
+            "offered": self._offering.offered,
+            "offered loss": self._offering.offered_loss,
+        }
 
     def to_bytes(self) -> bytes:
-        """Return everything that can influence later bits or counters (PROTOCOL rule 14)."""
-        raise NotImplementedError
+        """Return everything that can influence later bits or counters, between epochs (PROTOCOL rule 14)."""
+        if self._begun:
+            raise LocalProtocolError("an island is written between epochs only, before generation 0")
+        arrays = {k: a.astype(np.int32) if a.dtype == np.int16 else a for k, a in self._state_arrays().items()}
+        entries = [
+            [e.complexity, e.error, e.mse, e.epoch, e.generation, e.island, e.program] for e in self._front.entries()
+        ]
+        return encode_arrays({"epoch": self.epoch, "front": entries}, arrays)
 
     @classmethod
     def from_bytes(cls, data: bytes, problem: Problem, config: JobConfig, island: int) -> Self:
         """Rebuild an island from `to_bytes`; raises RemoteProtocolError."""
-        raise NotImplementedError
+        header, arrays = decode_arrays(data)
+        made = cls(problem, config, island)
+        try:
+            for name, mine in made._state_arrays().items():
+                mine[...] = arrays[name]
+            made.epoch = int(header["epoch"])
+            made._front.replace(FrontEntry(*entry) for entry in header["front"])
+        except (KeyError, ValueError, TypeError) as error:
+            raise RemoteProtocolError(f"the state of an island does not fit its job: {error}") from error
+        made._retrain()
+        made._start_epoch()
+        return made
+
+    def _retrain(self) -> None:
+        """Bring back the trainers' losses by row, which follow from the trainers; not counted again."""
+        if self._setting.coevolving.enabled and self.epoch > 0:
+            for t in range(self._coevolution.exact.shape[0]):
+                uncounted = np.zeros(len(PARTS), np.int64)
+                train(self._coevolution, t, self._setting.every, self._setting.fit, self._setting.scratch, uncounted)
 
 
-def senders(config: JobConfig, variable: str, epoch: int, island: int) -> frozenset[int]:
-    """Return the islands (never `island` itself) whose solutions the reshuffle of `epoch` sends to `island`."""
-    raise NotImplementedError
-
-
-def receivers(config: JobConfig, variable: str, epoch: int, island: int) -> frozenset[int]:
-    """Return the islands (never `island` itself) to which the reshuffle of `epoch` sends solutions of `island`."""
-    raise NotImplementedError
+senders = migration.senders
+receivers = migration.receivers
+__all__ = ["EpochOutcome", "Hit", "Island", "receivers", "senders"]

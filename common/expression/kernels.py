@@ -1,0 +1,285 @@
+"""Evaluate a tape of operations over blocks of rows, forward and with gradient. The innermost loops of everything.
+
+A *tape* is a program's live nodes in order: `code` (N,) int64, `left`, `right` (N,) int64 indices of earlier nodes (for
+VARIABLE, `left` is the input's index), `constants` (N,) float64. Rows are handled `LANES` at a time, a constant that LLVM
+knows, so that every inner loop becomes a few vector instructions; arrays of rows are padded to a multiple of LANES.
+Sums run over the lanes of a block by a fixed tree and over blocks in order, so that they have the same bits everywhere.
+"""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from common.expression.kernels_elementary import strict_cos, strict_exp, strict_log, strict_pow, strict_sin, strict_tanh
+from common.expression.operators import (
+    ABS,
+    ADD,
+    CONSTANT,
+    COS,
+    DIVIDE,
+    EXP,
+    INVERSE,
+    LOG,
+    MULTIPLY,
+    NEGATE,
+    POW,
+    SIN,
+    SQRT,
+    SQUARE,
+    SUBTRACT,
+    TANH,
+    VARIABLE,
+)
+from common.jit import inlined, kernel
+
+LANES: Final = 16
+"""Rows in a block."""
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+
+def padded(rows: int) -> int:
+    """Return `rows` rounded up to a multiple of LANES."""
+    return -(-rows // LANES) * LANES
+
+
+@kernel
+def forward_block(count, code, left, right, constants, inputs, start, values):  # type: ignore[no-untyped-def]
+    """Write the value of each of `count` nodes at rows [start, start + LANES) into `values` (>= count, LANES).
+
+    `inputs` is (V, R) with R padded. Operators are not protected: what has no finite value becomes NaN or infinity.
+    """
+    for i in range(count):
+        op = code[i]
+        if op == VARIABLE:
+            _load_into(values, i, inputs, left[i], start)
+        elif op == CONSTANT:
+            _fill_into(values, i, constants[i])
+        elif op <= DIVIDE:
+            _arithmetic_into(values, i, op, left[i], right[i])
+        else:
+            _function_into(values, i, op, left[i], right[i])
+
+
+# The helpers take whole arrays and indices rather than rows: a row handed to another function would be counted as a
+# reference, by an atomic instruction, at every node.
+
+
+@kernel
+def _load_into(values, i, inputs, variable, start):  # type: ignore[no-untyped-def]
+    out = values[i]
+    column = inputs[variable]
+    for k in range(LANES):
+        out[k] = column[start + k]
+
+
+@kernel
+def _fill_into(values, i, constant):  # type: ignore[no-untyped-def]
+    out = values[i]
+    for k in range(LANES):
+        out[k] = constant
+
+
+@kernel
+def _arithmetic_into(values, i, op, left, right):  # type: ignore[no-untyped-def]
+    """Write node i = left op right for + - * /."""
+    out = values[i]
+    a = values[left]
+    b = values[right]
+    if op == ADD:
+        for k in range(LANES):
+            out[k] = a[k] + b[k]
+    elif op == SUBTRACT:
+        for k in range(LANES):
+            out[k] = a[k] - b[k]
+    elif op == MULTIPLY:
+        for k in range(LANES):
+            out[k] = a[k] * b[k]
+    else:
+        for k in range(LANES):
+            out[k] = a[k] / b[k]
+
+
+@kernel
+def _function_into(values, i, op, left, right):  # type: ignore[no-untyped-def]
+    """Write node i for the operators that are functions."""
+    out = values[i]
+    a = values[left]
+    if op == SIN:
+        for k in range(LANES):
+            out[k] = strict_sin(a[k])
+    elif op == COS:
+        for k in range(LANES):
+            out[k] = strict_cos(a[k])
+    elif op == SQUARE:
+        for k in range(LANES):
+            out[k] = a[k] * a[k]
+    elif op == INVERSE:
+        for k in range(LANES):
+            out[k] = 1.0 / a[k]
+    elif op == NEGATE:
+        for k in range(LANES):
+            out[k] = -a[k]
+    elif op == EXP:
+        for k in range(LANES):
+            out[k] = strict_exp(a[k])
+    elif op == LOG:
+        for k in range(LANES):
+            out[k] = strict_log(a[k])
+    elif op == SQRT:
+        for k in range(LANES):
+            out[k] = np.sqrt(a[k])
+    elif op == ABS:
+        for k in range(LANES):
+            out[k] = abs(a[k])
+    elif op == TANH:
+        for k in range(LANES):
+            out[k] = strict_tanh(a[k])
+    elif op == POW:
+        b = values[right]
+        for k in range(LANES):
+            out[k] = strict_pow(a[k], b[k])
+
+
+@kernel
+def reverse_block(count, code, left, right, depends, values, adjoints):  # type: ignore[no-untyped-def]
+    """Write d(output)/d(node) of every node that `depends` on a fitted constant into `adjoints` (>= count, LANES).
+
+    `values` are those of `forward_block`. One reverse sweep over the list (reverse-mode differentiation); nodes whose
+    `depends` is false are skipped and their adjoints left undefined.
+    """
+    for i in range(count):
+        if depends[i]:
+            _fill_into(adjoints, i, 0.0)
+    _fill_into(adjoints, count - 1, 1.0)
+    for i in range(count - 1, -1, -1):
+        op = code[i]
+        if op <= CONSTANT or not depends[i]:
+            continue
+        l = left[i]
+        r = right[i]
+        if op <= DIVIDE:
+            if depends[l]:
+                _add_left_adjoint(adjoints, values, i, op, l, r)
+            if depends[r]:
+                _add_right_adjoint(adjoints, values, i, op, l, r)
+        else:
+            if depends[l]:
+                _add_function_adjoint(adjoints, values, i, op, l, r)
+            if op == POW and depends[r]:
+                _add_exponent_adjoint(adjoints, values, i, l, r)
+
+
+@kernel
+def _add_left_adjoint(adjoints, values, i, op, left, right):  # type: ignore[no-untyped-def]
+    """Add to the adjoint of the left argument of + - * /."""
+    target = adjoints[left]
+    g = adjoints[i]
+    b = values[right]
+    if op == MULTIPLY:
+        for k in range(LANES):
+            target[k] += g[k] * b[k]
+    elif op == DIVIDE:
+        for k in range(LANES):
+            target[k] += g[k] / b[k]
+    else:
+        for k in range(LANES):
+            target[k] += g[k]
+
+
+@kernel
+def _add_right_adjoint(adjoints, values, i, op, left, right):  # type: ignore[no-untyped-def]
+    """Add to the adjoint of the right argument of + - * /."""
+    target = adjoints[right]
+    g = adjoints[i]
+    if op == ADD:
+        for k in range(LANES):
+            target[k] += g[k]
+    elif op == SUBTRACT:
+        for k in range(LANES):
+            target[k] -= g[k]
+    elif op == MULTIPLY:
+        a = values[left]
+        for k in range(LANES):
+            target[k] += g[k] * a[k]
+    else:
+        value = values[i]
+        b = values[right]
+        for k in range(LANES):
+            target[k] -= g[k] * value[k] / b[k]
+
+
+@kernel
+def _add_function_adjoint(adjoints, values, i, op, left, right):  # type: ignore[no-untyped-def]
+    """Add to the adjoint of the argument of a function, or of the base of pow."""
+    target = adjoints[left]
+    g = adjoints[i]
+    value = values[i]
+    a = values[left]
+    if op == SIN:
+        for k in range(LANES):
+            target[k] += g[k] * strict_cos(a[k])
+    elif op == COS:
+        for k in range(LANES):
+            target[k] -= g[k] * strict_sin(a[k])
+    elif op == SQUARE:
+        for k in range(LANES):
+            target[k] += g[k] * (2.0 * a[k])
+    elif op == INVERSE:
+        for k in range(LANES):
+            target[k] -= g[k] * (value[k] * value[k])
+    elif op == NEGATE:
+        for k in range(LANES):
+            target[k] -= g[k]
+    elif op == EXP:
+        for k in range(LANES):
+            target[k] += g[k] * value[k]
+    elif op == LOG:
+        for k in range(LANES):
+            target[k] += g[k] / a[k]
+    elif op == SQRT:
+        for k in range(LANES):
+            target[k] += g[k] / (2.0 * value[k])
+    elif op == ABS:
+        for k in range(LANES):
+            target[k] += g[k] if a[k] > 0.0 else (-g[k] if a[k] < 0.0 else 0.0)
+    elif op == TANH:
+        for k in range(LANES):
+            target[k] += g[k] * (1.0 - value[k] * value[k])
+    elif op == POW:
+        b = values[right]
+        for k in range(LANES):
+            target[k] += g[k] * (b[k] * strict_pow(a[k], b[k] - 1.0))
+
+
+@kernel
+def _add_exponent_adjoint(adjoints, values, i, left, right):  # type: ignore[no-untyped-def]
+    """Add to the adjoint of pow's exponent: value * log(base); NaN for a base that is not positive, as it must be."""
+    target = adjoints[right]
+    g = adjoints[i]
+    value = values[i]
+    a = values[left]
+    for k in range(LANES):
+        target[k] += g[k] * (value[k] * strict_log(a[k]))
+
+
+@inlined
+def lane_sum(lanes):  # type: ignore[no-untyped-def]
+    """Return the sum of the LANES = 16 numbers in `lanes` by a fixed tree; `lanes` is overwritten."""
+    for k in range(8):
+        lanes[k] += lanes[k + 8]
+    for k in range(4):
+        lanes[k] += lanes[k + 4]
+    return (lanes[0] + lanes[2]) + (lanes[1] + lanes[3])
+
+
+@kernel
+def evaluate(count, code, left, right, constants, inputs, rows, values, out):  # type: ignore[no-untyped-def]
+    """Write the tape's output at rows [0, rows) into `out`; `inputs` and `out` are padded to a multiple of LANES."""
+    for start in range(0, rows, LANES):
+        forward_block(count, code, left, right, constants, inputs, start, values)
+        top = values[count - 1]
+        for k in range(LANES):
+            out[start + k] = top[k]

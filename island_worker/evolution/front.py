@@ -1,0 +1,193 @@
+"""An island's front: the least error on all rows for each complexity, and how individuals get there.
+
+Only what was measured on every row enters. The best individual of each size is refitted there, its linear scaling
+worked into the program in several ways, and each way that improves the front is kept as an addition.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from common.expression.program import Program
+from common.pareto import FrontEntry, merge
+from island_worker.evolution.formula import Formula, Node, from_tape, onto_tape, reductions, scaled, to_program
+from island_worker.evolution.kernels_fit import fit
+from island_worker.evolution.kernels_generation import REFITTING
+from island_worker.evolution.kernels_offers import canonical, choose_offers, evaluate_program, refit
+from island_worker.evolution.kernels_tape import canonical_tape
+from island_worker.evolution.setting import Setting
+from island_worker.evolution.structures import Fit, Lists, Rows, padded_rows
+
+REFIT_STEPS = 10
+POLISH_STEPS = 4
+PRUNE_STEPS = 15
+PRUNE_SAMPLE = 64
+MOST_NODES = 200
+_NEAR = 2.0
+_PROMISING = 10.0
+
+Counters = npt.NDArray[np.int64]
+Tag = tuple[int, int, int]
+
+
+class Front:
+    """Non-dominated entries by complexity. Ties go to the earlier one."""
+
+    def __init__(self) -> None:
+        self._entries: tuple[FrontEntry, ...] = ()
+
+    def entries(self) -> tuple[FrontEntry, ...]:
+        """Return the entries by rising complexity and falling error."""
+        return self._entries
+
+    def replace(self, entries: Iterable[FrontEntry]) -> None:
+        """Take over a front that was saved."""
+        self._entries = merge((), entries)
+
+    def least_error(self) -> float | None:
+        """Return the least error, None while the front is empty."""
+        return self._entries[-1].error if self._entries else None
+
+    def error_at(self, complexity: int) -> float:
+        """Return the least error of entries no more complex than that; inf when there is none."""
+        return min((e.error for e in self._entries if e.complexity <= complexity), default=math.inf)
+
+    def add(self, entry: FrontEntry) -> bool:
+        """Add `entry` unless an entry as simple is as good; return whether it was added."""
+        if not entry.error < self.error_at(entry.complexity):
+            return False
+        self._entries = merge(self._entries, (entry,))
+        return True
+
+
+class Offering:
+    """Offers individuals to a front. `offered` and `offered_loss` (by size) remember the last structure offered."""
+
+    def __init__(self, setting: Setting, front: Front) -> None:
+        self._setting = setting
+        self._front = front
+        sizes = setting.scratch.best_of_size.shape[0]
+        self.offered = np.zeros(sizes, np.uint64)
+        self.offered_loss = np.full(sizes, math.inf)
+        self._chosen = np.zeros(sizes, np.int64)
+        self._scale = np.zeros(2)
+        self._result = np.zeros(2)
+        self._unscaled = Fit(setting.fit.steps, 0, setting.fit.loss)
+        self._largest = setting.config.space.max_size or MOST_NODES
+        self._sample = _spread(setting.every)
+
+    def offer(self, lists: Lists, fitness: npt.NDArray[np.float64], counters: Counters, tag: Tag) -> list[FrontEntry]:
+        """Measure the best of each size on all rows and offer it; return what improved the front."""
+        scratch = self._setting.scratch
+        count = choose_offers(lists, fitness, scratch, self.offered, self.offered_loss, self._chosen)
+        found: list[FrontEntry] = []
+        for p in self._chosen[:count].tolist():
+            found += self._offer_one(lists, p, counters, tag)
+        return found
+
+    def _offer_one(self, lists: Lists, p: int, counters: Counters, tag: Tag) -> Iterator[FrontEntry]:
+        setting, scratch = self._setting, self._setting.scratch
+        size = canonical(lists, p, scratch)
+        self._scale[:] = lists.scale[p]
+        steps = REFIT_STEPS if setting.fit.steps else 0
+        refit(size, setting.every, setting.fit, steps, scratch, self._scale, self._result, counters)
+        error = self._error()
+        if not error < self._front.error_at(size):
+            return
+        formula = from_tape(scratch.canonical, size)
+        for variant in self._variants(formula, self._scale.tolist()):
+            entry = self._measured(variant, error, counters, tag)
+            if entry is not None and self._front.add(entry):
+                yield entry
+
+    def _error(self) -> float:
+        """Return the loss of the last measurement, in the target's units."""
+        return float(self._result[0]) if self._setting.fit.loss == 0 else math.sqrt(float(self._result[1]))
+
+    def _variants(self, formula: Formula, scale: list[float]) -> list[Formula]:
+        """Return the formula scaled fully, by a factor alone, by a shift alone, and not at all."""
+        if not self._setting.fit.scaling:
+            return [formula]
+        a, b = scale
+        return [scaled(formula, a, b), scaled(formula, a, 0.0), scaled(formula, 1.0, b), formula]
+
+    def _measured(self, formula: Formula, near: float, counters: Counters, tag: Tag) -> FrontEntry | None:
+        """Return an entry for `formula`, its constants refined, or None when it is too large or far from `near`."""
+        setting, scratch = self._setting, self._setting.scratch
+        size = self._canonical(formula)
+        if size > self._largest:
+            return None
+        self._scale[:] = (1.0, 0.0)
+        evaluate_program(size, setting.every, scratch, self._scale, self._result, counters)
+        if setting.fit.steps and self._error() <= _NEAR * near:
+            refit(size, setting.every, self._unscaled, POLISH_STEPS, scratch, self._scale, self._result, counters)
+        if not math.isfinite(self._error()):
+            return None
+        return self._entry(size, tag)
+
+    def _canonical(self, formula: Formula) -> int:
+        """Put the canonical form of `formula` on the canonical tape; return its size."""
+        scratch = self._setting.scratch
+        return int(
+            canonical_tape(scratch.tape, onto_tape(formula, scratch.tape), scratch.work.values, scratch.canonical)
+        )
+
+    def _entry(self, size: int, tag: Tag) -> FrontEntry:
+        program = to_program(from_tape(self._setting.scratch.canonical, size)).to_bytes()
+        return FrontEntry(size, self._error(), float(self._result[1]), *tag, program)
+
+    def prune(self, target: float, counters: Counters, tag: Tag) -> list[FrontEntry]:
+        """Leave out of the best program whatever it can do without: all that keeps the error at most `target`.
+
+        One operator at a time gives way to one of its arguments or to a constant, the constants are fitted anew, and
+        the first reduction that still meets the target is taken, until there is none. Returns the additions.
+        """
+        found: list[FrontEntry] = []
+        if not self._setting.fit.steps:
+            return found
+        formula: Formula | None = self._best(target)
+        while formula is not None:
+            formula = self._reduced(formula, target, counters)
+            if formula is not None:
+                entry = self._entry(len(formula), tag)
+                if self._front.add(entry):
+                    found.append(entry)
+        return found
+
+    def _best(self, target: float) -> Formula:
+        """Return the simplest formula on the front that meets `target`."""
+        entry = next(e for e in self._front.entries() if e.error <= target)
+        program = Program.from_bytes(entry.program, self._setting.space.variables)
+        columns = (program.operators, program.left, program.right, program.constants)
+        return tuple(map(Node, *(column.tolist() for column in columns)))
+
+    def _reduced(self, formula: Formula, target: float, counters: Counters) -> Formula | None:
+        """Return the first smaller formula that meets `target`; its measurement stands in the scratch arrays."""
+        scratch = self._setting.scratch
+        for candidate in reductions(formula):
+            size = self._canonical(candidate)
+            if size >= len(formula) or not self._promising(size, target, counters):
+                continue
+            refit(size, self._setting.every, self._unscaled, PRUNE_STEPS, scratch, self._scale, self._result, counters)
+            if self._error() <= target:
+                return from_tape(scratch.canonical, size)
+        return None
+
+    def _promising(self, size: int, target: float, counters: Counters) -> bool:
+        """Return whether the program on the canonical tape comes near `target` on a sample of the rows."""
+        scratch = self._setting.scratch
+        steps, sample = PRUNE_STEPS, self._sample
+        used = fit(
+            scratch.canonical, size, sample.count // 4, sample, self._unscaled, steps, scratch.work, self._scale,
+            self._result,
+        )  # fmt: skip
+        counters[REFITTING] += used
+        return self._error() <= _PROMISING * target
+
+
+def _spread(every: Rows) -> Rows:
+    """Return rows evenly spread over `every`."""
+    index = np.arange(min(every.count, PRUNE_SAMPLE)) * every.count // min(every.count, PRUNE_SAMPLE)
+    return padded_rows(every.inputs[:, index], every.target[index])

@@ -1,0 +1,222 @@
+"""Coevolution of fitness predictors and trainers (Schmidt & Lipson, section 2.3 and Table II of the 2008 paper).
+
+A predictor is a list of rows. It is as good as the loss it predicts agrees with the exact loss, on average over the
+trainers. The losses of trainers at every row are kept, so that judging a predictor needs no further evaluation.
+"""
+
+import numpy as np
+
+from common.expression.kernels import evaluate
+from common.jit import inlined, kernel
+from island_worker.evolution.kernels_generation import COEVOLUTION, INFINITY, generation, predicted, remeasure
+from island_worker.evolution.kernels_random import below, uniform
+from island_worker.evolution.kernels_tape import compile_tape
+from island_worker.evolution.kernels_variation import copy_list
+
+_ROW_MUTATION = 0.05
+
+
+@kernel
+def train(coevolution, t, every, options, scratch, counters):  # type: ignore[no-untyped-def]
+    """Measure trainer `t` on every row: its losses by row and its exact loss (inf when not finite anywhere)."""
+    lists = coevolution.trainers
+    tape = scratch.tape
+    count = compile_tape(lists.code[t], lists.left[t], lists.right[t], lists.constants[t], tape)
+    output = scratch.work.output[0]
+    evaluate(
+        count, tape.code, tape.left, tape.right, tape.constants, every.inputs, every.count, scratch.work.values, output
+    )
+    total = 0.0
+    for r in range(every.count):
+        e = lists.scale[t, 0] * output[r] + lists.scale[t, 1] - every.target[r]
+        loss = abs(e) if options.loss == 0 else e * e
+        coevolution.losses[t, r] = loss
+        total += loss
+    total /= every.count
+    coevolution.exact[t] = total if np.isfinite(total) else INFINITY
+    counters[COEVOLUTION] += every.count
+
+
+@kernel
+def judge(coevolution, chosen):  # type: ignore[no-untyped-def]
+    """Return the mean absolute difference of predicted and exact loss over the trainers that have one."""
+    total = 0.0
+    finite = 0
+    for t in range(coevolution.exact.shape[0]):
+        if not np.isfinite(coevolution.exact[t]):
+            continue
+        loss = 0.0
+        for r in chosen:
+            loss += coevolution.losses[t, r]
+        total += abs(loss / chosen.shape[0] - coevolution.exact[t])
+        finite += 1
+    return total / finite if finite > 0 else INFINITY
+
+
+@kernel
+def judge_all(coevolution):  # type: ignore[no-untyped-def]
+    """Judge every predictor anew and choose the best, the present one in case of a tie; return True if it changed."""
+    best = coevolution.best[0]
+    for k in range(coevolution.quality.shape[0]):
+        coevolution.quality[k] = judge(coevolution, coevolution.predictors[k])
+    for k in range(coevolution.quality.shape[0]):
+        if coevolution.quality[k] < coevolution.quality[best]:
+            best = k
+    changed = best != coevolution.best[0]
+    coevolution.best[0] = best
+    return changed
+
+
+@inlined
+def _shared(one, two):  # type: ignore[no-untyped-def]
+    same = 0
+    for k in range(one.shape[0]):
+        if one[k] == two[k]:
+            same += 1
+    return same
+
+
+@kernel
+def predictor_generation(coevolution, rows, children, stream):  # type: ignore[no-untyped-def]
+    """Cross and mutate two predictors; each child replaces the more similar parent if no worse.
+
+    Return True when the rows that measure the solutions changed.
+    """
+    number = coevolution.quality.shape[0]
+    size = coevolution.predictors.shape[1]
+    first = below(stream, number)
+    second = (first + 1 + below(stream, number - 1)) % number
+    cut = 1 + below(stream, size - 1)
+    for k in range(size):
+        a = coevolution.predictors[first, k]
+        b = coevolution.predictors[second, k]
+        children[0, k] = a if k < cut else b
+        children[1, k] = b if k < cut else a
+    for q in range(2):
+        for k in range(size):
+            if uniform(stream) < _ROW_MUTATION:
+                children[q, k] = below(stream, rows)
+    straight = _shared(children[0], coevolution.predictors[first]) + _shared(
+        children[1], coevolution.predictors[second]
+    )
+    crossed = _shared(children[0], coevolution.predictors[second]) + _shared(children[1], coevolution.predictors[first])
+    changed = False
+    for q in range(2):
+        parent = first if (q == 0) == (straight >= crossed) else second
+        quality = judge(coevolution, children[q])
+        if quality <= coevolution.quality[parent]:
+            same = _shared(children[q], coevolution.predictors[parent]) == size
+            for k in range(size):
+                coevolution.predictors[parent, k] = children[q, k]
+            coevolution.quality[parent] = quality
+            if parent == coevolution.best[0] and not same:
+                changed = True
+            elif quality < coevolution.quality[coevolution.best[0]]:
+                coevolution.best[0] = parent
+                changed = True
+    coevolution.clock[0] += 1
+    return changed
+
+
+@kernel
+def most_disputed(lists, population, coevolution, every, rows, options, scratch, counters):  # type: ignore[no-untyped-def]
+    """Return the individual whose loss the predictors disagree on most (variance), -1 when none is finite.
+
+    Every individual is evaluated at every row that a predictor names, and counted.
+    """
+    number = coevolution.quality.shape[0]
+    size = coevolution.predictors.shape[1]
+    best = -1
+    widest = -1.0
+    tape = scratch.tape
+    output = scratch.work.output[0]
+    for p in range(population):
+        count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
+        total = 0.0
+        square = 0.0
+        for k in range(number):
+            gather(rows, every, coevolution.predictors[k])
+            evaluate(
+                count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, size, scratch.work.values, output
+            )
+            loss = predicted(output, rows.target, scratch.identity[:size], lists.scale[p], options.loss)
+            total += loss
+            square += loss * loss
+        counters[COEVOLUTION] += number * size
+        spread = square / number - (total / number) * (total / number)
+        if np.isfinite(spread) and spread > widest:
+            widest = spread
+            best = p
+    return best
+
+
+@kernel
+def gather(rows, every, index):  # type: ignore[no-untyped-def]
+    """Fill `rows` with the rows `index` of `every`, repeating the last one as padding."""
+    last = index.shape[0] - 1
+    for k in range(rows.target.shape[0]):
+        r = index[min(k, last)]
+        for v in range(rows.inputs.shape[0]):
+            rows.inputs[v, k] = every.inputs[v, r]
+        rows.target[k] = every.target[r]
+
+
+@kernel
+def renew_trainer(lists, population, coevolution, every, options, scratch, counters):  # type: ignore[no-untyped-def]
+    """Replace the oldest trainer by the most disputed individual; return True if the measuring rows changed."""
+    chosen = most_disputed(lists, population, coevolution, every, scratch.spare, options, scratch, counters)
+    if chosen < 0:
+        return False
+    oldest = 0
+    for t in range(coevolution.born.shape[0]):
+        if coevolution.born[t] < coevolution.born[oldest]:
+            oldest = t
+    copy_list(coevolution.trainers, oldest, lists, chosen)
+    coevolution.born[oldest] = coevolution.clock[0]
+    train(coevolution, oldest, every, options, scratch, counters)
+    return judge_all(coevolution)
+
+
+@kernel
+def begin_coevolution(lists, coevolution, every, options, scratch, stream, counters):  # type: ignore[no-untyped-def]
+    """Draw random predictors and take random individuals as trainers."""
+    for k in range(coevolution.predictors.shape[0]):
+        for i in range(coevolution.predictors.shape[1]):
+            coevolution.predictors[k, i] = below(stream, every.count)
+    for t in range(coevolution.exact.shape[0]):
+        copy_list(coevolution.trainers, t, lists, below(stream, lists.code.shape[0]))
+        coevolution.born[t] = t - coevolution.exact.shape[0]
+        train(coevolution, t, every, options, scratch, counters)
+    judge_all(coevolution)
+
+
+@kernel
+def use_best_predictor(lists, fitness, coevolution, every, rows, options, scratch, counters):  # type: ignore[no-untyped-def]
+    """Gather the best predictor's rows (all rows while predictors are off) and measure the population on them."""
+    if rows.count < every.count:
+        gather(rows, every, coevolution.predictors[coevolution.best[0]])
+    remeasure(lists, fitness, rows, options, scratch.tape, scratch.work, scratch.result, counters)
+
+
+@kernel
+def evolve(
+    generations, lists, fitness, coevolution, space, options, coevolving, every, rows, scratch, stream, counters
+):  # type: ignore[no-untyped-def]
+    """Advance the island by `generations`, predictors and trainers included.
+
+    Predictors advance only while their counted share of all point evaluations is under `coevolving.effort`.
+    """
+    for _ in range(generations):
+        generation(lists, fitness, space, options, rows, scratch, stream, counters)
+        if coevolving.enabled == 0:
+            continue
+        total = 0
+        for count in counters:
+            total += count
+        if counters[COEVOLUTION] >= coevolving.effort * total:
+            continue
+        changed = predictor_generation(coevolution, every.count, scratch.predictor_children, stream)
+        if coevolution.clock[0] % coevolving.renewal == 0:
+            changed = renew_trainer(lists, fitness.shape[0], coevolution, every, options, scratch, counters) or changed
+        if changed:
+            use_best_predictor(lists, fitness, coevolution, every, rows, options, scratch, counters)

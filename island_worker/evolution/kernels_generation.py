@@ -1,0 +1,117 @@
+"""Generations of one island: pair, cross, mutate, fit, and let each child replace its more similar parent if no worse.
+
+Deterministic crowding (Mahfoud 1995) as the paper has it, measured on the best fitness predictor's rows, with the
+coevolution of predictors and trainers (paper, section 2.3) in between. Point evaluations are counted by part.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from common.expression.kernels import evaluate
+from common.jit import inlined, kernel
+from island_worker.evolution.kernels_fit import errors, fit
+from island_worker.evolution.kernels_random import below
+from island_worker.evolution.kernels_tape import compile_tape, mark_live
+from island_worker.evolution.kernels_variation import copy_list, cross, distance, mutate
+
+OFFSPRING: Final = 0
+REEVALUATION: Final = 1
+FITTING: Final = 2
+REFITTING: Final = 3
+COEVOLUTION: Final = 4
+PARTS: Final = ("offspring", "reevaluation", "constant_fitting", "refitting", "coevolution")
+"""Names of the counters, in the order of their array."""
+
+INFINITY = np.inf
+
+
+@kernel
+def measure(lists, p, rows, options, tape, work, result):  # type: ignore[no-untyped-def]
+    """Set result to the errors of individual `p` as it stands on `rows`; return its loss there."""
+    count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
+    output = work.output[0]
+    evaluate(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, rows.count, work.values, output)
+    errors(output, rows, lists.scale[p], work.lanes, result)
+    return result[options.loss]
+
+
+@kernel
+def develop(lists, p, rows, options, tape, work, result, counters):  # type: ignore[no-untyped-def]
+    """Fit the constants of individual `p` to `rows`, write them back, count; return its loss there."""
+    count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
+    most = rows.count // 4
+    used = fit(tape, count, most, rows, options, options.steps, work, lists.scale[p], result)
+    counters[OFFSPRING] += rows.count
+    counters[FITTING] += used - rows.count
+    if options.steps > 0:
+        for i in range(count):
+            lists.constants[p, tape.origin[i]] = (
+                tape.constants[i] if tape.code[i] == 1 else lists.constants[p, tape.origin[i]]
+            )
+    return result[options.loss]
+
+
+@kernel
+def remeasure(lists, fitness, rows, options, tape, work, result, counters):  # type: ignore[no-untyped-def]
+    """Measure the whole population on new predictor rows, and count it."""
+    for p in range(fitness.shape[0]):
+        fitness[p] = measure(lists, p, rows, options, tape, work, result)
+        counters[REEVALUATION] += rows.count
+
+
+@inlined
+def _shuffle(order, stream):  # type: ignore[no-untyped-def]
+    for last in range(order.shape[0] - 1, 0, -1):
+        other = below(stream, last + 1)
+        kept = order[last]
+        order[last] = order[other]
+        order[other] = kept
+
+
+@kernel
+def _crowd(parents, fitness, pair, children, child_fitness, live):  # type: ignore[no-untyped-def]
+    """Let the two children meet the more similar parents; a tie goes uncrossed; replace when no worse."""
+    for q in range(2):
+        p = pair[q]
+        mark_live(parents.code[p], parents.left[p], parents.right[p], live[q])
+        mark_live(children.code[q], children.left[q], children.right[q], live[2 + q])
+    straight = distance(parents, pair[0], live[0], children, 0, live[2])
+    straight += distance(parents, pair[1], live[1], children, 1, live[3])
+    crossed = distance(parents, pair[0], live[0], children, 1, live[3])
+    crossed += distance(parents, pair[1], live[1], children, 0, live[2])
+    for q in range(2):
+        p = pair[q] if straight <= crossed else pair[1 - q]
+        if child_fitness[q] <= fitness[p]:
+            copy_list(parents, p, children, q)
+            fitness[p] = child_fitness[q]
+
+
+@kernel
+def generation(lists, fitness, space, options, rows, scratch, stream, counters):  # type: ignore[no-untyped-def]
+    """Advance the population by one generation on the current predictor's `rows`."""
+    order = scratch.order
+    for p in range(order.shape[0]):
+        order[p] = p
+    _shuffle(order, stream)
+    for first in range(0, order.shape[0], 2):
+        scratch.pair[0] = order[first]
+        scratch.pair[1] = order[first + 1]
+        cross(scratch.children, lists, order[first], order[first + 1], space, stream)
+        for q in range(2):
+            mutate(scratch.children, q, space, stream)
+            scratch.child_fitness[q] = develop(
+                scratch.children, q, rows, options, scratch.tape, scratch.work, scratch.result, counters
+            )
+        _crowd(lists, fitness, scratch.pair, scratch.children, scratch.child_fitness, scratch.live)
+
+
+@kernel
+def predicted(output, target, chosen, scale, loss):  # type: ignore[no-untyped-def]
+    """Return the loss on the rows `chosen` of a program whose output on all rows is known; inf when not finite."""
+    total = 0.0
+    for r in chosen:
+        e = scale[0] * output[r] + scale[1] - target[r]
+        total += abs(e) if loss == 0 else e * e
+    total /= chosen.shape[0]
+    return total if np.isfinite(total) else INFINITY

@@ -1,0 +1,89 @@
+"""Which individuals deserve to be measured on all rows, and what their constants are there."""
+
+import numpy as np
+
+from common.expression.kernels import evaluate
+from common.jit import inlined, kernel
+from island_worker.evolution.kernels_fit import errors, fit
+from island_worker.evolution.kernels_generation import INFINITY, REFITTING
+from island_worker.evolution.kernels_tape import canonical_tape, compile_tape
+
+_PRIME = np.uint64(0x100000001B3)
+_BASIS = np.uint64(0xCBF29CE484222325)
+
+
+@inlined
+def _mixed(h, value):  # type: ignore[no-untyped-def]
+    return (h ^ np.uint64(value + 1)) * _PRIME
+
+
+@kernel
+def structure_hash(tape, count):  # type: ignore[no-untyped-def]
+    """Return a hash of the program without its constants (FNV-1a over nodes)."""
+    h = _BASIS
+    for i in range(count):
+        h = _mixed(_mixed(_mixed(h, tape.code[i]), tape.left[i]), tape.right[i])
+    return h
+
+
+@kernel
+def canonical(lists, p, scratch):  # type: ignore[no-untyped-def]
+    """Write individual `p` as a canonical program to `scratch.canonical`; return its size, scaling left out."""
+    count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], scratch.tape)
+    return canonical_tape(scratch.tape, count, scratch.work.values, scratch.canonical)
+
+
+@kernel
+def choose_offers(lists, fitness, scratch, offered, offered_loss, chosen):  # type: ignore[no-untyped-def]
+    """List in `chosen` the best individual of each size that no smaller one equals; return their number.
+
+    Those are left out whose structure was the last one offered at that size, unless the predicted loss has halved.
+    `offered` (sizes,) uint64 and `offered_loss` (sizes,) are brought up to date.
+    """
+    best = scratch.best_of_size
+    for n in range(best.shape[0]):
+        best[n] = -1
+    for p in range(fitness.shape[0]):
+        if not np.isfinite(fitness[p]):
+            continue
+        n = canonical(lists, p, scratch)
+        scratch.hashes[p] = structure_hash(scratch.canonical, n)
+        if best[n] < 0 or fitness[p] < fitness[best[n]]:
+            best[n] = p
+    count = 0
+    least = INFINITY
+    for n in range(best.shape[0]):
+        p = best[n]
+        if p < 0 or not fitness[p] < least:
+            continue
+        least = fitness[p]
+        if offered[n] == scratch.hashes[p] and not fitness[p] < 0.5 * offered_loss[n]:
+            continue
+        offered[n] = scratch.hashes[p]
+        offered_loss[n] = fitness[p]
+        chosen[count] = p
+        count += 1
+    return count
+
+
+@kernel
+def refit(count, every, options, steps, scratch, scale, result, counters):  # type: ignore[no-untyped-def]
+    """Fit the program on `scratch.canonical` to all rows, in place, starting from `scale` where there is no fitting."""
+    tape = scratch.canonical
+    if steps == 0 and options.scaling == 0:
+        evaluate_program(count, every, scratch, scale, result, counters)
+        return
+    used = fit(tape, count, every.count // 4, every, options, steps, scratch.work, scale, result)
+    counters[REFITTING] += used
+
+
+@kernel
+def evaluate_program(count, every, scratch, scale, result, counters):  # type: ignore[no-untyped-def]
+    """Measure the program on `scratch.canonical`, scaled by `scale`, on all rows; counted."""
+    tape = scratch.canonical
+    output = scratch.work.output[0]
+    evaluate(
+        count, tape.code, tape.left, tape.right, tape.constants, every.inputs, every.count, scratch.work.values, output
+    )
+    errors(output, every, scale, scratch.work.lanes, result)
+    counters[REFITTING] += every.count

@@ -1,0 +1,139 @@
+"""Random lists, crossover, mutation and the distance of deterministic crowding (paper, section 2 and Table II)."""
+
+import numpy as np
+
+from common.expression.kernels_elementary import strict_exp
+from common.expression.operators import CONSTANT, VARIABLE
+from common.jit import inlined, kernel
+from island_worker.evolution.kernels_random import below, next_bits, normal, uniform
+from island_worker.evolution.kernels_tape import ARITY_OF
+
+
+@kernel
+def random_constant(space, stream):  # type: ignore[no-untyped-def]
+    """Return a constant: uniform in [-10, 10], or log-uniform about a product of powers of the data's scales.
+
+    With scales, the magnitude is 10^u with u uniform in [-1, 1), times each scale to the power -1, 0, 0 or 1: so that
+    ratios and products of columns of any unit are met, and nothing changes where all scales are 1.
+    """
+    if space.scales.shape[0] == 0:
+        return 20.0 * uniform(stream) - 10.0
+    magnitude = strict_exp(2.302585092994046 * (2.0 * uniform(stream) - 1.0))
+    for scale in space.scales:
+        power = below(stream, 4)
+        if power == 0:
+            magnitude /= scale
+        elif power == 1:
+            magnitude *= scale
+    return magnitude if uniform(stream) < 0.5 else -magnitude
+
+
+@kernel
+def _varied_constant(value, space, stream):  # type: ignore[no-untyped-def]
+    """Return a constant near `value`: a normal step, relative to its size where constants have scales."""
+    if space.scales.shape[0] == 0:
+        return value + normal(stream)
+    return value * (1.0 + 0.3 * normal(stream))
+
+
+@inlined
+def _random_terminal(lists, p, i, space, stream):  # type: ignore[no-untyped-def]
+    if uniform(stream) < 0.5:
+        lists.code[p, i] = VARIABLE
+        lists.left[p, i] = below(stream, space.variables)
+    else:
+        lists.code[p, i] = CONSTANT
+        lists.left[p, i] = 0
+        lists.constants[p, i] = random_constant(space, stream)
+    lists.right[p, i] = 0
+
+
+@kernel
+def random_list(lists, p, space, stream):  # type: ignore[no-untyped-def]
+    """Fill list `p` at random: terminals, then operators that refer to any earlier nodes."""
+    lists.scale[p, 0] = 1.0
+    lists.scale[p, 1] = 0.0
+    for i in range(space.nodes):
+        lists.constants[p, i] = 0.0
+        if i < space.terminals:
+            _random_terminal(lists, p, i, space, stream)
+        else:
+            lists.code[p, i] = space.operators[below(stream, space.operators.shape[0])]
+            lists.left[p, i] = below(stream, i)
+            lists.right[p, i] = below(stream, i)
+
+
+@kernel
+def mutate(lists, p, space, stream):  # type: ignore[no-untyped-def]
+    """Change each node of list `p` with probability `space.mutation`: one of its operator and its two arguments.
+
+    A terminal becomes another terminal; a constant is moved rather than replaced in half of the cases.
+    """
+    for i in range(space.nodes):
+        if uniform(stream) >= space.mutation:
+            continue
+        if i < space.terminals:
+            if lists.code[p, i] == CONSTANT and next_bits(stream) & np.uint64(1) == np.uint64(0):
+                lists.constants[p, i] = _varied_constant(lists.constants[p, i], space, stream)
+            else:
+                _random_terminal(lists, p, i, space, stream)
+            continue
+        part = below(stream, 3)
+        if part == 0:
+            lists.code[p, i] = space.operators[below(stream, space.operators.shape[0])]
+        elif part == 1:
+            lists.left[p, i] = below(stream, i)
+        else:
+            lists.right[p, i] = below(stream, i)
+
+
+@inlined
+def copy_nodes(target, p, source, q, first, last):  # type: ignore[no-untyped-def]
+    """Copy nodes [first, last) of list `q` of `source` to list `p` of `target`."""
+    for i in range(first, last):
+        target.code[p, i] = source.code[q, i]
+        target.left[p, i] = source.left[q, i]
+        target.right[p, i] = source.right[q, i]
+        target.constants[p, i] = source.constants[q, i]
+
+
+@inlined
+def copy_list(target, p, source, q):  # type: ignore[no-untyped-def]
+    """Copy the whole list `q` of `source`, with its scaling, to list `p` of `target`."""
+    copy_nodes(target, p, source, q, 0, source.code.shape[1])
+    target.scale[p, 0] = source.scale[q, 0]
+    target.scale[p, 1] = source.scale[q, 1]
+
+
+@kernel
+def cross(children, parents, first, second, space, stream):  # type: ignore[no-untyped-def]
+    """Write two complementary children of parents `first` and `second` to lists 0 and 1 of `children`.
+
+    With probability `space.crossover` both lists are cut at one common random place; else the children are copies.
+    """
+    cut = space.nodes
+    if uniform(stream) < space.crossover:
+        cut = 1 + below(stream, space.nodes - 1)
+    copy_list(children, 0, parents, first)
+    copy_list(children, 1, parents, second)
+    copy_nodes(children, 0, parents, second, cut, space.nodes)
+    copy_nodes(children, 1, parents, first, cut, space.nodes)
+
+
+@kernel
+def distance(one, p, live_one, two, q, live_two):  # type: ignore[no-untyped-def]
+    """Return the number of nodes, live in either list, that differ in operator or arguments; constants are equal."""
+    total = 0
+    for i in range(one.code.shape[1]):
+        if live_one[i] < 0 and live_two[i] < 0:
+            continue
+        a = one.code[p, i]
+        if live_one[i] < 0 or live_two[i] < 0 or a != two.code[q, i]:
+            total += 1
+            continue
+        if a == CONSTANT:
+            continue
+        arity = ARITY_OF[a]
+        if one.left[p, i] != two.left[q, i] or (arity > 1 and one.right[p, i] != two.right[q, i]):
+            total += 1
+    return total

@@ -1,0 +1,114 @@
+"""What does not change during an island's life: the problem's rows, the space, and how things are fitted and measured."""
+
+import math
+
+import numpy as np
+
+from common.config import JobConfig
+from common.dataset import FloatArray, Problem
+from common.errors import LocalProtocolError
+from common.expression.kernels import padded
+from island_worker.evolution.kernels_coevolution import gather
+from island_worker.evolution.migration import operator_codes
+from island_worker.evolution.structures import (
+    Coevolution,
+    Coevolving,
+    Fit,
+    Rows,
+    Space,
+    empty_lists,
+    empty_scratch,
+    padded_rows,
+)
+
+EXACT_TARGET = 1e-9
+"""Normalized error below which an equation counts as found when nothing else is asked for."""
+
+
+class Setting:
+    """Everything about one island that follows from problem and configuration, as kernels want it."""
+
+    def __init__(self, problem: Problem, config: JobConfig, island: int) -> None:
+        self.config = config
+        self.variable = problem.target.variable
+        self.island = island
+        self.deviation = problem.target.deviation
+        self.target = target_error(config, problem.target.floor) * self.deviation
+        self.every = padded_rows(problem.inputs, problem.target.values)
+        self.space = _space(problem, config)
+        self.allowed = frozenset(int(code) for code in self.space.operators)
+        evolution, predictors = config.evolution, config.predictors
+        self.fit = Fit(evolution.constant_fit_steps, int(evolution.linear_scaling), int(evolution.loss != "mae"))
+        sample = predictors.rows
+        if sample is None:
+            raise LocalProtocolError("predictors.rows is not resolved")
+        rows = self.every.count
+        self.coevolving = Coevolving(
+            int(predictors.enabled and rows > 2 * sample), predictors.effort, predictors.renewal
+        )
+        self.sample = sample if self.coevolving.enabled else rows
+        variables = problem.inputs.shape[0]
+        self.rows = self.every
+        if self.coevolving.enabled:
+            self.rows = Rows(np.zeros((variables, padded(sample))), np.zeros(padded(sample)), sample)
+        self.scratch = empty_scratch(evolution.population, self.space.nodes, variables, self.sample, rows)
+
+    def gather(self, coevolution: Coevolution) -> None:
+        """Fill `rows` with those of the best predictor; nothing to do while predictors are off."""
+        if self.coevolving.enabled:
+            gather(self.rows, self.every, coevolution.predictors[coevolution.best[0]])
+
+    def empty_coevolution(self) -> Coevolution:
+        """Return predictors and trainers not yet drawn; a single unused one of each when predictors are off."""
+        predictors = self.config.predictors
+        on = bool(self.coevolving.enabled)
+        number, trainers = (predictors.predictors, predictors.trainers) if on else (1, 1)
+        return Coevolution(
+            predictors=np.zeros((number, self.sample if on else 1), np.int64),
+            quality=np.zeros(number),
+            trainers=empty_lists(trainers, self.space.nodes),
+            exact=np.zeros(trainers),
+            losses=np.zeros((trainers, self.every.count if on else 1)),
+            born=np.zeros(trainers, np.int64),
+            best=np.zeros(1, np.int64),
+            clock=np.zeros(1, np.int64),
+        )
+
+
+def target_error(config: JobConfig, floor: float) -> float:
+    """Return the normalized error at which an equation has converged (DESIGN section 8, "Which equation")."""
+    asked = config.budget.target_error
+    return asked if asked is not None else max(EXACT_TARGET, 2.0 * floor)
+
+
+def _space(problem: Problem, config: JobConfig) -> Space:
+    terminals = config.space.terminals
+    if terminals is None:
+        raise LocalProtocolError("space.terminals is not resolved")
+    return Space(
+        terminals=terminals,
+        nodes=terminals + config.space.operator_nodes,
+        variables=problem.inputs.shape[0],
+        operators=np.array(operator_codes(config.space.operators), np.int64),
+        scales=_scales(problem) if config.evolution.scaled_constants else np.zeros(0),
+        crossover=config.evolution.crossover,
+        mutation=config.evolution.mutation,
+    )
+
+
+def _scales(problem: Problem) -> FloatArray:
+    """Return the powers of two nearest to the mean size of each column and the target; those of order one left at 1.
+
+    At least one number is returned, since none would mean constants in [-10, 10].
+    """
+    scales = [_power_of_two(column) for column in (*problem.inputs, problem.target.values)]
+    unusual = [scale for scale in scales if not 1 / 64 <= scale <= 64]
+    return np.array(unusual or [1.0])
+
+
+def _power_of_two(column: FloatArray) -> float:
+    total = 0.0
+    for value in column.tolist():
+        total += abs(value)
+    mean = total / len(column)
+    return math.ldexp(1.0, math.frexp(mean)[1]) if mean > 0.0 else 1.0
