@@ -59,7 +59,7 @@ def _waiting(view: JobView, workers: Sequence[WorkerView], connect_hint: str) ->
             f"; no worker has joined; start one with: {connect_hint}" if connect_hint else "; its workers are starting"
         )
     if all(worker.state == "compiling" for worker in alive):
-        details = [worker.detail for worker in alive if worker.detail]
+        details = sorted(worker.detail for worker in alive if worker.detail)  # "compiling …" before "waiting …"
         return f"; workers are getting ready: {details[0] if details else 'loading kernels'}"
     return f"; {view.reason}" if view.reason else ""
 
@@ -81,9 +81,11 @@ def standing(variable: VariableView) -> str:
 
 
 def plain_lines(view: JobView, workers: Sequence[WorkerView], connect_hint: str) -> list[str]:
-    """Return the lines of the plain display."""
+    """Return the lines of the plain display: the headline, then one for each equation with something to say."""
     lines = [headline(view, workers, connect_hint)]
     for variable in view.variables:
+        if not variable.epoch and not variable.finished:
+            continue
         lhs, epoch, error, size, best, stand = row(variable)
         ending = f"  ({stand})" if stand else ""
         lines.append(f"  {lhs}  epoch {epoch}  error {error}  size {size}  {clipped(best, 90)}{ending}")
