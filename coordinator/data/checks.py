@@ -72,10 +72,10 @@ def check_times(table: Table, name: str, times: FloatArray, rows: Sequence[int])
         raise DataError(f"the time column '{name}' is constant ({float(times[0]):g}); name another with --time")
     for row, (before, after) in zip(rows[1:], pairwise(times.tolist()), strict=True):
         if after == before:
-            problem = f"time {after:g} is repeated at {table.places([row])}"
+            problem = f"time {after!r} is repeated at {table.places([row])}"
             raise DataError(f"{problem}; keep one row, or mark trajectories (--trajectory COLUMN or blank rows)")
         if after < before:
-            problem = f"time goes back from {before:g} to {after:g} at {table.places([row])}"
+            problem = f"time goes back from {before!r} to {after!r} at {table.places([row])}"
             raise DataError(f"{problem}; sort the rows, or mark trajectories (--trajectory COLUMN or blank rows)")
 
 

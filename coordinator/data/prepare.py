@@ -26,6 +26,9 @@ GOOD_ENOUGH: Final = 1e-5
 """Rows whose derivative is uncertain by less than this share of its standard deviation are always kept."""
 LEAST_KEPT: Final = 0.7
 """Share of the rows that is kept however uncertain they are."""
+LEAST_SPREAD: Final = 1e-3
+"""A derivative that varies less than this share of its mean is judged by the mean: it may well be constant."""
+ROUNDING: Final = 1e-12
 PASSES: Final = 3
 """A wild row swells the standard deviation by which rows are judged, so that they are judged again without it."""
 
@@ -135,8 +138,7 @@ def _certain(estimates: Sequence[Estimate], inner: list[int]) -> list[int]:
     for _ in range(PASSES):
         worst = np.zeros(len(inner))
         for its in estimates:
-            _, deviation = moments(its.derivative[kept])
-            worst = np.maximum(worst, its.uncertainty[inner] / max(deviation, 1e-300))
+            worst = np.maximum(worst, its.uncertainty[inner] / _spread(its.derivative[kept], LEAST_SPREAD))
         limit = max(GOOD_ENOUGH, float(np.sort(worst)[math.ceil(LEAST_KEPT * len(inner)) - 1]))
         kept = [row for row, uncertainty in zip(inner, worst.tolist(), strict=True) if uncertainty <= limit]
     return kept
@@ -144,8 +146,14 @@ def _certain(estimates: Sequence[Estimate], inner: list[int]) -> list[int]:
 
 def _target(name: str, lhs: str, its: Estimate, kept: list[int]) -> Target:
     values = np.ascontiguousarray(its.derivative[kept])
-    _, deviation = moments(values)
+    deviation = _spread(values, ROUNDING)
     uncertainty, _ = moments(np.ascontiguousarray(its.uncertainty[kept]))
-    if not (math.isfinite(deviation) and deviation > 0.0 and math.isfinite(uncertainty)):
-        raise DataError(f"the derivative of '{name}' cannot be estimated (it has no finite spread); check its values")
+    if not (math.isfinite(deviation) and math.isfinite(uncertainty)):
+        raise DataError(f"the derivative of '{name}' is not finite; check for values beyond the range of numbers")
     return Target(name, lhs, values, uncertainty / deviation, deviation, its.noise)
+
+
+def _spread(values: FloatArray, least: float) -> float:
+    """Return the standard deviation, or `least` times the mean's size where the values hardly vary."""
+    mean, deviation = moments(values)
+    return max(deviation, least * abs(mean), 1e-300)

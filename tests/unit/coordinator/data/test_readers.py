@@ -8,7 +8,6 @@ from common.config import DataConfig
 from common.errors import DataError
 from coordinator.data.readers import read_table
 
-
 ANYTHING = DataConfig()
 
 

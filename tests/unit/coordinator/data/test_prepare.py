@@ -1,0 +1,213 @@
+"""From tables to regression problems, in every mode."""
+
+import math
+
+import numpy as np
+import pytest
+import sympy
+from sympy.parsing.sympy_parser import parse_expr
+
+from benchmarks.derivatives import table_of as table_of_samples
+from benchmarks.systems import SYSTEMS, TRUTH, trajectories
+from common.config import Angle, DataConfig, JobConfig
+from common.errors import DataError
+from coordinator.data.prepare import prepare
+from tests.unit.coordinator.data.tables import oscillator, table_of
+
+
+def prepared(columns, starts=(0,), preset="default", **options):
+    return prepare(table_of(columns, starts), JobConfig(preset=preset, data=DataConfig(**options)))
+
+
+def true_slopes(system, dataset):
+    """Evaluate the texts in TRUTH by sympy at the rows of a dataset."""
+    slopes = {}
+    for variable, text in TRUTH[system].items():
+        local = {name: sympy.Symbol(name) for name in dataset.names}
+        function = sympy.lambdify(list(local.values()), parse_expr(text, local_dict=local), "numpy")
+        slopes[variable] = function(*dataset.inputs)
+    return slopes
+
+
+def test_states_are_differentiated_in_time():
+    dataset = prepared(oscillator(100))
+    assert dataset.names == ("x", "y")
+    assert dataset.variables == ("x", "y")
+    assert [target.lhs for target in dataset.targets] == ["dx/dt", "dy/dt"]
+    assert dataset.inputs.shape == (2, 92)
+    assert dataset.targets[0].values == pytest.approx(dataset.inputs[1], abs=1e-10)
+    assert dataset.targets[1].values == pytest.approx(-dataset.inputs[0], abs=1e-10)
+    assert dataset.targets[0].deviation == pytest.approx(np.std(dataset.targets[0].values))
+    assert dataset.warnings[0].endswith("4 rows at each end of a trajectory are left out.")
+
+
+def test_the_name_of_the_time_column_is_in_the_left_hand_side():
+    columns = oscillator()
+    columns["year"] = columns.pop("t") + 1900
+    assert prepared(columns, time="year", only=("y",)).targets[0].lhs == "dy/dyear"
+
+
+def test_only_some_equations_keep_all_variables():
+    dataset = prepared(oscillator(), only=("y",))
+    assert dataset.variables == ("y",)
+    assert dataset.names == ("x", "y")
+    both = prepared(oscillator())
+    assert dataset.targets[0].values.tolist() == both.targets[1].values.tolist()
+
+
+def test_inputs_and_time_itself_are_variables():
+    columns = oscillator(100, start=5.0)
+    columns["u"] = columns["t"] ** 2
+    dataset = prepared(columns, inputs=("u", "t"))
+    assert dataset.names == ("x", "y", "u", "t")
+    assert dataset.variables == ("x", "y")
+    assert dataset.inputs[3] == pytest.approx(columns["t"][4:-4])
+    assert dataset.inputs[2] == pytest.approx(columns["t"][4:-4] ** 2)
+
+
+def test_explicit_regression_takes_the_label_as_it_is():
+    columns = {"label": [1.0, 2.0, 4.0, 8.0, 9.0], "x": [0.0, 1.0, 2.0, 3.0, 4.0], "y": [5.0, 5.0, 6.0, 7.0, 8.0]}
+    dataset = prepared(columns, target="label")
+    (target,) = dataset.targets
+    assert (target.variable, target.lhs, target.floor, target.noise) == ("label", "label", 0.0, 0.0)
+    assert target.values.tolist() == columns["label"]
+    assert dataset.names == ("x", "y")
+    assert dataset.inputs.tolist() == [columns["x"], columns["y"]]
+
+
+def test_given_derivatives_are_taken_as_they_are():
+    columns = oscillator(20)
+    columns |= {"dx": columns["y"], "dy": -columns["x"]}
+    dataset = prepared(columns, states=("x", "y"), derivatives=("dx", "dy"))
+    assert [target.lhs for target in dataset.targets] == ["dx/dt", "dy/dt"]
+    assert [target.floor for target in dataset.targets] == [0.0, 0.0]
+    assert dataset.targets[1].values.tolist() == (-columns["x"]).tolist()
+    assert dataset.inputs.shape == (2, 20)
+    del columns["t"]
+    assert prepared(columns, states=("x", "y"), derivatives=("dx", "dy")).targets[0].lhs == "dx/dt"
+
+
+def test_order_two_makes_the_velocity_a_variable():
+    columns = oscillator(100)
+    columns["x_dot"] = columns.pop("y")
+    dataset = prepared(columns, states=("x",), order=2)
+    assert dataset.names == ("x", "x_dot")
+    assert dataset.targets[0].lhs == "d2x/dt2"
+    assert dataset.targets[0].values == pytest.approx(-dataset.inputs[0], abs=1e-8)
+    assert dataset.inputs[1] == pytest.approx(columns["x_dot"][4:-4], abs=1e-9)
+
+
+def test_a_velocity_keeps_out_of_the_way_of_a_column_of_its_name():
+    columns = oscillator(100)
+    columns["x_dot"] = columns.pop("y")
+    dataset = prepared(columns, states=("x",), inputs=("x_dot",), order=2)
+    assert dataset.names == ("x", "x_dot_", "x_dot")
+
+
+def test_awkward_names_get_symbols():
+    columns = oscillator(50)
+    columns = {"t": columns["t"], "lambda": columns["x"], "v w": columns["y"], "θ": columns["x"] + columns["y"]}
+    dataset = prepared(columns)
+    assert dataset.names == ("lambda_", "v_w", "θ")
+    assert dataset.symbols == {"lambda": "lambda_", "v w": "v_w", "θ": "θ"}
+    assert [target.lhs for target in dataset.targets] == ["dlambda/dt", "dv w/dt", "dθ/dt"]
+
+
+def test_a_wrapped_angle_in_degrees_is_unwrapped_into_radians():
+    columns = oscillator(100)
+    columns["y"] = np.degrees(3 * columns["t"]) % 360
+    dataset = prepared(columns, angles=(Angle(column="y", degrees=True),))
+    assert dataset.inputs[1] == pytest.approx(3 * columns["t"][4:-4])
+    assert "Degrees were converted to radians: y." in dataset.warnings
+
+
+def test_given_derivatives_of_an_angle_are_converted_with_it():
+    columns = {"y": np.arange(10.0) * 7 % 360, "dy": np.arange(10.0)}
+    dataset = prepared(columns, derivatives=("dy",), angles=(Angle(column="y", degrees=True),))
+    assert dataset.targets[0].values == pytest.approx(np.radians(columns["dy"]))
+    assert dataset.inputs[0] == pytest.approx(np.radians(columns["y"]))
+
+
+def test_dropped_rows_are_bridged():
+    columns = oscillator(100)
+    columns["x"][50] = math.nan
+    dataset = prepared(columns, missing="drop")
+    assert dataset.inputs.shape[1] == 99 - 8
+    assert dataset.targets[0].values == pytest.approx(dataset.inputs[1], abs=1e-8)
+
+
+def test_noisy_states_are_smoothed_and_all_rows_kept():
+    columns = oscillator(200)
+    columns["x"] = columns["x"] + 0.05 * np.random.default_rng(0).standard_normal(200)
+    columns["y"] = columns["y"] + 0.05 * np.random.default_rng(1).standard_normal(200)
+    dataset = prepared(columns)
+    assert dataset.inputs.shape == (2, 200)
+    assert np.std(dataset.inputs[0] - oscillator(200)["x"]) < 0.025
+    assert all(0.01 < target.floor < 0.3 for target in dataset.targets)
+    assert all(0.04 < target.noise < 0.1 for target in dataset.targets)
+    assert dataset.warnings == ()
+
+
+def test_the_paper_preset_keeps_all_rows():
+    assert prepared(oscillator(100), preset="paper").inputs.shape == (2, 100)
+
+
+def test_the_dataset_is_the_same_every_time():
+    table = table_of_samples(trajectories("glider", 0.1, noise=0.02))
+    assert prepare(table, JobConfig()).digest == prepare(table, JobConfig()).digest
+
+
+@pytest.mark.parametrize("scales", [(1e-6, 1e6, 0.0), (1.0, 1.0, 1900.0), (1e6, 1e-3, 1e9)])
+def test_units_and_origin_of_time_change_nothing_but_the_scale(scales):
+    sampled = trajectories("lotka_volterra", 0.02)
+    table = table_of_samples(sampled)
+    columns = dict(zip(table.names, table.columns, strict=True))
+    plain = prepare(table_of(columns, table.starts), JobConfig())
+    columns = {"t": columns["t"] + scales[2], "x": columns["x"] * scales[0], "y": columns["y"] * scales[1]}
+    moved = prepare(table_of(columns, table.starts), JobConfig())
+    assert moved.inputs.shape == plain.inputs.shape
+    for its, others, scale in zip(plain.targets, moved.targets, scales, strict=False):
+        assert np.abs(others.values / scale - its.values).max() < 1e-9 * its.deviation
+        assert others.floor == pytest.approx(its.floor, rel=0.01)
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("step", [0.02, 0.1])
+@pytest.mark.parametrize("system", [name for name in SYSTEMS if name != "pendulum"])
+def test_the_truth_is_within_the_floor(system, step, seed):
+    """With room: a search ends at twice the floor. Few rows are left out, and the floor admits no rough likeness."""
+    dataset = prepare(table_of_samples(trajectories(system, step, seed)), JobConfig())
+    truths = true_slopes(system, dataset)
+    for target in dataset.targets:
+        error = np.abs(target.values - truths[target.variable]).mean() / target.deviation
+        assert error <= max(0.5e-9, 0.7 * target.floor)
+        assert target.floor < (2e-6 if step == 0.02 else 2e-5)
+        assert target.noise == 0.0
+    assert dataset.inputs.shape[1] >= (0.9 if step == 0.02 else 0.6) * 40 / step
+
+
+def test_rows_by_a_singularity_are_left_out_and_counted():
+    dataset = prepare(table_of_samples(trajectories("shear_flow", 0.02, 4)), JobConfig())
+    assert any("change too fast for the sampling step" in warning for warning in dataset.warnings)
+
+
+def test_steps_of_the_data_alone_are_no_derivative():
+    """A state that only ever jumps between two values has a slope, but nobody would trust it."""
+    columns = oscillator(40)
+    columns["y"] = np.where(np.arange(40) % 2 == 0, 0.0, 1.0)
+    dataset = prepared(columns)
+    assert dataset.targets[1].floor > 0.01
+
+
+def test_a_state_that_grows_linearly_has_a_constant_derivative():
+    columns = oscillator(100)
+    columns["y"] = 3 * columns["t"]
+    dataset = prepared(columns)
+    assert dataset.inputs.shape == (2, 92)
+    assert dataset.targets[1].values == pytest.approx(np.full(92, 3.0))
+    assert dataset.targets[1].deviation > 0.0
+
+
+def test_objections_to_the_data_reach_the_caller():
+    with pytest.raises(DataError, match="is constant"):
+        prepared({**oscillator(), "y": np.ones(60)})
