@@ -131,7 +131,6 @@ class Placement(Model):
     No island begins epoch `epochs` or later, nor an epoch more than twice `interval` after the last commit.
     """
 
-    kind: Literal["placement"] = "placement"
     incarnation: Count
     term: Term
     job: Id

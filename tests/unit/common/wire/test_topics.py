@@ -1,0 +1,88 @@
+"""Keys: what is built is parsed back, and nothing else is parsed."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.errors import LocalProtocolError, RemoteProtocolError
+from common.wire import topics
+from common.wire.keys import matches
+
+IDS = st.from_regex(topics.ID, fullmatch=True)
+DIGESTS = st.from_regex(topics.DIGEST, fullmatch=True)
+PARTS = st.sampled_from(["alive", "status", "report", "pull"])
+
+
+@given(IDS, IDS, IDS, DIGESTS, st.integers(0, topics.MAX_CHUNKS - 1), PARTS)
+def test_every_key_that_is_built_is_parsed_back(
+    realm: str, name: str, peer: str, digest: str, index: int, part: topics.WorkerPart
+) -> None:
+    pairs = [
+        (topics.HELLO, topics.HelloKey()),
+        (topics.control(realm), topics.ControlKey(realm)),
+        (topics.control(realm, name), topics.ControlKey(realm, name)),
+        (topics.job(realm, name), topics.JobKey(realm, name)),
+        (topics.placement(realm, name), topics.PlacementKey(realm, name)),
+        (topics.blob(realm, digest, index), topics.BlobKey(realm, digest, index)),
+        (topics.worker(realm, name, part), topics.WorkerKey(realm, name, part)),
+        (topics.mail(realm, name, peer), topics.MailKey(realm, name, peer)),
+        (topics.client(realm, name), topics.ClientKey(realm, name)),
+    ]
+    for key, parsed in pairs:
+        assert topics.parse(key) == parsed
+
+
+@given(IDS, IDS, IDS, DIGESTS)
+def test_expressions_receive_the_keys_they_are_meant_for(realm: str, name: str, peer: str, digest: str) -> None:
+    assert matches(topics.all_jobs(realm), topics.placement(realm, name))
+    assert matches(topics.all_jobs(realm), topics.job(realm, name))
+    assert matches(topics.all_blobs(realm), topics.blob(realm, digest, 3))
+    assert matches(topics.all_workers(realm, "status"), topics.worker(realm, name, "status"))
+    assert not matches(topics.all_workers(realm, "status"), topics.worker(realm, name, "report"))
+    assert matches(topics.all_clients(realm), topics.client(realm, name))
+    assert matches(topics.inbox(realm, peer), topics.mail(realm, name, peer))
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "",
+        "atoll",
+        "other/hello",
+        "atoll/hello/x",
+        "atoll/r/unknown",
+        "atoll/r/worker/w/other",
+        "atoll/r/worker/w/to",
+        "atoll/r/worker/a b/status",
+        "atoll/r/blob/12/0",
+        f"atoll/r/blob/{'0' * 64}/01",
+        f"atoll/r/blob/{'0' * 64}/99999",
+        f"atoll/{'r' * 65}/control",
+        "atoll/r/client/c/ask/more",
+        "a/" * 1000,
+    ],
+)
+def test_any_other_key_is_refused(key: str) -> None:
+    with pytest.raises(RemoteProtocolError, match="none of ours"):
+        topics.parse(key)
+
+
+@given(st.text())
+def test_no_text_breaks_the_parser(key: str) -> None:
+    try:
+        topics.parse(key)
+    except RemoteProtocolError:
+        return
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "*", "θ", "x" * 65, "v [m/s]"])
+def test_only_ids_stand_in_keys(name: str) -> None:
+    with pytest.raises(LocalProtocolError, match="cannot stand in a key"):
+        topics.job("realm", name)
+
+
+def test_blob_keys_need_a_digest_and_a_chunk_that_can_be() -> None:
+    with pytest.raises(LocalProtocolError):
+        topics.blob("realm", "12", 0)
+    with pytest.raises(LocalProtocolError):
+        topics.blob("realm", "0" * 64, -1)

@@ -1,0 +1,451 @@
+"""The worker's session, told as events and expected actions; every test ends with the invariants checked."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from common.errors import LocalProtocolError, RemoteProtocolError
+from common.wire.messages import (
+    Block,
+    Close,
+    Commit,
+    Finished,
+    HitStatement,
+    IslandReport,
+    Migrants,
+    NewerTerm,
+    NotYet,
+    Placement,
+    PullMigrants,
+    PullReports,
+    Reports,
+    Sent,
+)
+from island_worker.events import (
+    Abandoned,
+    AskPeer,
+    Broken,
+    Closed,
+    Committed,
+    Compute,
+    Computed,
+    Discard,
+    DiscardJob,
+    FetchJob,
+    FetchPlacements,
+    JobReady,
+    Mailed,
+    Placed,
+    PullAnswered,
+    PullAsked,
+    Rejected,
+    Reset,
+    Respond,
+    Send,
+    SendReport,
+    TaskKey,
+    Tick,
+    Unloadable,
+)
+from island_worker.session import Session
+
+
+@pytest.fixture
+def session() -> Iterator[Session]:
+    made = Session("me")
+    yield made
+    made.validate()
+
+
+def placed(*workers: str, term: int = 1, job: str = "job", variable: str = "x", epochs: int = 100) -> Placed:
+    return Placed(
+        Placement(incarnation=1, term=term, job=job, variable=variable, workers=workers, epochs=epochs, interval=2)
+    )
+
+
+def key(island: int, epoch: int, term: int = 1, job: str = "job", variable: str = "x") -> TaskKey:
+    return TaskKey(job, variable, term, island, epoch)
+
+
+def report(island: int, hit: int | None = None, digest: str = "ab" * 16) -> IslandReport:
+    return IslandReport(
+        island=island,
+        generations=100,
+        hit=None if hit is None else HitStatement(generation=hit, error=0.0),
+        additions=(),
+        evaluations={},
+        best_error=None,
+        digest=digest,
+    )
+
+
+def computed(task: TaskKey, emigrants: dict[int, bytes], *senders: int, hit: int | None = None) -> Computed:
+    return Computed(task, report(task.island, hit), emigrants, frozenset(senders), 0.1)
+
+
+def mail(epoch: int, *blocks: tuple[int, int, bytes], term: int = 1, sender: str = "peer") -> Mailed:
+    made = tuple(Block(source=source, destination=to, data=data) for source, to, data in blocks)
+    return Mailed(sender, Migrants(job="job", variable="x", term=term, epoch=epoch, blocks=made))
+
+
+def finished(island: int, epoch: int, term: int = 1) -> Finished:
+    return Finished(job="job", variable="x", term=term, epoch=epoch, generation=7, island=island)
+
+
+def begun(session: Session, *workers: str, **fields: int) -> list[object]:
+    session.handle(placed(*workers, **fields))  # type: ignore[arg-type]
+    return list(session.handle(JobReady("job")))
+
+
+def tasks(actions: list[object]) -> list[TaskKey]:
+    return [action.task.key for action in actions if isinstance(action, Compute)]
+
+
+# ---------------------------------------------------------------------------------------------- beginning
+
+
+def test_a_placement_fetches_the_job_and_computing_waits_for_it(session: Session) -> None:
+    assert session.handle(placed("me", "peer")) == [FetchJob("job")]
+    assert session.state() == "waiting"
+    actions = session.handle(JobReady("job"))
+    assert tasks(actions) == [key(0, 0)]
+    assert session.state() == "computing"
+
+
+def test_a_second_variable_does_not_fetch_the_job_again(session: Session) -> None:
+    session.handle(placed("me"))
+    assert session.handle(placed("me", variable="y")) == []
+
+
+def test_a_placement_elsewhere_is_not_ours(session: Session) -> None:
+    assert session.handle(placed("other", "peer")) == []
+    assert session.holdings() == ()
+    assert session.state() == "ready"
+
+
+def test_the_same_or_an_older_placement_changes_nothing(session: Session) -> None:
+    begun(session, "me", "peer", term=3)
+    assert session.handle(placed("me", "peer", term=3)) == []
+    assert session.handle(placed("me", term=2)) == []
+    assert session.holdings()[0].term == 3
+
+
+def test_a_higher_term_discards_what_was_computed_and_begins_anew(session: Session) -> None:
+    begun(session, "me", "peer")
+    assert session.handle(placed("me", "peer", term=2)) == [Discard("job", "x", 1)]
+    actions = session.handle(Abandoned(key(0, 0)))
+    assert tasks(actions) == [key(0, 0, term=2)]
+
+
+def test_what_was_computed_under_a_former_term_is_dropped(session: Session) -> None:
+    begun(session, "me", "peer")
+    session.handle(placed("me", "peer", term=2))
+    actions = session.handle(computed(key(0, 0), {1: b"a"}, 1))
+    assert tasks(actions) == [key(0, 0, term=2)]
+    assert len(actions) == 1
+
+
+# -------------------------------------------------------------------------------------------- an epoch
+
+
+def test_a_finished_epoch_is_reported_and_its_emigrants_are_sent_the_next_computation_first(session: Session) -> None:
+    begun(session, "me", "me", "peer")
+    actions = session.handle(computed(key(0, 0), {0: b"own", 1: b"near", 2: b"far"}, 1, 2))
+    assert tasks(actions[:1]) == [key(1, 0)]
+    (sent,) = [action for action in actions if isinstance(action, Send)]
+    assert isinstance(sent.body, Migrants)
+    assert (sent.peer, sent.body.blocks) == ("peer", (Block(source=0, destination=2, data=b"far"),))
+    assert not [action for action in actions if isinstance(action, SendReport)]
+    actions = session.handle(computed(key(1, 0), {0: b"back"}, 2))
+    (reported,) = [action for action in actions if isinstance(action, SendReport)]
+    assert [each.island for each in reported.report.islands] == [0, 1]
+
+
+def test_an_island_waits_for_exactly_the_senders_it_was_told(session: Session) -> None:
+    begun(session, "me", "peer", "peer")
+    assert tasks(session.handle(computed(key(0, 0), {0: b"own"}, 1, 2))) == []
+    assert session.state() == "waiting"
+    assert tasks(session.handle(mail(0, (1, 0, b"one")))) == []
+    (action,) = session.handle(mail(0, (2, 0, b"two")))
+    assert isinstance(action, Compute)
+    assert action.task.blocks == {0: b"own", 1: b"one", 2: b"two"}
+
+
+def test_mail_may_come_before_the_island_is_ready_for_it_and_twice(session: Session) -> None:
+    begun(session, "me", "peer")
+    session.handle(mail(0, (1, 0, b"one")))
+    session.handle(mail(0, (1, 0, b"one")))
+    session.handle(mail(1, (1, 0, b"next")))
+    (action, *_) = session.handle(computed(key(0, 0), {}, 1))
+    assert isinstance(action, Compute)
+    assert action.task.blocks == {1: b"one"}
+    session.handle(mail(0, (1, 0, b"late")))
+    (action, *_) = session.handle(computed(key(0, 1), {}, 1))
+    assert isinstance(action, Compute)
+    assert action.task.blocks == {1: b"next"}
+
+
+def test_the_lowest_epoch_is_computed_first_then_the_lowest_name(session: Session) -> None:
+    session.handle(placed("me", variable="y"))
+    session.handle(placed("me", variable="x"))
+    order = tasks(list(session.handle(JobReady("job"))))
+    for _ in range(3):
+        order += tasks(list(session.handle(computed(order[-1], {0: b"own"}))))
+    assert [(each.variable, each.epoch) for each in order] == [("x", 0), ("y", 0), ("x", 1), ("y", 1)]
+
+
+def test_the_job_that_was_computed_least_comes_first(session: Session) -> None:
+    session.handle(placed("me", job="a"))
+    session.handle(JobReady("a"))
+    session.handle(computed(key(0, 0, job="a"), {0: b"own"}))
+    session.handle(placed("me", job="b"))
+    session.handle(JobReady("b"))
+    done = computed(key(0, 1, job="a"), {0: b"own"})
+    assert tasks(list(session.handle(done))) == [key(0, 0, job="b")]
+
+
+def test_no_island_runs_ahead_of_the_commit_by_more_than_two_intervals(session: Session) -> None:
+    begun(session, "me")
+    epoch = 0
+    while tasks(list(session.handle(computed(key(0, epoch), {0: b"own"})))):
+        epoch += 1
+    assert epoch == 4
+    commit = Commit(job="job", variable="x", term=1, epoch=2)
+    assert tasks(list(session.handle(Committed(commit)))) == [key(0, 5)]
+
+
+def test_a_commit_beyond_what_was_reported_is_refused(session: Session) -> None:
+    begun(session, "me")
+    with pytest.raises(RemoteProtocolError, match="commit"):
+        session.handle(Committed(Commit(job="job", variable="x", term=1, epoch=5)))
+
+
+def test_the_last_epoch_is_marked_and_ends_the_island(session: Session) -> None:
+    actions = begun(session, "me", epochs=1)
+    (action,) = actions
+    assert isinstance(action, Compute)
+    assert action.task.is_last
+    (reported,) = session.handle(computed(key(0, 0), {}))
+    assert isinstance(reported, SendReport)
+    assert session.state() == "ready"
+
+
+# ------------------------------------------------------------------------------------------------- hits
+
+
+def test_a_hit_is_stated_to_every_other_worker_in_place_of_emigrants(session: Session) -> None:
+    begun(session, "me", "peer", "other", "peer")
+    actions = session.handle(computed(key(0, 0), {}, hit=7))
+    assert [action for action in actions if isinstance(action, Send)] == [
+        Send("peer", finished(0, 0)),
+        Send("other", finished(0, 0)),
+    ]
+
+
+def test_after_a_hit_elsewhere_its_epoch_is_finished_and_no_more(session: Session) -> None:
+    begun(session, "me", "me", "peer")
+    session.handle(computed(key(0, 0), {}, 2))
+    session.handle(Mailed("peer", finished(2, 1)))
+    session.handle(mail(0, (2, 0, b"a"), (2, 1, b"b")))
+    assert tasks(list(session.handle(computed(key(1, 0), {}, 2)))) == [key(0, 1)]
+    assert tasks(list(session.handle(computed(key(0, 1), {}, 1)))) == [key(1, 1)]
+    assert tasks(list(session.handle(computed(key(1, 1), {0: b"c"}, 0)))) == []
+    assert session.state() == "ready"
+
+
+def test_an_island_beyond_an_earlier_hit_stops_and_reports_no_more(session: Session) -> None:
+    begun(session, "me", "peer")
+    session.handle(mail(0, (1, 0, b"a")))
+    session.handle(computed(key(0, 0), {}, 1))
+    session.handle(Mailed("peer", finished(1, 0)))
+    actions = session.handle(computed(key(0, 1), {}, 1))
+    assert not [action for action in actions if isinstance(action, SendReport)]
+    assert session.state() == "ready"
+
+
+# ------------------------------------------------------------------------------------------------ pulls
+
+
+def test_missing_migrants_are_asked_for_after_a_second_and_then_with_doubling_pauses(session: Session) -> None:
+    begun(session, "me", "peer", "other")
+    session.handle(computed(key(0, 0), {}, 1, 2))
+    session.handle(mail(0, (1, 0, b"a")))
+    asked = [now for now in range(0, 41) if session.handle(Tick(float(now)))]
+    assert asked == [1, 3, 7, 15, 23, 31, 39]
+    (action,) = session.handle(Tick(47.0))
+    assert action == AskPeer(
+        "other", PullMigrants(job="job", variable="x", term=1, epoch=0, destination=0, sources=(2,))
+    )
+
+
+def test_a_pull_is_answered_with_what_was_sent(session: Session) -> None:
+    begun(session, "me", "me", "peer")
+    session.handle(computed(key(0, 0), {2: b"far"}, 2))
+    question = PullMigrants(job="job", variable="x", term=1, epoch=0, destination=2, sources=(0, 1))
+    (answer,) = session.handle(PullAsked("handle", question))
+    assert isinstance(answer, Respond)
+    assert isinstance(answer.body, Sent)
+    assert answer.body.migrants == Migrants(
+        job="job", variable="x", term=1, epoch=0, blocks=(Block(source=0, destination=2, data=b"far"),)
+    )
+
+
+def test_a_pull_is_answered_with_a_hit_even_of_another_worker(session: Session) -> None:
+    begun(session, "me", "peer")
+    session.handle(computed(key(0, 0), {}, hit=7))
+    question = PullMigrants(job="job", variable="x", term=1, epoch=0, destination=1, sources=(0,))
+    (answer,) = session.handle(PullAsked("handle", question))
+    assert answer == Respond("handle", Sent(migrants=None, finished=(finished(0, 0),)))
+
+
+def test_a_pull_of_what_is_not_computed_yet_is_answered_so(session: Session) -> None:
+    begun(session, "me", "peer")
+    question = PullMigrants(job="job", variable="x", term=1, epoch=0, destination=1, sources=(0,))
+    assert session.handle(PullAsked("h", question)) == [Respond("h", NotYet())]
+    reports = PullReports(job="job", variable="x", term=1, first=0, last=5)
+    assert session.handle(PullAsked("h", reports)) == [Respond("h", NotYet())]
+
+
+def test_reports_can_be_pulled_until_the_commit_has_passed_them(session: Session) -> None:
+    begun(session, "me")
+    for epoch in range(3):
+        session.handle(computed(key(0, epoch), {0: b"own"}))
+    question = PullReports(job="job", variable="x", term=1, first=0, last=9)
+    (answer,) = session.handle(PullAsked("h", question))
+    assert isinstance(answer, Respond)
+    assert isinstance(answer.body, Reports)
+    assert [each.epoch for each in answer.body.reports] == [0, 1, 2]
+    session.handle(Committed(Commit(job="job", variable="x", term=1, epoch=2)))
+    (answer,) = session.handle(PullAsked("h", question))
+    assert isinstance(answer, Respond)
+    assert isinstance(answer.body, Reports)
+    assert [each.epoch for each in answer.body.reports] == [2]
+
+
+def test_a_pull_under_another_term_is_answered_with_ours(session: Session) -> None:
+    begun(session, "me", "peer", term=4)
+    question = PullMigrants(job="job", variable="x", term=3, epoch=0, destination=1, sources=(0,))
+    assert session.handle(PullAsked("h", question)) == [Respond("h", NewerTerm(job="job", variable="x", term=4))]
+
+
+def test_an_answer_counts_as_mail_from_the_one_who_was_asked(session: Session) -> None:
+    begun(session, "me", "peer")
+    session.handle(computed(key(0, 0), {}, 1))
+    body = mail(0, (1, 0, b"a")).body
+    assert isinstance(body, Migrants)
+    with pytest.raises(RemoteProtocolError, match="placed elsewhere"):
+        session.handle(PullAnswered("other", Sent(migrants=body)))
+    assert tasks(list(session.handle(PullAnswered("peer", Sent(migrants=body))))) == [key(0, 1)]
+
+
+def test_news_of_a_higher_term_fetch_the_placement(session: Session) -> None:
+    begun(session, "me", "peer")
+    news = NewerTerm(job="job", variable="x", term=2)
+    assert session.handle(PullAnswered("peer", news)) == [FetchPlacements("job")]
+    assert session.handle(PullAnswered("peer", NewerTerm(job="job", variable="x", term=1))) == []
+
+
+# ------------------------------------------------------------------------------- foreign and early mail
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        mail(0, (0, 0, b"forged")),
+        mail(0, (1, 1, b"not here")),
+        mail(0, (9, 0, b"no such island")),
+        mail(99, (1, 0, b"far ahead")),
+        Mailed("peer", finished(0, 0)),
+        Mailed("stranger", finished(1, 0)),
+    ],
+)
+def test_mail_that_cannot_be_is_refused_and_changes_nothing(session: Session, event: Mailed) -> None:
+    begun(session, "me", "peer")
+    with pytest.raises(RemoteProtocolError):
+        session.handle(event)
+    session.handle(computed(key(0, 0), {}, 1))
+    assert tasks(list(session.handle(mail(0, (1, 0, b"true"))))) == [key(0, 1)]
+
+
+def test_mail_of_a_former_term_is_dropped(session: Session) -> None:
+    begun(session, "me", "peer", term=2)
+    session.handle(computed(key(0, 0, term=2), {}, 1))
+    assert session.handle(mail(0, (1, 0, b"old"), term=1)) == []
+
+
+def test_mail_that_comes_before_its_placement_is_kept_and_the_placement_fetched_once(session: Session) -> None:
+    assert session.handle(mail(0, (1, 0, b"early"))) == [FetchPlacements("job")]
+    assert session.handle(mail(1, (1, 0, b"earlier"))) == []
+    assert session.handle(mail(0, (0, 0, b"forged"), sender="stranger")) == []
+    begun(session, "me", "peer")
+    (action, *_) = session.handle(computed(key(0, 0), {}, 1))
+    assert isinstance(action, Compute)
+    assert action.task.blocks == {1: b"early"}
+
+
+# ---------------------------------------------------------------------------------------------- trouble
+
+
+def test_refused_immigrants_are_pulled_again(session: Session) -> None:
+    begun(session, "me", "peer")
+    session.handle(mail(0, (1, 0, b"damaged")))
+    session.handle(computed(key(0, 0), {0: b"own"}, 1))
+    assert session.handle(Rejected(key(0, 1), "malformed")) == []
+    session.handle(Tick(0.0))
+    assert [type(action) for action in session.handle(Tick(1.0))] == [AskPeer]
+    (action,) = session.handle(mail(0, (1, 0, b"good")))
+    assert isinstance(action, Compute)
+    assert action.task.blocks == {0: b"own", 1: b"good"}
+
+
+def test_what_no_pull_can_mend_is_trouble(session: Session) -> None:
+    begun(session, "me")
+    session.handle(computed(key(0, 0), {0: b"own"}))
+    session.handle(Rejected(key(0, 1), "malformed"))
+    assert [each.sentence for each in session.troubles()] == ["malformed"]
+
+
+def test_what_broke_is_told_until_it_is_closed(session: Session) -> None:
+    begun(session, "me", "peer")
+    session.handle(Broken(key(0, 0), "division by a fish"))
+    assert [(each.island, each.sentence) for each in session.troubles()] == [(0, "division by a fish")]
+    session.handle(Closed(Close(job="job")))
+    assert session.troubles() == ()
+
+
+def test_a_dataset_that_cannot_be_read_is_trouble(session: Session) -> None:
+    session.handle(placed("me", "peer"))
+    session.handle(Unloadable("job", "it is empty"))
+    assert "it is empty" in session.troubles()[0].sentence
+
+
+def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
+    with pytest.raises(LocalProtocolError, match="waits for"):
+        session.handle(computed(key(0, 0), {}))
+
+
+# ----------------------------------------------------------------------------------------------- ending
+
+
+def test_closing_one_variable_keeps_the_others(session: Session) -> None:
+    begun(session, "me")
+    session.handle(placed("me", variable="y"))
+    assert session.handle(Closed(Close(job="job", variable="x"))) == [Discard("job", "x", 1)]
+    assert [each.variable for each in session.holdings()] == ["y"]
+    assert session.wants("job")
+
+
+def test_closing_a_job_forgets_all_of_it(session: Session) -> None:
+    begun(session, "me")
+    assert session.handle(Closed(Close(job="job"))) == [Discard("job", "x", 1), DiscardJob("job")]
+    assert not session.wants("job")
+    assert session.handle(Closed(Close(job="job"))) == []
+    assert session.handle(placed("me")) == []
+    session.handle(Abandoned(key(0, 0)))
+
+
+def test_a_reset_forgets_everything_also_the_terms(session: Session) -> None:
+    begun(session, "me", "peer", term=5)
+    assert session.handle(Reset()) == [Discard("job", "x", 5), DiscardJob("job")]
+    session.handle(Abandoned(key(0, 0, term=5)))
+    assert tasks(begun(session, "me", "peer", term=2)) == [key(0, 0, term=2)]

@@ -1,0 +1,41 @@
+"""docs/protocol.md says what the code does: its tables are the code's, and no message is missing."""
+
+import re
+from importlib import import_module
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from common.wire import messages
+
+ROOT = Path(__file__).resolve().parents[2]
+TEXT = (ROOT / "docs" / "protocol.md").read_text("utf-8")
+TABLES = re.findall(r"<!-- table: ([\w.]+) -->\n((?:\|.*\n)+)", TEXT)
+
+
+def printed(path: str) -> str:
+    """Return a transition table as the document prints it."""
+    module, name = path.rsplit(".", 1)
+    table: dict[str, dict[str, str]] = getattr(import_module(module), name)
+    steps = list(dict.fromkeys(step for row in table.values() for step in row))
+    rows = [[state, *(row.get(step, "·") for step in steps)] for state, row in table.items()]
+    lines = [["state", *steps], *rows]
+    text = ["| " + " | ".join(line) + " |\n" for line in lines]
+    return "".join([text[0], "|" + "---|" * (len(steps) + 1) + "\n", *text[1:]])
+
+
+def test_all_four_machines_are_there() -> None:
+    assert len(TABLES) == 4
+
+
+@pytest.mark.parametrize(("path", "table"), TABLES)
+def test_a_table_in_the_document_is_the_one_in_the_code(path: str, table: str) -> None:
+    assert table == printed(path)
+
+
+def test_every_kind_of_message_is_named() -> None:
+    models = [each for each in vars(messages).values() if isinstance(each, type) and issubclass(each, messages.Model)]
+    kinds = {get_args(each.model_fields["kind"].annotation)[0] for each in models if "kind" in each.model_fields}
+    assert len(kinds) > 25
+    assert [kind for kind in sorted(kinds) if f"`{kind}`" not in TEXT] == []
