@@ -4,6 +4,7 @@ The texts are pure functions of what the coordinator says of a job and its worke
 and how they appear.
 """
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol
@@ -31,7 +32,8 @@ class Display(Protocol):
 
 def open_display(connect_hint: str) -> Display:
     """Return the display that suits stderr. `connect_hint` is the command that starts a worker, "" if nobody need."""
-    return LiveDisplay(connect_hint) if sys.stderr.isatty() else PlainDisplay(connect_hint)
+    is_screen = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+    return LiveDisplay(connect_hint) if is_screen else PlainDisplay(connect_hint)
 
 
 def headline(view: JobView, workers: Sequence[WorkerView], connect_hint: str) -> str:

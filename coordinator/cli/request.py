@@ -19,7 +19,7 @@ from coordinator.client import Client
 if TYPE_CHECKING:
     from common.table import Table
 
-CONNECT_LIMIT_S: Final = 5.0
+CONNECT_LIMIT_S: Final = 3.0
 """How long a coordinator is looked for."""
 
 
