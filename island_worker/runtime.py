@@ -218,6 +218,8 @@ class Worker:
             return
         self._is_accepted = self._is_accepted or bool(fingerprint)
         self._join(answer)
+        if self._fingerprint and not self._is_accepted:  # the kernels became ready while the greeting was under way
+            self._greet()
 
     def _join(self, welcome: Welcome) -> None:
         former, self._welcome, self._away_since = self._welcome, welcome, None

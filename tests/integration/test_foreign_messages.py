@@ -1,0 +1,76 @@
+"""On a real router: strangers' messages are counted, and the answer is that of the undisturbed run."""
+
+import threading
+from collections.abc import Callable
+
+from common.config import BudgetConfig, EvolutionConfig, JobConfig
+from common.wire import topics
+from common.wire.zenoh_bus import open_client, open_router
+from coordinator.client import Client
+from coordinator.service.ports import Ports
+from coordinator.service.preparing import in_thread
+from coordinator.service.service import Service
+from coordinator.service.store import Store
+from island_worker.runtime import Worker
+from tests.simulation.stub import StubCompute
+from tests.simulation.test_trouble import nonsense
+from tests.simulation.world import World, comparable, prepare
+
+LIMIT_S = 60.0
+CONFIG = JobConfig(seed=1, evolution=EvolutionConfig(islands=4), budget=BudgetConfig(max_epochs=14))
+
+
+class AtOnce:
+    """A network without time, for the stub: what is to happen later happens now."""
+
+    now = 0.0
+
+    def at(self, time_s: float, action: Callable[[], None]) -> None:
+        action()
+
+
+def work(endpoint: str, name: str, made: list[Worker]) -> None:
+    with open_client(endpoint, wait_s=LIMIT_S) as bus:
+        worker = Worker(bus, StubCompute(AtOnce(), name, 0), name, wait_s=LIMIT_S)  # type: ignore[arg-type]
+        made.append(worker)
+        worker.run()
+
+
+def test_foreign_messages_change_nothing_on_a_real_router() -> None:
+    expected = comparable(World(workers=1, seed=1).run(CONFIG))
+    stop, made = threading.Event(), list[Worker]()
+    with Store.open(None) as store, open_router("tcp/127.0.0.1:0") as router:
+        ports = Ports(prepare, in_thread, lambda: "2026-01-01T00:00:00")
+        service = Service(router, store, expected_workers=2, dismisses_workers=True, ports=ports)
+        threads = [threading.Thread(target=service.run, args=(stop,))]
+        threads += [threading.Thread(target=work, args=(router.endpoint, f"w{index}", made)) for index in range(2)]
+        for thread in threads:
+            thread.start()
+        try:
+            with open_client(router.endpoint, wait_s=LIMIT_S) as stranger, open_client(router.endpoint) as bus:
+                client = Client(bus, router.endpoint)
+                wait_until(lambda: sum(view.state == "ready" for view in client.workers()) == 2, client)
+                send_nonsense(stranger.put, store.realm)
+                wait_until(lambda: all(worker.rejects.total >= 4 for worker in made), client)
+                wait_until(lambda: service.rejects.total >= 8, client)
+                client.submit("job", "", CONFIG, client.upload(b"x,y"))
+                wait_until(lambda: client.status("job").state == "done", client)
+                assert comparable(client.result("job")) == expected
+        finally:
+            stop.set()
+            for thread in threads:
+                thread.join(LIMIT_S)
+    assert [worker.exit_code for worker in made] == [0, 0]
+    assert topics.worker(store.realm, "w0", "report") in service.rejects.counts
+
+
+def send_nonsense(put: Callable[[str, bytes], None], realm: str) -> None:
+    for key, payload in nonsense(realm):
+        put(key, payload)
+
+
+def wait_until(condition: Callable[[], bool], client: Client) -> None:
+    end = client.now() + LIMIT_S
+    while not condition():
+        assert client.now() < end, "waited for too long"
+        client.pause(0.05)

@@ -1,0 +1,201 @@
+"""Collecting: complete epochs in order, ends in their order, and nothing counted twice."""
+
+import itertools
+import math
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.errors import RemoteProtocolError
+from common.pareto import FrontEntry, merge
+from common.wire.messages import Addition, HitStatement, IslandReport
+from coordinator.service.collector import Collector, DivergedError, Limits, additions_of
+
+LIMITS = Limits(islands=2, epochs=50, stagnation=5, generations=100)
+
+
+def best_error(front: tuple[FrontEntry, ...]) -> float:
+    return min((100.0 * entry.error for entry in front), default=math.inf)
+
+
+@pytest.fixture
+def collector() -> Iterator[Collector]:
+    made = Collector("x", LIMITS, best_error)
+    yield made
+    made.validate()
+
+
+def report(
+    island: int, error: float = 1.0, hit: int | None = None, digest: str = "ab" * 16, count: int = 10
+) -> IslandReport:
+    addition = Addition(complexity=3, error=error, mse=error, generation=4, program=b"p")
+    return IslandReport(
+        island=island,
+        generations=100,
+        hit=None if hit is None else HitStatement(generation=hit, error=0.0),
+        additions=(addition,),
+        evaluations={"offspring": count, "fit": 2 * count},
+        best_error=error,
+        digest=digest,
+    )
+
+
+def fill(collector: Collector, epoch: int, *reports: IslandReport) -> None:
+    collector.receive("w", epoch, reports or (report(0), report(1)), float(epoch + 1))
+
+
+def test_an_epoch_counts_when_all_islands_have_reported_it(collector: Collector) -> None:
+    assert not collector.receive("w0", 0, [report(0)], 1.0)
+    assert collector.progress.epochs == 0
+    assert collector.receive("w1", 0, [report(1)], 2.0)
+    assert collector.progress.epochs == 1
+    assert collector.progress.seconds == 2.0
+
+
+def test_later_epochs_wait_for_earlier_ones(collector: Collector) -> None:
+    fill(collector, 1)
+    assert collector.progress.epochs == 0
+    fill(collector, 0)
+    assert collector.progress.epochs == 2
+
+
+def test_the_same_report_again_changes_nothing_not_even_counters(collector: Collector) -> None:
+    fill(collector, 0)
+    before = collector.progress.evaluations
+    assert not collector.receive("w9", 0, [report(0), report(1)], 9.0)
+    assert collector.progress.evaluations == before == {"fit": 40, "offspring": 20}
+
+
+def test_another_digest_for_the_same_key_is_divergence_and_names_both_workers(collector: Collector) -> None:
+    collector.receive("first", 0, [report(0)], 1.0)
+    with pytest.raises(DivergedError, match=r"first and second .* island 0 of x in epoch 0"):
+        collector.receive("second", 0, [report(0, digest="cd" * 16)], 2.0)
+
+
+def test_divergence_is_noticed_also_after_the_epoch_was_complete(collector: Collector) -> None:
+    fill(collector, 0)
+    with pytest.raises(DivergedError):
+        collector.receive("late", 0, [report(1, digest="cd" * 16)], 2.0)
+
+
+@pytest.mark.parametrize(("epoch", "island"), [(50, 0), (0, 2)])
+def test_islands_and_epochs_that_do_not_exist_are_refused(collector: Collector, epoch: int, island: int) -> None:
+    with pytest.raises(RemoteProtocolError, match="there is none such"):
+        collector.receive("w", epoch, [report(0), report(island)], 1.0)
+    assert collector.first_missing([0], 1) == 0
+
+
+def test_errors_that_are_not_finite_never_enter_the_front() -> None:
+    wild = report(0).model_copy(
+        update={
+            "additions": (Addition.model_construct(complexity=1, error=math.inf, mse=0.0, generation=1, program=b""),)
+        }
+    )
+    assert merge((), additions_of(0, [wild])) == ()
+
+
+# ------------------------------------------------------------------------------------------------- ends
+
+
+def test_the_target_ends_the_search_with_the_least_generation_and_island(collector: Collector) -> None:
+    fill(collector, 0)
+    fill(collector, 1, report(0, hit=30), report(1, hit=20))
+    assert collector.cut is not None
+    assert (collector.cut.why, collector.cut.epochs, collector.cut.generation) == ("target", 2, 120)
+
+
+def test_a_later_epoch_is_not_looked_at_once_there_is_a_cut(collector: Collector) -> None:
+    fill(collector, 1, report(0, error=0.1), report(1))
+    fill(collector, 0, report(0, hit=5), report(1))
+    assert collector.cut is not None
+    assert collector.cut.epochs == 1
+    assert [entry.error for entry in collector.cut.entries()] == [1.0]
+    fill(collector, 2)
+    assert collector.progress.epochs == 1
+
+
+def test_a_search_that_does_not_get_better_stagnates(collector: Collector) -> None:
+    for epoch in range(6):
+        assert collector.cut is None
+        fill(collector, epoch, report(0, error=1.0 - 0.001 * epoch), report(1))
+    assert collector.cut is not None
+    assert (collector.cut.why, collector.cut.epochs, collector.cut.generation) == ("stagnation", 6, None)
+
+
+def test_a_search_that_gets_better_goes_on(collector: Collector) -> None:
+    for epoch in range(20):
+        fill(collector, epoch, report(0, error=10.0 - 0.1 * epoch), report(1, error=20.0))
+    assert collector.cut is None
+
+
+def test_a_search_that_finds_nothing_at_all_stagnates(collector: Collector) -> None:
+    empty = [report(island).model_copy(update={"additions": ()}) for island in (0, 1)]
+    for epoch in range(6):
+        fill(collector, epoch, *empty)
+    assert collector.cut is not None
+    assert collector.cut.front == ()
+
+
+def test_the_last_epoch_ends_the_search() -> None:
+    collector = Collector("x", Limits(islands=1, epochs=2, stagnation=100, generations=100), best_error)
+    fill(collector, 0, report(0))
+    fill(collector, 1, report(0))
+    assert collector.cut is not None
+    assert (collector.cut.why, collector.cut.epochs) == ("max-epochs", 2)
+
+
+def test_the_target_comes_before_stagnation_and_stagnation_before_the_last_epoch() -> None:
+    for hit, why in ((7, "target"), (None, "stagnation")):
+        collector = Collector("x", Limits(islands=1, epochs=2, stagnation=1, generations=100), best_error)
+        fill(collector, 0, report(0))
+        fill(collector, 1, report(0, hit=hit))
+        assert collector.cut is not None
+        assert collector.cut.why == why
+
+
+def test_a_cut_now_is_at_the_last_complete_epoch(collector: Collector) -> None:
+    fill(collector, 0)
+    fill(collector, 1, report(0, error=0.5))
+    collector.cut_now("max-time")
+    assert collector.cut is not None
+    assert (collector.cut.why, collector.cut.epochs, len(collector.cut.front)) == ("max-time", 1, 1)
+    collector.cut_now("cancelled")
+    assert collector.cut.why == "max-time"
+
+
+def test_by_time_nothing_is_cut_before_the_first_epoch_is_complete(collector: Collector) -> None:
+    collector.cut_now("max-time")
+    assert collector.cut is None
+    fill(collector, 0)
+    assert collector.cut is not None
+    assert (collector.cut.why, collector.cut.epochs) == ("max-time", 1)
+
+
+def test_cancelling_does_not_wait(collector: Collector) -> None:
+    collector.cut_now("cancelled")
+    assert collector.cut is not None
+    assert (collector.cut.epochs, collector.cut.front) == (0, ())
+
+
+@given(st.permutations(list(itertools.product(range(4), range(2)))), st.lists(st.integers(0, 7), max_size=5))
+def test_the_order_of_arrival_and_repetitions_do_not_matter(order: list[tuple[int, int]], repeated: list[int]) -> None:
+    def cut_of(keys: list[tuple[int, int]]) -> object:
+        collector = Collector("x", Limits(islands=2, epochs=4, stagnation=9, generations=100), best_error)
+        for epoch, island in keys:
+            error = 1.0 / (1 + epoch + 3 * island)
+            collector.receive("w", epoch, [report(island, error=error, count=epoch + island)], 1.0)
+            collector.validate()
+        return collector.cut
+
+    assert cut_of(order + [order[index] for index in repeated]) == cut_of(sorted(order))
+
+
+def test_missing_reports_are_found(collector: Collector) -> None:
+    fill(collector, 0)
+    fill(collector, 1, report(0))
+    fill(collector, 2, report(1))
+    assert collector.first_missing([0], 3) == 2
+    assert collector.first_missing([1], 3) == 1
+    assert collector.first_missing([0, 1], 1) is None

@@ -1,0 +1,212 @@
+"""Jobs: the states of the table, and what is to be done when something happens."""
+
+import numpy as np
+import pytest
+
+from common.config import BudgetConfig, EvolutionConfig, JobConfig
+from common.dataset import Dataset, Target
+from common.errors import LocalProtocolError, RemoteProtocolError
+from common.wire.messages import Addition, EpochReport, Holding, IslandReport, Placement
+from common.wire.views import FINAL_STATES
+from coordinator.service.cut import Cut
+from coordinator.service.job import JOB_TRANSITIONS, Conclude, Job, KeepCut, Prepared, TellCommit, check_program
+
+VALUES = np.linspace(0.0, 1.0, 30)
+DATASET = Dataset(
+    ("x", "y"),
+    np.stack([VALUES, VALUES]),
+    tuple(Target(name, f"d{name}/dt", VALUES, 0.0, 0.3) for name in ("x", "y")),
+    {"x": "x", "y": "y"},
+)
+BLOB = "a" * 64
+
+
+def job_with(**budget: object) -> Job:
+    config = JobConfig(evolution=EvolutionConfig(islands=2), budget=BudgetConfig(**budget))
+    return Job("job", "name", config, BLOB, "2026-01-01", 0.0)
+
+
+def running(**budget: object) -> Job:
+    job = job_with(**budget)
+    job.prepare()
+    job.begin(Prepared(DATASET, job.config, BLOB, 100), {})
+    for archipelago in job.archipelagos.values():
+        archipelago.place(
+            Placement(
+                incarnation=1,
+                term=2,
+                job="job",
+                variable=archipelago.variable,
+                workers=("w0", "w1"),
+                epochs=archipelago.collector.limits.epochs,
+                interval=16,
+            ),
+            0.0,
+        )
+    job.start(0.0)
+    return job
+
+
+def report(island: int, epoch: int, variable: str = "x", term: int = 2, program: bytes | None = None) -> EpochReport:
+    code = program if program is not None else bytes([1, 0]) + bytes(4)
+    addition = Addition(complexity=1, error=0.5, mse=0.25, generation=1, program=code)
+    each = IslandReport(
+        island=island,
+        generations=100,
+        hit=None,
+        additions=(addition,),
+        evaluations={"offspring": 10},
+        best_error=0.5,
+        digest=f"{epoch:032x}",
+    )
+    return EpochReport(job="job", variable=variable, term=term, epoch=epoch, islands=(each,))
+
+
+def test_nothing_leads_out_of_a_final_state_and_everything_can_be_cancelled_before() -> None:
+    for state, row in JOB_TRANSITIONS.items():
+        assert (not row) == (state in FINAL_STATES)
+        assert state in FINAL_STATES or {"cancel", "fail"} <= row.keys()
+
+
+def test_a_job_runs_until_every_variable_is_cut() -> None:
+    job = running(max_epochs=1)
+    for variable in ("x", "y"):
+        assert job.receive("w0", report(0, 0, variable), 1.0) == []
+        actions = job.receive("w1", report(1, 0, variable), 2.0)
+        assert isinstance(actions[0], KeepCut)
+        assert (Conclude() in actions) == (variable == "y")
+    assert job.state == "done"
+    job.validate()
+
+
+def test_a_variable_can_have_fewer_epochs_than_the_others() -> None:
+    job = running(max_epochs=9, max_epochs_of={"y": 1})
+    job.receive("w0", report(0, 0, "y"), 1.0)
+    job.receive("w1", report(1, 0, "y"), 1.0)
+    assert [each.variable for each in job.open_archipelagos] == ["x"]
+
+
+def test_time_cuts_every_variable() -> None:
+    job = running(max_time=10.0)
+    for variable in ("x", "y"):
+        for island in (0, 1):
+            job.receive(f"w{island}", report(island, 0, variable), 1.0)
+    assert job.tick(9.9) == []
+    actions = job.tick(10.0)
+    assert [type(action) for action in actions] == [KeepCut, KeepCut, Conclude]
+    assert job.state == "done"
+
+
+def test_cancelling_keeps_what_was_found_and_happens_once() -> None:
+    job = running()
+    job.receive("w0", report(0, 0), 1.0)
+    job.receive("w1", report(1, 0), 1.0)
+    actions = job.cancel()
+    cuts = [action.cut for action in actions if isinstance(action, KeepCut)]
+    assert [(cut.variable, cut.epochs, cut.why) for cut in cuts] == [("x", 1, "cancelled"), ("y", 0, "cancelled")]
+    assert job.state == "cancelled"
+    assert job.cancel() == job.fail("internal", "too late") == []
+    assert job.reason is None
+
+
+def test_a_job_can_be_cancelled_before_it_is_prepared() -> None:
+    assert job_with().cancel() == [Conclude()]
+
+
+def test_divergence_fails_the_job() -> None:
+    job = running()
+    job.receive("w0", report(0, 0), 1.0)
+    other = report(0, 0)
+    changed = other.islands[0].model_copy(update={"digest": "f" * 32})
+    assert job.receive("w0", other.model_copy(update={"islands": (changed,)}), 1.0) == [Conclude()]
+    assert (job.state, job.fault) == ("failed", "diverged")
+
+
+@pytest.mark.parametrize(
+    ("worker", "wrong"),
+    [
+        ("w1", report(0, 0)),
+        ("stranger", report(0, 0)),
+        ("w0", report(0, 0, term=3)),
+        ("w0", report(0, 0, variable="z")),
+        ("w0", report(0, 2000)),
+        ("w0", report(0, 0, program=b"")),
+        ("w0", report(0, 0, program=bytes([1, 0, 9, 0, 0, 0]))),
+    ],
+)
+def test_reports_that_cannot_be_are_refused_and_change_nothing(worker: str, wrong: EpochReport) -> None:
+    job = running()
+    with pytest.raises(RemoteProtocolError):
+        job.receive(worker, wrong, 1.0)
+    assert job.archipelagos["x"].collector.first_missing([0], 1) == 0
+
+
+def test_reports_of_a_lower_term_are_dropped() -> None:
+    job = running()
+    assert job.receive("w0", report(0, 0, term=1), 1.0) == []
+    assert job.archipelagos["x"].collector.first_missing([0], 1) == 0
+
+
+def test_the_commit_moves_in_intervals_when_all_islands_have_reported() -> None:
+    job = running(stagnation=1000)
+    commits = []
+    for epoch in range(40):
+        for island in (0, 1):
+            actions = job.receive(f"w{island}", report(island, epoch), 1.0)
+            commits += [(epoch, action.commit.epoch) for action in actions if isinstance(action, TellCommit)]
+    assert commits == [(16, 16), (32, 32)]
+
+
+def test_under_a_new_term_the_commit_begins_anew_and_old_epochs_count_once() -> None:
+    job = running(stagnation=1000)
+    for epoch in range(20):
+        for island in (0, 1):
+            job.receive(f"w{island}", report(island, epoch), 1.0)
+    archipelago = job.archipelagos["x"]
+    assert archipelago.placement is not None
+    archipelago.place(archipelago.placement.model_copy(update={"term": 3}), 5.0)
+    commit = archipelago.commit()
+    assert commit is not None
+    assert (commit.term, commit.epoch) == (3, 0)
+    for island in (0, 1):
+        assert job.receive(f"w{island}", report(island, 0, term=3), 6.0) == []
+    assert archipelago.collector.progress.epochs == 20
+    assert archipelago.collector.progress.evaluations == {"offspring": 20}
+
+
+def test_reports_that_a_heartbeat_promises_and_that_did_not_come_are_pulled() -> None:
+    job = running()
+    job.receive("w0", report(0, 0), 1.0)
+    job.receive("w0", report(0, 2), 1.0)
+    holding = Holding(job="job", variable="x", term=2, islands=1, reported=3, commit=0)
+    pull = job.archipelagos["x"].missing_reports("w0", holding)
+    assert pull is not None
+    assert (pull.first, pull.last, pull.term) == (1, 3, 2)
+    job.receive("w0", report(0, 1), 1.0)
+    assert job.archipelagos["x"].missing_reports("w0", holding) is None
+
+
+def test_cuts_that_were_committed_before_a_restart_stand() -> None:
+    job = job_with()
+    job.prepare()
+    cut = Cut(variable="x", epochs=3, generation=None, why="max-time", front=(), evaluations={}, seconds=1.0)
+    assert job.begin(Prepared(DATASET, job.config, BLOB, 100), {"x": cut}) == []
+    assert [each.variable for each in job.open_archipelagos] == ["y"]
+    other = job_with()
+    other.prepare()
+    both = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
+    assert other.begin(Prepared(DATASET, job.config, BLOB, 100), both) == [Conclude()]
+
+
+def test_impossible_steps_are_our_bug() -> None:
+    job = job_with()
+    with pytest.raises(LocalProtocolError, match="queued and cannot prepared"):
+        job.begin(Prepared(DATASET, job.config, BLOB, 100), {})
+    with pytest.raises(LocalProtocolError, match="before it is prepared"):
+        job.announcement()
+
+
+def test_programs_are_checked() -> None:
+    check_program(bytes([1, 0, 1, 0, 0, 0]), 2)
+    with pytest.raises(RemoteProtocolError):
+        check_program(bytes([1, 0, 2, 0, 0, 0]), 2)
