@@ -24,6 +24,8 @@ __all__ = ["describe", "prepare"]
 
 GOOD_ENOUGH: Final = 1e-5
 """Rows whose derivative is uncertain by less than this share of its standard deviation are always kept."""
+FAR_OUT: Final = 5.0
+"""Rows whose uncertainty is less than this many times the median one are kept as well."""
 LEAST_KEPT: Final = 0.7
 """Share of the rows that is kept however uncertain they are."""
 LEAST_SPREAD: Final = 1e-3
@@ -139,7 +141,8 @@ def _certain(estimates: Sequence[Estimate], inner: list[int]) -> list[int]:
         worst = np.zeros(len(inner))
         for its in estimates:
             worst = np.maximum(worst, its.uncertainty[inner] / _spread(its.derivative[kept], LEAST_SPREAD))
-        limit = max(GOOD_ENOUGH, float(np.sort(worst)[math.ceil(LEAST_KEPT * len(inner)) - 1]))
+        ordered = np.sort(worst).tolist()
+        limit = max(GOOD_ENOUGH, FAR_OUT * ordered[len(inner) // 2], ordered[math.ceil(LEAST_KEPT * len(inner)) - 1])
         kept = [row for row, uncertainty in zip(inner, worst.tolist(), strict=True) if uncertainty <= limit]
     return kept
 
