@@ -1,6 +1,7 @@
 """Which column plays which part: time, trajectory, states, inputs, target, given derivatives. Pure."""
 
 import difflib
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -11,6 +12,7 @@ from common.table import Table
 
 TIME_NAMES: Final = ("t", "time")
 TRAJECTORY_NAME: Final = "trajectory"
+_WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]$", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,31 @@ def mentioned(config: DataConfig) -> frozenset[str]:
     angles = [angle.column for angle in config.angles]
     several = (*(config.states or ()), *config.inputs, *(config.derivatives or ()), *(config.only or ()))
     return frozenset((*single, *several, *angles))
+
+
+def split_unit(header: str) -> tuple[str, str]:
+    """Split ``name [unit]``; a header that is nothing but a unit stays whole."""
+    match = _WITH_UNIT.match(header.strip())
+    if match is None or not match["name"]:
+        return header.strip(), ""
+    return match["name"], match["unit"].strip()
+
+
+def without_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
+    """Return `config` with ``name [unit]`` shortened to ``name`` wherever only that is among `names`."""
+    known = set(names)
+
+    def plain(name: str) -> str:
+        return name if name in known or split_unit(name)[0] not in known else split_unit(name)[0]
+
+    def several(those: Iterable[str] | None) -> tuple[str, ...] | None:
+        return None if those is None else tuple(plain(name) for name in those)
+
+    single = {part: getattr(config, part) for part in ("time", "trajectory", "target")}
+    changes: dict[str, object] = {part: plain(name) for part, name in single.items() if name is not None}
+    changes |= {part: several(getattr(config, part)) for part in ("states", "inputs", "derivatives", "only")}
+    changes["angles"] = tuple(angle.model_copy(update={"column": plain(angle.column)}) for angle in config.angles)
+    return config.model_copy(update=changes)
 
 
 def trajectory_name(names: Iterable[str], config: DataConfig) -> str | None:

@@ -11,7 +11,7 @@ from common.config import Angle, DataConfig
 from common.dataset import FloatArray
 from common.table import Table
 from coordinator.data import checks
-from coordinator.data.columns import Roles, resolve
+from coordinator.data.columns import Roles, resolve, without_units
 from coordinator.data.trajectories import Trajectories, in_radians, runs_of, trajectories_of, unwrapped
 
 
@@ -50,6 +50,7 @@ def measured(table: Table, config: DataConfig) -> Measured:
         UsageError: options contradict each other.
         DataError: the measurements cannot be used as they are; the message says where and what to do.
     """
+    config = without_units(config, table.names)
     roles = resolve(table, config)
     checks.check_rows(table, table.rows)
     rows, dropped = checks.finite_rows(table, roles, config.missing == "drop")

@@ -19,13 +19,12 @@ import numpy as np
 from common.config import DataConfig
 from common.errors import DataError
 from common.table import Table
-from coordinator.data.columns import mentioned, trajectory_name
+from coordinator.data.columns import mentioned, split_unit, trajectory_name, without_units
 
 MISSING: Final = frozenset({"", "na", "n/a", "#n/a", "nan", "-nan", "+nan", "null", "none"})
 """Cells, in lower case, that stand for a missing number."""
 
 _DECIMAL_COMMA = re.compile(r"^(\s*[+-]?\d*),(\d+(?:[eE][+-]?\d+)?\s*)$")
-_HEADER = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]$", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -170,13 +169,14 @@ def _with_breaks(headers: tuple[str, ...], columns: list[list[str]]) -> _Rows:
 
 def _table_of(file: str, rows: _Rows, config: DataConfig) -> Table:
     """Turn cells into numbers; a column without a name (such as a spreadsheet's row numbers) is set aside."""
-    named = [(_split(header), cells) for header, cells in zip(rows.headers, rows.columns, strict=True) if header]
+    named = [(split_unit(header), cells) for header, cells in zip(rows.headers, rows.columns, strict=True) if header]
     names = [name for (name, _), _ in named]
     for name in names:
         if names.count(name) > 1:
             raise DataError(f"{file} has {names.count(name)} columns named '{name}'; give each column its own name")
     if not rows.lines:
         raise DataError(f"{file} has a header but no rows; rows of numbers are expected below it")
+    config = without_units(config, names)
     needed, trajectory = mentioned(config), trajectory_name(names, config)
     kept: list[tuple[str, str, list[float]]] = []
     skipped = []
@@ -198,14 +198,6 @@ def _table_of(file: str, rows: _Rows, config: DataConfig) -> Table:
         np.array(rows.lines, dtype=np.int64),
         tuple(skipped),
     )
-
-
-def _split(header: str) -> tuple[str, str]:
-    """Split ``name [unit]``; a header that is nothing but a unit stays whole."""
-    match = _HEADER.match(header.strip())
-    if match is None or not match["name"]:
-        return header.strip(), ""
-    return match["name"], match["unit"].strip()
 
 
 def _number(cell: str) -> float | None:

@@ -16,4 +16,4 @@ def test_noise_is_passed_on(capsys):
     main(["--system", "bar_magnets", "--step", "0.1", "--seeds", "0-1", "--noise", "0.05"])
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 6
-    assert float(lines[1].split()[7]) == pytest.approx(0.05, rel=0.3)
+    assert float(lines[1].split()[8]) == pytest.approx(0.05, rel=0.3)

@@ -4,7 +4,7 @@ import pytest
 
 from common.config import Angle, DataConfig
 from common.errors import DataError, UsageError
-from coordinator.data.columns import Roles, resolve
+from coordinator.data.columns import Roles, resolve, without_units
 from tests.unit.coordinator.data.tables import table_of
 
 
@@ -41,6 +41,14 @@ def roles(names, **options):
 )
 def test_every_column_gets_its_part(names, options, expected):
     assert roles(names, **options) == expected
+
+
+def test_columns_may_be_named_with_their_units():
+    config = DataConfig(
+        time="t [s]", states=("v [m/s]",), inputs=("u [N]",), only=("v [m/s]",), angles=(Angle(column="v [m/s]"),)
+    )
+    plain = without_units(config, ("t", "v", "u [N]"))
+    assert plain == DataConfig(time="t", states=("v",), inputs=("u [N]",), only=("v",), angles=(Angle(column="v"),))
 
 
 @pytest.mark.parametrize(
