@@ -43,9 +43,12 @@ from common.wire.messages import (
 from common.wire.views import JobView, WorkerView
 
 ANSWER_LIMIT_S: Final = 10.0
-"""How long any question may remain without an answer."""
+"""How long any other question may remain without an answer."""
 
-_TRY_S: Final = 3.0
+CHUNK_LIMIT_S: Final = 120.0
+"""How long one chunk of an upload may take, on a slow line."""
+
+_TRIES: Final = 3
 _PAUSE_S: Final = 0.1
 _ERRORS: Final[dict[FailureKind, type[AtollError]]] = {
     "data": DataError,
@@ -92,15 +95,11 @@ class Client:
         self._realm = answer.realm
         return answer.realm
 
-    def upload(self, data: bytes, report: Callable[[float], None] = lambda share: None) -> str:
-        """Store `data` at the coordinator, chunk by chunk, unless it is there; return its digest.
-
-        `report` is called with the share, 0 to 1, that has been sent.
-        """
+    def upload(self, data: bytes) -> str:
+        """Store `data` at the coordinator, chunk by chunk, unless it is there; return its digest."""
         blob = hashlib.sha256(data).hexdigest()
         missing = self._ask(Upload(blob=blob, size=len(data)), Uploaded, "the upload of the data").missing
-        for count, index in enumerate(missing):
-            report(count / len(missing))
+        for index in missing:
             self._upload_chunk(blob, data, index)
         return blob
 
@@ -156,11 +155,11 @@ class Client:
         chunk = data[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE]
         sha256 = hashlib.sha256(chunk).hexdigest()
         body = Upload(blob=blob, size=len(data), index=index, sha256=sha256, data=chunk)
-        self._ask(body, Uploaded, f"the upload of part {index + 1} of the data")
+        self._ask(body, Uploaded, f"the upload of part {index + 1} of the data", CHUNK_LIMIT_S)
 
-    def _ask(self, body: Body, kind: type[A], what: str) -> A:
+    def _ask(self, body: Body, kind: type[A], what: str, limit_s: float = ANSWER_LIMIT_S) -> A:
         realm = self._realm or self.greet()
-        payload = self._exchange(topics.client(realm, self._name), encode(Ask(body=body)), what, ANSWER_LIMIT_S)
+        payload = self._exchange(topics.client(realm, self._name), encode(Ask(body=body)), what, limit_s)
         answer = _understood(lambda: decode(payload, Answer)).body
         if isinstance(answer, Failure):
             raise _ERRORS[answer.failure](answer.sentence)
@@ -169,10 +168,10 @@ class Client:
         return answer
 
     def _exchange(self, key: str, payload: bytes, what: str, limit_s: float) -> bytes:
-        """Ask until there is an answer or `limit_s` seconds have passed."""
+        """Ask until there is an answer or `limit_s` seconds have passed; a question that is lost, `_TRIES` times."""
         end = self._bus.now() + limit_s
         while (left := end - self._bus.now()) > 0:
-            answer = self._await(self._bus.get(key, payload, min(left, _TRY_S)), left)
+            answer = self._await(self._bus.get(key, payload, min(left, limit_s / _TRIES)), left)
             if answer is not None:
                 return answer
             self.pause(min(_PAUSE_S, max(0.0, end - self._bus.now())))

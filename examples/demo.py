@@ -3,10 +3,13 @@
 What runs is the ordinary command, as anybody would type it; this script only shows it and compares its result.
 """
 
+import ast
+import functools
 import json
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,13 +41,7 @@ def main() -> int:
     job = time.strftime("demo-%Y%m%d-%H%M%S")
     command = [_short(program), "run", DATA, "--workers", "2", "--id", job]
     say(f"$ {' '.join(command)}")
-    process = subprocess.Popen(command)
-    try:
-        import sympy  # noqa: F401  loaded while the search runs
-
-        code = process.wait()
-    except KeyboardInterrupt:
-        return process.wait() or 130
+    code = run(command)
     if code != 0:
         return code
     result = json.loads((Path("runs") / job / "result.json").read_text("utf-8"))
@@ -54,35 +51,93 @@ def main() -> int:
     return 0 if is_right else 1
 
 
+def run(command: Sequence[str]) -> int:
+    """Run a command to its end, also when Ctrl-C tells both of us to stop; return its exit code."""
+    process = subprocess.Popen(command)
+    try:
+        return process.wait()
+    except KeyboardInterrupt:
+        return process.wait()
+
+
 def compare(result: dict[str, Any]) -> bool:
     """Print every constant beside the true one; return whether all are right to three digits."""
     say(f"\n{'':9}{'term':>6} {'found':>24} {'true':>5} {'relative error':>15}")
-    terms = []
-    for equation in result["equations"]:
-        for number, term in enumerate(terms_of(equation["expression"], TRUTH[equation["variable"]])):
-            head = f"{equation['lhs']} =" if number == 0 else ""
-            say(f"{head:<9}{term.monomial:>6} {term.found:>24.17g} {term.true:>5g} {term.error:>15.1e}")
-            terms.append(term)
+    try:
+        terms = [term for equation in result["equations"] for term in _compared(equation)]
+    except ValueError as error:
+        say(f"these are not the true equations: {error}")
+        return False
     is_right = all(term.error < TOLERANCE for term in terms)
     say("every constant is right to 3 digits" if is_right else "these are not the true equations")
     return is_right
 
 
+def _compared(equation: dict[str, Any]) -> list[Term]:
+    terms = terms_of(equation["expression"], TRUTH[equation["variable"]])
+    for number, term in enumerate(terms):
+        head = f"{equation['lhs']} =" if number == 0 else ""
+        say(f"{head:<9}{term.monomial:>6} {term.found:>24.17g} {term.true:>5g} {term.error:>15.1e}")
+    return terms
+
+
 def terms_of(expression: str, truth: str) -> list[Term]:
-    """Return the terms of both polynomials in x and y, those of the truth first."""
-    found, true = _coefficients(expression), _coefficients(truth)
-    extra = [monomial for monomial in found if monomial not in true and abs(found[monomial]) > NEGLIGIBLE]
-    return [Term(monomial, found.get(monomial, 0.0), true.get(monomial, 0.0)) for monomial in [*true, *extra]]
+    """Return the terms of both polynomials in x and y, those of the truth first; raises ValueError."""
+    found, true = polynomial(expression), polynomial(truth)
+    extra = [powers for powers in found if powers not in true and abs(found[powers]) > NEGLIGIBLE]
+    return [Term(_name(powers), found.get(powers, 0.0), true.get(powers, 0.0)) for powers in [*true, *extra]]
 
 
-def _coefficients(text: str) -> dict[str, float]:
-    """Return the coefficient of every term of an expression multiplied out."""
-    import sympy
+Polynomial = dict[tuple[int, int], float]
+"""Coefficient by powers of x and y."""
 
-    symbols = {name: sympy.Symbol(name) for name in TRUTH}
-    expanded = sympy.expand(sympy.parse_expr(text, local_dict=symbols))
-    pairs = (term.as_coeff_Mul() for term in sympy.Add.make_args(expanded))
-    return {str(monomial): float(coefficient) for coefficient, monomial in pairs}
+
+def polynomial(text: str) -> Polynomial:
+    """Return an expression in x and y multiplied out; raises ValueError when it is no polynomial."""
+    return _polynomial(ast.parse(text, mode="eval").body)
+
+
+def _polynomial(node: ast.expr) -> Polynomial:
+    match node:
+        case ast.Constant(value=int() | float() as value):
+            return {(0, 0): float(value)}
+        case ast.Name(id="x" | "y" as name):
+            return {(1, 0) if name == "x" else (0, 1): 1.0}
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            return _product({(0, 0): -1.0}, _polynomial(operand))
+        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)):
+            return functools.reduce(_product, [_polynomial(left)] * power, {(0, 0): 1.0})
+        case ast.BinOp(left=left, op=operator, right=right):
+            return _combined(_polynomial(left), operator, _polynomial(right))
+    raise ValueError(f"{ast.unparse(node)} is no polynomial in x and y")
+
+
+def _combined(left: Polynomial, operator: ast.operator, right: Polynomial) -> Polynomial:
+    match operator:
+        case ast.Add():
+            return _sum(left, right)
+        case ast.Sub():
+            return _sum(left, _product({(0, 0): -1.0}, right))
+        case ast.Mult():
+            return _product(left, right)
+        case ast.Div() if set(right) == {(0, 0)}:
+            return _product(left, {(0, 0): 1.0 / right[0, 0]})
+    raise ValueError("only polynomials in x and y are compared here")
+
+
+def _sum(left: Polynomial, right: Polynomial) -> Polynomial:
+    return {powers: left.get(powers, 0.0) + right.get(powers, 0.0) for powers in [*left, *right]}
+
+
+def _product(left: Polynomial, right: Polynomial) -> Polynomial:
+    terms = ({(a + c, b + d): first * second} for (a, b), first in left.items() for (c, d), second in right.items())
+    return functools.reduce(_sum, terms, {})
+
+
+def _name(powers: tuple[int, int]) -> str:
+    """Return ``x*y`` for (1, 1), ``x^2`` for (2, 0), ``1`` for (0, 0)."""
+    parts = [name if power == 1 else f"{name}^{power}" for name, power in zip("xy", powers, strict=True) if power]
+    return "*".join(parts) or "1"
 
 
 def say(text: str) -> None:
