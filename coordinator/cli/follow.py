@@ -6,6 +6,7 @@ from typing import Final
 
 from common.errors import UnreachableError
 from common.wire.views import FINAL_STATES, JobView, WorkerView
+from coordinator.cli.exits import BAD_INPUT, DONE, FAILED, INTERRUPTED, TARGET_MISSED
 from coordinator.cli.progress import Display
 from coordinator.client import Client
 
@@ -14,12 +15,6 @@ PATIENCE_S: Final = 30.0
 
 _FIRST_INTERVAL_S: Final = 0.05
 _LAST_INTERVAL_S: Final = 0.3
-
-DONE: Final = 0
-FAILED: Final = 1
-BAD_DATA: Final = 2
-TARGET_MISSED: Final = 4
-INTERRUPTED: Final = 130
 
 
 @dataclass
@@ -108,7 +103,7 @@ def phase(view: JobView, workers: Sequence[WorkerView]) -> str:
 def exit_code(view: JobView, target_error: float | None) -> int:
     """Return the exit code of a job that has ended; `target_error` is the user's explicit one."""
     if view.state == "failed":
-        return BAD_DATA if view.fault == "data" else FAILED
+        return BAD_INPUT if view.fault == "data" else FAILED
     if view.state == "cancelled":
         return INTERRUPTED
     missed = target_error is not None and not all(variable.converged for variable in view.variables)

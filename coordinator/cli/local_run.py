@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from common.wire.views import FINAL_STATES, JobView
-from coordinator.cli.follow import FAILED, INTERRUPTED, Follower
+from coordinator.cli.exits import FAILED, INTERRUPTED
+from coordinator.cli.follow import Follower
 from coordinator.cli.local import Coordinator, NoWorkerLeftError, Workers
 from coordinator.cli.output import duration, note, write_result
 from coordinator.cli.progress import Display, open_display

@@ -10,8 +10,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-INTERRUPTED = 130
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit code; as a program (`argv` None) end the process with it.
@@ -29,6 +27,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _guarded(argv: Sequence[str]) -> int:
     from common.errors import AtollError
+    from coordinator.cli.exits import FAILED, INTERRUPTED
 
     try:
         return _dispatch(argv)
@@ -41,7 +40,7 @@ def _guarded(argv: Sequence[str]) -> int:
     except Exception as error:
         if os.environ.get("ATOLL_DEBUG") == "1":
             raise
-        return _complain(_record(error), 1)
+        return _complain(_record(error), FAILED)
 
 
 def _flush() -> None:

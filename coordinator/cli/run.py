@@ -7,11 +7,11 @@ import argparse
 import contextlib
 import logging
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from common.errors import AtollError, UsageError
+from common.errors import DataError, UsageError
+from coordinator.cli.exits import BAD_INPUT, INTERRUPTED
 from coordinator.cli.identity import job_id
 from coordinator.cli.local import Workers, cores, free_endpoint
 from coordinator.cli.output import refuse_existing_result
@@ -27,16 +27,27 @@ def run(options: argparse.Namespace) -> int:
     options.id = job_id(options.id)
     folder = Path(options.out) if options.out is not None else Path("runs") / options.id
     refuse_existing_result(folder)
+    _log_into(folder)
+    try:
+        code = _run(options, folder, started)
+    except (UsageError, DataError, KeyboardInterrupt):
+        _remove_logs(folder)
+        raise
+    if code in (BAD_INPUT, INTERRUPTED):
+        _remove_logs(folder)
+    return code
+
+
+def _run(options: argparse.Namespace, folder: Path, started: float) -> int:
     endpoint, number = free_endpoint(), options.workers or cores()
-    with raising_interrupts(), _folder_of_a_run(folder), Workers(endpoint, number, folder / _WORKER_LOG) as workers:
+    with raising_interrupts(), Workers(endpoint, number, folder / _WORKER_LOG) as workers:
         from coordinator.cli.local_run import LocalRun
 
         return LocalRun(options, folder, endpoint, workers, started).conduct()
 
 
-@contextlib.contextmanager
-def _folder_of_a_run(folder: Path) -> Iterator[None]:
-    """Make the folder and write the coordinator's log there; leave no trace of a run that had nothing to keep."""
+def _log_into(folder: Path) -> None:
+    """Make the folder and send the coordinator's log there; raises UsageError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         log = logging.FileHandler(folder / _COORDINATOR_LOG, encoding="utf-8")
@@ -47,16 +58,12 @@ def _folder_of_a_run(folder: Path) -> Iterator[None]:
     logging.basicConfig(
         level=logging.INFO, handlers=[log], format="%(asctime)s %(levelname)s %(name)s %(message)s", force=True
     )
-    try:
-        yield
-    except AtollError as error:
-        log.close()
-        if error.exit_code == UsageError.exit_code:
-            _remove_logs(folder)
-        raise
 
 
 def _remove_logs(folder: Path) -> None:
+    """Leave no trace of a run that had nothing to keep."""
+    if (folder / "result.json").exists():
+        return
     for name in (_WORKER_LOG, _COORDINATOR_LOG):
         (folder / name).unlink(missing_ok=True)
     with contextlib.suppress(OSError):  # something else is in there

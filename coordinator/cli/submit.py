@@ -5,7 +5,8 @@ from pathlib import Path
 
 from common.errors import UsageError
 from common.wire.views import JobView
-from coordinator.cli.follow import INTERRUPTED, Follower
+from coordinator.cli.exits import DONE, INTERRUPTED
+from coordinator.cli.follow import Follower
 from coordinator.cli.output import note, refuse_existing_result, say, write_result
 from coordinator.cli.progress import open_display
 from coordinator.cli.request import CONNECT_LIMIT_S, Request, address_of, request_of
@@ -25,7 +26,7 @@ def submit(options: argparse.Namespace) -> int:
         request.submit(client, request.read())
         if options.no_wait:
             say(request.job)
-            return 0
+            return DONE
         return _see_through(request, client, address, folder)
 
 
