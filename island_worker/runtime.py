@@ -5,14 +5,10 @@ the command line calls.
 """
 
 import logging
-import os
-import socket
 from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
-from uuid import uuid4
 
-from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from common.errors import AtollError, RefusedError, RemoteProtocolError, UnreachableError
 from common.wire import topics
 from common.wire.bus import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
@@ -22,24 +18,19 @@ from common.wire.messages import (
     Close,
     Commit,
     Control,
-    Greeting,
-    GreetingAnswer,
-    Hello,
     Introduce,
     JobAnnouncement,
     Mail,
     Placements,
     Pull,
     PullAnswer,
-    Refusal,
     Shutdown,
-    Welcome,
     WorkerStatus,
 )
 from common.wire.rejects import Rejects
 from common.wire.views import WorkerState
 from island_worker.compute import Compute, IslandCompute, WarmedUp, WarmUpFailed, WarmUpNote
-from island_worker.download import Download
+from island_worker.download import Datasets
 from island_worker.events import (
     Abandoned,
     Action,
@@ -67,6 +58,7 @@ from island_worker.events import (
     Unloadable,
 )
 from island_worker.events import Compute as ComputeTask
+from island_worker.joining import Joining
 from island_worker.session import Session
 
 _LOG = logging.getLogger(__name__)
@@ -107,22 +99,15 @@ class Worker:
         self._bus = bus
         self._compute = compute
         self._wait_s = wait_s
-        self._fingerprint = ""
-        self._instance = uuid4().hex
-        self._welcome: Welcome | None = None
-        self._realms: set[str] = set()
-        self._away_since: float | None = None
-        self._is_accepted = False
+        self._joining = Joining(name, bus.now())
+        self._datasets = Datasets(self)
         self._detail = "loading kernels"
         self._asked: dict[int, _Asked] = {}
-        self._downloads: dict[str, Download] = {}
-        self._loaded: set[str] = set()
 
     # ------------------------------------------------------------------------------------------- life
 
     def start(self) -> None:
         """Begin: greet the coordinator, start the timers."""
-        self._away_since = self._bus.now()
         self._compute.attach(self._bus.post)
         self._greet()
         self._bus.call_later(HEARTBEAT_S, _BEAT)
@@ -177,12 +162,12 @@ class Worker:
         elif event.name == _GREET:
             self._greet()
         elif event.name.startswith(_FETCH):
-            self._fetch(event.name.removeprefix(_FETCH))
+            self._datasets.fetch(event.name.removeprefix(_FETCH))
 
     @_on.register
     def _on_link(self, event: Link) -> None:
         if not event.up:
-            self._away_since = self._bus.now()
+            self._joining.lost(self._bus.now())
             _LOG.warning("connection to the coordinator lost; waiting for it")
         else:
             self._greet()
@@ -194,76 +179,68 @@ class Worker:
     # ------------------------------------------------------------------------------------ coordinator
 
     def _greet(self) -> None:
-        hello = Hello(
-            role="worker",
-            name=self.name,
-            instance=self._instance,
-            protocol=PROTOCOL_VERSION,
-            version=VERSION,
-            engine=ENGINE_REVISION,
-            fingerprint=self._fingerprint,
-            host=socket.gethostname()[:256],
-            pid=os.getpid(),
-        )
-        self._get(topics.HELLO, encode(Greeting(body=hello)), GREET_TIMEOUT_S, _Asked("hello", self._fingerprint))
+        asked = _Asked("hello", self._joining.fingerprint)
+        self._get(topics.HELLO, self._joining.hello(), GREET_TIMEOUT_S, asked)
 
     def _greeted(self, fingerprint: str, payload: bytes | None) -> None:
         """Take in the answer to a greeting that carried `fingerprint` ("": kernels not ready yet)."""
         if payload is None:
             self._bus.call_later(GREET_PAUSE_S, _GREET)
             return
-        answer = decode(payload, GreetingAnswer, MAX_MESSAGE).body
-        if isinstance(answer, Refusal):
-            self._leave(RefusedError(answer.sentence))
+        try:
+            joined = self._joining.take(fingerprint, payload)
+        except RefusedError as error:
+            self._leave(error)
             return
-        self._is_accepted = self._is_accepted or bool(fingerprint)
-        self._join(answer)
-        if self._fingerprint and not self._is_accepted:  # the kernels became ready while the greeting was under way
-            self._greet()
-
-    def _join(self, welcome: Welcome) -> None:
-        former, self._welcome, self._away_since = self._welcome, welcome, None
-        if former is not None and (former.realm, former.incarnation) != (welcome.realm, welcome.incarnation):
+        if joined.is_restart:
             _LOG.info("the coordinator started anew; what was held is dropped")
             self._tell(Reset())
-            self._forget_all_jobs()
-        if welcome.realm not in self._realms:
-            self._realms.add(welcome.realm)
-            self._bus.subscribe(topics.control(welcome.realm))
-            self._bus.subscribe(topics.control(welcome.realm, self.name))
-            self._bus.subscribe(topics.inbox(welcome.realm, self.name))
-            self._bus.serve(topics.worker(welcome.realm, self.name, "pull"))
-            self._bus.announce(topics.worker(welcome.realm, self.name, "alive"))
-            _LOG.info("joined realm=%s worker=%s", welcome.realm, self.name)
+            for job in self._datasets.jobs():
+                self._forget_job(job)
+        if joined.is_new_realm:
+            self._listen()
         self._beat()
+        if joined.greets_again:
+            self._greet()
+
+    def _listen(self) -> None:
+        """Declare everything that a worker receives, answers and shows."""
+        realm = self._joining.realm
+        self._bus.subscribe(topics.control(realm))
+        self._bus.subscribe(topics.control(realm, self.name))
+        self._bus.subscribe(topics.inbox(realm, self.name))
+        self._bus.serve(topics.worker(realm, self.name, "pull"))
+        self._bus.announce(topics.worker(realm, self.name, "alive"))
+        _LOG.info("joined realm=%s worker=%s", realm, self.name)
 
     def _state(self) -> WorkerState:
-        return self.session.state() if self._is_accepted else "compiling"
+        return self.session.state() if self._joining.is_accepted else "compiling"
 
     def _beat(self) -> None:
-        if self._welcome is None:
+        welcome = self._joining.welcome
+        if welcome is None:
             return
         status = WorkerStatus(
-            instance=self._instance,
-            incarnation=self._welcome.incarnation,
+            instance=self._joining.instance,
+            incarnation=welcome.incarnation,
             state=self._state(),
             progress=self._compute.progress,
             holdings=self.session.holdings(),
             troubles=self.session.troubles(),
             detail=self._detail,
         )
-        self._bus.put(topics.worker(self._welcome.realm, self.name, "status"), encode(status))
+        self._bus.put(topics.worker(welcome.realm, self.name, "status"), encode(status))
 
     def _warmed_up(self, item: WarmedUp) -> None:
         """Greet once more, now with the fingerprint; then say that islands can be computed here."""
-        self._detail, self._fingerprint = "", item.fingerprint
+        self._detail, self._joining.fingerprint = "", item.fingerprint
         _LOG.info("kernels ready seconds=%.2f fingerprint=%s", item.seconds, item.fingerprint)
-        if self._welcome is not None:
+        if self._joining.welcome is not None:
             self._greet()
 
     def _check_absence(self) -> None:
         """Leave when the coordinator has been away for longer than allowed."""
-        if self._away_since is not None and self._bus.now() - self._away_since > self._wait_s:
+        if self._joining.absence(self._bus.now()) > self._wait_s:
             self._leave(UnreachableError(f"the coordinator has not answered for {self._wait_s:.0f} s; start it again"))
 
     def _leave(self, error: AtollError) -> None:
@@ -272,7 +249,7 @@ class Worker:
     def _on_control(self, body: JobAnnouncement | Placements | Commit | Close | Shutdown | Introduce) -> None:
         match body:
             case JobAnnouncement():
-                self._announced(body)
+                self._datasets.announced(body)
             case Placements():
                 for placement in body.placements:
                     self._tell(Placed(placement))
@@ -296,63 +273,29 @@ class Worker:
 
     # ---------------------------------------------------------------------------------------- datasets
 
-    def _announced(self, announcement: JobAnnouncement) -> None:
-        job = announcement.job
-        if job not in self._downloads and job not in self._loaded:
-            self._downloads[job] = Download(announcement)
-            self._fetch(job)
+    def ask_announcement(self, job: str) -> None:
+        """See `Asker.ask_announcement`."""
+        self._get(topics.job(self._joining.realm, job), b"", PULL_TIMEOUT_S, _Asked("job", job))
 
-    def _fetch(self, job: str) -> None:
-        """Ask for the next missing chunks of a job's dataset, or for its announcement."""
-        if self._welcome is None:
-            return
-        download = self._downloads.get(job)
-        if download is None:
-            if self.session.wants(job) and job not in self._loaded:
-                self._get(topics.job(self._welcome.realm, job), b"", PULL_TIMEOUT_S, _Asked("job", job))
-            return
-        for index in download.take():
-            key = topics.blob(self._welcome.realm, download.announcement.blob, index)
-            self._get(key, b"", FETCH_TIMEOUT_S, _Asked("chunk", job, index))
+    def ask_chunk(self, job: str, blob: str, index: int) -> None:
+        """See `Asker.ask_chunk`."""
+        self._get(topics.blob(self._joining.realm, blob, index), b"", FETCH_TIMEOUT_S, _Asked("chunk", job, index))
 
-    def _job_came(self, job: str, payload: bytes | None) -> None:
-        if payload is None:
-            if self.session.wants(job):
-                self._bus.call_later(FETCH_PAUSE_S, _FETCH + job)
-            return
-        body = decode(payload, Control, MAX_MESSAGE).body
-        if not isinstance(body, JobAnnouncement) or body.job != job:
-            raise RemoteProtocolError(f"an announcement of job {job} was asked for, {body.kind} came")
-        self._announced(body)
+    def ask_later(self, job: str) -> None:
+        """See `Asker.ask_later`."""
+        self._bus.call_later(FETCH_PAUSE_S, _FETCH + job)
 
-    def _chunk_came(self, asked: _Asked, payload: bytes | None) -> None:
-        download = self._downloads.get(asked.subject)
-        if download is None:
-            return
-        if payload is None or not download.offer(asked.index, payload):
-            download.give_back(asked.index)
-            self._bus.call_later(FETCH_PAUSE_S, _FETCH + asked.subject)
-            return
-        data = download.finish()
-        if data is not None:
-            self._load(download.announcement, data)
-        else:
-            self._fetch(asked.subject)
+    def wants(self, job: str) -> bool:
+        """See `Asker.wants`."""
+        return self.session.wants(job)
 
-    def _load(self, announcement: JobAnnouncement, data: bytes) -> None:
-        del self._downloads[announcement.job]
-        self._loaded.add(announcement.job)
+    def load(self, announcement: JobAnnouncement, data: bytes) -> None:
+        """See `Asker.load`."""
         self._compute.load(announcement.job, announcement.config, data)
 
     def _forget_job(self, job: str) -> None:
-        self._downloads.pop(job, None)
-        if job in self._loaded:
-            self._loaded.discard(job)
+        if self._datasets.forget(job):
             self._compute.discard_job(job)
-
-    def _forget_all_jobs(self) -> None:
-        for job in [*self._downloads, *self._loaded]:
-            self._forget_job(job)
 
     # -------------------------------------------------------------------------------- messages, replies
 
@@ -385,9 +328,9 @@ class Worker:
             case _Asked("hello"):
                 self._greeted(asked.subject, event.payload)
             case _Asked("job"):
-                self._job_came(asked.subject, event.payload)
+                self._datasets.announcement_came(asked.subject, event.payload)
             case _Asked("chunk"):
-                self._chunk_came(asked, event.payload)
+                self._datasets.chunk_came(asked.subject, asked.index, event.payload)
             case _Asked("placement") if event.payload is not None:
                 self._on_control(decode(event.payload, Control, MAX_MESSAGE).body)
             case _Asked("pull") if event.payload is not None:
@@ -397,7 +340,7 @@ class Worker:
         self._asked[self._bus.get(key, payload, timeout_s)] = asked
 
     def _check_realm(self, realm: str) -> None:
-        if self._welcome is None or realm != self._welcome.realm:
+        if realm != self._joining.realm:
             raise RemoteProtocolError(f"a message of realm {realm} came, which is not ours")
 
     # ------------------------------------------------------------------------------------------ actions
@@ -407,7 +350,7 @@ class Worker:
             self._act(action)
 
     def _act(self, action: Action) -> None:
-        realm = self._welcome.realm if self._welcome is not None else ""
+        realm = self._joining.realm
         match action:
             case ComputeTask():
                 self._compute.advance(action.task)
@@ -421,7 +364,7 @@ class Worker:
             case Respond():
                 self._bus.reply(action.handle, encode(PullAnswer(body=action.body)))
             case FetchJob():
-                self._fetch(action.job)
+                self._datasets.fetch(action.job)
             case FetchPlacements():
                 self._get(topics.placement(realm, action.job), b"", PULL_TIMEOUT_S, _Asked("placement", action.job))
             case Discard():

@@ -2,21 +2,8 @@
 
 An *envelope* names who speaks to whom; its `body` is one of a closed union, told apart by `kind`:
 
-=============== ====================================== =====================================================
-envelope        key (`common.wire.topics`)             bodies
-=============== ====================================== =====================================================
-Greeting        hello (question)                       Hello
-GreetingAnswer  hello (answer)                         Welcome, Refusal
-Control         control, job (answer), placement       JobAnnouncement, Placements, Commit, Close, Shutdown,
-                                                       Introduce
-WorkerStatus    worker/{name}/status                   (a message of its own: the heartbeat)
-EpochReport     worker/{name}/report                   (a message of its own)
-Mail            worker/{name}/to/{peer}                Migrants, Finished
-Pull            worker/{name}/pull (question)          PullMigrants, PullReports
-PullAnswer      worker/{name}/pull (answer)            Sent, Reports, NotYet, NewerTerm
-Ask             client/{name}/ask (question)           Upload, Submit, Jobs, Status, Workers, GetResult, Cancel
-Answer          client/{name}/ask (answer)             Uploaded, JobList, JobStatus, WorkerList, Result, Failure
-=============== ====================================== =====================================================
+Greeting, GreetingAnswer (hello); Control (coordinator to workers); WorkerStatus, EpochReport (worker to coordinator);
+Mail (worker to worker); Pull, PullAnswer (to a worker); Ask, Answer (clients). docs/protocol.md lists their bodies.
 
 Epochs count from 0, islands from 0; a *term* belongs to one (job, variable) and rises with each of its placements.
 """

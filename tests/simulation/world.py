@@ -3,14 +3,16 @@
 After every step of a participant its invariants are checked.
 """
 
+import contextlib
 import json
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from common.config import JobConfig
 from common.dataset import Dataset, Target
+from common.errors import UnreachableError
 from common.wire.bus import Event
 from common.wire.faults import Plan
 from common.wire.simulated_bus import SimulatedBus, SimulatedNetwork
@@ -23,6 +25,7 @@ from island_worker.runtime import Worker
 from tests.simulation.stub import StubCompute
 
 LIMIT_S = 600.0
+T = TypeVar("T")
 
 
 def prepare(table: bytes, config: JobConfig) -> Dataset:
@@ -94,20 +97,20 @@ class World:
 
     def submit(self, config: JobConfig, variables: str = "x,y", job: str = "job") -> str:
         """Submit a job through the client, which tries again whatever is lost."""
-        table = self.client.upload(variables.encode())
-        self.client.submit(job, "a simulated job", config, table)
+        table = patiently(lambda: self.client.upload(variables.encode()))
+        patiently(lambda: self.client.submit(job, "a simulated job", config, table))
         return job
 
     def finish(self, job: str = "job", limit_s: float = LIMIT_S) -> JobView:
         """Follow a job to its end."""
         end = self.network.now + limit_s
-        while (view := self.client.status(job)).state not in FINAL_STATES:
+        while (view := patiently(lambda: self.client.status(job))).state not in FINAL_STATES:
             assert self.network.now < end, f"job {job} has not ended after {limit_s} s: {view}"
             self.client.pause(0.5)
         return view
 
     def result(self, job: str = "job") -> dict[str, Any]:
-        return self.client.result(job)
+        return patiently(lambda: self.client.result(job))
 
     def run(self, config: JobConfig, variables: str = "x,y") -> dict[str, Any]:
         """Submit, follow, return the result."""
@@ -115,6 +118,14 @@ class World:
         view = self.finish()
         assert view.state == "done", view
         return self.result()
+
+
+def patiently(ask: Callable[[], T]) -> T:
+    """Ask again what got lost more often than a client bears; on the real network nothing is lost that often."""
+    for _ in range(10):
+        with contextlib.suppress(UnreachableError):
+            return ask()
+    return ask()
 
 
 def bus_of(world: World, name: str) -> SimulatedBus:

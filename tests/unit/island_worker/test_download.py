@@ -6,8 +6,9 @@ import pytest
 
 from common.config import JobConfig
 from common.errors import RemoteProtocolError
-from common.wire.messages import CHUNK_SIZE, JobAnnouncement
-from island_worker.download import Download
+from common.wire.codec import encode
+from common.wire.messages import CHUNK_SIZE, Close, Control, JobAnnouncement
+from island_worker.download import Datasets, Download
 
 DATA = bytes(2 * CHUNK_SIZE) + b"rest"
 
@@ -57,3 +58,70 @@ def test_a_whole_that_is_not_what_was_announced_is_begun_anew() -> None:
 def test_an_announcement_whose_numbers_do_not_fit_is_refused() -> None:
     with pytest.raises(RemoteProtocolError, match="2 chunks"):
         Download(announcement(chunks=2))
+
+
+class Recorder:
+    """An asker that keeps what it is asked."""
+
+    def __init__(self, wanted: bool = True) -> None:
+        self.said: list[tuple[object, ...]] = []
+        self.wanted = wanted
+
+    def ask_announcement(self, job: str) -> None:
+        self.said.append(("announcement", job))
+
+    def ask_chunk(self, job: str, blob: str, index: int) -> None:
+        self.said.append(("chunk", index))
+
+    def ask_later(self, job: str) -> None:
+        self.said.append(("later", job))
+
+    def wants(self, job: str) -> bool:
+        return self.wanted
+
+    def load(self, announcement: JobAnnouncement, data: bytes) -> None:
+        self.said.append(("load", len(data)))
+
+
+def test_an_announced_dataset_is_fetched_loaded_and_forgotten() -> None:
+    asker = Recorder()
+    datasets = Datasets(asker)
+    datasets.announced(announcement())
+    datasets.announced(announcement())
+    for index in (0, 1, 2):
+        datasets.chunk_came("j", index, chunk(index))
+    assert asker.said == [("chunk", 0), ("chunk", 1), ("chunk", 2), ("load", len(DATA))]
+    datasets.announced(announcement())
+    datasets.fetch("j")
+    assert len(asker.said) == 4
+    assert datasets.jobs() == ("j",)
+    assert datasets.forget("j")
+    assert not datasets.forget("j")
+
+
+def test_a_job_that_was_not_announced_is_asked_for_as_long_as_it_is_wanted() -> None:
+    asker = Recorder()
+    datasets = Datasets(asker)
+    datasets.fetch("j")
+    datasets.announcement_came("j", None)
+    datasets.announcement_came("j", encode(Control(body=announcement())))
+    assert asker.said == [("announcement", "j"), ("later", "j"), ("chunk", 0), ("chunk", 1)]
+    asker.wanted = False
+    datasets.announcement_came("k", None)
+    datasets.fetch("k")
+    assert len(asker.said) == 4
+
+
+def test_another_answer_than_the_announcement_is_refused() -> None:
+    with pytest.raises(RemoteProtocolError, match="'close' came"):
+        Datasets(Recorder()).announcement_came("j", encode(Control(body=Close(job="j"))))
+
+
+def test_a_lost_chunk_is_asked_for_after_a_pause_and_an_unwanted_one_is_dropped() -> None:
+    asker = Recorder()
+    datasets = Datasets(asker)
+    datasets.announced(announcement())
+    datasets.chunk_came("j", 1, None)
+    datasets.fetch("j")
+    datasets.chunk_came("other", 0, b"")
+    assert asker.said == [("chunk", 0), ("chunk", 1), ("later", "j"), ("chunk", 1)]

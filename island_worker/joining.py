@@ -1,0 +1,94 @@
+"""Joining a coordinator: who we are, whether we are welcome, and for how long it has been away. No I/O but names."""
+
+import os
+import socket
+from dataclasses import dataclass
+from uuid import uuid4
+
+from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from common.errors import RefusedError, RemoteProtocolError
+from common.wire.codec import decode, encode
+from common.wire.messages import MAX_MESSAGE, Greeting, GreetingAnswer, Hello, Refusal, Welcome
+
+
+@dataclass(frozen=True, slots=True)
+class Joined:
+    """What an accepted greeting changed.
+
+    `is_new_realm`: nothing has been subscribed there yet; `is_restart`: the coordinator, or its store, is another one
+    than before, and what is held is void; `greets_again`: the kernels became ready while the greeting was under way.
+    """
+
+    is_new_realm: bool
+    is_restart: bool
+    greets_again: bool
+
+
+class Joining:
+    """One worker's standing with its coordinator."""
+
+    def __init__(self, name: str, now: float) -> None:
+        self.fingerprint = ""
+        self.welcome: Welcome | None = None
+        self.is_accepted = False
+        self.instance = uuid4().hex
+        self._name = name
+        self._away_since: float | None = now
+        self._realms: set[str] = set()
+
+    @property
+    def realm(self) -> str:
+        """The coordinator's realm; empty before the first welcome."""
+        return self.welcome.realm if self.welcome is not None else ""
+
+    def hello(self) -> bytes:
+        """Return the greeting. It carries the kernels' fingerprint once they are ready."""
+        hello = Hello(
+            role="worker",
+            name=self._name,
+            instance=self.instance,
+            protocol=PROTOCOL_VERSION,
+            version=VERSION,
+            engine=ENGINE_REVISION,
+            fingerprint=self.fingerprint,
+            host=socket.gethostname()[:256],
+            pid=os.getpid(),
+        )
+        return encode(Greeting(body=hello))
+
+    def take(self, fingerprint: str, payload: bytes) -> Joined:
+        """Take in the answer to a greeting that carried `fingerprint`.
+
+        Raises:
+            RefusedError: We are refused, or do not understand each other.
+        """
+        try:
+            answer = decode(payload, GreetingAnswer, MAX_MESSAGE).body
+        except RemoteProtocolError as error:
+            raise RefusedError(
+                f"the coordinator's answer was not understood ({error}); this worker is Atoll {VERSION} (protocol "
+                f"{PROTOCOL_VERSION}), install the same version on both sides"
+            ) from error
+        if isinstance(answer, Refusal):
+            raise RefusedError(answer.sentence)
+        return self._join(answer, fingerprint)
+
+    def lost(self, now: float) -> None:
+        """Note that the connection went."""
+        self._away_since = now
+
+    def absence(self, now: float) -> float:
+        """Return for how many seconds the coordinator has been away."""
+        return now - self._away_since if self._away_since is not None else 0.0
+
+    def _join(self, welcome: Welcome, fingerprint: str) -> Joined:
+        former, self.welcome, self._away_since = self.welcome, welcome, None
+        self.is_accepted = self.is_accepted or bool(fingerprint)
+        joined = Joined(
+            is_new_realm=welcome.realm not in self._realms,
+            is_restart=former is not None
+            and (former.realm, former.incarnation) != (welcome.realm, welcome.incarnation),
+            greets_again=bool(self.fingerprint) and not self.is_accepted,
+        )
+        self._realms.add(welcome.realm)
+        return joined
