@@ -1,6 +1,6 @@
 """What the service needs from outside itself, beside the bus: a store, a place for slow work, the time of day."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -26,7 +26,7 @@ class StorePort(Protocol):
 
     def jobs(self) -> tuple[JobRecord, ...]: ...
 
-    def update_job(self, job: str, **changes: str | float | None) -> bool: ...
+    def update_job(self, job: str, only_in: Collection[str] | None = None, **changes: str | float | None) -> bool: ...
 
     def commit_result(
         self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None
