@@ -30,7 +30,7 @@ from coordinator.service.archipelago import INTERVAL_EPOCHS, Archipelago
 from coordinator.service.cut import Cut
 from coordinator.service.job import Conclude, Fault, Job, JobAction, KeepCut, Prepared, TellCommit
 from coordinator.service.membership import Membership
-from coordinator.service.placement import spread
+from coordinator.service.placement import Placer
 from coordinator.service.ports import StorePort
 from coordinator.service.progress import ended_view, job_result, job_view, result_text
 from coordinator.service.store import JobRecord
@@ -39,12 +39,6 @@ _LOG = logging.getLogger(__name__)
 
 MAX_RUNNING: Final = 4
 """Jobs searched at the same time; further ones wait in the order of their submission."""
-
-REPLACE_WITHIN_S: Final = 5.0
-"""A worker that joins this soon after a placement takes part in it: the little that was computed is computed again."""
-
-EXPECT_S: Final = 10.0
-"""How long the first ready worker waits for the others that are expected."""
 
 WorkerWord = JobAnnouncement | Placements | Commit | Close | Introduce
 
@@ -73,8 +67,7 @@ class Conductor:
         self._store = store
         self._outlet = outlet
         self._clock = clock
-        self._expected = expected_workers
-        self._first_ready_at: float | None = None
+        self._placer = Placer(self.membership, expected_workers)
 
     # ------------------------------------------------------------------------------------------- jobs
 
@@ -219,27 +212,19 @@ class Conductor:
 
     def place(self, now: float) -> None:
         """Place, or place anew, every archipelago that has nobody, or somebody who is lost, or newcomers to use."""
-        ready = self.membership.ready()
-        if ready and self._first_ready_at is None:
-            self._first_ready_at = now
         for job in list(self.jobs.values()):
             placed_before = 0
             for archipelago in job.archipelagos.values():
                 if archipelago.cut is None and job.state == "running":
-                    self._place(job, archipelago, placed_before, ready, now)
+                    self._place(job, archipelago, placed_before, now)
                 placed_before += archipelago.collector.limits.islands
 
-    def _place(self, job: Job, archipelago: Archipelago, first: int, ready: tuple[str, ...], now: float) -> None:
-        placement = archipelago.placement
-        if placement is not None and any(self.membership.is_lost(worker) for worker in placement.workers):
+    def _place(self, job: Job, archipelago: Archipelago, first: int, now: float) -> None:
+        if self._placer.is_broken(archipelago):
             archipelago.unplace()
             _LOG.warning("placement lost job=%s variable=%s", job.id, archipelago.variable)
-        elif placement is not None and not self._is_worth_replacing(archipelago, placement, ready, now):
-            return
-        if not ready or not self._is_quorate(len(ready), now):
-            return
-        workers = spread(archipelago.collector.limits.islands, first, ready)
-        if archipelago.placement is None or set(workers) != set(archipelago.placement.workers):
+        workers = self._placer.choose(archipelago, first, now)
+        if workers is not None:
             self._issue(job, archipelago, workers, now)
 
     def _issue(self, job: Job, archipelago: Archipelago, workers: tuple[str, ...], now: float) -> None:
@@ -261,21 +246,6 @@ class Conductor:
             "placed job=%s variable=%s term=%d workers=%d",
             job.id, archipelago.variable, placement.term, len(set(workers)),
         )  # fmt: skip
-
-    def _is_worth_replacing(
-        self, archipelago: Archipelago, placement: Placement, ready: tuple[str, ...], now: float
-    ) -> bool:
-        used = len(set(placement.workers))
-        could_use = min(len(ready), archipelago.collector.limits.islands)
-        return could_use > used and now - archipelago.placed_at <= REPLACE_WITHIN_S
-
-    def _is_quorate(self, ready: int, now: float) -> bool:
-        """Whether the expected workers are there, or have been waited for long enough."""
-        waited = now - self._first_ready_at if self._first_ready_at is not None else 0.0
-        if ready >= self._expected or waited >= EXPECT_S:
-            self._expected = 1
-            return True
-        return False
 
     # -------------------------------------------------------------------------------- what workers hold
 

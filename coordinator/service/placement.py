@@ -1,6 +1,16 @@
 """Which worker computes which island. Pure and deterministic; it decides about time only, never about bits."""
 
 from collections.abc import Sequence
+from typing import Final
+
+from coordinator.service.archipelago import Archipelago
+from coordinator.service.membership import Membership
+
+REPLACE_WITHIN_S: Final = 5.0
+"""A worker that joins this soon after a placement takes part in it: the little that was computed is computed again."""
+
+EXPECT_S: Final = 10.0
+"""How long the first ready worker waits for the others that are expected."""
 
 
 def spread(islands: int, first: int, workers: Sequence[str]) -> tuple[str, ...]:
@@ -14,3 +24,46 @@ def spread(islands: int, first: int, workers: Sequence[str]) -> tuple[str, ...]:
     """
     order = sorted(workers)
     return tuple(order[(first + island) % len(order)] for island in range(islands))
+
+
+class Placer:
+    """Decides when an archipelago is placed, and on whom, from who is there now."""
+
+    def __init__(self, membership: Membership, expected_workers: int = 1) -> None:
+        """No island is placed before `expected_workers` are ready, or have been waited for long enough."""
+        self._membership = membership
+        self._expected = expected_workers
+        self._first_ready_at: float | None = None
+
+    def is_broken(self, archipelago: Archipelago) -> bool:
+        """Tell whether islands of this placement have nobody to compute them."""
+        placement = archipelago.placement
+        return placement is not None and any(self._membership.is_lost(worker) for worker in placement.workers)
+
+    def choose(self, archipelago: Archipelago, first: int, now: float) -> tuple[str, ...] | None:
+        """Return a new placement, or None when the archipelago keeps the one it has or must wait.
+
+        Args:
+            archipelago: not cut yet.
+            first: islands of the job's variables before this one.
+            now: the bus's seconds.
+        """
+        ready = self._membership.ready()
+        if not ready or not self._is_quorate(len(ready), now):
+            return None
+        if archipelago.placement is not None and not self._is_worth_replacing(archipelago, len(ready), now):
+            return None
+        return spread(archipelago.collector.limits.islands, first, ready)
+
+    def _is_worth_replacing(self, archipelago: Archipelago, ready: int, now: float) -> bool:
+        """Whether more workers could be used, and not much would be computed again."""
+        used = len(set(archipelago.placement.workers)) if archipelago.placement is not None else 0
+        usable = min(ready, archipelago.collector.limits.islands)
+        return usable > used and now - archipelago.placed_at <= REPLACE_WITHIN_S
+
+    def _is_quorate(self, ready: int, now: float) -> bool:
+        if self._first_ready_at is None:
+            self._first_ready_at = now
+        if ready >= self._expected or now - self._first_ready_at >= EXPECT_S:
+            self._expected = 1
+        return ready >= self._expected
