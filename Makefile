@@ -43,6 +43,7 @@ check: $(STAMP)
 
 bench: $(STAMP)
 	@$(BIN)/python -m benchmarks.elementary
+	@$(BIN)/python -m benchmarks.evaluation
 	@$(BIN)/python -m benchmarks.derivatives
 
 clean:

@@ -152,17 +152,15 @@ def _add_submit(verbs: Any) -> None:
 
 def _add_readers(verbs: Any) -> None:
     texts = {
-        "jobs": "list the jobs of a coordinator",
-        "status": "show how far a job has come (default: the jobs that are not finished)",
-        "workers": "list the workers of a coordinator",
-        "result": "print the equations of a job; while it runs, the best so far",
-        "cancel": "end a job and keep its best equations",
+        "jobs": ("list the jobs of a coordinator", "only jobs whose id begins with this"),
+        "status": ("show how far a job has come", "id or its beginning (default: every job that has not ended)"),
+        "workers": ("list the workers of a coordinator", "only workers whose name begins with this"),
+        "result": ("print the equations of a job; while it runs, the best so far", "id or its beginning"),
+        "cancel": ("end a job and keep its best equations", "id or its beginning (default: the only one not ended)"),
     }
-    for name, text in texts.items():
+    for name, (text, subject) in texts.items():
         parser = _verb(verbs, name, text)
-        if name in ("status", "result", "cancel"):
-            count = "?" if name == "status" else None
-            parser.add_argument("job", metavar="ID", nargs=count, help="the job's id or its beginning")
+        parser.add_argument("job", metavar="ID", nargs=None if name == "result" else "?", help=subject)
         _add_connect(parser)
         parser.add_argument("--json", action="store_true", help="print JSON")
         if name == "result":

@@ -4,58 +4,53 @@ import argparse
 from collections.abc import Sequence
 
 from common.config import Model
+from common.errors import UsageError
 from common.wire.views import FINAL_STATES, JobView, WorkerView
+from coordinator.cli.exits import DONE
 from coordinator.cli.output import as_json, clipped, count, duration, say, table
 from coordinator.cli.progress import plain_lines
 from coordinator.cli.request import CONNECT_LIMIT_S, address_of
-from coordinator.client import connected
+from coordinator.client import Client, connected
 
 
 def jobs(options: argparse.Namespace) -> int:
-    """List all jobs."""
+    """List all jobs, or those whose id begins with ``options.job``."""
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
-        views = client.jobs()
+        views = [view for view in client.jobs() if view.job.startswith(options.job or "")]
     say(_json(views) if options.json else _job_table(views))
-    return 0
+    return DONE
 
 
 def status(options: argparse.Namespace) -> int:
     """Show one job, or all that have not ended."""
     address = address_of(options)
     with connected(address, CONNECT_LIMIT_S) as client:
-        if options.job is not None:
-            views = [client.status(client.resolve(options.job))]
-        else:
-            views = [view for view in client.jobs() if view.state not in FINAL_STATES]
+        views = _open_jobs(client) if options.job is None else [client.status(client.resolve(options.job))]
         workers = client.workers()
     if options.json:
-        say(as_json(views[0].model_dump(mode="json")) if options.job is not None else _json(views))
+        say(_json(views) if options.job is None else as_json(views[0].model_dump(mode="json")))
     else:
         hint = f"island-worker --connect {address}"
-        say("\n\n".join(_status_text(view, workers, hint) for view in views) or "every job has ended")
-    return 0
+        say("\n\n".join(_status_text(view, workers, hint) for view in views) or "no job is under way")
+    return DONE
 
 
 def workers(options: argparse.Namespace) -> int:
-    """List all workers."""
+    """List all workers, or those whose name begins with ``options.job``."""
     address = address_of(options)
     with connected(address, CONNECT_LIMIT_S) as client:
-        views = client.workers()
+        views = [view for view in client.workers() if view.worker.startswith(options.job or "")]
     if options.json:
         say(_json(views))
     else:
-        say(
-            _worker_table(views)
-            if views
-            else f"no worker has joined; start one with: island-worker --connect {address}"
-        )
-    return 0
+        say(_worker_table(views) if views else f"no worker is here; start one with: island-worker --connect {address}")
+    return DONE
 
 
 def cancel(options: argparse.Namespace) -> int:
-    """End a job; its best equations stay."""
+    """End a job, the only one under way unless it is named; its best equations stay."""
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
-        job = client.resolve(options.job)
+        job = _only_open_job(client) if options.job is None else client.resolve(options.job)
         had_ended = client.status(job).state in FINAL_STATES
         view = client.cancel(job)
     if options.json:
@@ -64,7 +59,19 @@ def cancel(options: argparse.Namespace) -> int:
         say(f"job {job} had ended already: {view.state}")
     else:
         say(f"job {job} is cancelled; its best equations: coordinator result {job}")
-    return 0
+    return DONE
+
+
+def _open_jobs(client: Client) -> list[JobView]:
+    return [view for view in client.jobs() if view.state not in FINAL_STATES]
+
+
+def _only_open_job(client: Client) -> str:
+    views = _open_jobs(client)
+    if len(views) != 1:
+        there = ", ".join(view.job for view in views) or "none"
+        raise UsageError(f"which job is meant? name one of those under way: {there}")
+    return views[0].job
 
 
 def _json(views: Sequence[Model]) -> str:
@@ -78,7 +85,7 @@ def _status_text(view: JobView, workers: Sequence[WorkerView], hint: str) -> str
 
 def _job_table(views: Sequence[JobView]) -> str:
     if not views:
-        return "no job yet; give one with: coordinator submit DATA"
+        return "no job is here; give one with: coordinator submit DATA"
     rows = [(view.job, clipped(view.name, 24), view.state, duration(view.elapsed), *_measures(view)) for view in views]
     return table(("ID", "NAME", "STATE", "TIME", "WORKERS", "EPOCHS", "POINT-EVALS", "FOUND"), rows)
 

@@ -91,10 +91,21 @@ def write_result(folder: Path, result: dict[str, Any]) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         draft.write_text(as_json(result) + "\n", "utf-8")
-        path.touch(exist_ok=False)
-        draft.replace(path)
+        _publish(draft, path)
     except FileExistsError:
         raise UsageError(f"{path} exists already; name another folder with --out, or remove it") from None
     except OSError as error:
         raise UsageError(f"{path} cannot be written ({error.strerror}); name another folder with --out") from error
     return path
+
+
+def _publish(draft: Path, path: Path) -> None:
+    """Give `draft` its name in one step; raises FileExistsError rather than replace another file."""
+    try:
+        path.hardlink_to(draft)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links
+        draft.replace(path)
+    else:
+        draft.unlink()

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from common.errors import UsageError
+from coordinator.cli.exits import DONE
 from coordinator.cli.output import as_json, say
 from coordinator.cli.request import CONNECT_LIMIT_S, address_of
 from coordinator.client import connected
@@ -17,7 +18,7 @@ def result(options: argparse.Namespace) -> int:
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         found = client.result(client.resolve(options.job))
     say(_text(found, "json" if options.json else options.format or "text", options.pick))
-    return 0
+    return DONE
 
 
 def _text(found: dict[str, Any], how: str, picks: list[str]) -> str:

@@ -12,6 +12,7 @@ from typing import Final
 
 from common import VERSION
 from common.wire.addresses import Address, parse_address
+from coordinator.cli.exits import DONE
 from coordinator.cli.output import note, say
 from coordinator.cli.signals import stopping
 
@@ -33,7 +34,7 @@ def serve(options: argparse.Namespace) -> int:
         say(greeting(parse_address(bus.endpoint), options.state))
         service.run(stop)
     note("coordinator: stopped; jobs and results are kept")
-    return 0
+    return DONE
 
 
 def configure_log() -> None:

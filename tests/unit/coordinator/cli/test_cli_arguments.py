@@ -36,7 +36,6 @@ def test_help_lists_the_verbs_of_this_version_and_none_of_later_ones() -> None:
     [
         ("run", ["DATA", "required"]),
         ("result", ["ID", "required"]),
-        ("cancel", ["ID", "required"]),
         ("run a.csv --bogus", ["unknown option --bogus"]),
         ("run a.csv --seed", ["--seed", "expected one argument"]),
         ("run a.csv --workers 0", ["--workers", "at least 1", "'0'"]),
