@@ -61,7 +61,7 @@ def check_rows(table: Table, count: int) -> None:
 def check_varies(table: Table, name: str, values: FloatArray, part: str) -> None:
     """Raise DataError when a column in the part of a state or target is constant."""
     if len(values) and np.all(values == values[0]):
-        value = f"{float(values[0]):g}"
+        value = f"{float(values[0]) + 0.0:g}"
         advice = "choose states with --states, or make it an input with --inputs" if part == "state" else "name another"
         raise DataError(f"{part} '{name}' of {table.files[0]} is constant ({value} in every row); {advice}")
 

@@ -8,7 +8,7 @@ polynomial through the 3 to 15 nearest rows, each row taking the stencil whose s
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -58,6 +58,24 @@ def estimate(runs: Sequence[Run], order: int, *, paper: bool = False) -> Estimat
         order: 1 or 2, the derivative sought.
         paper: as in the paper: loess of degree 2, no interpolation.
     """
+    _, exponent = math.frexp(max(float(np.max(np.abs(run.values))) for run in runs))
+    scaled = [Run(run.times, np.ldexp(run.values, -exponent)) for run in runs]
+    return _rescaled(_estimate(scaled, order, paper=paper), exponent)
+
+
+def _rescaled(its: Estimate, exponent: int) -> Estimate:
+    """Return the estimate of values 2**exponent times as large: values of any size have squares in between."""
+    with np.errstate(over="ignore", under="ignore"):
+        return replace(
+            its,
+            values=np.ldexp(its.values, exponent),
+            velocity=np.ldexp(its.velocity, exponent),
+            derivative=np.ldexp(its.derivative, exponent),
+            uncertainty=np.ldexp(its.uncertainty, exponent),
+        )
+
+
+def _estimate(runs: Sequence[Run], order: int, *, paper: bool) -> Estimate:
     choice = choose(runs, PAPER_DEGREES if paper else DEGREES_TRIED)
     smoothed = [smooth(run, choice) for run in runs]
     if not paper:

@@ -77,7 +77,9 @@ def _along(table: Table, name: str, trajectories: Trajectories, config: DataConf
     if angle is None:
         checks.check_no_turns(name, parts)
         return [np.ascontiguousarray(part) for part in parts]
-    return [unwrapped(in_radians(part, angle)) for part in parts]
+    turned = [unwrapped(in_radians(part, angle)) for part in parts]
+    checks.check_varies(table, name, np.concatenate(turned), "state")
+    return turned
 
 
 def _remarks(table: Table, roles: Roles, rows: list[int], config: DataConfig) -> list[str]:

@@ -31,6 +31,8 @@ LEAST_KEPT: Final = 0.7
 LEAST_SPREAD: Final = 1e-3
 """A derivative that varies less than this share of its mean is judged by the mean: it may well be constant."""
 ROUNDING: Final = 1e-12
+SMALLEST: Final = 1e-150
+"""Numbers below this, or above its inverse, have no square that can be told from zero or infinity."""
 PASSES: Final = 3
 """A wild row swells the standard deviation by which rows are judged, so that they are judged again without it."""
 
@@ -53,7 +55,8 @@ def _given(its: Measured) -> Dataset:
     targets = []
     for name, column in zip(its.roles.equations, its.roles.derivatives or its.roles.equations, strict=True):
         values = its.column(column, angle_of=name)
-        targets.append(Target(name, _lhs(name, its.roles, its.config), values, 0.0, moments(values)[1]))
+        deviation = _finite_spread(column, values)
+        targets.append(Target(name, _lhs(name, its.roles, its.config), values, 0.0, deviation))
     inputs = np.array([its.column(name) for name in names])
     return Dataset(tuple(symbols[name] for name in names), inputs, _chosen(targets, its.config), symbols, its.warnings)
 
@@ -77,6 +80,7 @@ def _differentiated(its: Measured, *, paper: bool) -> Dataset:
     for name in its.roles.states:
         runs = [Run(each, part) for each, part in zip(times, its.states[name], strict=True)]
         estimates.append(estimate(runs, its.config.order, paper=paper))
+        _finite_spread(f"derivative of {name}", estimates[-1].derivative)
     kept, warnings = _kept(estimates, [len(each) for each in times], its.roles)
     columns, values = _variables(its, estimates)
     symbols = symbols_for(columns)
@@ -149,14 +153,22 @@ def _certain(estimates: Sequence[Estimate], inner: list[int]) -> list[int]:
 
 def _target(name: str, lhs: str, its: Estimate, kept: list[int]) -> Target:
     values = np.ascontiguousarray(its.derivative[kept])
-    deviation = _spread(values, ROUNDING)
-    uncertainty, _ = moments(np.ascontiguousarray(its.uncertainty[kept]))
-    if not (math.isfinite(deviation) and math.isfinite(uncertainty)):
-        raise DataError(f"the derivative of '{name}' is not finite; check for values beyond the range of numbers")
-    return Target(name, lhs, values, uncertainty / deviation, deviation, its.noise)
+    deviation = _finite_spread(f"derivative of {name}", values)
+    floor, _ = moments(np.ascontiguousarray(its.uncertainty[kept] / deviation))
+    if not math.isfinite(floor):
+        raise DataError(f"the uncertainty of the derivative of '{name}' cannot be told; sample more often")
+    return Target(name, lhs, values, floor, deviation, its.noise)
+
+
+def _finite_spread(name: str, values: FloatArray) -> float:
+    """Return the standard deviation; raises DataError when it is beyond the range of numbers."""
+    spread = _spread(values, ROUNDING)
+    if not SMALLEST < spread < 1.0 / SMALLEST:
+        raise DataError(f"the values of '{name}' are too large or too small to compute with; choose another unit")
+    return spread
 
 
 def _spread(values: FloatArray, least: float) -> float:
     """Return the standard deviation, or `least` times the mean's size where the values hardly vary."""
     mean, deviation = moments(values)
-    return max(deviation, least * abs(mean), 1e-300)
+    return max(deviation, least * abs(mean), SMALLEST)

@@ -143,6 +143,12 @@ def test_a_marked_angle_is_unwrapped_into_radians(degrees):
     assert its.warnings == (("Degrees were converted to radians: y.",) if degrees else ())
 
 
+def test_an_angle_that_only_makes_full_turns_is_constant():
+    columns = oscillator(20)
+    columns["y"] = 360.0 * (np.arange(20) // 5)
+    assert "state 'y' of a.csv is constant" in refusal(columns, angles=(Angle(column="y", degrees=True),))
+
+
 def test_columns_of_text_and_unused_time_are_remarked():
     table = table_of(oscillator(), skipped=("who",))
     warnings = measured(table, DataConfig(target="y")).warnings
