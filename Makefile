@@ -43,7 +43,6 @@ check: $(STAMP)
 
 bench: $(STAMP)
 	@$(BIN)/python -m benchmarks.elementary
-	@$(BIN)/python -m benchmarks.evaluation
 	@$(BIN)/python -m benchmarks.derivatives
 
 clean:
