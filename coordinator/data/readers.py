@@ -8,6 +8,7 @@ import csv
 import io
 import math
 import re
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -70,7 +71,7 @@ def _text_rows(path: Path) -> _Rows:
         raise DataError(f"{path.name} is empty; a header line and rows of numbers are expected")
     records = _records(path.name, text)
     _, headers = next(records)
-    headers = [header.strip() for header in headers]
+    headers = [_on_one_line(header) for header in headers]
     _check_header(path.name, headers)
     cells: list[list[str]] = []
     lines: list[int] = []
@@ -169,7 +170,11 @@ def _with_breaks(headers: tuple[str, ...], columns: list[list[str]]) -> _Rows:
 
 def _table_of(file: str, rows: _Rows, config: DataConfig) -> Table:
     """Turn cells into numbers; a column without a name (such as a spreadsheet's row numbers) is set aside."""
-    named = [(split_unit(header), cells) for header, cells in zip(rows.headers, rows.columns, strict=True) if header]
+    named = [
+        (split_unit(_on_one_line(header)), cells)
+        for header, cells in zip(rows.headers, rows.columns, strict=True)
+        if header
+    ]
     names = [name for (name, _), _ in named]
     for name in names:
         if names.count(name) > 1:
@@ -200,6 +205,10 @@ def _table_of(file: str, rows: _Rows, config: DataConfig) -> Table:
     )
 
 
+def _on_one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
 def _number(cell: str) -> float | None:
     """Return the number in `cell` (NaN when missing), or None for text."""
     if cell.strip().lower() in MISSING:
@@ -227,7 +236,8 @@ def _numbers(file: str, name: str, cells: Sequence[str], lines: Sequence[int]) -
         number = _number(cell)
         if number is None:
             place = f"line {line}" if line else f"row {row}"
-            raise DataError(f"column '{name}' of {file} holds '{cell.strip()}' in {place} where a number is expected")
+            found = textwrap.shorten(_on_one_line(cell), 40, placeholder="…")
+            raise DataError(f"column '{name}' of {file} holds '{found}' in {place} where a number is expected")
         numbers.append(number)
     return numbers
 
