@@ -86,8 +86,74 @@ class Compute(Protocol):
 Share = tuple[str, str, int]
 
 
+class Engine:
+    """Islands of `island_worker.evolution`, computed on the caller's thread: tasks in, words out."""
+
+    def __init__(self) -> None:
+        self._jobs: dict[str, tuple[JobConfig, Dataset]] = {}
+        self._islands: dict[Share, dict[int, Island]] = {}
+
+    def load(self, job: str, config: JobConfig, dataset: bytes) -> JobReady | Unloadable:
+        """Take in a job's configuration and encoded dataset."""
+        from common.wire.codec import dataset_from_bytes
+
+        try:
+            self._jobs[job] = (config, dataset_from_bytes(dataset))
+        except RemoteProtocolError as error:
+            return Unloadable(job, str(error))
+        return JobReady(job)
+
+    def advance(self, task: Task, goes_on: Callable[[], bool]) -> Computed | Rejected | Broken | Abandoned:
+        """Compute one epoch of one island; `goes_on` is asked now and then whether it is still wanted."""
+        key = task.key
+        try:
+            return self._advance(task, goes_on)
+        except RemoteProtocolError as error:
+            return Rejected(key, str(error))
+        except Exception as error:  # it is the job that fails, not the worker
+            _LOG.exception("island broke job=%s variable=%s island=%d", key.job, key.variable, key.island)
+            return Broken(key, f"island {key.island} of {key.variable} broke in epoch {key.epoch}: {_brief(error)}")
+
+    def forget(self, share: Share) -> None:
+        """Forget the islands of an archipelago's term."""
+        self._islands.pop(share, None)
+
+    def forget_job(self, job: str) -> None:
+        """Forget a job's dataset."""
+        self._jobs.pop(job, None)
+
+    def _advance(self, task: Task, goes_on: Callable[[], bool]) -> Computed | Abandoned:
+        from island_worker.evolution.island import senders
+
+        began = time.monotonic()
+        key = task.key
+        island = self._begin(task)
+        while not island.advance(_STRIDE):
+            if not goes_on():
+                return Abandoned(key)
+        outcome = island.outcome()
+        report = report_of(key.island, outcome)
+        if outcome.hit is not None or task.is_last:
+            return Computed(key, report, {}, frozenset(), time.monotonic() - began)
+        config, _ = self._jobs[key.job]
+        awaited = senders(config, key.variable, key.epoch, key.island)
+        return Computed(key, report, island.emigrants(), awaited, time.monotonic() - began)
+
+    def _begin(self, task: Task) -> "Island":
+        from island_worker.evolution.island import Island
+
+        key = task.key
+        islands = self._islands.setdefault((key.job, key.variable, key.term), {})
+        if task.blocks is None:
+            config, dataset = self._jobs[key.job]
+            islands[key.island] = Island(dataset.problem(key.variable), config, key.island)
+        else:
+            islands[key.island].immigrate(task.blocks)
+        return islands[key.island]
+
+
 class IslandCompute:
-    """The real one: islands of `island_worker.evolution`, computed one at a time in one thread."""
+    """The real one: an engine in a thread of its own, one task at a time."""
 
     def __init__(self) -> None:
         self._commands: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
@@ -97,8 +163,7 @@ class IslandCompute:
         self._unwanted: set[Share] = set()
         self._closed = False
         self._progress = 0
-        self._jobs: dict[str, tuple[JobConfig, Dataset]] = {}
-        self._islands: dict[Share, dict[int, Island]] = {}
+        self._engine = Engine()
         self._thread = threading.Thread(target=self._work, name="compute", daemon=True)
         self._thread.start()
 
@@ -121,7 +186,7 @@ class IslandCompute:
 
     def load(self, job: str, config: JobConfig, dataset: bytes) -> None:
         """See `Compute.load`."""
-        self._commands.put(lambda: self._load(job, config, dataset))
+        self._commands.put(lambda: self._say(self._engine.load(job, config, dataset)))
 
     def advance(self, task: Task) -> None:
         """See `Compute.advance`."""
@@ -135,7 +200,7 @@ class IslandCompute:
 
     def discard_job(self, job: str) -> None:
         """See `Compute.discard_job`."""
-        self._commands.put(lambda: self._forget_job(job))
+        self._commands.put(lambda: self._engine.forget_job(job))
 
     def close(self) -> None:
         """See `Compute.close`. Waits a little for the thread; it is a daemon and keeps no process alive."""
@@ -173,70 +238,17 @@ class IslandCompute:
         else:
             self._say(WarmedUp(time.monotonic() - began, source_digest()))
 
-    def _load(self, job: str, config: JobConfig, dataset: bytes) -> None:
-        from common.wire.codec import dataset_from_bytes
-
-        try:
-            self._jobs[job] = (config, dataset_from_bytes(dataset))
-        except RemoteProtocolError as error:
-            self._say(Unloadable(job, str(error)))
-        else:
-            self._say(JobReady(job))
-
     def _advance(self, task: Task) -> None:
-        key = task.key
-        word: Word
-        try:
-            word = self._compute(task)
-        except RemoteProtocolError as error:
-            word = Rejected(key, str(error))
-        except Exception as error:  # it is the job that fails, not the worker
-            _LOG.exception(
-                "island broke job=%s variable=%s island=%d epoch=%d", key.job, key.variable, key.island, key.epoch
-            )
-            word = Broken(key, f"island {key.island} of {key.variable} broke in epoch {key.epoch}: {_brief(error)}")
-        self._say(word)
+        share = (task.key.job, task.key.variable, task.key.term)
+        self._say(self._engine.advance(task, lambda: self._goes_on(share)))
 
-    def _compute(self, task: Task) -> Computed | Abandoned:
-        from island_worker.evolution.island import senders
-
-        began = time.monotonic()
-        key = task.key
-        share = (key.job, key.variable, key.term)
-        config, _ = self._jobs[key.job]
-        island = self._begin(task, share)
-        while not island.advance(_STRIDE):
-            self._progress += 1
-            if self._closed or share in self._unwanted:
-                return Abandoned(key)
-        outcome = island.outcome()
-        if outcome.hit is not None or task.is_last:
-            return Computed(key, report_of(key.island, outcome), {}, frozenset(), time.monotonic() - began)
-        return Computed(
-            key,
-            report_of(key.island, outcome),
-            island.emigrants(),
-            senders(config, key.variable, key.epoch, key.island),
-            time.monotonic() - began,
-        )
-
-    def _begin(self, task: Task, share: Share) -> "Island":
-        from island_worker.evolution.island import Island
-
-        islands = self._islands.setdefault(share, {})
-        if task.blocks is None:
-            config, dataset = self._jobs[task.key.job]
-            islands[task.key.island] = Island(dataset.problem(task.key.variable), config, task.key.island)
-        else:
-            islands[task.key.island].immigrate(task.blocks)
-        return islands[task.key.island]
+    def _goes_on(self, share: Share) -> bool:
+        self._progress += 1
+        return not self._closed and share not in self._unwanted
 
     def _forget(self, share: Share) -> None:
-        self._islands.pop(share, None)
+        self._engine.forget(share)
         self._unwanted.discard(share)
-
-    def _forget_job(self, job: str) -> None:
-        self._jobs.pop(job, None)
 
 
 def report_of(island: int, outcome: "EpochOutcome") -> IslandReport:

@@ -1,6 +1,10 @@
 """Whatever happens on the way, one seed has one answer: whole stories of coordinator, workers and client."""
 
+import os
+import subprocess
+import sys
 from functools import cache
+from pathlib import Path
 
 import pytest
 
@@ -8,6 +12,7 @@ from common.config import BudgetConfig, EvolutionConfig, JobConfig
 from common.wire.faults import Partition, Plan
 from tests.simulation.world import World, comparable
 
+ROOT = Path(__file__).resolve().parents[2]
 SEEDS = range(8)
 
 
@@ -132,3 +137,16 @@ def test_two_jobs_at_once_do_not_disturb_each_other() -> None:
     assert world.finish("first").state == world.finish("second").state == "done"
     assert comparable(world.result("first")) == undisturbed(1)
     assert comparable(world.result("second")) == undisturbed(2)
+
+
+def test_the_order_in_which_python_hashes_does_not_matter() -> None:
+    program = (
+        "from tests.simulation.test_same_answer import World, config, comparable\n"
+        "print(comparable(World(workers=3, seed=2).run(config(2))))"
+    )
+    for hash_seed in ("1", "2"):
+        environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": str(ROOT)}
+        done = subprocess.run(
+            [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+        )
+        assert done.stdout.strip() == undisturbed(2)

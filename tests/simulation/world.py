@@ -18,7 +18,7 @@ from common.wire.faults import Plan
 from common.wire.simulated_bus import SimulatedBus, SimulatedNetwork
 from common.wire.views import FINAL_STATES, JobView
 from coordinator.client import Client
-from coordinator.service.ports import Ports
+from coordinator.service.ports import Ports, Preparer
 from coordinator.service.service import Service
 from coordinator.service.store import Store
 from island_worker.runtime import Worker
@@ -40,9 +40,19 @@ class World:
     """Everything that takes part, and what a test does with it."""
 
     def __init__(
-        self, workers: int = 2, seed: int = 0, plan: Plan | None = None, expected: int = 1, **compute: Any
+        self,
+        workers: int = 2,
+        seed: int = 0,
+        plan: Plan | None = None,
+        expected: int = 1,
+        compute: type[StubCompute] = StubCompute,
+        prepare: Preparer = prepare,
+        **options: Any,
     ) -> None:
+        """`options` are those of the workers' `compute`."""
         self.seed = seed
+        self.compute = compute
+        self.prepare = prepare
         self.network = SimulatedNetwork(seed, plan)
         self.store = Store.open(None)
         self.expected = expected
@@ -50,7 +60,7 @@ class World:
         self.computes: dict[str, StubCompute] = {}
         self.service = self.start_service()
         for index in range(workers):
-            self.start_worker(f"w{index}", **compute)
+            self.start_worker(f"w{index}", **options)
         self.client = Client(self.network.bus("client"), "simulated")
 
     def close(self) -> None:
@@ -58,7 +68,7 @@ class World:
 
     def start_service(self) -> Service:
         bus = self.network.bus("coordinator", is_router=True)
-        ports = Ports(prepare, lambda work: work(), lambda: f"2026-01-01T00:00:{self.network.now:09.3f}")
+        ports = Ports(self.prepare, lambda work: work(), lambda: f"2026-01-01T00:00:{self.network.now:09.3f}")
         service = Service(bus, self.store, expected_workers=self.expected, ports=ports)
 
         def step(event: Event) -> None:
@@ -70,9 +80,9 @@ class World:
         service.start()
         return service
 
-    def start_worker(self, name: str, **compute: Any) -> Worker:
+    def start_worker(self, name: str, **options: Any) -> Worker:
         bus = self.network.bus(name)
-        stub = StubCompute(self.network, name, self.seed, **compute)
+        stub = self.compute(self.network, name, self.seed, **options)
         worker = Worker(bus, stub, name, wait_s=60.0)
 
         def step(event: Event) -> None:
