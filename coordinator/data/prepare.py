@@ -62,7 +62,7 @@ def _given(its: Measured) -> Dataset:
 
 
 def _chosen(targets: Sequence[Target], config: DataConfig) -> tuple[Target, ...]:
-    return tuple(target for target in targets if config.only is None or target.variable in config.only)
+    return tuple(target for target in targets if not config.only or target.variable in config.only)
 
 
 def _lhs(name: str, roles: Roles, config: DataConfig) -> str:
