@@ -1,7 +1,7 @@
 """A program: the canonical operation list of one expression, as it stands on a front and travels on the wire.
 
 Node i refers to earlier nodes only, so the list is an acyclic graph that can always be evaluated; the last node is the
-output. Here every node is live: evolution's own lists (with dead nodes, fixed length) live in `island_worker.evolution`.
+output. Here every node is live; evolution's own lists, with dead nodes, are those of `island_worker.evolution`.
 """
 
 import struct
@@ -70,10 +70,13 @@ class Program:
 
     def validate(self, variables: int) -> None:
         """Check that the list is acyclic and refers to existing inputs; raises RemoteProtocolError."""
-        for index in range(len(self)):
-            code, left, right = int(self.operators[index]), int(self.left[index]), int(self.right[index])
+        nodes = zip(self.operators.tolist(), self.left.tolist(), self.right.tolist(), strict=True)
+        for index, (code, left, right) in enumerate(nodes):
             if not 0 <= code < len(ARITY):
                 raise RemoteProtocolError(f"node {index} of a program has unknown operator code {code}")
-            limits = {VARIABLE: (variables, 1), CONSTANT: (1, 1)}.get(code, (index, index if ARITY[code] == 2 else 1))
-            if not (0 <= left < limits[0] and 0 <= right < limits[1]):
+            if code in (VARIABLE, CONSTANT):
+                left_limit, right_limit = variables if code == VARIABLE else 1, 1
+            else:
+                left_limit, right_limit = index, index if ARITY[code] == 2 else 1
+            if not (0 <= left < left_limit and 0 <= right < right_limit):
                 raise RemoteProtocolError(f"node {index} of a program refers to {left}, {right}, which do not exist")
