@@ -9,7 +9,7 @@ import pytest
 from coordinator.cli import local
 from coordinator.cli.main import main
 
-pytestmark = pytest.mark.timeout(60)
+pytestmark = pytest.mark.timeout(200)
 
 GOOD = "t,x,y\n" + "".join(f"{0.1 * i:.1f},{i * i * 0.01},{1 + 0.1 * i}\n" for i in range(40))
 
