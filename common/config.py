@@ -61,7 +61,7 @@ class EvolutionConfig(Model):
     mutation: Probability = Field(0.05, description="per node")
     loss: Loss = "mae"
     constant_fit_steps: Annotated[int, Field(ge=0, le=100)] = Field(4, description="Levenberg-Marquardt steps a child")
-    linear_scaling: bool = True
+    linear_terms: Annotated[int, Field(ge=0, le=4)] = Field(3, description="top-level terms fitted linearly; 0: none")
     scaled_constants: bool = Field(True, description="draw constants over the data's scales, not from [-10, 10]")
     refit_interval: Annotated[int, Field(ge=1)] = Field(10, description="generations between offers to the front")
 
@@ -109,7 +109,7 @@ class JobConfig(Model):
 PAPER = JobConfig(
     preset="paper",
     space=SpaceConfig(terminals=7),
-    evolution=EvolutionConfig(constant_fit_steps=0, linear_scaling=False, scaled_constants=False),
+    evolution=EvolutionConfig(constant_fit_steps=0, linear_terms=0, scaled_constants=False),
     predictors=PredictorConfig(rows=16),
 )
 """Table II of the paper, nothing added."""

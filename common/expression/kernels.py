@@ -47,20 +47,21 @@ def padded(rows: int) -> int:
 
 @kernel
 def forward_block(count, code, left, right, constants, inputs, start, values):  # type: ignore[no-untyped-def]
-    """Write the value of each of `count` nodes at rows [start, start + LANES) into `values` (>= count, LANES).
+    """Write the value of each of `count` nodes at rows [start, start + LANES) into those columns of `values`.
 
-    `inputs` is (V, R) with R padded. Operators are not protected: what has no finite value becomes NaN or infinity.
+    `inputs` is (V, R) and `values` (>= count, >= R), R padded. Operators are not protected: what has no finite value
+    becomes NaN or infinity.
     """
     for i in range(count):
         op = code[i]
         if op == VARIABLE:
             _load_into(values, i, inputs, left[i], start)
         elif op == CONSTANT:
-            _fill_into(values, i, constants[i])
+            _fill_into(values, i, constants[i], start)
         elif op <= DIVIDE:
-            _arithmetic_into(values, i, op, left[i], right[i])
+            _arithmetic_into(values, i, op, left[i], right[i], start)
         else:
-            _function_into(values, i, op, left[i], right[i])
+            _function_into(values, i, op, left[i], right[i], start)
 
 
 # The helpers take whole arrays and indices rather than rows: a row handed to another function would be counted as a
@@ -69,25 +70,25 @@ def forward_block(count, code, left, right, constants, inputs, start, values):  
 
 @kernel
 def _load_into(values, i, inputs, variable, start):  # type: ignore[no-untyped-def]
-    out = values[i]
-    column = inputs[variable]
+    out = values[i, start : start + LANES]
+    column = inputs[variable, start : start + LANES]
     for k in range(LANES):
-        out[k] = column[start + k]
+        out[k] = column[k]
 
 
 @kernel
-def _fill_into(values, i, constant):  # type: ignore[no-untyped-def]
-    out = values[i]
+def _fill_into(values, i, constant, start):  # type: ignore[no-untyped-def]
+    out = values[i, start : start + LANES]
     for k in range(LANES):
         out[k] = constant
 
 
 @kernel
-def _arithmetic_into(values, i, op, left, right):  # type: ignore[no-untyped-def]
+def _arithmetic_into(values, i, op, left, right, start):  # type: ignore[no-untyped-def]
     """Write node i = left op right for + - * /."""
-    out = values[i]
-    a = values[left]
-    b = values[right]
+    out = values[i, start : start + LANES]
+    a = values[left, start : start + LANES]
+    b = values[right, start : start + LANES]
     if op == ADD:
         for k in range(LANES):
             out[k] = a[k] + b[k]
@@ -103,10 +104,10 @@ def _arithmetic_into(values, i, op, left, right):  # type: ignore[no-untyped-def
 
 
 @kernel
-def _function_into(values, i, op, left, right):  # type: ignore[no-untyped-def]
+def _function_into(values, i, op, left, right, start):  # type: ignore[no-untyped-def]
     """Write node i for the operators that are functions."""
-    out = values[i]
-    a = values[left]
+    out = values[i, start : start + LANES]
+    a = values[left, start : start + LANES]
     if op == SIN:
         for k in range(LANES):
             out[k] = strict_sin(a[k])
@@ -138,46 +139,43 @@ def _function_into(values, i, op, left, right):  # type: ignore[no-untyped-def]
         for k in range(LANES):
             out[k] = strict_tanh(a[k])
     elif op == POW:
-        b = values[right]
+        b = values[right, start : start + LANES]
         for k in range(LANES):
             out[k] = strict_pow(a[k], b[k])
 
 
 @kernel
-def reverse_block(count, code, left, right, depends, values, adjoints):  # type: ignore[no-untyped-def]
-    """Write d(output)/d(node) of every node that `depends` on a fitted constant into `adjoints` (>= count, LANES).
+def reverse_block(count, code, left, right, depends, values, start, adjoints):  # type: ignore[no-untyped-def]
+    """Carry the adjoints of the outputs down to every node that `depends` on a fitted constant.
 
-    `values` are those of `forward_block`. One reverse sweep over the list (reverse-mode differentiation); nodes whose
-    `depends` is false are skipped and their adjoints left undefined.
+    `adjoints` (>= count, LANES) holds d(result)/d(node) for the nodes that are outputs and zero for the others that
+    depend; on return it is complete. `values` are those of `forward_block` at rows [start, start + LANES). One reverse
+    sweep over the list (reverse-mode differentiation).
     """
-    for i in range(count):
-        if depends[i]:
-            _fill_into(adjoints, i, 0.0)
-    _fill_into(adjoints, count - 1, 1.0)
     for i in range(count - 1, -1, -1):
         op = code[i]
         if op <= CONSTANT or not depends[i]:
             continue
-        l = left[i]
-        r = right[i]
+        a = left[i]
+        b = right[i]
         if op <= DIVIDE:
-            if depends[l]:
-                _add_left_adjoint(adjoints, values, i, op, l, r)
-            if depends[r]:
-                _add_right_adjoint(adjoints, values, i, op, l, r)
+            if depends[a]:
+                _add_left_adjoint(adjoints, values, start, i, op, a, b)
+            if depends[b]:
+                _add_right_adjoint(adjoints, values, start, i, op, a, b)
         else:
-            if depends[l]:
-                _add_function_adjoint(adjoints, values, i, op, l, r)
-            if op == POW and depends[r]:
-                _add_exponent_adjoint(adjoints, values, i, l, r)
+            if depends[a]:
+                _add_function_adjoint(adjoints, values, start, i, op, a, b)
+            if op == POW and depends[b]:
+                _add_exponent_adjoint(adjoints, values, start, i, a, b)
 
 
 @kernel
-def _add_left_adjoint(adjoints, values, i, op, left, right):  # type: ignore[no-untyped-def]
+def _add_left_adjoint(adjoints, values, start, i, op, left, right):  # type: ignore[no-untyped-def]
     """Add to the adjoint of the left argument of + - * /."""
     target = adjoints[left]
     g = adjoints[i]
-    b = values[right]
+    b = values[right, start : start + LANES]
     if op == MULTIPLY:
         for k in range(LANES):
             target[k] += g[k] * b[k]
@@ -190,7 +188,7 @@ def _add_left_adjoint(adjoints, values, i, op, left, right):  # type: ignore[no-
 
 
 @kernel
-def _add_right_adjoint(adjoints, values, i, op, left, right):  # type: ignore[no-untyped-def]
+def _add_right_adjoint(adjoints, values, start, i, op, left, right):  # type: ignore[no-untyped-def]
     """Add to the adjoint of the right argument of + - * /."""
     target = adjoints[right]
     g = adjoints[i]
@@ -201,23 +199,23 @@ def _add_right_adjoint(adjoints, values, i, op, left, right):  # type: ignore[no
         for k in range(LANES):
             target[k] -= g[k]
     elif op == MULTIPLY:
-        a = values[left]
+        a = values[left, start : start + LANES]
         for k in range(LANES):
             target[k] += g[k] * a[k]
     else:
-        value = values[i]
-        b = values[right]
+        value = values[i, start : start + LANES]
+        b = values[right, start : start + LANES]
         for k in range(LANES):
             target[k] -= g[k] * value[k] / b[k]
 
 
 @kernel
-def _add_function_adjoint(adjoints, values, i, op, left, right):  # type: ignore[no-untyped-def]
+def _add_function_adjoint(adjoints, values, start, i, op, left, right):  # type: ignore[no-untyped-def]
     """Add to the adjoint of the argument of a function, or of the base of pow."""
     target = adjoints[left]
     g = adjoints[i]
-    value = values[i]
-    a = values[left]
+    value = values[i, start : start + LANES]
+    a = values[left, start : start + LANES]
     if op == SIN:
         for k in range(LANES):
             target[k] += g[k] * strict_cos(a[k])
@@ -249,18 +247,18 @@ def _add_function_adjoint(adjoints, values, i, op, left, right):  # type: ignore
         for k in range(LANES):
             target[k] += g[k] * (1.0 - value[k] * value[k])
     elif op == POW:
-        b = values[right]
+        b = values[right, start : start + LANES]
         for k in range(LANES):
             target[k] += g[k] * (b[k] * strict_pow(a[k], b[k] - 1.0))
 
 
 @kernel
-def _add_exponent_adjoint(adjoints, values, i, left, right):  # type: ignore[no-untyped-def]
+def _add_exponent_adjoint(adjoints, values, start, i, left, right):  # type: ignore[no-untyped-def]
     """Add to the adjoint of pow's exponent: value * log(base); NaN for a base that is not positive, as it must be."""
     target = adjoints[right]
     g = adjoints[i]
-    value = values[i]
-    a = values[left]
+    value = values[i, start : start + LANES]
+    a = values[left, start : start + LANES]
     for k in range(LANES):
         target[k] += g[k] * (value[k] * strict_log(a[k]))
 
@@ -276,10 +274,7 @@ def lane_sum(lanes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def evaluate(count, code, left, right, constants, inputs, rows, values, out):  # type: ignore[no-untyped-def]
-    """Write the tape's output at rows [0, rows) into `out`; `inputs` and `out` are padded to a multiple of LANES."""
+def forward(count, code, left, right, constants, inputs, rows, values):  # type: ignore[no-untyped-def]
+    """Write the value of each of `count` nodes at rows [0, rows), padded, into `values`."""
     for start in range(0, rows, LANES):
         forward_block(count, code, left, right, constants, inputs, start, values)
-        top = values[count - 1]
-        for k in range(LANES):
-            out[start + k] = top[k]

@@ -1,14 +1,14 @@
-"""A program as short Python lists, for the few that reach the front: scaling worked in, parts left out.
+"""A program as short Python lists, for the few that reach the front: coefficients worked in, parts left out.
 
 Nothing here is in a hot loop; whatever is built is put on a tape and measured again before it is believed.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from common.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, SUBTRACT
+from common.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, SUBTRACT
 from common.expression.program import Program
 from island_worker.evolution.structures import Tape
 
@@ -40,6 +40,12 @@ def onto_tape(formula: Formula, tape: Tape) -> int:
     return len(formula)
 
 
+def from_program(program: Program) -> Formula:
+    """Return the nodes of `program`."""
+    columns = (program.operators, program.left, program.right, program.constants)
+    return tuple(map(Node, *(column.tolist() for column in columns)))
+
+
 def to_program(formula: Formula) -> Program:
     """Return `formula`, which must have no dead nodes, as a canonical program."""
     return Program(
@@ -50,55 +56,36 @@ def to_program(formula: Formula) -> Program:
     )
 
 
-def scaled(formula: Formula, a: float, b: float) -> Formula:
-    """Return a * formula + b with as few nodes as will do; what becomes dead stays in the list.
+def combined(formula: Formula, terms: Sequence[int], coefficients: Sequence[float], shift: float) -> Formula:
+    """Return shift + sum of coefficient times term, the terms being nodes of `formula`; zero ones are left out.
 
-    A constant summand of `formula` joins b, a constant factor joins a, a difference changes sides when a is -1.
+    A positive term comes first where there is one, so that signs become differences. What is dead stays in the list.
     """
-    factor, formula, shift = _without_shift(formula)
-    b += a * shift
-    a *= factor
-    factor, formula = _without_factor(formula)
-    a *= factor
-    if a == -1.0 and formula[-1].code == SUBTRACT:
-        top = formula[-1]
-        formula, a = (*formula[:-1], Node(SUBTRACT, top.right, top.left)), 1.0
-    formula = formula if a == 1.0 else _joined(MULTIPLY, formula, a)
-    return formula if b == 0.0 else _joined(ADD, formula, b)
+    nodes = list(formula)
+    pairs = [(node, a) for node, a in zip(terms, coefficients, strict=True) if a != 0.0]
+    pairs.sort(key=lambda pair: pair[1] < 0.0)
+    top = -1
+    for node, a in pairs:
+        top = _joined(nodes, top, node, a)
+    if top < 0:
+        nodes.append(Node(CONSTANT, constant=shift))
+    elif shift != 0.0:
+        nodes += [Node(CONSTANT, constant=shift), Node(ADD, top, len(nodes))]
+    elif top < len(nodes) - 1:
+        nodes = nodes[: top + 1]
+    return tuple(nodes)
 
 
-def _joined(code: int, formula: Formula, constant: float) -> Formula:
-    top = len(formula) - 1
-    return (*formula, Node(CONSTANT, constant=constant), Node(code, top, top + 1))
-
-
-def _rooted(formula: Formula, root: int) -> Formula:
-    return formula[: root + 1]
-
-
-def _without_shift(formula: Formula) -> tuple[float, Formula, float]:
-    """Return sign, rest and constant so that formula = sign * rest + constant."""
-    top = formula[-1]
-    if top.code in (ADD, SUBTRACT):
-        left, right = formula[top.left], formula[top.right]
-        sign = 1.0 if top.code == ADD else -1.0
-        if right.code == CONSTANT:
-            return 1.0, _rooted(formula, top.left), sign * right.constant
-        if left.code == CONSTANT:
-            return sign, _rooted(formula, top.right), left.constant
-    return 1.0, formula, 0.0
-
-
-def _without_factor(formula: Formula) -> tuple[float, Formula]:
-    """Return factor and rest so that formula = factor * rest."""
-    top = formula[-1]
-    if top.code in (MULTIPLY, DIVIDE):
-        left, right = formula[top.left], formula[top.right]
-        if right.code == CONSTANT:
-            return (right.constant if top.code == MULTIPLY else 1.0 / right.constant), _rooted(formula, top.left)
-        if left.code == CONSTANT and top.code == MULTIPLY:
-            return left.constant, _rooted(formula, top.right)
-    return 1.0, formula
+def _joined(nodes: list[Node], top: int, node: int, a: float) -> int:
+    """Append what makes ``top + a * node`` (``a * node`` when there is no top yet); return its index."""
+    size = abs(a) if top >= 0 else a
+    if size != 1.0:
+        nodes += [Node(CONSTANT, constant=size), Node(MULTIPLY, node, len(nodes))]
+        node = len(nodes) - 1
+    if top < 0:
+        return node
+    nodes.append(Node(ADD if a > 0.0 else SUBTRACT, top, node))
+    return len(nodes) - 1
 
 
 def reductions(formula: Formula) -> Iterator[Formula]:

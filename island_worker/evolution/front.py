@@ -12,13 +12,19 @@ import numpy.typing as npt
 
 from common.expression.program import Program
 from common.pareto import FrontEntry, merge
-from island_worker.evolution.formula import Formula, Node, from_tape, onto_tape, reductions, scaled, to_program
-from island_worker.evolution.kernels_fit import fit
-from island_worker.evolution.kernels_generation import REFITTING
-from island_worker.evolution.kernels_offers import canonical, choose_offers, evaluate_program, refit
+from island_worker.evolution.formula import (
+    Formula,
+    combined,
+    from_program,
+    from_tape,
+    onto_tape,
+    reductions,
+    to_program,
+)
+from island_worker.evolution.kernels_offers import canonical, choose_offers, refit
 from island_worker.evolution.kernels_tape import canonical_tape
 from island_worker.evolution.setting import Setting
-from island_worker.evolution.structures import Fit, Lists, Rows, padded_rows
+from island_worker.evolution.structures import MOST_FITTED, MOST_TERMS, Fit, Lists, Rows, padded_rows
 
 REFIT_STEPS = 10
 POLISH_STEPS = 4
@@ -26,6 +32,8 @@ PRUNE_STEPS = 15
 PRUNE_SAMPLE = 64
 MOST_NODES = 200
 _NEAR = 2.0
+_NEAR_EXACT = 1e-6
+_SIMPLE = 1e-4
 _PROMISING = 10.0
 
 Counters = npt.NDArray[np.int64]
@@ -72,9 +80,9 @@ class Offering:
         self.offered = np.zeros(sizes, np.uint64)
         self.offered_loss = np.full(sizes, math.inf)
         self._chosen = np.zeros(sizes, np.int64)
-        self._scale = np.zeros(2)
+        self._scale = np.zeros(1 + MOST_TERMS)
         self._result = np.zeros(2)
-        self._unscaled = Fit(setting.fit.steps, 0, setting.fit.loss)
+        self._unscaled = Fit(setting.fit.steps, 0, MOST_FITTED, setting.fit.loss)
         self._largest = setting.config.space.max_size or MOST_NODES
         self._sample = _spread(setting.every)
 
@@ -90,14 +98,12 @@ class Offering:
     def _offer_one(self, lists: Lists, p: int, counters: Counters, tag: Tag) -> Iterator[FrontEntry]:
         setting, scratch = self._setting, self._setting.scratch
         size = canonical(lists, p, scratch)
-        self._scale[:] = lists.scale[p]
         steps = REFIT_STEPS if setting.fit.steps else 0
         refit(size, setting.every, setting.fit, steps, scratch, self._scale, self._result, counters)
         error = self._error()
         if not error < self._front.error_at(size):
             return
-        formula = from_tape(scratch.canonical, size)
-        for variant in self._variants(formula, self._scale.tolist()):
+        for variant in self._variants(from_tape(scratch.canonical, size)):
             entry = self._measured(variant, error, counters, tag)
             if entry is not None and self._front.add(entry):
                 yield entry
@@ -106,12 +112,22 @@ class Offering:
         """Return the loss of the last measurement, in the target's units."""
         return float(self._result[0]) if self._setting.fit.loss == 0 else math.sqrt(float(self._result[1]))
 
-    def _variants(self, formula: Formula, scale: list[float]) -> list[Formula]:
-        """Return the formula scaled fully, by a factor alone, by a shift alone, and not at all."""
-        if not self._setting.fit.scaling:
+    def _variants(self, formula: Formula) -> list[Formula]:
+        """Return the formula with the coefficients just fitted; without the shift; with those near 0 and 1 exact."""
+        if not self._setting.fit.terms:
             return [formula]
-        a, b = scale
-        return [scaled(formula, a, b), scaled(formula, a, 0.0), scaled(formula, 1.0, b), formula]
+        work = self._setting.scratch.work
+        terms = work.terms[: work.number[0]].tolist()
+        shift, *coefficients = self._scale[: 1 + len(terms)].tolist()
+        plain = [math.copysign(1.0, a) if abs(abs(a) - 1.0) < _SIMPLE else a for a in coefficients]
+        variants = {
+            combined(formula, terms, coefficients, shift): None,
+            combined(formula, terms, coefficients, 0.0): None,
+            combined(formula, terms, plain, shift): None,
+            combined(formula, terms, plain, 0.0): None,
+            formula: None,
+        }
+        return list(variants)
 
     def _measured(self, formula: Formula, near: float, counters: Counters, tag: Tag) -> FrontEntry | None:
         """Return an entry for `formula`, its constants refined, or None when it is too large or far from `near`."""
@@ -119,9 +135,8 @@ class Offering:
         size = self._canonical(formula)
         if size > self._largest:
             return None
-        self._scale[:] = (1.0, 0.0)
-        evaluate_program(size, setting.every, scratch, self._scale, self._result, counters)
-        if setting.fit.steps and self._error() <= _NEAR * near:
+        refit(size, setting.every, self._unscaled, 0, scratch, self._scale, self._result, counters)
+        if setting.fit.steps and self._error() <= _NEAR * near + _NEAR_EXACT * setting.deviation:
             refit(size, setting.every, self._unscaled, POLISH_STEPS, scratch, self._scale, self._result, counters)
         if not math.isfinite(self._error()):
             return None
@@ -159,9 +174,7 @@ class Offering:
     def _best(self, target: float) -> Formula:
         """Return the simplest formula on the front that meets `target`."""
         entry = next(e for e in self._front.entries() if e.error <= target)
-        program = Program.from_bytes(entry.program, self._setting.space.variables)
-        columns = (program.operators, program.left, program.right, program.constants)
-        return tuple(map(Node, *(column.tolist() for column in columns)))
+        return from_program(Program.from_bytes(entry.program, self._setting.space.variables))
 
     def _reduced(self, formula: Formula, target: float, counters: Counters) -> Formula | None:
         """Return the first smaller formula that meets `target`; its measurement stands in the scratch arrays."""
@@ -178,12 +191,7 @@ class Offering:
     def _promising(self, size: int, target: float, counters: Counters) -> bool:
         """Return whether the program on the canonical tape comes near `target` on a sample of the rows."""
         scratch = self._setting.scratch
-        steps, sample = PRUNE_STEPS, self._sample
-        used = fit(
-            scratch.canonical, size, sample.count // 4, sample, self._unscaled, steps, scratch.work, self._scale,
-            self._result,
-        )  # fmt: skip
-        counters[REFITTING] += used
+        refit(size, self._sample, self._unscaled, PRUNE_STEPS, scratch, self._scale, self._result, counters)
         return self._error() <= _PROMISING * target
 
 

@@ -21,7 +21,7 @@ from common.wire.codec import decode_arrays, encode_arrays
 from island_worker.evolution import migration
 from island_worker.evolution.front import Front, Offering
 from island_worker.evolution.kernels_coevolution import begin_coevolution, evolve, train, use_best_predictor
-from island_worker.evolution.kernels_generation import PARTS, develop
+from island_worker.evolution.kernels_generation import OFFSPRING, PARTS, develop
 from island_worker.evolution.kernels_variation import random_list
 from island_worker.evolution.setting import Setting
 from island_worker.evolution.structures import Lists, empty_lists
@@ -118,6 +118,7 @@ class Island:
                     scratch.work,
                     scratch.result,
                     self._counters,
+                    OFFSPRING,
                 )
         else:
             use_best_predictor(

@@ -6,11 +6,9 @@ trainers. The losses of trainers at every row are kept, so that judging a predic
 
 import numpy as np
 
-from common.expression.kernels import evaluate
 from common.jit import inlined, kernel
-from island_worker.evolution.kernels_generation import COEVOLUTION, INFINITY, generation, predicted, remeasure
+from island_worker.evolution.kernels_generation import COEVOLUTION, INFINITY, generation, output_of, remeasure
 from island_worker.evolution.kernels_random import below, uniform
-from island_worker.evolution.kernels_tape import compile_tape
 from island_worker.evolution.kernels_variation import copy_list
 
 _ROW_MUTATION = 0.05
@@ -19,16 +17,11 @@ _ROW_MUTATION = 0.05
 @kernel
 def train(coevolution, t, every, options, scratch, counters):  # type: ignore[no-untyped-def]
     """Measure trainer `t` on every row: its losses by row and its exact loss (inf when not finite anywhere)."""
-    lists = coevolution.trainers
-    tape = scratch.tape
-    count = compile_tape(lists.code[t], lists.left[t], lists.right[t], lists.constants[t], tape)
-    output = scratch.work.output[0]
-    evaluate(
-        count, tape.code, tape.left, tape.right, tape.constants, every.inputs, every.count, scratch.work.values, output
-    )
+    work = scratch.work
+    output_of(coevolution.trainers, t, every, options, scratch.tape, work)
     total = 0.0
     for r in range(every.count):
-        e = lists.scale[t, 0] * output[r] + lists.scale[t, 1] - every.target[r]
+        e = work.output[r] - every.target[r]
         loss = abs(e) if options.loss == 0 else e * e
         coevolution.losses[t, r] = loss
         total += loss
@@ -128,18 +121,18 @@ def most_disputed(lists, population, coevolution, every, rows, options, scratch,
     size = coevolution.predictors.shape[1]
     best = -1
     widest = -1.0
-    tape = scratch.tape
-    output = scratch.work.output[0]
+    output = scratch.work.output
     for p in range(population):
-        count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
         total = 0.0
         square = 0.0
         for k in range(number):
             gather(rows, every, coevolution.predictors[k])
-            evaluate(
-                count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, size, scratch.work.values, output
-            )
-            loss = predicted(output, rows.target, scratch.identity[:size], lists.scale[p], options.loss)
+            output_of(lists, p, rows, options, scratch.tape, scratch.work)
+            loss = 0.0
+            for r in range(size):
+                e = output[r] - rows.target[r]
+                loss += abs(e) if options.loss == 0 else e * e
+            loss /= size
             total += loss
             square += loss * loss
         counters[COEVOLUTION] += number * size

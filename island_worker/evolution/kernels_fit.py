@@ -1,85 +1,114 @@
-"""Fit the constants of one tape to rows: linear scaling in closed form, the rest by Levenberg and Marquardt.
+"""Fit a program to rows: its top-level terms in closed form, the constants inside them by Levenberg and Marquardt.
 
-The output of a program is a f + b (Keijzer 2003); a and b minimise the squared error for the f at hand and take part in
-every step, which makes a step one of variable projection. Damping is Marquardt's (1963): a multiple of the diagonal of
-the normal equations. Sums run over rows in order; nothing is allocated.
+An individual's output is b + a_1 t_1 + ... + a_m t_m, where the t_j are the terms that its list adds and subtracts at the
+top. With one term this is linear scaling (Keijzer 2003). The a_j and b minimise the squared error for the terms at hand
+and take part in every step, which makes a step one of variable projection (Golub & Pereyra 1973). Damping is Marquardt's
+(1963): a multiple of the diagonal of the normal equations. Sums run over rows in order; nothing is allocated.
 """
+
+from typing import Final
 
 import numpy as np
 
-from common.expression.kernels import LANES, forward_block, lane_sum, reverse_block
-from common.expression.operators import CONSTANT
+from common.expression.kernels import LANES, forward, lane_sum, reverse_block
+from common.expression.operators import ADD, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SUBTRACT, VARIABLE
 from common.jit import inlined, kernel
+from island_worker.evolution.kernels_tape import ARITY_OF
 from island_worker.evolution.structures import MOST_FITTED
 
-INFINITY = np.inf
-_FIRST_DAMPING = 1e-3
-_STALLED = 1e-3
-_EXACT = 1e-30
+INFINITY: Final = np.inf
+_FIRST_DAMPING: Final = 1e-3
+_STALLED: Final = 1e-3
+_EXACT: Final = 1e-30
+_COLLINEAR: Final = 1e-10
+
+
+@inlined
+def _add_term(terms, number, node, code):  # type: ignore[no-untyped-def]
+    """Append `node` unless it is there already or a constant, which b stands for; return the number of terms."""
+    if code[node] == CONSTANT:
+        return number
+    for j in range(number):
+        if terms[j] == node:
+            return number
+    terms[number] = node
+    return number + 1
 
 
 @kernel
-def choose_fitted(tape, count, most, work):  # type: ignore[no-untyped-def]
-    """List the first `most` constants of the tape in `work.fitted`, mark what depends on them; return their number."""
+def collect_terms(tape, count, most, terms):  # type: ignore[no-untyped-def]
+    """List in `terms` the tape indices of at most `most` terms; return their number, 0 for a constant program.
+
+    From the output down, a sum or difference gives way to its arguments, and a negation or a product with a constant
+    to the other argument, as long as there is room. `most` 0: the output itself, unscaled.
+    """
+    terms[0] = count - 1
+    if most == 0:
+        return 1
+    number = 0
+    number = _add_term(terms, number, count - 1, tape.code)
+    j = 0
+    while j < number:
+        node = terms[j]
+        op = tape.code[node]
+        l = tape.left[node]
+        r = tape.right[node]
+        product = (op == MULTIPLY and (tape.code[l] == CONSTANT or tape.code[r] == CONSTANT)) or (
+            op == DIVIDE and tape.code[r] == CONSTANT
+        )
+        if op == NEGATE or product or ((op == ADD or op == SUBTRACT) and number < most):
+            for k in range(j, number - 1):
+                terms[k] = terms[k + 1]
+            number -= 1
+            number = _add_term(terms, number, l, tape.code)
+            if ARITY_OF[op] > 1:
+                number = _add_term(terms, number, r, tape.code)
+            j = 0
+        else:
+            j += 1
+    return number
+
+
+@kernel
+def choose_fitted(tape, count, number, most, work):  # type: ignore[no-untyped-def]
+    """List the first `most` constants inside the terms in `work.fitted`; mark what depends on them; return how many."""
+    feeds = work.feeds
+    for i in range(count):
+        feeds[i] = False
+    for j in range(number):
+        feeds[work.terms[j]] = True
+    for i in range(count - 1, -1, -1):
+        if feeds[i]:
+            arity = ARITY_OF[tape.code[i]]
+            if arity > 0:
+                feeds[tape.left[i]] = True
+            if arity > 1:
+                feeds[tape.right[i]] = True
     fitted = 0
     for i in range(count):
-        tape.depends[i] = False
         op = tape.code[i]
+        tape.depends[i] = False
         if op == CONSTANT:
-            if fitted < most and fitted < MOST_FITTED:
+            if feeds[i] and fitted < most and fitted < MOST_FITTED:
                 work.fitted[fitted] = i
                 fitted += 1
                 tape.depends[i] = True
-        elif op > CONSTANT:
+        elif op != VARIABLE and feeds[i]:
             tape.depends[i] = tape.depends[tape.left[i]] or tape.depends[tape.right[i]]
     return fitted
 
 
 @kernel
-def sweep(tape, count, fitted, rows, work, side):  # type: ignore[no-untyped-def]
-    """Write output and derivatives by the fitted constants at all rows to `side` (0 or 1) of the work arrays.
-
-    Lanes beyond the last row repeat it in value but count nothing: their derivatives are set to zero by the sums.
-    """
-    output = work.output[side]
-    for start in range(0, rows.count, LANES):
-        forward_block(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, start, work.values)
-        top = work.values[count - 1]
+def combine_into(output, values, terms, number, scale, rows):  # type: ignore[no-untyped-def]
+    """Write b + a_1 t_1 + ... into `output`; `scale` is (b, a_1, ...)."""
+    for start in range(0, rows, LANES):
         for k in range(LANES):
-            output[start + k] = top[k]
-        if fitted == 0:
-            continue
-        reverse_block(count, tape.code, tape.left, tape.right, tape.depends, work.values, work.adjoints)
-        for j in range(fitted):
-            column = work.jacobian[side, j]
-            adjoint = work.adjoints[work.fitted[j]]
+            output[start + k] = scale[0]
+        for j in range(number):
+            a = scale[1 + j]
+            term = values[terms[j]]
             for k in range(LANES):
-                column[start + k] = adjoint[k]
-
-
-@kernel
-def least_squares_scale(output, rows, scaling, scale, lanes):  # type: ignore[no-untyped-def]
-    """Set `scale` to the a, b that minimise the squared error of a f + b, by centred sums; a = 0 for a constant f."""
-    n = rows.count
-    scale[0] = 1.0
-    scale[1] = 0.0
-    if scaling == 0:
-        return
-    mean_f = sum_of(output, n, lanes) / n
-    mean_y = sum_of(rows.target, n, lanes) / n
-    sum_ff = 0.0
-    sum_fy = 0.0
-    for start in range(0, n, LANES):
-        for k in range(LANES):
-            d = output[start + k] - mean_f if start + k < n else 0.0
-            lanes[k] = d * d
-        sum_ff += lane_sum(lanes)
-        for k in range(LANES):
-            d = (output[start + k] - mean_f) * (rows.target[start + k] - mean_y) if start + k < n else 0.0
-            lanes[k] = d
-        sum_fy += lane_sum(lanes)
-    scale[0] = sum_fy / sum_ff if sum_ff > 1e-28 * mean_f * mean_f * n else 0.0
-    scale[1] = mean_y - scale[0] * mean_f
+                output[start + k] += a * term[start + k]
 
 
 @kernel
@@ -94,37 +123,77 @@ def sum_of(x, n, lanes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _mean_square(x, n, lanes):  # type: ignore[no-untyped-def]
+def _product_about(x, x0, y, y0, n, lanes):  # type: ignore[no-untyped-def]
+    """Return the sum of (x - x0) (y - y0) over rows [0, n)."""
     total = 0.0
     for start in range(0, n, LANES):
         for k in range(LANES):
-            lanes[k] = x[start + k] * x[start + k] if start + k < n else 0.0
+            lanes[k] = (x[start + k] - x0) * (y[start + k] - y0) if start + k < n else 0.0
         total += lane_sum(lanes)
-    return total / n
+    return total
 
 
 @kernel
-def errors(output, rows, scale, lanes, result):  # type: ignore[no-untyped-def]
-    """Set result[0] to the mean absolute and result[1] to the mean squared error of a f + b; inf when not finite."""
+def fit_terms(number, rows, work, scale):  # type: ignore[no-untyped-def]
+    """Set `scale` to the b, a_1, ... that minimise the squared error, by centred normal equations and Cholesky.
+
+    A term that is constant, or a combination of earlier ones, gets 0.
+    """
     n = rows.count
-    a = scale[0]
-    b = scale[1]
+    lanes = work.lanes
+    matrix = work.matrix
+    mean_y = sum_of(rows.target, n, lanes) / n
+    for i in range(number):
+        term = work.values[work.terms[i]]
+        mean = sum_of(term, n, lanes) / n
+        work.means[i] = mean
+        work.gradient[i] = _product_about(term, mean, rows.target, mean_y, n, lanes)
+        for j in range(i + 1):
+            matrix[i, j] = _product_about(term, mean, work.values[work.terms[j]], work.means[j], n, lanes)
+    for i in range(number):
+        power = matrix[i, i]
+        for j in range(i + 1):
+            s = matrix[i, j]
+            for k in range(j):
+                s -= matrix[i, k] * matrix[j, k]
+            if j < i:
+                matrix[i, j] = s / matrix[j, j] if matrix[j, j] > 0.0 else 0.0
+            else:
+                usable = s > _COLLINEAR * power and power > 1e-28 * work.means[i] * work.means[i] * n
+                matrix[i, i] = np.sqrt(s) if usable else 0.0
+    for i in range(number):
+        s = work.gradient[i]
+        for k in range(i):
+            s -= matrix[i, k] * scale[1 + k]
+        scale[1 + i] = s / matrix[i, i] if matrix[i, i] > 0.0 else 0.0
+    for i in range(number - 1, -1, -1):
+        s = scale[1 + i]
+        for k in range(i + 1, number):
+            s -= matrix[k, i] * scale[1 + k]
+        scale[1 + i] = s / matrix[i, i] if matrix[i, i] > 0.0 else 0.0
+    scale[0] = mean_y
+    for i in range(number):
+        scale[0] -= scale[1 + i] * work.means[i]
+
+
+@kernel
+def errors(output, rows, lanes, result):  # type: ignore[no-untyped-def]
+    """Set result[0] to the mean absolute and result[1] to the mean squared error of `output`; inf when not finite."""
+    n = rows.count
+    target = rows.target
     total = 0.0
     square = 0.0
-    target = rows.target
     for start in range(0, n, LANES):
         for k in range(LANES):
-            lanes[k] = abs(a * output[start + k] + b - target[start + k])
-        if start + LANES > n:
-            for k in range(n - start, LANES):
-                lanes[k] = 0.0
+            lanes[k] = abs(output[start + k] - target[start + k])
+        for k in range(n - start, LANES):
+            lanes[k] = 0.0
         total += lane_sum(lanes)
         for k in range(LANES):
-            e = a * output[start + k] + b - target[start + k]
+            e = output[start + k] - target[start + k]
             lanes[k] = e * e
-        if start + LANES > n:
-            for k in range(n - start, LANES):
-                lanes[k] = 0.0
+        for k in range(n - start, LANES):
+            lanes[k] = 0.0
         square += lane_sum(lanes)
     finite = np.isfinite(square) and np.isfinite(total)
     result[0] = total / n if finite else INFINITY
@@ -132,27 +201,31 @@ def errors(output, rows, scale, lanes, result):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _normal_equations(fitted, rows, scaling, scale, side, work):  # type: ignore[no-untyped-def]
-    """Fill matrix and gradient for the columns (a df/dc, f, 1) and the residual a f + b - y; return their number.
+def measure_tape(tape, count, rows, linear, work, scale, result):  # type: ignore[no-untyped-def]
+    """Evaluate the tape on `rows` with `work.terms` as they are and set the errors; one value at each row.
 
-    The block's columns stand in `work.values`, which no longer holds values then.
+    `linear` is the number of terms when b, a_1, ... are to be fitted first, else 0; returns nothing.
     """
-    n = rows.count
-    output = work.output[side]
-    size = fitted + 2 * scaling
+    forward(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, rows.count, work.values)
+    if linear > 0:
+        fit_terms(linear, rows, work, scale)
+    combine_into(work.output, work.values, work.terms, work.number[0], scale, rows.count)
+    errors(work.output, rows, work.lanes, result)
+
+
+@kernel
+def _normal_equations(tape, count, fitted, linear, rows, scale, work):  # type: ignore[no-untyped-def]
+    """Fill matrix and gradient for the columns (d/dc, t_j, 1) at the values that stand in `work`; return their number."""
+    size = fitted + (linear + 1 if linear > 0 else 0)
     for i in range(size):
         work.gradient[i] = 0.0
         for j in range(i + 1):
             work.matrix[i, j] = 0.0
-    columns = work.values
+    columns = work.columns
     lanes = work.lanes
-    for start in range(0, n, LANES):
-        valid = min(LANES, n - start)
-        for i in range(size):
-            _column(i, fitted, work.jacobian[side], output, start, scale[0], valid, columns[i])
+    for start in range(0, rows.count, LANES):
+        _columns_into(tape, count, fitted, linear, rows, scale, start, work)
         residual = columns[size]
-        for k in range(LANES):
-            residual[k] = scale[0] * output[start + k] + scale[1] - rows.target[start + k]
         for i in range(size):
             one = columns[i]
             for k in range(LANES):
@@ -166,20 +239,36 @@ def _normal_equations(fitted, rows, scaling, scale, side, work):  # type: ignore
     return size
 
 
-@inlined
-def _column(i, fitted, jacobian, output, start, a, valid, out):  # type: ignore[no-untyped-def]
-    """Write column i of the extended Jacobian for one block; zero beyond the valid lanes."""
-    if i < fitted:
+@kernel
+def _columns_into(tape, count, fitted, linear, rows, scale, start, work):  # type: ignore[no-untyped-def]
+    """Write the columns of the Jacobian and the residual for one block of rows; zero beyond the last row."""
+    adjoints = work.adjoints
+    for i in range(count):
+        if tape.depends[i]:
+            for k in range(LANES):
+                adjoints[i, k] = 0.0
+    for j in range(work.number[0]):
         for k in range(LANES):
-            out[k] = a * jacobian[i, start + k]
-    elif i == fitted:
+            adjoints[work.terms[j], k] = scale[1 + j]
+    reverse_block(count, tape.code, tape.left, tape.right, tape.depends, work.values, start, adjoints)
+    columns = work.columns
+    size = fitted
+    for i in range(fitted):
         for k in range(LANES):
-            out[k] = output[start + k]
-    else:
+            columns[i, k] = adjoints[work.fitted[i], k]
+    if linear > 0:
+        for j in range(linear):
+            for k in range(LANES):
+                columns[size, k] = work.values[work.terms[j], start + k]
+            size += 1
         for k in range(LANES):
-            out[k] = 1.0
-    for k in range(valid, LANES):
-        out[k] = 0.0
+            columns[size, k] = 1.0
+        size += 1
+    for k in range(LANES):
+        columns[size, k] = work.output[start + k] - rows.target[start + k]
+    for i in range(size + 1):
+        for k in range(rows.count - start, LANES):
+            columns[i, k] = 0.0
 
 
 @kernel
@@ -216,55 +305,72 @@ def _solve(size, damping, work):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _trial(tape, count, fitted, rows, scaling, work, side, scale, result):  # type: ignore[no-untyped-def]
-    """Measure the tape as it stands, on `side`: sets scale and errors; one sweep."""
-    sweep(tape, count, fitted, rows, work, side)
-    least_squares_scale(work.output[side], rows, scaling, scale, work.lanes)
-    errors(work.output[side], rows, scale, work.lanes, result)
+def fit(tape, count, rows, options, most, steps, work, scale, result):  # type: ignore[no-untyped-def]
+    """Fit terms and inner constants of the tape to `rows`, in place; set the errors; return point evaluations.
 
-
-@kernel
-def fit(tape, count, most, rows, options, steps, work, scale, result):  # type: ignore[no-untyped-def]
-    """Fit at most `most` constants of the tape in place, and the scale; set the errors; return point evaluations.
+    A value at a row counts 1; the reverse sweep that makes it a gradient counts 2 more.
 
     Args:
+        most: constants fitted at most, the terms' included.
         steps: Levenberg-Marquardt steps at most; ends earlier when exact or stalled.
-        scale: (2,) out: a and b.  result: (2,) out: mean absolute and mean squared error on `rows`.
+        scale: out: b, a_1, ...  result: (2,) out: mean absolute and mean squared error on `rows`.
     """
-    side = np.int64(0)  # a plain 0 would be a literal type, and everything below be compiled once more for it
-    fitted = choose_fitted(tape, count, most, work) if steps > 0 else side
-    _trial(tape, count, fitted, rows, options.scaling, work, side, scale, result)
-    evaluations = (3 if fitted > 0 else 1) * rows.count
+    number = collect_terms(tape, count, options.terms, work.terms)
+    work.number[0] = number
+    linear = number if options.terms > 0 else 0
+    reset_scale(scale, options.terms)
+    fitted = (
+        choose_fitted(tape, count, number, max(most - linear - 1, options.least), work) if steps > 0 else linear * 0
+    )
+    measure_tape(tape, count, rows, linear, work, scale, result)
+    evaluations = rows.count
     if fitted == 0 or not np.isfinite(result[1]):
         return evaluations
+    power = _product_about(rows.target, 0.0, rows.target, 0.0, rows.count, work.lanes) / rows.count
     damping = _FIRST_DAMPING
-    trial_scale = work.trial[0]
-    trial_result = work.trial[1]
-    _normal_equations(fitted, rows, options.scaling, scale, side, work)
-    power = _mean_square(rows.target, rows.count, work.lanes)
+    fresh = True
+    size = fitted
     for _ in range(steps):
         if result[1] <= _EXACT * power:
             break
-        if not _solve(fitted + 2 * options.scaling, damping, work):
+        if fresh:
+            size = _normal_equations(tape, count, fitted, linear, rows, scale, work)
+            evaluations += 2 * rows.count
+            fresh = False
+        if not _solve(size, damping, work):
             damping *= 10.0
             continue
         for j in range(fitted):
             work.kept[j] = tape.constants[work.fitted[j]]
             tape.constants[work.fitted[j]] += work.step[j]
-        _trial(tape, count, fitted, rows, options.scaling, work, 1 - side, trial_scale, trial_result)
-        evaluations += 3 * rows.count
-        if trial_result[1] < result[1]:
-            gain = 1.0 - trial_result[1] / result[1]
-            side = 1 - side
+        _keep_into(work.kept_scale, scale)
+        measure_tape(tape, count, rows, linear, work, scale, work.trial)
+        evaluations += rows.count
+        if work.trial[1] < result[1]:
+            gain = 1.0 - work.trial[1] / result[1]
             damping *= 0.1
-            for j in range(2):
-                scale[j] = trial_scale[j]
-                result[j] = trial_result[j]
+            result[0] = work.trial[0]
+            result[1] = work.trial[1]
+            fresh = True
             if gain < _STALLED:
                 break
-            _normal_equations(fitted, rows, options.scaling, scale, side, work)
         else:
             damping *= 10.0
+            _keep_into(scale, work.kept_scale)
             for j in range(fitted):
                 tape.constants[work.fitted[j]] = work.kept[j]
     return evaluations
+
+
+@inlined
+def _keep_into(target, source):  # type: ignore[no-untyped-def]
+    for j in range(source.shape[0]):
+        target[j] = source[j]
+
+
+@inlined
+def reset_scale(scale, terms):  # type: ignore[no-untyped-def]
+    """Set b = 0, a_1 = 1 and the rest 0: the program as it stands."""
+    for j in range(scale.shape[0]):
+        scale[j] = 0.0
+    scale[1] = 1.0

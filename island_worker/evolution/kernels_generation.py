@@ -8,15 +8,15 @@ from typing import Final
 
 import numpy as np
 
-from common.expression.kernels import evaluate
+from common.expression.kernels import forward
 from common.jit import inlined, kernel
-from island_worker.evolution.kernels_fit import errors, fit
+from island_worker.evolution.kernels_fit import collect_terms, combine_into, fit
 from island_worker.evolution.kernels_random import below
 from island_worker.evolution.kernels_tape import compile_tape, mark_live
 from island_worker.evolution.kernels_variation import copy_list, cross, distance, mutate
 
-OFFSPRING: Final = 0
-REEVALUATION: Final = 1
+OFFSPRING: Final = np.int64(0)  # a plain integer would be a type of its own to the compiler, as an argument
+REEVALUATION: Final = np.int64(1)
 FITTING: Final = 2
 REFITTING: Final = 3
 COEVOLUTION: Final = 4
@@ -27,22 +27,24 @@ INFINITY = np.inf
 
 
 @kernel
-def measure(lists, p, rows, options, tape, work, result):  # type: ignore[no-untyped-def]
-    """Set result to the errors of individual `p` as it stands on `rows`; return its loss there."""
+def output_of(lists, p, rows, options, tape, work):  # type: ignore[no-untyped-def]
+    """Write the output of individual `p`, as it stands, on `rows` into `work.output`."""
     count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
-    output = work.output[0]
-    evaluate(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, rows.count, work.values, output)
-    errors(output, rows, lists.scale[p], work.lanes, result)
-    return result[options.loss]
+    number = collect_terms(tape, count, options.terms, work.terms)
+    forward(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, rows.count, work.values)
+    combine_into(work.output, work.values, work.terms, number, lists.scale[p], rows.count)
 
 
 @kernel
-def develop(lists, p, rows, options, tape, work, result, counters):  # type: ignore[no-untyped-def]
-    """Fit the constants of individual `p` to `rows`, write them back, count; return its loss there."""
+def develop(lists, p, rows, options, tape, work, result, counters, part):  # type: ignore[no-untyped-def]
+    """Fit the constants of individual `p` to `rows`, write them back, count; return its loss there.
+
+    The first value at each row is counted under `part`, the rest as constant fitting.
+    """
     count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
     most = rows.count // 4
-    used = fit(tape, count, most, rows, options, options.steps, work, lists.scale[p], result)
-    counters[OFFSPRING] += rows.count
+    used = fit(tape, count, rows, options, most, options.steps, work, lists.scale[p], result)
+    counters[part] += rows.count
     counters[FITTING] += used - rows.count
     if options.steps > 0:
         for i in range(count):
@@ -54,10 +56,13 @@ def develop(lists, p, rows, options, tape, work, result, counters):  # type: ign
 
 @kernel
 def remeasure(lists, fitness, rows, options, tape, work, result, counters):  # type: ignore[no-untyped-def]
-    """Measure the whole population on new predictor rows, and count it."""
+    """Measure the whole population on new predictor rows, constants fitted there as a child's are, and count it.
+
+    Without the fit, a child whose constants suit the new rows would displace a better parent whose constants suit the
+    old ones: a change of predictor would be a purge.
+    """
     for p in range(fitness.shape[0]):
-        fitness[p] = measure(lists, p, rows, options, tape, work, result)
-        counters[REEVALUATION] += rows.count
+        fitness[p] = develop(lists, p, rows, options, tape, work, result, counters, REEVALUATION)
 
 
 @inlined
@@ -101,17 +106,6 @@ def generation(lists, fitness, space, options, rows, scratch, stream, counters):
         for q in range(2):
             mutate(scratch.children, q, space, stream)
             scratch.child_fitness[q] = develop(
-                scratch.children, q, rows, options, scratch.tape, scratch.work, scratch.result, counters
+                scratch.children, q, rows, options, scratch.tape, scratch.work, scratch.result, counters, OFFSPRING
             )
         _crowd(lists, fitness, scratch.pair, scratch.children, scratch.child_fitness, scratch.live)
-
-
-@kernel
-def predicted(output, target, chosen, scale, loss):  # type: ignore[no-untyped-def]
-    """Return the loss on the rows `chosen` of a program whose output on all rows is known; inf when not finite."""
-    total = 0.0
-    for r in chosen:
-        e = scale[0] * output[r] + scale[1] - target[r]
-        total += abs(e) if loss == 0 else e * e
-    total /= chosen.shape[0]
-    return total if np.isfinite(total) else INFINITY

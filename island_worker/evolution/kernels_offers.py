@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from common.expression.kernels import evaluate
 from common.jit import inlined, kernel
-from island_worker.evolution.kernels_fit import errors, fit
+from island_worker.evolution.kernels_fit import fit
 from island_worker.evolution.kernels_generation import INFINITY, REFITTING
 from island_worker.evolution.kernels_tape import canonical_tape, compile_tape
 
@@ -67,23 +66,8 @@ def choose_offers(lists, fitness, scratch, offered, offered_loss, chosen):  # ty
 
 
 @kernel
-def refit(count, every, options, steps, scratch, scale, result, counters):  # type: ignore[no-untyped-def]
-    """Fit the program on `scratch.canonical` to all rows, in place, starting from `scale` where there is no fitting."""
-    tape = scratch.canonical
-    if steps == 0 and options.scaling == 0:
-        evaluate_program(count, every, scratch, scale, result, counters)
-        return
-    used = fit(tape, count, every.count // 4, every, options, steps, scratch.work, scale, result)
+def refit(count, rows, options, steps, scratch, scale, result, counters):  # type: ignore[no-untyped-def]
+    """Fit the program on `scratch.canonical` to `rows`, in place; its terms are left in `scratch.work`; counted."""
+    most = rows.count // 4
+    used = fit(scratch.canonical, count, rows, options, most, steps, scratch.work, scale, result)
     counters[REFITTING] += used
-
-
-@kernel
-def evaluate_program(count, every, scratch, scale, result, counters):  # type: ignore[no-untyped-def]
-    """Measure the program on `scratch.canonical`, scaled by `scale`, on all rows; counted."""
-    tape = scratch.canonical
-    output = scratch.work.output[0]
-    evaluate(
-        count, tape.code, tape.left, tape.right, tape.constants, every.inputs, every.count, scratch.work.values, output
-    )
-    errors(output, every, scale, scratch.work.lanes, result)
-    counters[REFITTING] += every.count

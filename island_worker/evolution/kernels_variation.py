@@ -5,7 +5,7 @@ import numpy as np
 from common.expression.kernels_elementary import strict_exp
 from common.expression.operators import CONSTANT, VARIABLE
 from common.jit import inlined, kernel
-from island_worker.evolution.kernels_random import below, next_bits, normal, uniform
+from island_worker.evolution.kernels_random import below, normal, uniform
 from island_worker.evolution.kernels_tape import ARITY_OF
 
 
@@ -73,7 +73,7 @@ def mutate(lists, p, space, stream):  # type: ignore[no-untyped-def]
         if uniform(stream) >= space.mutation:
             continue
         if i < space.terminals:
-            if lists.code[p, i] == CONSTANT and next_bits(stream) & np.uint64(1) == np.uint64(0):
+            if lists.code[p, i] == CONSTANT and uniform(stream) < 0.5:
                 lists.constants[p, i] = _varied_constant(lists.constants[p, i], space, stream)
             else:
                 _random_terminal(lists, p, i, space, stream)

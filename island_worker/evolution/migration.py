@@ -15,7 +15,7 @@ from common.errors import RemoteProtocolError
 from common.expression.operators import ARITY, BY_NAME, CONSTANT, VARIABLE
 from common.seeding import Stream, stream_key
 from common.wire.codec import decode_arrays, encode_arrays
-from island_worker.evolution.structures import Lists, Space, empty_lists
+from island_worker.evolution.structures import MOST_TERMS, Lists, Space, empty_lists
 
 Slots = npt.NDArray[np.int64]
 
@@ -94,7 +94,7 @@ def _parsed(block: bytes, space: Space, allowed: frozenset[int]) -> tuple[Slots,
         raise RemoteProtocolError(f"a block of migrants has no {error}") from error
     shape = (len(slots), space.nodes)
     shapes = [column.shape for column in lists]
-    if slots.ndim != 1 or shapes != [shape] * 4 + [(len(slots), 2)]:
+    if slots.ndim != 1 or shapes != [shape] * 4 + [(len(slots), 1 + MOST_TERMS)]:
         raise RemoteProtocolError(f"a block of migrants has shapes {shapes}, expected {shape}")
     _check_nodes(lists, space, allowed)
     return slots, lists

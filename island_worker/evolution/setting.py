@@ -21,6 +21,7 @@ from island_worker.evolution.structures import (
     padded_rows,
 )
 
+LEAST_INNER = 2
 EXACT_TARGET = 1e-9
 """Normalized error below which an equation counts as found when nothing else is asked for."""
 
@@ -38,7 +39,6 @@ class Setting:
         self.space = _space(problem, config)
         self.allowed = frozenset(int(code) for code in self.space.operators)
         evolution, predictors = config.evolution, config.predictors
-        self.fit = Fit(evolution.constant_fit_steps, int(evolution.linear_scaling), int(evolution.loss != "mae"))
         sample = predictors.rows
         if sample is None:
             raise LocalProtocolError("predictors.rows is not resolved")
@@ -47,6 +47,7 @@ class Setting:
             int(predictors.enabled and rows > 2 * sample), predictors.effort, predictors.renewal
         )
         self.sample = sample if self.coevolving.enabled else rows
+        self.fit = Fit(evolution.constant_fit_steps, evolution.linear_terms, LEAST_INNER, int(evolution.loss != "mae"))
         variables = problem.inputs.shape[0]
         self.rows = self.every
         if self.coevolving.enabled:

@@ -29,7 +29,7 @@ class Lists(NamedTuple):
     constants: Floats
     """(P, L) value at CONSTANT nodes; elsewhere dormant."""
     scale: Floats
-    """(P, 2) linear scaling a, b: the individual's output is a f + b."""
+    """(P, 1 + MOST_TERMS) b, a_1, ...: the output is b + a_1 t_1 + ... for the list's top-level terms t_j."""
 
 
 class Space(NamedTuple):
@@ -47,10 +47,14 @@ class Space(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """How constants are fitted. `steps` 0: not at all; `scaling` 1: output is a f + b by least squares."""
+    """How constants are fitted."""
 
     steps: int
-    scaling: int
+    """Levenberg-Marquardt steps for the constants inside terms; 0: none."""
+    terms: int
+    """Most top-level terms with a fitted coefficient; 0: the program is taken as it stands."""
+    least: int
+    """Inner constants that may be fitted however few rows there are."""
     loss: int
     """0: mean absolute error, 1: mean squared error."""
 
@@ -80,24 +84,32 @@ class Tape(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Scratch of the constant fit: values, adjoints and normal equations; capacity in rows and constants."""
+    """Scratch of the fit: values, adjoints and normal equations."""
 
     values: Floats
+    """(nodes, padded rows)."""
     adjoints: Floats
+    """(nodes, LANES)."""
     lanes: Floats
     output: Floats
-    """(2, padded rows): output at the accepted and at the trial constants."""
-    jacobian: Floats
-    """(2, most constants, padded rows)."""
+    """(padded rows,)."""
+    columns: Floats
+    """(most fitted + 1, LANES) columns of the Jacobian and, after the last, the residual."""
     matrix: Floats
     damped: Floats
     gradient: Floats
     step: Floats
+    means: Floats
+    terms: Ints
+    """Tape indices of the top-level terms; `number` of them."""
+    number: Ints
     fitted: Ints
     """Tape indices of the constants that are fitted."""
+    feeds: npt.NDArray[np.bool_]
+    """Whether a node is part of a term."""
     kept: Floats
+    kept_scale: Floats
     trial: Floats
-    """(2, 2): scale and errors at the trial constants."""
 
 
 class Coevolution(NamedTuple):
@@ -143,21 +155,23 @@ class Scratch(NamedTuple):
     result: Floats
     spare: Rows
     """Rows for one predictor at a time."""
-    identity: Ints
     predictor_children: Ints
     best_of_size: Ints
     hashes: npt.NDArray[np.uint64]
 
 
 MOST_FITTED = 12
-"""Constants fitted at most in one program."""
+"""Constants inside terms that are fitted at most in one program."""
+
+MOST_TERMS = 4
+"""Top-level terms with a coefficient of their own, at most."""
 
 
 def empty_lists(population: int, nodes: int) -> Lists:
     """Return lists of `population` individuals with `nodes` nodes each, all zero, unscaled."""
     shape = (population, nodes)
-    scale = np.zeros((population, 2))
-    scale[:, 0] = 1.0
+    scale = np.zeros((population, 1 + MOST_TERMS))
+    scale[:, 1] = 1.0
     return Lists(np.zeros(shape, np.int8), np.zeros(shape, np.int16), np.zeros(shape, np.int16), np.zeros(shape), scale)
 
 
@@ -169,27 +183,31 @@ def empty_tape(nodes: int) -> Tape:
 
 def empty_work(nodes: int, rows: int) -> Work:
     """Return scratch to fit programs of at most `nodes` nodes on at most `rows` rows."""
-    size, most = padded(rows), MOST_FITTED + 2
-    nodes = max(nodes, most + 1)
+    most = MOST_FITTED + MOST_TERMS + 2
     return Work(
-        np.zeros((nodes, LANES)),
-        np.zeros((nodes, LANES)),
-        np.zeros(LANES),
-        np.zeros((2, size)),
-        np.zeros((2, MOST_FITTED, size)),
-        np.zeros((most, most)),
-        np.zeros((most, most)),
-        np.zeros(most),
-        np.zeros(most),
-        np.zeros(MOST_FITTED, np.int64),
-        np.zeros(MOST_FITTED),
-        np.zeros((2, 2)),
+        values=np.zeros((nodes, padded(rows))),
+        adjoints=np.zeros((nodes, LANES)),
+        lanes=np.zeros(LANES),
+        output=np.zeros(padded(rows)),
+        columns=np.zeros((most, LANES)),
+        matrix=np.zeros((most, most)),
+        damped=np.zeros((most, most)),
+        gradient=np.zeros(most),
+        step=np.zeros(most),
+        means=np.zeros(MOST_TERMS),
+        terms=np.zeros(MOST_TERMS + 2, np.int64),
+        number=np.zeros(1, np.int64),
+        fitted=np.zeros(MOST_FITTED, np.int64),
+        feeds=np.zeros(nodes, np.bool_),
+        kept=np.zeros(MOST_FITTED),
+        kept_scale=np.zeros(1 + MOST_TERMS),
+        trial=np.zeros(2),
     )
 
 
 def empty_scratch(population: int, nodes: int, variables: int, sample: int, rows: int) -> Scratch:
     """Return scratch for an island: `sample` rows in a predictor, `rows` in all."""
-    space = nodes + 8
+    space = nodes + 4 + 3 * MOST_TERMS
     return Scratch(
         order=np.zeros(population, np.int64),
         pair=np.zeros(2, np.int64),
@@ -201,7 +219,6 @@ def empty_scratch(population: int, nodes: int, variables: int, sample: int, rows
         work=empty_work(space, rows),
         result=np.zeros(2),
         spare=Rows(np.zeros((variables, padded(sample))), np.zeros(padded(sample)), sample),
-        identity=np.arange(sample),
         predictor_children=np.zeros((2, sample), np.int64),
         best_of_size=np.zeros(space, np.int64),
         hashes=np.zeros(population, np.uint64),
