@@ -41,6 +41,9 @@ PULL_AFTER_S: Final = 1.0
 
 PULL_PAUSE_MAX_S: Final = 8.0
 
+ADDITIONS_PER_ANSWER: Final = 20_000
+"""An answer with reports ends after this many additions to the front; the rest is asked for again."""
+
 
 @dataclass(slots=True)
 class LocalIsland:
@@ -178,9 +181,14 @@ class Share:
         return Sent(migrants=self._migrants(pull.epoch, blocks) if blocks else None, finished=finished)
 
     def answer_reports(self, pull: PullReports) -> Reports | NotYet:
-        """Return the complete reports of the epochs asked for that are still kept."""
-        epochs = [each for each in range(pull.first, min(pull.last, self.reported)) if each in self._reports]
-        return Reports(reports=tuple(self._report(each) for each in epochs)) if epochs else NotYet()
+        """Return the complete reports of the epochs asked for that are still kept, as many as one message bears."""
+        reports: list[EpochReport] = []
+        additions = 0
+        for epoch in range(pull.first, min(pull.last, self.reported)):
+            if epoch in self._reports and additions < ADDITIONS_PER_ANSWER:
+                reports.append(self._report(epoch))
+                additions += sum(len(each.additions) for each in reports[-1].islands)
+        return Reports(reports=tuple(reports)) if reports else NotYet()
 
     def due_pulls(self, now: float) -> list[tuple[str, PullMigrants]]:
         """Return (worker, question) for islands that have waited too long, and note when to ask next."""

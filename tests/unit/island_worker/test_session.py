@@ -6,6 +6,7 @@ import pytest
 
 from common.errors import LocalProtocolError, RemoteProtocolError
 from common.wire.messages import (
+    Addition,
     Block,
     Close,
     Commit,
@@ -320,6 +321,21 @@ def test_reports_can_be_pulled_until_the_commit_has_passed_them(session: Session
     assert isinstance(answer, Respond)
     assert isinstance(answer.body, Reports)
     assert [each.epoch for each in answer.body.reports] == [2]
+
+
+def test_an_answer_with_reports_is_no_larger_than_a_message_may_be(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("island_worker.share.ADDITIONS_PER_ANSWER", 1)
+    begun(session, "me")
+    addition = Addition(complexity=1, error=0.1, mse=0.1, generation=1, program=b"")
+    for epoch in range(3):
+        full = report(0).model_copy(update={"additions": (addition,)})
+        session.handle(Computed(key(0, epoch), full, {0: b"own"}, frozenset(), 0.1))
+    (answer,) = session.handle(PullAsked("h", PullReports(job="job", variable="x", term=1, first=1, last=3)))
+    assert isinstance(answer, Respond)
+    assert isinstance(answer.body, Reports)
+    assert [each.epoch for each in answer.body.reports] == [1]
 
 
 def test_a_pull_under_another_term_is_answered_with_ours(session: Session) -> None:
