@@ -28,6 +28,8 @@ FAR_OUT: Final = 5.0
 """Rows whose uncertainty is less than this many times the median one are kept as well."""
 LEAST_KEPT: Final = 0.7
 """Share of the rows that is kept however uncertain they are."""
+MOST_UNEVEN: Final = 2.0
+"""Root mean square of the uncertainty over its mean, at most, on the rows kept."""
 LEAST_SPREAD: Final = 1e-3
 """A derivative that varies less than this share of its mean is judged by the mean: it may well be constant."""
 ROUNDING: Final = 1e-12
@@ -148,6 +150,27 @@ def _certain(estimates: Sequence[Estimate], inner: list[int]) -> list[int]:
         ordered = np.sort(worst).tolist()
         limit = max(GOOD_ENOUGH, FAR_OUT * ordered[len(inner) // 2], ordered[math.ceil(LEAST_KEPT * len(inner)) - 1])
         kept = [row for row, uncertainty in zip(inner, worst.tolist(), strict=True) if uncertainty <= limit]
+    return _evenly_uncertain(estimates, kept, math.ceil(LEAST_KEPT * len(inner)))
+
+
+def _evenly_uncertain(estimates: Sequence[Estimate], kept: list[int], least: int) -> list[int]:
+    """Return `kept` without the rows that alone would decide a mean square, at least `least` of them.
+
+    The floor of a target is the mean uncertainty, yet equations are compared by mean squared error: where a few rows are
+    far more uncertain than the others, their errors exceed the floor and a wrong term that mends them pays. So the most
+    uncertain rows go until, for every state, the root mean square is at most `MOST_UNEVEN` times the mean.
+    """
+    for its in estimates:
+        uncertainty = its.uncertainty[kept].tolist()
+        ordered = sorted(uncertainty)
+        total, square, enough = 0.0, 0.0, 0
+        for count, value in enumerate(ordered, start=1):
+            total += value
+            square += value * value
+            if count <= least or square * count <= (MOST_UNEVEN * total) ** 2:
+                enough = count
+        limit = ordered[enough - 1] if enough else math.inf
+        kept = [row for row, value in zip(kept, uncertainty, strict=True) if value <= limit]
     return kept
 
 
