@@ -13,7 +13,16 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 _ROOT = Path(__file__).resolve().parent.parent
-_SOURCES = ("common/jit.py", "common/expression", "island_worker/evolution", "coordinator/data")
+_SOURCES = (
+    "common/jit.py",
+    "common/seeding.py",
+    "common/expression",
+    "common/expression/operators.py",
+    "island_worker/evolution",
+    "island_worker/evolution/structures.py",
+    "coordinator/data",
+)
+"""Folders with kernels, and the files whose constants and types are compiled into them."""
 
 
 def source_digest() -> str:

@@ -1,8 +1,8 @@
 """Evaluate a tape of operations over blocks of rows, forward and with gradient. The innermost loops of everything.
 
 A *tape* is a program's live nodes in order: `code` (N,) int64, `left`, `right` (N,) int64 indices of earlier nodes (for
-VARIABLE, `left` is the input's index), `constants` (N,) float64. Rows are handled `LANES` at a time, a constant that LLVM
-knows, so that every inner loop becomes a few vector instructions; arrays of rows are padded to a multiple of LANES.
+VARIABLE, `left` is the input's index), `constants` (N,) float64. Rows are handled `LANES` at a time, a constant that
+LLVM knows, so that every inner loop becomes a few vector instructions; arrays of rows are padded to a multiple of it.
 Sums run over the lanes of a block by a fixed tree and over blocks in order, so that they have the same bits everywhere.
 """
 
@@ -38,6 +38,9 @@ LANES: Final = 16
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
+Booleans = npt.NDArray[np.bool_]
+Int = int | np.int64
+"""A whole number of whatever origin; to the compiler both are int64."""
 
 
 def padded(rows: int) -> int:
@@ -46,7 +49,9 @@ def padded(rows: int) -> int:
 
 
 @kernel
-def forward_block(count, code, left, right, constants, inputs, start, values):  # type: ignore[no-untyped-def]
+def forward_block(
+    count: Int, code: Ints, left: Ints, right: Ints, constants: Floats, inputs: Floats, start: Int, values: Floats
+) -> None:
     """Write the value of each of `count` nodes at rows [start, start + LANES) into those columns of `values`.
 
     `inputs` is (V, R) and `values` (>= count, >= R), R padded. Operators are not protected: what has no finite value
@@ -69,7 +74,7 @@ def forward_block(count, code, left, right, constants, inputs, start, values):  
 
 
 @kernel
-def _load_into(values, i, inputs, variable, start):  # type: ignore[no-untyped-def]
+def _load_into(values: Floats, i: int, inputs: Floats, variable: int, start: Int) -> None:
     out = values[i, start : start + LANES]
     column = inputs[variable, start : start + LANES]
     for k in range(LANES):
@@ -77,14 +82,14 @@ def _load_into(values, i, inputs, variable, start):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _fill_into(values, i, constant, start):  # type: ignore[no-untyped-def]
+def _fill_into(values: Floats, i: int, constant: float, start: Int) -> None:
     out = values[i, start : start + LANES]
     for k in range(LANES):
         out[k] = constant
 
 
 @kernel
-def _arithmetic_into(values, i, op, left, right, start):  # type: ignore[no-untyped-def]
+def _arithmetic_into(values: Floats, i: int, op: int, left: int, right: int, start: Int) -> None:
     """Write node i = left op right for + - * /."""
     out = values[i, start : start + LANES]
     a = values[left, start : start + LANES]
@@ -104,7 +109,7 @@ def _arithmetic_into(values, i, op, left, right, start):  # type: ignore[no-unty
 
 
 @kernel
-def _function_into(values, i, op, left, right, start):  # type: ignore[no-untyped-def]
+def _function_into(values: Floats, i: int, op: int, left: int, right: int, start: Int) -> None:
     """Write node i for the operators that are functions."""
     out = values[i, start : start + LANES]
     a = values[left, start : start + LANES]
@@ -145,7 +150,9 @@ def _function_into(values, i, op, left, right, start):  # type: ignore[no-untype
 
 
 @kernel
-def reverse_block(count, code, left, right, depends, values, start, adjoints):  # type: ignore[no-untyped-def]
+def reverse_block(
+    count: int, code: Ints, left: Ints, right: Ints, depends: Booleans, values: Floats, start: int, adjoints: Floats
+) -> None:
     """Carry the adjoints of the outputs down to every node that `depends` on a fitted constant.
 
     `adjoints` (>= count, LANES) holds d(result)/d(node) for the nodes that are outputs and zero for the others that
@@ -171,7 +178,7 @@ def reverse_block(count, code, left, right, depends, values, start, adjoints):  
 
 
 @kernel
-def _add_left_adjoint(adjoints, values, start, i, op, left, right):  # type: ignore[no-untyped-def]
+def _add_left_adjoint(adjoints: Floats, values: Floats, start: int, i: int, op: int, left: int, right: int) -> None:
     """Add to the adjoint of the left argument of + - * /."""
     target = adjoints[left]
     g = adjoints[i]
@@ -188,7 +195,7 @@ def _add_left_adjoint(adjoints, values, start, i, op, left, right):  # type: ign
 
 
 @kernel
-def _add_right_adjoint(adjoints, values, start, i, op, left, right):  # type: ignore[no-untyped-def]
+def _add_right_adjoint(adjoints: Floats, values: Floats, start: int, i: int, op: int, left: int, right: int) -> None:
     """Add to the adjoint of the right argument of + - * /."""
     target = adjoints[right]
     g = adjoints[i]
@@ -210,7 +217,7 @@ def _add_right_adjoint(adjoints, values, start, i, op, left, right):  # type: ig
 
 
 @kernel
-def _add_function_adjoint(adjoints, values, start, i, op, left, right):  # type: ignore[no-untyped-def]
+def _add_function_adjoint(adjoints: Floats, values: Floats, start: int, i: int, op: int, left: int, right: int) -> None:
     """Add to the adjoint of the argument of a function, or of the base of pow."""
     target = adjoints[left]
     g = adjoints[i]
@@ -253,7 +260,7 @@ def _add_function_adjoint(adjoints, values, start, i, op, left, right):  # type:
 
 
 @kernel
-def _add_exponent_adjoint(adjoints, values, start, i, left, right):  # type: ignore[no-untyped-def]
+def _add_exponent_adjoint(adjoints: Floats, values: Floats, start: int, i: int, left: int, right: int) -> None:
     """Add to the adjoint of pow's exponent: value * log(base); NaN for a base that is not positive, as it must be."""
     target = adjoints[right]
     g = adjoints[i]
@@ -264,7 +271,7 @@ def _add_exponent_adjoint(adjoints, values, start, i, left, right):  # type: ign
 
 
 @inlined
-def lane_sum(lanes):  # type: ignore[no-untyped-def]
+def lane_sum(lanes: Floats) -> float:
     """Return the sum of the LANES = 16 numbers in `lanes` by a fixed tree; `lanes` is overwritten."""
     for k in range(8):
         lanes[k] += lanes[k + 8]
@@ -274,7 +281,9 @@ def lane_sum(lanes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def forward(count, code, left, right, constants, inputs, rows, values):  # type: ignore[no-untyped-def]
+def forward(
+    count: int, code: Ints, left: Ints, right: Ints, constants: Floats, inputs: Floats, rows: int, values: Floats
+) -> None:
     """Write the value of each of `count` nodes at rows [0, rows), padded, into `values`."""
     for start in range(0, rows, LANES):
         forward_block(count, code, left, right, constants, inputs, start, values)

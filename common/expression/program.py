@@ -42,13 +42,8 @@ class Program:
     def to_bytes(self) -> bytes:
         """Return the canonical bytes: count, codes, left, right (little endian), then the constants in node order."""
         live = self.constants[self.operators == CONSTANT]
-        return (
-            struct.pack("<B", len(self))
-            + self.operators.astype("<i1").tobytes()
-            + self.left.astype("<i2").tobytes()
-            + self.right.astype("<i2").tobytes()
-            + live.astype("<f8").tobytes()
-        )
+        columns = (self.operators.astype("<i1"), self.left.astype("<i2"), self.right.astype("<i2"), live.astype("<f8"))
+        return struct.pack("<B", len(self)) + b"".join(column.tobytes() for column in columns)
 
     @classmethod
     def from_bytes(cls, data: bytes, variables: int) -> "Program":

@@ -2,12 +2,12 @@
 
 Promises, kept by every implementation and checked by one contract suite (tests/contract):
 
-*Threading.* A bus belongs to one owner thread, which alone calls `receive`. Everything that happens (a message, a query,
-a reply, a participant coming or going, a timer, something posted) is handed to the owner as an event by `receive`.
-`post` and `put` may be called from any thread. Nothing is ever called back.
+*Threading.* A bus belongs to one owner thread, which alone calls `receive`. Everything that happens (a message, a
+query, a reply, a participant coming or going, a timer, something posted) is handed to the owner as an event by
+`receive`. `post` and `put` may be called from any thread. Nothing is ever called back.
 
-*Delivery.* `put` reaches every matching subscriber at most once, or is lost without a sign (a cut link, a peer that dies,
-a subscriber that does not exist yet). Puts of one participant on one key arrive in order; otherwise any order. Payloads
+*Delivery.* `put` reaches every matching subscriber at most once, or is lost without a sign (a cut link, a peer that
+dies, a subscriber that does not exist yet). Puts of one participant on one key arrive in order; otherwise any order. Payloads
 up to `MAX_PAYLOAD` are delivered whole; larger ones are a LocalProtocolError.
 
 *Queries.* `get` asks whoever serves a key. It ends with exactly one Reply event carrying the token that `get` returned:

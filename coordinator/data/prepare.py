@@ -156,9 +156,9 @@ def _certain(estimates: Sequence[Estimate], inner: list[int]) -> list[int]:
 def _evenly_uncertain(estimates: Sequence[Estimate], kept: list[int], least: int) -> list[int]:
     """Return `kept` without the rows that alone would decide a mean square, at least `least` of them.
 
-    The floor of a target is the mean uncertainty, yet equations are compared by mean squared error: where a few rows are
-    far more uncertain than the others, their errors exceed the floor and a wrong term that mends them pays. So the most
-    uncertain rows go until, for every state, the root mean square is at most `MOST_UNEVEN` times the mean.
+    The floor of a target is the mean uncertainty, yet equations are compared by mean squared error: where a few rows
+    are far more uncertain than the others, their errors exceed the floor and a wrong term that mends them pays. So the
+    most uncertain rows go until, for every state, the root mean square is at most `MOST_UNEVEN` times the mean.
     """
     for its in estimates:
         uncertainty = its.uncertainty[kept].tolist()

@@ -197,5 +197,5 @@ class Offering:
 
 def _spread(every: Rows) -> Rows:
     """Return rows evenly spread over `every`."""
-    index = np.arange(min(every.count, PRUNE_SAMPLE)) * every.count // min(every.count, PRUNE_SAMPLE)
+    index = np.arange(min(every.length, PRUNE_SAMPLE)) * every.length // min(every.length, PRUNE_SAMPLE)
     return padded_rows(every.inputs[:, index], every.target[index])

@@ -56,9 +56,9 @@ class EpochOutcome:
 class Island:
     """One island of one variable between epochs. Mutable, but only through `advance` and `immigrate`, in turn.
 
-    The life of an island: ``Island(...)`` (epoch 0, random population), then for every epoch: `advance` until it returns
-    True, `outcome`, and, unless the archipelago ended, `emigrants` to send and `immigrate` with all that is due here
-    (own ones included), which begins the next epoch.
+    The life of an island: ``Island(...)`` (epoch 0, random population), then for every epoch: `advance` until it
+    returns True, `outcome`, and, unless the archipelago ended, `emigrants` to send and `immigrate` with all that is due
+    here (own ones included), which begins the next epoch.
 
     Raises:
         LocalProtocolError: a field of `config` that must be resolved is not, or a method is called out of turn.
@@ -188,7 +188,7 @@ class Island:
         self._start_epoch()
 
     def _replace_population(self, lists: Lists) -> None:
-        for mine, theirs in zip(self._lists, lists, strict=True):
+        for mine, theirs in zip(self._lists._asdict().values(), lists, strict=True):
             mine[...] = theirs
 
     def _state_arrays(self) -> dict[str, Any]:

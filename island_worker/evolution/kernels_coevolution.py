@@ -8,30 +8,31 @@ import numpy as np
 
 from common.jit import inlined, kernel
 from island_worker.evolution.kernels_generation import COEVOLUTION, INFINITY, generation, output_of, remeasure
-from island_worker.evolution.kernels_random import below, uniform
+from island_worker.evolution.kernels_random import Stream, below, uniform
 from island_worker.evolution.kernels_variation import copy_list
+from island_worker.evolution.structures import Coevolution, Coevolving, Fit, Floats, Ints, Lists, Rows, Scratch, Space
 
 _ROW_MUTATION = 0.05
 
 
 @kernel
-def train(coevolution, t, every, options, scratch, counters):  # type: ignore[no-untyped-def]
+def train(coevolution: Coevolution, t: int, every: Rows, options: Fit, scratch: Scratch, counters: Ints) -> None:
     """Measure trainer `t` on every row: its losses by row and its exact loss (inf when not finite anywhere)."""
     work = scratch.work
     output_of(coevolution.trainers, t, every, options, scratch.tape, work)
     total = 0.0
-    for r in range(every.count):
+    for r in range(every.length):
         e = work.output[r] - every.target[r]
         loss = abs(e) if options.loss == 0 else e * e
         coevolution.losses[t, r] = loss
         total += loss
-    total /= every.count
+    total /= every.length
     coevolution.exact[t] = total if np.isfinite(total) else INFINITY
-    counters[COEVOLUTION] += every.count
+    counters[COEVOLUTION] += every.length
 
 
 @kernel
-def judge(coevolution, chosen):  # type: ignore[no-untyped-def]
+def judge(coevolution: Coevolution, chosen: Ints) -> float:
     """Return the mean absolute difference of predicted and exact loss over the trainers that have one."""
     total = 0.0
     finite = 0
@@ -47,7 +48,7 @@ def judge(coevolution, chosen):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def judge_all(coevolution):  # type: ignore[no-untyped-def]
+def judge_all(coevolution: Coevolution) -> bool:
     """Judge every predictor anew and choose the best, the present one in case of a tie; return True if it changed."""
     best = coevolution.best[0]
     for k in range(coevolution.quality.shape[0]):
@@ -61,7 +62,7 @@ def judge_all(coevolution):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _shared(one, two):  # type: ignore[no-untyped-def]
+def _shared(one: Ints, two: Ints) -> int:
     same = 0
     for k in range(one.shape[0]):
         if one[k] == two[k]:
@@ -70,7 +71,7 @@ def _shared(one, two):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def predictor_generation(coevolution, rows, children, stream):  # type: ignore[no-untyped-def]
+def predictor_generation(coevolution: Coevolution, rows: int, children: Ints, stream: Stream) -> bool:
     """Cross and mutate two predictors; each child replaces the more similar parent if no worse.
 
     Return True when the rows that measure the solutions changed.
@@ -112,7 +113,16 @@ def predictor_generation(coevolution, rows, children, stream):  # type: ignore[n
 
 
 @kernel
-def most_disputed(lists, population, coevolution, every, rows, options, scratch, counters):  # type: ignore[no-untyped-def]
+def most_disputed(
+    lists: Lists,
+    population: int,
+    coevolution: Coevolution,
+    every: Rows,
+    rows: Rows,
+    options: Fit,
+    scratch: Scratch,
+    counters: Ints,
+) -> int:
     """Return the individual whose loss the predictors disagree on most (variance), -1 when none is finite.
 
     Every individual is evaluated at every row that a predictor names, and counted.
@@ -144,7 +154,7 @@ def most_disputed(lists, population, coevolution, every, rows, options, scratch,
 
 
 @kernel
-def gather(rows, every, index):  # type: ignore[no-untyped-def]
+def gather(rows: Rows, every: Rows, index: Ints) -> None:
     """Fill `rows` with the rows `index` of `every`, repeating the last one as padding."""
     last = index.shape[0] - 1
     for k in range(rows.target.shape[0]):
@@ -155,7 +165,9 @@ def gather(rows, every, index):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def renew_trainer(lists, population, coevolution, every, options, scratch, counters):  # type: ignore[no-untyped-def]
+def renew_trainer(
+    lists: Lists, population: int, coevolution: Coevolution, every: Rows, options: Fit, scratch: Scratch, counters: Ints
+) -> bool:
     """Replace the oldest trainer by the most disputed individual; return True if the measuring rows changed."""
     chosen = most_disputed(lists, population, coevolution, every, scratch.spare, options, scratch, counters)
     if chosen < 0:
@@ -171,11 +183,13 @@ def renew_trainer(lists, population, coevolution, every, options, scratch, count
 
 
 @kernel
-def begin_coevolution(lists, coevolution, every, options, scratch, stream, counters):  # type: ignore[no-untyped-def]
+def begin_coevolution(
+    lists: Lists, coevolution: Coevolution, every: Rows, options: Fit, scratch: Scratch, stream: Stream, counters: Ints
+) -> None:
     """Draw random predictors and take random individuals as trainers."""
     for k in range(coevolution.predictors.shape[0]):
         for i in range(coevolution.predictors.shape[1]):
-            coevolution.predictors[k, i] = below(stream, every.count)
+            coevolution.predictors[k, i] = below(stream, every.length)
     for t in range(coevolution.exact.shape[0]):
         copy_list(coevolution.trainers, t, lists, below(stream, lists.code.shape[0]))
         coevolution.born[t] = t - coevolution.exact.shape[0]
@@ -184,17 +198,37 @@ def begin_coevolution(lists, coevolution, every, options, scratch, stream, count
 
 
 @kernel
-def use_best_predictor(lists, fitness, coevolution, every, rows, options, scratch, counters):  # type: ignore[no-untyped-def]
+def use_best_predictor(
+    lists: Lists,
+    fitness: Floats,
+    coevolution: Coevolution,
+    every: Rows,
+    rows: Rows,
+    options: Fit,
+    scratch: Scratch,
+    counters: Ints,
+) -> None:
     """Gather the best predictor's rows (all rows while predictors are off) and measure the population on them."""
-    if rows.count < every.count:
+    if rows.length < every.length:
         gather(rows, every, coevolution.predictors[coevolution.best[0]])
     remeasure(lists, fitness, rows, options, scratch.tape, scratch.work, scratch.result, counters)
 
 
 @kernel
 def evolve(
-    generations, lists, fitness, coevolution, space, options, coevolving, every, rows, scratch, stream, counters
-):  # type: ignore[no-untyped-def]
+    generations: int,
+    lists: Lists,
+    fitness: Floats,
+    coevolution: Coevolution,
+    space: Space,
+    options: Fit,
+    coevolving: Coevolving,
+    every: Rows,
+    rows: Rows,
+    scratch: Scratch,
+    stream: Stream,
+    counters: Ints,
+) -> None:
     """Advance the island by `generations`, predictors and trainers included.
 
     Predictors advance only while their counted share of all point evaluations is under `coevolving.effort`.
@@ -208,7 +242,7 @@ def evolve(
             total += count
         if counters[COEVOLUTION] >= coevolving.effort * total:
             continue
-        changed = predictor_generation(coevolution, every.count, scratch.predictor_children, stream)
+        changed = predictor_generation(coevolution, every.length, scratch.predictor_children, stream)
         if coevolution.clock[0] % coevolving.renewal == 0:
             changed = renew_trainer(lists, fitness.shape[0], coevolution, every, options, scratch, counters) or changed
         if changed:

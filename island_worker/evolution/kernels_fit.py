@@ -1,9 +1,10 @@
 """Fit a program to rows: its top-level terms in closed form, the constants inside them by Levenberg and Marquardt.
 
-An individual's output is b + a_1 t_1 + ... + a_m t_m, where the t_j are the terms that its list adds and subtracts at the
-top. With one term this is linear scaling (Keijzer 2003). The a_j and b minimise the squared error for the terms at hand
-and take part in every step, which makes a step one of variable projection (Golub & Pereyra 1973). Damping is Marquardt's
-(1963): a multiple of the diagonal of the normal equations. Sums run over rows in order; nothing is allocated.
+An individual's output is b + a_1 t_1 + ... + a_m t_m, where the t_j are the terms that its list adds and subtracts at
+the top. With one term this is linear scaling (Keijzer 2003). The a_j and b minimise the squared error for the terms at
+hand and take part in every step, which makes a step one of variable projection (Golub & Pereyra 1973). Damping is
+Marquardt's (1963): a multiple of the diagonal of the normal equations. Sums run over rows in order; nothing is
+allocated.
 """
 
 from typing import Final
@@ -14,7 +15,8 @@ from common.expression.kernels import LANES, forward, lane_sum, reverse_block
 from common.expression.operators import ADD, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SUBTRACT, VARIABLE
 from common.jit import inlined, kernel
 from island_worker.evolution.kernels_tape import ARITY_OF
-from island_worker.evolution.structures import MOST_FITTED
+from island_worker.evolution.kernels_variation import reset_scale
+from island_worker.evolution.structures import MOST_FITTED, Fit, Floats, Ints, Rows, Tape, Work
 
 INFINITY: Final = np.inf
 _FIRST_DAMPING: Final = 1e-3
@@ -24,7 +26,7 @@ _COLLINEAR: Final = 1e-10
 
 
 @inlined
-def _add_term(terms, number, node, code):  # type: ignore[no-untyped-def]
+def _add_term(terms: Ints, number: int, node: int, code: Ints) -> int:
     """Append `node` unless it is there already or a constant, which b stands for; return the number of terms."""
     if code[node] == CONSTANT:
         return number
@@ -36,7 +38,7 @@ def _add_term(terms, number, node, code):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def collect_terms(tape, count, most, terms):  # type: ignore[no-untyped-def]
+def collect_terms(tape: Tape, count: int, most: int, terms: Ints) -> int:
     """List in `terms` the tape indices of at most `most` terms; return their number, 0 for a constant program.
 
     From the output down, a sum or difference gives way to its arguments, and a negation or a product with a constant
@@ -51,18 +53,18 @@ def collect_terms(tape, count, most, terms):  # type: ignore[no-untyped-def]
     while j < number:
         node = terms[j]
         op = tape.code[node]
-        l = tape.left[node]
-        r = tape.right[node]
-        product = (op == MULTIPLY and (tape.code[l] == CONSTANT or tape.code[r] == CONSTANT)) or (
-            op == DIVIDE and tape.code[r] == CONSTANT
+        left = tape.left[node]
+        right = tape.right[node]
+        product = (op == MULTIPLY and (tape.code[left] == CONSTANT or tape.code[right] == CONSTANT)) or (
+            op == DIVIDE and tape.code[right] == CONSTANT
         )
-        if op == NEGATE or product or ((op == ADD or op == SUBTRACT) and number < most):
+        if op == NEGATE or product or (op in (ADD, SUBTRACT) and number < most):
             for k in range(j, number - 1):
                 terms[k] = terms[k + 1]
             number -= 1
-            number = _add_term(terms, number, l, tape.code)
+            number = _add_term(terms, number, left, tape.code)
             if ARITY_OF[op] > 1:
-                number = _add_term(terms, number, r, tape.code)
+                number = _add_term(terms, number, right, tape.code)
             j = 0
         else:
             j += 1
@@ -70,7 +72,7 @@ def collect_terms(tape, count, most, terms):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def choose_fitted(tape, count, number, most, work):  # type: ignore[no-untyped-def]
+def choose_fitted(tape: Tape, count: int, number: int, most: int, work: Work) -> int:
     """List the first `most` constants inside the terms in `work.fitted`; mark what depends on them; return how many."""
     feeds = work.feeds
     for i in range(count):
@@ -99,7 +101,7 @@ def choose_fitted(tape, count, number, most, work):  # type: ignore[no-untyped-d
 
 
 @kernel
-def combine_into(output, values, terms, number, scale, rows):  # type: ignore[no-untyped-def]
+def combine_into(output: Floats, values: Floats, terms: Ints, number: int, scale: Floats, rows: int) -> None:
     """Write b + a_1 t_1 + ... into `output`; `scale` is (b, a_1, ...)."""
     for start in range(0, rows, LANES):
         for k in range(LANES):
@@ -112,7 +114,7 @@ def combine_into(output, values, terms, number, scale, rows):  # type: ignore[no
 
 
 @kernel
-def sum_of(x, n, lanes):  # type: ignore[no-untyped-def]
+def sum_of(x: Floats, n: int, lanes: Floats) -> float:
     """Return the sum of x over rows [0, n), by lanes and then blocks."""
     total = 0.0
     for start in range(0, n, LANES):
@@ -123,7 +125,7 @@ def sum_of(x, n, lanes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _product_about(x, x0, y, y0, n, lanes):  # type: ignore[no-untyped-def]
+def _product_about(x: Floats, x0: float, y: Floats, y0: float, n: int, lanes: Floats) -> float:
     """Return the sum of (x - x0) (y - y0) over rows [0, n)."""
     total = 0.0
     for start in range(0, n, LANES):
@@ -134,12 +136,12 @@ def _product_about(x, x0, y, y0, n, lanes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def fit_terms(number, rows, work, scale):  # type: ignore[no-untyped-def]
+def fit_terms(number: int, rows: Rows, work: Work, scale: Floats) -> None:
     """Set `scale` to the b, a_1, ... that minimise the squared error, by centred normal equations and Cholesky.
 
     A term that is constant, or a combination of earlier ones, gets 0.
     """
-    n = rows.count
+    n = rows.length
     lanes = work.lanes
     matrix = work.matrix
     mean_y = sum_of(rows.target, n, lanes) / n
@@ -177,9 +179,9 @@ def fit_terms(number, rows, work, scale):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def errors(output, rows, lanes, result):  # type: ignore[no-untyped-def]
+def errors(output: Floats, rows: Rows, lanes: Floats, result: Floats) -> None:
     """Set result[0] to the mean absolute and result[1] to the mean squared error of `output`; inf when not finite."""
-    n = rows.count
+    n = rows.length
     target = rows.target
     total = 0.0
     square = 0.0
@@ -201,21 +203,21 @@ def errors(output, rows, lanes, result):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def measure_tape(tape, count, rows, linear, work, scale, result):  # type: ignore[no-untyped-def]
+def measure_tape(tape: Tape, count: int, rows: Rows, linear: int, work: Work, scale: Floats, result: Floats) -> None:
     """Evaluate the tape on `rows` with `work.terms` as they are and set the errors; one value at each row.
 
     `linear` is the number of terms when b, a_1, ... are to be fitted first, else 0; returns nothing.
     """
-    forward(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, rows.count, work.values)
+    forward(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, rows.length, work.values)
     if linear > 0:
         fit_terms(linear, rows, work, scale)
-    combine_into(work.output, work.values, work.terms, work.number[0], scale, rows.count)
+    combine_into(work.output, work.values, work.terms, work.number[0], scale, rows.length)
     errors(work.output, rows, work.lanes, result)
 
 
 @kernel
-def _normal_equations(tape, count, fitted, linear, rows, scale, work):  # type: ignore[no-untyped-def]
-    """Fill matrix and gradient for the columns (d/dc, t_j, 1) at the values that stand in `work`; return their number."""
+def _normal_equations(tape: Tape, count: int, fitted: int, linear: int, rows: Rows, scale: Floats, work: Work) -> int:
+    """Fill matrix and gradient for the columns (d/dc, t_j, 1) at the values standing in `work`; return their number."""
     size = fitted + (linear + 1 if linear > 0 else 0)
     for i in range(size):
         work.gradient[i] = 0.0
@@ -223,7 +225,7 @@ def _normal_equations(tape, count, fitted, linear, rows, scale, work):  # type: 
             work.matrix[i, j] = 0.0
     columns = work.columns
     lanes = work.lanes
-    for start in range(0, rows.count, LANES):
+    for start in range(0, rows.length, LANES):
         _columns_into(tape, count, fitted, linear, rows, scale, start, work)
         residual = columns[size]
         for i in range(size):
@@ -240,7 +242,9 @@ def _normal_equations(tape, count, fitted, linear, rows, scale, work):  # type: 
 
 
 @kernel
-def _columns_into(tape, count, fitted, linear, rows, scale, start, work):  # type: ignore[no-untyped-def]
+def _columns_into(
+    tape: Tape, count: int, fitted: int, linear: int, rows: Rows, scale: Floats, start: int, work: Work
+) -> None:
     """Write the columns of the Jacobian and the residual for one block of rows; zero beyond the last row."""
     adjoints = work.adjoints
     for i in range(count):
@@ -267,12 +271,12 @@ def _columns_into(tape, count, fitted, linear, rows, scale, start, work):  # typ
     for k in range(LANES):
         columns[size, k] = work.output[start + k] - rows.target[start + k]
     for i in range(size + 1):
-        for k in range(rows.count - start, LANES):
+        for k in range(rows.length - start, LANES):
             columns[i, k] = 0.0
 
 
 @kernel
-def _solve(size, damping, work):  # type: ignore[no-untyped-def]
+def _solve(size: int, damping: float, work: Work) -> bool:
     """Solve (A + damping diag A) step = -gradient by Cholesky; return False when that is not possible."""
     for i in range(size):
         for j in range(i + 1):
@@ -305,7 +309,9 @@ def _solve(size, damping, work):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def fit(tape, count, rows, options, most, steps, work, scale, result):  # type: ignore[no-untyped-def]
+def fit(
+    tape: Tape, count: int, rows: Rows, options: Fit, most: int, steps: int, work: Work, scale: Floats, result: Floats
+) -> int:
     """Fit terms and inner constants of the tape to `rows`, in place; set the errors; return point evaluations.
 
     A value at a row counts 1; the reverse sweep that makes it a gradient counts 2 more.
@@ -318,15 +324,15 @@ def fit(tape, count, rows, options, most, steps, work, scale, result):  # type: 
     number = collect_terms(tape, count, options.terms, work.terms)
     work.number[0] = number
     linear = number if options.terms > 0 else 0
-    reset_scale(scale, options.terms)
+    reset_scale(scale)
     fitted = (
         choose_fitted(tape, count, number, max(most - linear - 1, options.least), work) if steps > 0 else linear * 0
     )
     measure_tape(tape, count, rows, linear, work, scale, result)
-    evaluations = rows.count
+    evaluations = rows.length
     if fitted == 0 or not np.isfinite(result[1]):
         return evaluations
-    power = _product_about(rows.target, 0.0, rows.target, 0.0, rows.count, work.lanes) / rows.count
+    power = _product_about(rows.target, 0.0, rows.target, 0.0, rows.length, work.lanes) / rows.length
     damping = _FIRST_DAMPING
     fresh = True
     size = fitted
@@ -335,7 +341,7 @@ def fit(tape, count, rows, options, most, steps, work, scale, result):  # type: 
             break
         if fresh:
             size = _normal_equations(tape, count, fitted, linear, rows, scale, work)
-            evaluations += 2 * rows.count
+            evaluations += 2 * rows.length
             fresh = False
         if not _solve(size, damping, work):
             damping *= 10.0
@@ -345,7 +351,7 @@ def fit(tape, count, rows, options, most, steps, work, scale, result):  # type: 
             tape.constants[work.fitted[j]] += work.step[j]
         _keep_into(work.kept_scale, scale)
         measure_tape(tape, count, rows, linear, work, scale, work.trial)
-        evaluations += rows.count
+        evaluations += rows.length
         if work.trial[1] < result[1]:
             gain = 1.0 - work.trial[1] / result[1]
             damping *= 0.1
@@ -363,14 +369,6 @@ def fit(tape, count, rows, options, most, steps, work, scale, result):  # type: 
 
 
 @inlined
-def _keep_into(target, source):  # type: ignore[no-untyped-def]
+def _keep_into(target: Floats, source: Floats) -> None:
     for j in range(source.shape[0]):
         target[j] = source[j]
-
-
-@inlined
-def reset_scale(scale, terms):  # type: ignore[no-untyped-def]
-    """Set b = 0, a_1 = 1 and the rest 0: the program as it stands."""
-    for j in range(scale.shape[0]):
-        scale[j] = 0.0
-    scale[1] = 1.0

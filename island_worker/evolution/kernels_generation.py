@@ -8,12 +8,13 @@ from typing import Final
 
 import numpy as np
 
-from common.expression.kernels import forward
+from common.expression.kernels import Int, forward
 from common.jit import inlined, kernel
 from island_worker.evolution.kernels_fit import collect_terms, combine_into, fit
-from island_worker.evolution.kernels_random import below
+from island_worker.evolution.kernels_random import Stream, below
 from island_worker.evolution.kernels_tape import compile_tape, mark_live
 from island_worker.evolution.kernels_variation import copy_list, cross, distance, mutate
+from island_worker.evolution.structures import Fit, Floats, Ints, Lists, Rows, Scratch, Space, Tape, Work
 
 OFFSPRING: Final = np.int64(0)  # a plain integer would be a type of its own to the compiler, as an argument
 REEVALUATION: Final = np.int64(1)
@@ -27,25 +28,27 @@ INFINITY = np.inf
 
 
 @kernel
-def output_of(lists, p, rows, options, tape, work):  # type: ignore[no-untyped-def]
+def output_of(lists: Lists, p: int, rows: Rows, options: Fit, tape: Tape, work: Work) -> None:
     """Write the output of individual `p`, as it stands, on `rows` into `work.output`."""
     count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
     number = collect_terms(tape, count, options.terms, work.terms)
-    forward(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, rows.count, work.values)
-    combine_into(work.output, work.values, work.terms, number, lists.scale[p], rows.count)
+    forward(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, rows.length, work.values)
+    combine_into(work.output, work.values, work.terms, number, lists.scale[p], rows.length)
 
 
 @kernel
-def develop(lists, p, rows, options, tape, work, result, counters, part):  # type: ignore[no-untyped-def]
+def develop(
+    lists: Lists, p: int, rows: Rows, options: Fit, tape: Tape, work: Work, result: Floats, counters: Ints, part: Int
+) -> float:
     """Fit the constants of individual `p` to `rows`, write them back, count; return its loss there.
 
     The first value at each row is counted under `part`, the rest as constant fitting.
     """
     count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
-    most = rows.count // 4
+    most = rows.length // 4
     used = fit(tape, count, rows, options, most, options.steps, work, lists.scale[p], result)
-    counters[part] += rows.count
-    counters[FITTING] += used - rows.count
+    counters[part] += rows.length
+    counters[FITTING] += used - rows.length
     if options.steps > 0:
         for i in range(count):
             lists.constants[p, tape.origin[i]] = (
@@ -55,7 +58,9 @@ def develop(lists, p, rows, options, tape, work, result, counters, part):  # typ
 
 
 @kernel
-def remeasure(lists, fitness, rows, options, tape, work, result, counters):  # type: ignore[no-untyped-def]
+def remeasure(
+    lists: Lists, fitness: Floats, rows: Rows, options: Fit, tape: Tape, work: Work, result: Floats, counters: Ints
+) -> None:
     """Measure the whole population on new predictor rows, constants fitted there as a child's are, and count it.
 
     Without the fit, a child whose constants suit the new rows would displace a better parent whose constants suit the
@@ -66,7 +71,7 @@ def remeasure(lists, fitness, rows, options, tape, work, result, counters):  # t
 
 
 @inlined
-def _shuffle(order, stream):  # type: ignore[no-untyped-def]
+def _shuffle(order: Ints, stream: Stream) -> None:
     for last in range(order.shape[0] - 1, 0, -1):
         other = below(stream, last + 1)
         kept = order[last]
@@ -75,7 +80,7 @@ def _shuffle(order, stream):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _crowd(parents, fitness, pair, children, child_fitness, live):  # type: ignore[no-untyped-def]
+def _crowd(parents: Lists, fitness: Floats, pair: Ints, children: Lists, child_fitness: Floats, live: Ints) -> None:
     """Let the two children meet the more similar parents; a tie goes uncrossed; replace when no worse."""
     for q in range(2):
         p = pair[q]
@@ -93,7 +98,16 @@ def _crowd(parents, fitness, pair, children, child_fitness, live):  # type: igno
 
 
 @kernel
-def generation(lists, fitness, space, options, rows, scratch, stream, counters):  # type: ignore[no-untyped-def]
+def generation(
+    lists: Lists,
+    fitness: Floats,
+    space: Space,
+    options: Fit,
+    rows: Rows,
+    scratch: Scratch,
+    stream: Stream,
+    counters: Ints,
+) -> None:
     """Advance the population by one generation on the current predictor's `rows`."""
     order = scratch.order
     for p in range(order.shape[0]):

@@ -6,18 +6,19 @@ from common.jit import inlined, kernel
 from island_worker.evolution.kernels_fit import fit
 from island_worker.evolution.kernels_generation import INFINITY, REFITTING
 from island_worker.evolution.kernels_tape import canonical_tape, compile_tape
+from island_worker.evolution.structures import Fit, Floats, Hashes, Ints, Lists, Rows, Scratch, Tape
 
 _PRIME = np.uint64(0x100000001B3)
 _BASIS = np.uint64(0xCBF29CE484222325)
 
 
 @inlined
-def _mixed(h, value):  # type: ignore[no-untyped-def]
+def _mixed(h: np.uint64, value: int) -> np.uint64:
     return (h ^ np.uint64(value + 1)) * _PRIME
 
 
 @kernel
-def structure_hash(tape, count):  # type: ignore[no-untyped-def]
+def structure_hash(tape: Tape, count: int) -> np.uint64:
     """Return a hash of the program without its constants (FNV-1a over nodes)."""
     h = _BASIS
     for i in range(count):
@@ -26,14 +27,16 @@ def structure_hash(tape, count):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def canonical(lists, p, scratch):  # type: ignore[no-untyped-def]
+def canonical(lists: Lists, p: int, scratch: Scratch) -> int:
     """Write individual `p` as a canonical program to `scratch.canonical`; return its size, scaling left out."""
     count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], scratch.tape)
     return canonical_tape(scratch.tape, count, scratch.work.values, scratch.canonical)
 
 
 @kernel
-def choose_offers(lists, fitness, scratch, offered, offered_loss, chosen):  # type: ignore[no-untyped-def]
+def choose_offers(
+    lists: Lists, fitness: Floats, scratch: Scratch, offered: Hashes, offered_loss: Floats, chosen: Ints
+) -> int:
     """List in `chosen` the best individual of each size that no smaller one equals; return their number.
 
     Those are left out whose structure was the last one offered at that size, unless the predicted loss has halved.
@@ -66,8 +69,10 @@ def choose_offers(lists, fitness, scratch, offered, offered_loss, chosen):  # ty
 
 
 @kernel
-def refit(count, rows, options, steps, scratch, scale, result, counters):  # type: ignore[no-untyped-def]
+def refit(
+    count: int, rows: Rows, options: Fit, steps: int, scratch: Scratch, scale: Floats, result: Floats, counters: Ints
+) -> None:
     """Fit the program on `scratch.canonical` to `rows`, in place; its terms are left in `scratch.work`; counted."""
-    most = rows.count // 4
+    most = rows.length // 4
     used = fit(scratch.canonical, count, rows, options, most, steps, scratch.work, scale, result)
     counters[REFITTING] += used

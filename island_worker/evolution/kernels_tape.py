@@ -1,16 +1,17 @@
-"""From an operation list to a tape: dead nodes left out; and to a canonical program: duplicates and constants folded."""
+"""From an operation list to a tape, dead nodes left out; to a canonical program, equal and constant parts folded."""
 
 import numpy as np
 
 from common.expression.kernels import forward_block
 from common.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, VARIABLE
 from common.jit import inlined, kernel
+from island_worker.evolution.structures import Bytes, Floats, Ints, Shorts, Tape
 
 ARITY_OF = np.array(ARITY, np.int64)
 
 
 @kernel
-def mark_live(code, left, right, live):  # type: ignore[no-untyped-def]
+def mark_live(code: Bytes, left: Shorts, right: Shorts, live: Ints) -> int:
     """Set `live[i]` to 1 for nodes that the output (the last node) depends on, else -1; return how many live."""
     last = code.shape[0] - 1
     for i in range(last):
@@ -30,7 +31,7 @@ def mark_live(code, left, right, live):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def compile_tape(code, left, right, constants, tape):  # type: ignore[no-untyped-def]
+def compile_tape(code: Bytes, left: Shorts, right: Shorts, constants: Floats, tape: Tape) -> int:
     """Write the live nodes of one list onto `tape`; return their number."""
     mark_live(code, left, right, tape.live)
     count = 0
@@ -50,14 +51,14 @@ def compile_tape(code, left, right, constants, tape):  # type: ignore[no-untyped
 
 
 @inlined
-def _same(tape, i, op, left, right, constant):  # type: ignore[no-untyped-def]
+def _same(tape: Tape, i: int, op: int, left: int, right: int, constant: float) -> bool:
     return (tape.code[i] == op and tape.left[i] == left and tape.right[i] == right) and (
         op != CONSTANT or tape.constants[i] == constant
     )
 
 
 @kernel
-def _append(tape, count, op, left, right, constant):  # type: ignore[no-untyped-def]
+def _append(tape: Tape, count: int, op: int, left: int, right: int, constant: float) -> int:
     """Return the index of that node on the tape, appended unless an equal one is there."""
     for i in range(count):
         if _same(tape, i, op, left, right, constant):
@@ -70,7 +71,7 @@ def _append(tape, count, op, left, right, constant):  # type: ignore[no-untyped-
 
 
 @kernel
-def canonical_tape(source, length, work_values, tape):  # type: ignore[no-untyped-def]
+def canonical_tape(source: Tape, length: int, work_values: Floats, tape: Tape) -> int:
     """Fold constants and duplicates of `source` (`length` nodes) onto `tape`; return the number of nodes.
 
     Operands of + and * are put in order, so that x + y and y + x are one node. Folding may leave nodes that nobody
@@ -81,21 +82,21 @@ def canonical_tape(source, length, work_values, tape):  # type: ignore[no-untype
     for i in range(length):
         op = source.code[i]
         arity = ARITY_OF[op]
-        l = place[source.left[i]] if arity > 0 else source.left[i]
-        r = place[source.right[i]] if arity > 1 else 0
-        if (op == ADD or op == MULTIPLY) and l > r:
-            l, r = r, l
+        left = place[source.left[i]] if arity > 0 else source.left[i]
+        right = place[source.right[i]] if arity > 1 else 0
+        if op in (ADD, MULTIPLY) and left > right:
+            left, right = right, left
         constant = source.constants[i]
-        if arity > 0 and tape.code[l] == CONSTANT and (arity == 1 or tape.code[r] == CONSTANT):
-            constant = _folded(op, tape.constants[l], tape.constants[r], work_values)
-            op, l, r = np.int64(CONSTANT), np.int64(0), np.int64(0)
-        place[i] = _append(tape, count, op, l, r, constant)
+        if arity > 0 and tape.code[left] == CONSTANT and (arity == 1 or tape.code[right] == CONSTANT):
+            constant = _folded(op, tape.constants[left], tape.constants[right], work_values)
+            op, left, right = np.int64(CONSTANT), np.int64(0), np.int64(0)
+        place[i] = _append(tape, count, op, left, right, constant)
         count = max(count, place[i] + 1)
     return _drop_dead(tape, place[length - 1] + 1)
 
 
 @kernel
-def _folded(op, a, b, work_values):  # type: ignore[no-untyped-def]
+def _folded(op: int, a: float, b: float, work_values: Floats) -> float:
     """Return the value of an operator on two constants, by the very kernel that measures programs."""
     code = np.array([CONSTANT, CONSTANT, op])
     left = np.array([0, 0, 0])
@@ -106,7 +107,7 @@ def _folded(op, a, b, work_values):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _drop_dead(tape, length):  # type: ignore[no-untyped-def]
+def _drop_dead(tape: Tape, length: int) -> int:
     """Compact the tape in place to what its node `length - 1` depends on; return the number of nodes."""
     live = tape.live
     for i in range(length):

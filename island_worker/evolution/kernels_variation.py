@@ -1,16 +1,16 @@
 """Random lists, crossover, mutation and the distance of deterministic crowding (paper, section 2 and Table II)."""
 
-import numpy as np
-
+from common.expression.kernels import Int
 from common.expression.kernels_elementary import strict_exp
 from common.expression.operators import CONSTANT, VARIABLE
 from common.jit import inlined, kernel
-from island_worker.evolution.kernels_random import below, normal, uniform
+from island_worker.evolution.kernels_random import Stream, below, normal, uniform
 from island_worker.evolution.kernels_tape import ARITY_OF
+from island_worker.evolution.structures import Floats, Ints, Lists, Space
 
 
 @kernel
-def random_constant(space, stream):  # type: ignore[no-untyped-def]
+def random_constant(space: Space, stream: Stream) -> float:
     """Return a constant: uniform in [-10, 10], or log-uniform about a product of powers of the data's scales.
 
     With scales, the magnitude is 10^u with u uniform in [-1, 1), times each scale to the power -1, 0, 0 or 1: so that
@@ -29,7 +29,7 @@ def random_constant(space, stream):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _varied_constant(value, space, stream):  # type: ignore[no-untyped-def]
+def _varied_constant(value: float, space: Space, stream: Stream) -> float:
     """Return a constant near `value`: a normal step, relative to its size where constants have scales."""
     if space.scales.shape[0] == 0:
         return value + normal(stream)
@@ -37,7 +37,7 @@ def _varied_constant(value, space, stream):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _random_terminal(lists, p, i, space, stream):  # type: ignore[no-untyped-def]
+def _random_terminal(lists: Lists, p: int, i: int, space: Space, stream: Stream) -> None:
     if uniform(stream) < 0.5:
         lists.code[p, i] = VARIABLE
         lists.left[p, i] = below(stream, space.variables)
@@ -48,11 +48,18 @@ def _random_terminal(lists, p, i, space, stream):  # type: ignore[no-untyped-def
     lists.right[p, i] = 0
 
 
+@inlined
+def reset_scale(scale: Floats) -> None:
+    """Set b = 0, a_1 = 1 and the rest 0: of a list with one term, the list as it stands."""
+    for j in range(scale.shape[0]):
+        scale[j] = 0.0
+    scale[1] = 1.0
+
+
 @kernel
-def random_list(lists, p, space, stream):  # type: ignore[no-untyped-def]
+def random_list(lists: Lists, p: int, space: Space, stream: Stream) -> None:
     """Fill list `p` at random: terminals, then operators that refer to any earlier nodes."""
-    lists.scale[p, 0] = 1.0
-    lists.scale[p, 1] = 0.0
+    reset_scale(lists.scale[p])
     for i in range(space.nodes):
         lists.constants[p, i] = 0.0
         if i < space.terminals:
@@ -64,7 +71,7 @@ def random_list(lists, p, space, stream):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def mutate(lists, p, space, stream):  # type: ignore[no-untyped-def]
+def mutate(lists: Lists, p: int, space: Space, stream: Stream) -> None:
     """Change each node of list `p` with probability `space.mutation`: one of its operator and its two arguments.
 
     A terminal becomes another terminal; a constant is moved rather than replaced in half of the cases.
@@ -88,7 +95,7 @@ def mutate(lists, p, space, stream):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def copy_nodes(target, p, source, q, first, last):  # type: ignore[no-untyped-def]
+def copy_nodes(target: Lists, p: int, source: Lists, q: Int, first: Int, last: int) -> None:
     """Copy nodes [first, last) of list `q` of `source` to list `p` of `target`."""
     for i in range(first, last):
         target.code[p, i] = source.code[q, i]
@@ -98,20 +105,20 @@ def copy_nodes(target, p, source, q, first, last):  # type: ignore[no-untyped-de
 
 
 @inlined
-def copy_list(target, p, source, q):  # type: ignore[no-untyped-def]
+def copy_list(target: Lists, p: int, source: Lists, q: Int) -> None:
     """Copy the whole list `q` of `source`, with its scaling, to list `p` of `target`."""
     copy_nodes(target, p, source, q, 0, source.code.shape[1])
-    target.scale[p, 0] = source.scale[q, 0]
-    target.scale[p, 1] = source.scale[q, 1]
+    for j in range(source.scale.shape[1]):
+        target.scale[p, j] = source.scale[q, j]
 
 
 @kernel
-def cross(children, parents, first, second, space, stream):  # type: ignore[no-untyped-def]
+def cross(children: Lists, parents: Lists, first: int, second: int, space: Space, stream: Stream) -> None:
     """Write two complementary children of parents `first` and `second` to lists 0 and 1 of `children`.
 
     With probability `space.crossover` both lists are cut at one common random place; else the children are copies.
     """
-    cut = space.nodes
+    cut: Int = space.nodes
     if uniform(stream) < space.crossover:
         cut = 1 + below(stream, space.nodes - 1)
     copy_list(children, 0, parents, first)
@@ -121,7 +128,7 @@ def cross(children, parents, first, second, space, stream):  # type: ignore[no-u
 
 
 @kernel
-def distance(one, p, live_one, two, q, live_two):  # type: ignore[no-untyped-def]
+def distance(one: Lists, p: int, live_one: Ints, two: Lists, q: int, live_two: Ints) -> int:
     """Return the number of nodes, live in either list, that differ in operator or arguments; constants are equal."""
     total = 0
     for i in range(one.code.shape[1]):

@@ -55,7 +55,7 @@ def pack(lists: Lists, places: Slots) -> dict[int, bytes]:
 
 
 def _block(lists: Lists, rows: Slots, slots: Slots) -> bytes:
-    arrays = {name: column[rows] for name, column in zip(Lists._fields, lists, strict=True)}
+    arrays = {name: column[rows] for name, column in lists._asdict().items()}
     arrays = {name: a.astype(np.int32) if a.dtype == np.int16 else a for name, a in arrays.items()}
     return encode_arrays({}, {"slots": slots[rows].astype(np.int32), **arrays})
 
@@ -77,7 +77,7 @@ def unpack(blocks: Mapping[int, bytes], population: int, space: Space, allowed: 
         ):
             raise RemoteProtocolError(f"the solutions from island {source} claim slots that are taken or do not exist")
         taken[slots] = True
-        for column, values in zip(lists, part, strict=True):
+        for column, values in zip(lists._asdict().values(), part, strict=True):
             column[slots] = values
     if not taken.all():
         missing = int(population - taken.sum())

@@ -1,4 +1,4 @@
-"""What does not change during an island's life: the problem's rows, the space, and how things are fitted and measured."""
+"""What does not change during an island's life: the problem's rows, the space, and how fits and measures are made."""
 
 import math
 
@@ -42,7 +42,7 @@ class Setting:
         sample = predictors.rows
         if sample is None:
             raise LocalProtocolError("predictors.rows is not resolved")
-        rows = self.every.count
+        rows = self.every.length
         self.coevolving = Coevolving(
             int(predictors.enabled and rows > 2 * sample), predictors.effort, predictors.renewal
         )
@@ -69,7 +69,7 @@ class Setting:
             quality=np.zeros(number),
             trainers=empty_lists(trainers, self.space.nodes),
             exact=np.zeros(trainers),
-            losses=np.zeros((trainers, self.every.count if on else 1)),
+            losses=np.zeros((trainers, self.every.length if on else 1)),
             born=np.zeros(trainers, np.int64),
             best=np.zeros(1, np.int64),
             clock=np.zeros(1, np.int64),

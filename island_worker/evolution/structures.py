@@ -1,5 +1,6 @@
-"""The arrays that kernels work on, grouped. Letters: P population, L list length, T terminals, V variables, K predictors.
+"""The arrays that kernels work on, grouped.
 
+Letters: P population, L list length, T terminals, V variables, K predictors, R rows.
 NamedTuples of arrays, since numba passes them as they are; shapes are set once, in `allocate`-style functions here, and
 trusted by the kernels.
 """
@@ -15,6 +16,8 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Bytes = npt.NDArray[np.int8]
 Shorts = npt.NDArray[np.int16]
+Booleans = npt.NDArray[np.bool_]
+Hashes = npt.NDArray[np.uint64]
 
 
 class Lists(NamedTuple):
@@ -66,7 +69,8 @@ class Rows(NamedTuple):
     """(V, padded)."""
     target: Floats
     """(padded,)."""
-    count: int
+    length: int
+    """Rows before the padding."""
 
 
 class Tape(NamedTuple):
@@ -76,7 +80,7 @@ class Tape(NamedTuple):
     left: Ints
     right: Ints
     constants: Floats
-    depends: npt.NDArray[np.bool_]
+    depends: Booleans
     origin: Ints
     """Index in the list that each live node came from."""
     live: Ints
@@ -105,7 +109,7 @@ class Work(NamedTuple):
     number: Ints
     fitted: Ints
     """Tape indices of the constants that are fitted."""
-    feeds: npt.NDArray[np.bool_]
+    feeds: Booleans
     """Whether a node is part of a term."""
     kept: Floats
     kept_scale: Floats
@@ -157,7 +161,7 @@ class Scratch(NamedTuple):
     """Rows for one predictor at a time."""
     predictor_children: Ints
     best_of_size: Ints
-    hashes: npt.NDArray[np.uint64]
+    hashes: Hashes
 
 
 MOST_FITTED = 12
