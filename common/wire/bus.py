@@ -7,8 +7,8 @@ query, a reply, a participant coming or going, a timer, something posted) is han
 `receive`. `post` and `put` may be called from any thread. Nothing is ever called back.
 
 *Delivery.* `put` reaches every matching subscriber at most once, or is lost without a sign (a cut link, a peer that
-dies, a subscriber that does not exist yet). Puts of one participant on one key arrive in order; otherwise any order. Payloads
-up to `MAX_PAYLOAD` are delivered whole; larger ones are a LocalProtocolError.
+dies, a subscriber that does not exist yet). Puts of one participant on one key arrive in order; otherwise any order.
+Payloads up to `MAX_PAYLOAD` are delivered whole; larger ones are a LocalProtocolError.
 
 *Queries.* `get` asks whoever serves a key. It ends with exactly one Reply event carrying the token that `get` returned:
 the answer, or `payload=None` when nobody serves the key, the answerer refused, or `timeout_s` passed.
