@@ -90,7 +90,7 @@ class BudgetConfig(Model):
     max_epochs: PositiveInt = 1000
     max_epochs_of: dict[str, PositiveInt] = Field(default_factory=dict, description="per variable; overrides")
     max_time: Annotated[float, Field(gt=0.0)] | None = Field(None, description="seconds")
-    stagnation: PositiveInt = Field(150, description="epochs without a better equation after which a search ends")
+    stagnation: PositiveInt = Field(60, description="epochs without a better equation after which a search ends")
 
 
 class JobConfig(Model):
@@ -111,6 +111,7 @@ PAPER = JobConfig(
     space=SpaceConfig(terminals=7),
     evolution=EvolutionConfig(constant_fit_steps=0, linear_terms=0, scaled_constants=False),
     predictors=PredictorConfig(rows=16),
+    budget=BudgetConfig(max_epochs=5000, stagnation=500),
 )
 """Table II of the paper, nothing added."""
 

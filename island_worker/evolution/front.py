@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from common.expression.program import Program
+from common.expression.text import PRINTABLE_SIZE, tree_size
 from common.pareto import FrontEntry, merge
 from island_worker.evolution.formula import (
     Formula,
@@ -140,7 +141,9 @@ class Offering:
             refit(size, setting.every, self._unscaled, POLISH_STEPS, scratch, self._scale, self._result, counters)
         if not math.isfinite(self._error()):
             return None
-        return self._entry(size, tag)
+        entry = self._entry(size, tag)
+        printable = tree_size(Program.from_bytes(entry.program, setting.space.variables)) <= PRINTABLE_SIZE
+        return entry if printable else None
 
     def _canonical(self, formula: Formula) -> int:
         """Put the canonical form of `formula` on the canonical tape; return its size."""
