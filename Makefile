@@ -16,6 +16,7 @@ help:
 	@echo "make quick   the tests that take less than about ten seconds each"
 	@echo "make check   style, formatting, types, import contracts"
 	@echo "make bench   the short benchmarks; benchmarks/RESULTS.md has the long ones"
+	@echo "             with STROGATZ=folder also the label files there"
 	@echo "make clean   remove the environment, caches and build products"
 
 $(STAMP): pyproject.toml
@@ -44,6 +45,10 @@ check: $(STAMP)
 bench: $(STAMP)
 	@$(BIN)/python -m benchmarks.elementary
 	@$(BIN)/python -m benchmarks.derivatives
+	@$(BIN)/python -m benchmarks.seven --seeds 0
+	@$(BIN)/python -m benchmarks.seven --extras --seeds 0
+	@$(BIN)/python -m benchmarks.digests
+	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.strogatz --data "$(STROGATZ)" --seeds 0
 
 clean:
 	@rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

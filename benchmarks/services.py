@@ -1,0 +1,163 @@
+"""A coordinator and workers as processes of this machine, for benchmarks that search many times.
+
+Starting them and loading kernels takes seconds, so that is done once, and before any time is taken. Whatever happens,
+the processes end with the ``with`` block.
+"""
+
+import subprocess
+import sys
+import uuid
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import IO, Any, Final
+
+from benchmarks.derivatives import table_of
+from benchmarks.systems import trajectories
+from common.config import PRESETS, JobConfig
+from common.errors import AtollError, UnreachableError
+from common.table import Table
+from common.wire.views import FINAL_STATES, JobView
+from coordinator.cli.local import worker_command
+from coordinator.cli.output import count, duration, error_text, note
+from coordinator.cli.signals import raising_interrupts
+from coordinator.client import Client, connected
+
+CONNECT_LIMIT_S: Final = 20.0
+KERNELS_LIMIT_S: Final = 600.0
+"""How long workers may take until they are ready; the first time on a machine they compile the kernels."""
+
+STOP_LIMIT_S: Final = 5.0
+_LOOK_S: Final = 0.1
+_SAY_S: Final = 15.0
+
+
+class Searches:
+    """Gives jobs to a coordinator, one after the other."""
+
+    def __init__(self, client: Client, address: str, processes: Sequence[subprocess.Popen[str]]) -> None:
+        """Use a `client` of the coordinator at `address`; `processes` are those without which no job ends."""
+        self.address = address
+        self._client = client
+        self._processes = processes
+
+    def solve(self, name: str, table: Table, config: JobConfig) -> dict[str, Any]:
+        """Submit a job on `table`, follow it to its end and return what its result.json holds.
+
+        Raises:
+            AtollError: the job failed, or a process ended.
+        """
+        job = f"bench-{uuid.uuid4().hex[:12]}"
+        digest = self._client.upload(table.to_bytes())
+        self._client.submit(job, name, config, digest)
+        view = self._followed(name, job)
+        if view.state != "done":
+            raise AtollError(f"the job {name} is {view.state}: {view.reason}")
+        return self._client.result(job)
+
+    def warm_up(self) -> None:
+        """Search for one epoch, so that the coordinator, too, has loaded what it needs."""
+        config = PRESETS["default"]
+        budget = config.budget.model_copy(update={"max_epochs": 1})
+        self.solve("warm-up", table_of(trajectories("lotka_volterra")), config.model_copy(update={"budget": budget}))
+
+    def wait_for(self, workers: int) -> None:
+        """Wait until `workers` are ready; raises AtollError."""
+        end = self._client.now() + KERNELS_LIMIT_S
+        while sum(worker.state not in ("compiling", "lost") for worker in self._client.workers()) < workers:
+            self._check()
+            if self._client.now() > end:
+                raise UnreachableError(f"{workers} workers were not ready within {KERNELS_LIMIT_S:.0f} s")
+            self._client.pause(_LOOK_S)
+
+    def _followed(self, name: str, job: str) -> JobView:
+        said = self._client.now()
+        while True:
+            self._check()
+            view = self._client.status(job)
+            if view.state in FINAL_STATES:
+                return view
+            if self._client.now() - said > _SAY_S:
+                said = self._client.now()
+                note(progress(name, view))
+            self._client.pause(_LOOK_S)
+
+    def _check(self) -> None:
+        """Raise AtollError when a process has ended."""
+        for process in self._processes:
+            if process.poll() is not None:
+                raise AtollError(f"a process that the benchmark started ended with code {process.returncode}")
+
+
+def progress(name: str, view: JobView) -> str:
+    """Return a line on a job that is under way."""
+    states = [
+        f"{each.variable} epoch {each.epoch} error {error_text(each.normalized_error)} size {each.complexity}"
+        for each in view.variables
+    ]
+    head = f"  … {name}: {duration(view.elapsed)}, {count(view.point_evaluations)} point evaluations"
+    return "; ".join([head, *states])
+
+
+@contextmanager
+def searching(workers: int, environment: dict[str, str] | None = None) -> Iterator[Searches]:
+    """Start a coordinator and `workers` in `environment` (this process's if None); end them afterwards."""
+    with ExitStack() as stack:
+        stack.enter_context(raising_interrupts())
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix="atoll-benchmark-")))
+        log = stack.enter_context((folder / "log").open("w", encoding="utf-8"))
+        coordinator = stack.enter_context(_process(_serve_command(folder), log, environment))
+        address = _address(coordinator, folder / "log")
+        commands = [worker_command(address, f"w{index}") for index in range(workers)]
+        ours = [coordinator, *(stack.enter_context(_process(each, log, environment)) for each in commands)]
+        client = stack.enter_context(connected(address, CONNECT_LIMIT_S))
+        searches = Searches(client, address, ours)
+        searches.wait_for(workers)
+        searches.warm_up()
+        note(f"{workers} workers ready at {address}")
+        yield searches
+
+
+def _serve_command(folder: Path) -> Sequence[str]:
+    options = ["--listen", "tcp/127.0.0.1:0", "--state", str(folder / "state")]
+    return [sys.executable, "-m", "coordinator", "serve", *options]
+
+
+def _address(coordinator: subprocess.Popen[str], log: Path) -> str:
+    """Return the address in the line that tells how to start a worker."""
+    assert coordinator.stdout is not None
+    for line in coordinator.stdout:
+        if "--connect" in line:
+            return line.split("--connect")[1].strip()
+    raise AtollError(f"the coordinator ended before it listened: {log.read_text('utf-8').strip()[-300:]}")
+
+
+@contextmanager
+def _process(
+    command: Sequence[str], log: IO[str], environment: dict[str, str] | None
+) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=log,
+        text=True,
+        env=environment,
+        start_new_session=True,  # a Ctrl-C on the terminal is this program's alone to handle
+    )
+    try:
+        yield process
+    finally:
+        _end(process)
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    process.terminate()
+    try:
+        process.wait(STOP_LIMIT_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    if process.stdout is not None:
+        process.stdout.close()

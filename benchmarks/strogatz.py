@@ -1,0 +1,130 @@
+"""The 14 Strogatz label files: equations from exact derivatives, also with the paper's own preset beside its Table III.
+
+``python -m benchmarks.strogatz --data DIR`` expects in DIR a file ``NAME.csv`` with the columns label, x and y for each
+name of `PUBLISHED`, and ``truth.json``, which maps each name to the true expression. A file counts as solved when the
+normalized error is below `SOLVED`, whether or not the form is exact; both are printed.
+
+``--preset paper --max-time 300 --target-error 1e-3`` is the algorithm of Table II with nothing added: its constants
+are only drawn and mutated, so that how far it gets depends on what counts as found.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from benchmarks.judging import Question, Verdict, judged
+from benchmarks.reporting import Report, add_common, plain_errors
+from benchmarks.services import Searches, searching
+from common.config import PRESETS, JobConfig
+from common.errors import DataError
+from coordinator.cli.output import error_text, say, table
+from coordinator.data.prepare import prepare
+from coordinator.data.readers import read_table
+
+SOLVED: Final = 1e-4
+LABEL: Final = "label"
+
+PUBLISHED: Final = {
+    "glider1": (10.2, 1.03e9),
+    "glider2": (5.1, 0.50e9),
+    "bacres1": (75.0, 7.59e9),
+    "bacres2": (30.5, 3.09e9),
+    "predprey1": (81.7, 8.26e9),
+    "predprey2": (290.6, 29.38e9),
+    "barmag1": (11.8, 1.19e9),
+    "barmag2": (15.6, 1.58e9),
+    "shearflow1": (3.6, 0.36e9),
+    "shearflow2": (33.9, 3.42e9),
+    "vdp1": (25.5, 2.58e9),
+    "vdp2": (0.9, 0.09e9),
+    "lv1": (4.3, 0.43e9),
+    "lv2": (1.1, 0.11e9),
+}
+"""Table III of Schmidt & Lipson 2008: seconds on 8 processors and point evaluations, one run each."""
+
+
+def configured(options: argparse.Namespace, seed: int) -> JobConfig:
+    """Return the configuration of one search."""
+    config = PRESETS[options.preset]
+    budget = config.budget.model_copy(update={"max_time": options.max_time, "target_error": options.target_error})
+    data = config.data.model_copy(update={"target": LABEL})
+    return config.model_copy(update={"seed": seed, "budget": budget, "data": data})
+
+
+def search(searches: Searches, name: str, truth: str, config: JobConfig, folder: Path) -> list[Verdict]:
+    """Search the equation of one file and return the verdict on it."""
+    measured = read_table([folder / f"{name}.csv"], config.data)
+    result = searches.solve(f"{name} seed {config.seed}", measured, config)
+    return judged(Question(name, config.seed, {LABEL: truth}, prepare(measured, config)), result)
+
+
+def truths(folder: Path) -> dict[str, str]:
+    """Return the true expressions by name; raises DataError when they, or a file of data, are not there."""
+    missing = [each for each in ("truth.json", *(f"{name}.csv" for name in PUBLISHED)) if not (folder / each).is_file()]
+    if missing:
+        raise DataError(f"{folder} has no {missing[0]}; name the folder of the Strogatz files with --data")
+    read: dict[str, str] = json.loads((folder / "truth.json").read_text("utf-8"))
+    return read
+
+
+def is_solved(verdict: Verdict) -> bool:
+    """Whether the error, which is never one of the derivative here, is small enough."""
+    return verdict.error is not None and verdict.error < SOLVED
+
+
+def beside_the_paper(verdicts: Sequence[Verdict]) -> str:
+    """Return a table with Table III's figures beside ours."""
+    heads = ("file", "seed", "converged", "error", "exact", "s", "evaluations", "paper s", "paper evaluations", "ratio")
+    return table(heads, [_row(verdict) for verdict in verdicts])
+
+
+def _row(verdict: Verdict) -> tuple[str, ...]:
+    seconds, evaluations = PUBLISHED[verdict.case]
+    return (
+        verdict.case,
+        str(verdict.seed),
+        "yes" if verdict.converged else "NO",
+        error_text(verdict.error),
+        "yes" if verdict.exact else "no",
+        f"{verdict.equation_seconds:.2f}",
+        f"{verdict.point_evaluations:.2e}",
+        f"{seconds:.1f}",
+        f"{evaluations:.2e}",
+        f"{verdict.point_evaluations / evaluations:.2g}",
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Search all files, print the tables; return 0 when all are solved (or, with a target error, converged)."""
+    options = _parser().parse_args(arguments)
+    report = Report("strogatz", sys.argv[1:] if arguments is None else arguments, options.out)
+    with plain_errors("benchmarks.strogatz"):
+        known = truths(options.data)
+        with searching(options.workers) as searches:
+            for name in options.file or PUBLISHED:
+                for seed in options.seeds:
+                    config = configured(options, seed)
+                    report.add(search(searches, name, known[name], config, options.data))
+    report.show()
+    say("\n" + beside_the_paper(report.verdicts))
+    good = sum((is_solved(each) if options.target_error is None else each.converged) for each in report.verdicts)
+    limit = f"error below {SOLVED:g}" if options.target_error is None else f"error at most {options.target_error:g}"
+    say(f"\n{limit}: {good} of {len(report.verdicts)}")
+    return 0 if good == len(report.verdicts) else 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.strogatz", description=__doc__.split("\n")[0])
+    parser.add_argument("--data", type=Path, required=True, help="folder with the files and truth.json")
+    parser.add_argument("--file", choices=PUBLISHED, action="append", help="repeat for several; default: all 14")
+    parser.add_argument("--preset", choices=PRESETS, default="default")
+    parser.add_argument("--target-error", type=float, help="normalized error at which a search ends")
+    add_common(parser, "0-2", 60.0)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())
