@@ -69,6 +69,7 @@ class Report:
 
     def __init__(self, benchmark: str, arguments: Sequence[str], out: Path | None) -> None:
         self.verdicts: list[Verdict] = []
+        self._figures: dict[str, dict[str, Any]] = {}
         self._out = out
         self._head = {
             "benchmark": benchmark,
@@ -78,9 +79,14 @@ class Report:
             "load_before": load(),
         }
 
-    def add(self, verdicts: Sequence[Verdict]) -> None:
-        """Take in the verdicts of one search; say on stderr how it came out, and write the file anew."""
+    def add(self, verdicts: Sequence[Verdict], **figures: dict[str, Any]) -> None:
+        """Take in the verdicts of one search; say on stderr how it came out, and write the file anew.
+
+        `figures` are further ones for the file; those of the same name are put together.
+        """
         self.verdicts += verdicts
+        for name, values in figures.items():
+            self._figures.setdefault(name, {}).update(values)
         found = sum(verdict.found for verdict in verdicts)
         first = verdicts[0]
         note(f"{first.case} seed {first.seed}: {found} of {len(verdicts)} found in {first.seconds:.1f} s")
@@ -109,7 +115,8 @@ class Report:
     def _write(self) -> None:
         if self._out is None:
             return
-        contents = {**self._head, "load_after": load(), "verdicts": [asdict(verdict) for verdict in self.verdicts]}
+        verdicts = [asdict(verdict) for verdict in self.verdicts]
+        contents = {**self._head, "load_after": load(), "verdicts": verdicts, **self._figures}
         self._out.parent.mkdir(parents=True, exist_ok=True)
         self._out.write_text(json.dumps(contents, indent=1, ensure_ascii=False) + "\n", "utf-8")
 

@@ -7,7 +7,7 @@ the processes end with the ``with`` block.
 import subprocess
 import sys
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -42,8 +42,16 @@ class Searches:
         self._client = client
         self._processes = processes
 
-    def solve(self, name: str, table: Table, config: JobConfig) -> dict[str, Any]:
+    def solve(
+        self, name: str, table: Table, config: JobConfig, watch: Callable[[JobView], None] | None = None
+    ) -> dict[str, Any]:
         """Submit a job on `table`, follow it to its end and return what its result.json holds.
+
+        Args:
+            name: for people.
+            table: what was measured.
+            config: of the search.
+            watch: called with the state of the job ten times a second.
 
         Raises:
             AtollError: the job failed, or a process ended.
@@ -51,7 +59,7 @@ class Searches:
         job = f"bench-{uuid.uuid4().hex[:12]}"
         digest = self._client.upload(table.to_bytes())
         self._client.submit(job, name, config, digest)
-        view = self._followed(name, job)
+        view = self._followed(name, job, watch)
         if view.state != "done":
             raise AtollError(f"the job {name} is {view.state}: {view.reason}")
         return self._client.result(job)
@@ -71,11 +79,13 @@ class Searches:
                 raise UnreachableError(f"{workers} workers were not ready within {KERNELS_LIMIT_S:.0f} s")
             self._client.pause(_LOOK_S)
 
-    def _followed(self, name: str, job: str) -> JobView:
+    def _followed(self, name: str, job: str, watch: Callable[[JobView], None] | None) -> JobView:
         said = self._client.now()
         while True:
             self._check()
             view = self._client.status(job)
+            if watch is not None:
+                watch(view)
             if view.state in FINAL_STATES:
                 return view
             if self._client.now() - said > _SAY_S:

@@ -9,9 +9,11 @@ are only drawn and mutated, so that how far it gets depends on what counts as fo
 """
 
 import argparse
+import itertools
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -20,11 +22,15 @@ from benchmarks.reporting import Report, add_common, plain_errors
 from benchmarks.services import Searches, searching
 from common.config import PRESETS, JobConfig
 from common.errors import DataError
+from common.wire.views import JobView
 from coordinator.cli.output import error_text, say, table
 from coordinator.data.prepare import prepare
 from coordinator.data.readers import read_table
 
 SOLVED: Final = 1e-4
+LEVELS: Final = (1e-2, 1e-3, 1e-4)
+"""Normalized errors at whose first passing seconds and point evaluations are taken."""
+
 LABEL: Final = "label"
 
 PUBLISHED: Final = {
@@ -54,11 +60,31 @@ def configured(options: argparse.Namespace, seed: int) -> JobConfig:
     return config.model_copy(update={"seed": seed, "budget": budget, "data": data})
 
 
-def search(searches: Searches, name: str, truth: str, config: JobConfig, folder: Path) -> list[Verdict]:
+@dataclass
+class Passings:
+    """When the error of a search with one equation first was at each of `LEVELS`: seconds and point evaluations.
+
+    Progress is known by epoch and looked at ten times a second; both figures are rounded up to that.
+    """
+
+    passed: dict[float, tuple[float, int]] = field(default_factory=dict)
+
+    def look(self, view: JobView) -> None:
+        """Take in the state of the job."""
+        for its in view.variables:
+            for level in LEVELS:
+                if its.normalized_error is not None and its.normalized_error <= level:
+                    self.passed.setdefault(level, (view.elapsed, its.point_evaluations))
+
+
+def search(searches: Searches, name: str, truth: str, config: JobConfig, folder: Path) -> tuple[Verdict, Passings]:
     """Search the equation of one file and return the verdict on it."""
     measured = read_table([folder / f"{name}.csv"], config.data)
-    result = searches.solve(f"{name} seed {config.seed}", measured, config)
-    return judged(Question(name, config.seed, {LABEL: truth}, prepare(measured, config)), result)
+    passings = Passings()
+    result = searches.solve(f"{name} seed {config.seed}", measured, config, passings.look)
+    question = Question(name, config.seed, {LABEL: truth}, prepare(measured, config))
+    (verdict,) = judged(question, result)
+    return verdict, passings
 
 
 def truths(folder: Path) -> dict[str, str]:
@@ -75,25 +101,29 @@ def is_solved(verdict: Verdict) -> bool:
     return verdict.error is not None and verdict.error < SOLVED
 
 
-def beside_the_paper(verdicts: Sequence[Verdict]) -> str:
-    """Return a table with Table III's figures beside ours."""
-    heads = ("file", "seed", "converged", "error", "exact", "s", "evaluations", "paper s", "paper evaluations", "ratio")
-    return table(heads, [_row(verdict) for verdict in verdicts])
+def beside_the_paper(searched: Sequence[tuple[Verdict, Passings]]) -> str:
+    """Return a table with Table III's figures beside ours: seconds and point evaluations until each of `LEVELS`."""
+    levels = [f"{level:g} {what}" for level in LEVELS for what in ("s", "evaluations")]
+    heads = ("file", "seed", "exact", "error", "evaluations", *levels, "paper s", "paper evaluations")
+    return table(heads, [_row(verdict, passings) for verdict, passings in searched])
 
 
-def _row(verdict: Verdict) -> tuple[str, ...]:
+def _row(verdict: Verdict, passings: Passings) -> tuple[str, ...]:
     seconds, evaluations = PUBLISHED[verdict.case]
+    at_levels = [passings.passed.get(level) for level in LEVELS]
     return (
         verdict.case,
         str(verdict.seed),
-        "yes" if verdict.converged else "NO",
-        error_text(verdict.error),
         "yes" if verdict.exact else "no",
-        f"{verdict.equation_seconds:.2f}",
+        error_text(verdict.error),
         f"{verdict.point_evaluations:.2e}",
+        *(
+            cell
+            for passed in at_levels
+            for cell in ((f"{passed[0]:.2f}", f"{passed[1]:.2e}") if passed else ("-", "-"))
+        ),
         f"{seconds:.1f}",
         f"{evaluations:.2e}",
-        f"{verdict.point_evaluations / evaluations:.2g}",
     )
 
 
@@ -101,15 +131,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Search all files, print the tables; return 0 when all are solved (or, with a target error, converged)."""
     options = _parser().parse_args(arguments)
     report = Report("strogatz", sys.argv[1:] if arguments is None else arguments, options.out)
+    searched: list[tuple[Verdict, Passings]] = []
     with plain_errors("benchmarks.strogatz"):
         known = truths(options.data)
         with searching(options.workers) as searches:
-            for name in options.file or PUBLISHED:
-                for seed in options.seeds:
-                    config = configured(options, seed)
-                    report.add(search(searches, name, known[name], config, options.data))
+            for name, seed in itertools.product(options.file or PUBLISHED, options.seeds):
+                searched.append(search(searches, name, known[name], configured(options, seed), options.data))
+                report.add([searched[-1][0]], passings={f"{name} seed {seed}": searched[-1][1].passed})
     report.show()
-    say("\n" + beside_the_paper(report.verdicts))
+    say("\n" + beside_the_paper(searched))
     good = sum((is_solved(each) if options.target_error is None else each.converged) for each in report.verdicts)
     limit = f"error below {SOLVED:g}" if options.target_error is None else f"error at most {options.target_error:g}"
     say(f"\n{limit}: {good} of {len(report.verdicts)}")

@@ -4,8 +4,9 @@ import dataclasses
 
 import pytest
 
-from benchmarks.strogatz import PUBLISHED, beside_the_paper, is_solved, main, truths
+from benchmarks.strogatz import PUBLISHED, Passings, beside_the_paper, is_solved, main, truths
 from common.errors import DataError
+from common.wire.views import JobView, VariableView
 from tests.unit.benchmarks.verdicts import VERDICT
 
 FILES = [f"{name}.csv" for name in PUBLISHED]
@@ -48,6 +49,24 @@ def test_the_error_decides_what_is_solved(error, solved):
     assert is_solved(dataclasses.replace(VERDICT, error=error, exact=False)) is solved
 
 
+def view(elapsed, error, evaluations):
+    its = VariableView(variable="label", lhs="label", epoch=1, normalized_error=error, point_evaluations=evaluations)
+    return JobView(
+        job="a", name="b", state="running", seed=0, preset="paper", submitted="", elapsed=elapsed, workers=2,
+        point_evaluations=evaluations, variables=(its,),
+    )  # fmt: skip
+
+
+def test_each_level_is_taken_when_it_is_first_passed():
+    passings = Passings()
+    for elapsed, error, evaluations in [(1.0, None, 10), (2.0, 5e-3, 20), (3.0, 4e-3, 30), (4.0, 1e-3, 40)]:
+        passings.look(view(elapsed, error, evaluations))
+    assert passings.passed == {1e-2: (2.0, 20), 1e-3: (4.0, 40)}
+
+
 def test_evaluations_stand_beside_the_papers():
-    (_, row) = beside_the_paper([dataclasses.replace(VERDICT, case="lv2", point_evaluations=11_000_000)]).splitlines()
-    assert row.split()[-2:] == ["1.10e+08", "0.1"]
+    verdict = dataclasses.replace(VERDICT, case="lv2", point_evaluations=11_000_000)
+    heads, row = beside_the_paper([(verdict, Passings({1e-2: (0.25, 5_000_000)}))]).splitlines()
+    assert row.split()[:5] == ["lv2", "0", "yes", "1.0e-10", "1.10e+07"]
+    assert row.split()[5:] == ["0.25", "5.00e+06", "-", "-", "-", "-", "1.1", "1.10e+08"]
+    assert heads.index("paper s") == row.index("1.1 ", 50)
