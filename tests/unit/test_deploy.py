@@ -1,0 +1,169 @@
+"""Image and compose file, as far as they can be judged without a container engine: syntax, and fit with the programs."""
+
+import ast
+import fnmatch
+import json
+import pkgutil
+import re
+import shlex
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from common import jit
+from common.wire.addresses import Address, parse_address
+from coordinator.cli import arguments
+from island_worker import cli as worker_cli
+from tests.unit.documents import PROGRAMS, ROOT
+
+INSTRUCTIONS = {"FROM", "WORKDIR", "COPY", "RUN", "ENV", "USER", "EXPOSE", "CMD"}
+
+Instruction = tuple[str, str]
+
+
+@pytest.fixture(scope="module")
+def compose() -> dict[str, Any]:
+    return dict(yaml.safe_load((ROOT / "docker-compose.yml").read_text("utf-8")))
+
+
+@pytest.fixture(scope="module")
+def image() -> list[Instruction]:
+    """Return the instructions of the Dockerfile with their arguments, continued lines joined."""
+    lines = (ROOT / "deploy" / "Dockerfile").read_text("utf-8").splitlines()
+    text = "\n".join(line for line in lines if not line.lstrip().startswith("#"))
+    joined = re.sub(r"\\\n\s*", "", text)
+    pairs = [line.split(maxsplit=1) for line in joined.splitlines() if line.strip()]
+    return [(name, rest) for name, rest in pairs]
+
+
+def of(image: list[Instruction], name: str) -> list[str]:
+    return [rest for each, rest in image if each == name]
+
+
+def environment(image: list[Instruction]) -> dict[str, str]:
+    return dict(word.split("=", 1) for rest in of(image, "ENV") for word in shlex.split(rest))
+
+
+def interpolated(text: str) -> str:
+    """Put in the defaults of ``${NAME:-default}``."""
+    return re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", text)
+
+
+def parsed(command: list[str]) -> Namespace:
+    """Return the options of a command as its program reads them; raises UsageError."""
+    assert command[0] in PROGRAMS
+    return arguments.parse(command[1:]) if command[0] == "coordinator" else worker_cli._parse(command[1:])
+
+
+def listen(compose: dict[str, Any]) -> Address:
+    return parse_address(parsed(compose["services"]["coordinator"]["command"]).listen)
+
+
+def test_compose_starts_a_coordinator_that_others_can_reach(compose: dict[str, Any]) -> None:
+    options = parsed(compose["services"]["coordinator"]["command"])
+    assert options.verb == "serve"
+    assert listen(compose).host == "0.0.0.0"
+    (published,) = compose["services"]["coordinator"]["ports"]
+    host, outside, inside = interpolated(published).split(":")
+    assert host == "127.0.0.1", "whoever reaches the port can use it, so that it is opened on request only"
+    assert int(outside) == int(inside) == listen(compose).port
+
+
+def test_compose_workers_dial_the_coordinator_and_are_one_process_each(compose: dict[str, Any]) -> None:
+    worker = compose["services"]["worker"]
+    address = parse_address(worker["environment"]["ATOLL_CONNECT"])
+    assert address == Address("tcp", "coordinator", listen(compose).port)
+    options = parsed(worker["command"])
+    assert options.processes == 1, "--scale says how many"
+    assert "container_name" not in worker, "a name could be given to one container only"
+    assert "ports" not in worker
+
+
+def test_compose_commands_inside_the_coordinator_need_no_address(compose: dict[str, Any]) -> None:
+    connect = parse_address(compose["services"]["coordinator"]["environment"]["ATOLL_CONNECT"])
+    assert connect.port == listen(compose).port
+
+
+def test_compose_keeps_state_and_kernels_in_named_volumes(compose: dict[str, Any], image: list[Instruction]) -> None:
+    mounts = {name: dict(each.split(":") for each in its["volumes"]) for name, its in compose["services"].items()}
+    assert {volume for its in mounts.values() for volume in its} == set(compose["volumes"])
+    assert mounts["coordinator"]["state"] == parsed(compose["services"]["coordinator"]["command"]).state
+    for its in mounts.values():
+        assert its["kernels"] == environment(image)["ATOLL_KERNEL_CACHE"]
+
+
+def test_compose_builds_the_one_image_that_both_services_use(compose: dict[str, Any]) -> None:
+    images = {its["image"] for its in compose["services"].values()}
+    builds = [its["build"] for its in compose["services"].values() if "build" in its]
+    assert len(images) == len(builds) == 1
+    assert (ROOT / builds[0]["context"] / builds[0]["dockerfile"]).is_file()
+
+
+def test_the_image_has_known_instructions_and_a_python_that_will_do(image: list[Instruction]) -> None:
+    assert {name for name, _ in image} <= INSTRUCTIONS
+    assert image[0][0] == "FROM"
+    base = re.fullmatch(r"python:3\.(\d+)-slim", image[0][1])
+    assert base
+    assert int(base[1]) >= 11
+
+
+def test_the_image_copies_what_is_there_and_not_ignored(image: list[Instruction]) -> None:
+    sources = [source for rest in of(image, "COPY") for source in rest.split()[:-1]]
+    assert {"pyproject.toml", "README.md", "LICENSE", "common", "coordinator", "island_worker"} == set(sources)
+    assert [source for source in sources if not (ROOT / source).exists()] == []
+    assert [source for source in sources if is_ignored(source)] == []
+    assert is_ignored(".venv")
+    assert is_ignored("tests")
+
+
+def is_ignored(path: str) -> bool:
+    """Say whether the last pattern of .dockerignore that fits a path at the top leaves it out."""
+    ignored = False
+    for line in (ROOT / ".dockerignore").read_text("utf-8").splitlines():
+        pattern = line.strip().removeprefix("!")
+        if pattern and not pattern.startswith("#") and fnmatch.fnmatch(path, pattern):
+            ignored = not line.startswith("!")
+    return ignored
+
+
+def test_the_image_installs_as_root_and_runs_as_somebody_else(image: list[Instruction]) -> None:
+    names = [name for name, _ in image]
+    (user,) = of(image, "USER")
+    assert user not in ("root", "0")
+    installs = next(place for place, (name, rest) in enumerate(image) if name == "RUN" and "pip install" in rest)
+    made = next(place for place, (name, rest) in enumerate(image) if name == "RUN" and "useradd" in rest)
+    assert installs < made < names.index("USER")
+    assert user in shlex.split(image[made][1])
+
+
+def test_the_image_owns_the_folders_that_are_written(compose: dict[str, Any], image: list[Instruction]) -> None:
+    owned = next(rest for rest in of(image, "RUN") if "chown" in rest).split("chown", 1)[1].split()
+    written = {each.split(":")[1] for its in compose["services"].values() for each in its["volumes"]}
+    assert written <= set(owned)
+
+
+def test_the_kernel_cache_is_where_the_image_says(image: list[Instruction], monkeypatch: pytest.MonkeyPatch) -> None:
+    cache = environment(image)["ATOLL_KERNEL_CACHE"]
+    monkeypatch.setenv("ATOLL_KERNEL_CACHE", cache)
+    assert jit.cache_directory().parent == Path(cache)
+
+
+def test_python_in_the_image_names_what_exists(image: list[Instruction]) -> None:
+    scripts = re.findall(r"python -c (?:\"([^\"]*)\"|'([^']*)')", " ".join(of(image, "RUN")))
+    imports = [
+        node for pair in scripts for node in ast.walk(ast.parse("".join(pair))) if isinstance(node, ast.ImportFrom)
+    ]
+    names = [f"{node.module}:{alias.name}" for node in imports for alias in node.names]
+    assert "island_worker.warmup:warm_up" in names
+    for name in names:
+        assert callable(pkgutil.resolve_name(name))
+
+
+def test_the_image_exposes_the_port_and_shows_help_by_itself(compose: dict[str, Any], image: list[Instruction]) -> None:
+    assert of(image, "EXPOSE") == [str(listen(compose).port)]
+    (command,) = of(image, "CMD")
+    with pytest.raises(SystemExit, match="0"):
+        parsed(json.loads(command))
