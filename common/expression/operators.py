@@ -56,7 +56,7 @@ OPERATORS: Final = (
     Operator(SQUARE, "square", 1),
     Operator(NEGATE, "neg", 1),
 )
-"""Indexed by code. pow(x, y): x > 0, or x = 0 < y, or x < 0 with integer y; elsewhere NaN."""
+"""Indexed by code. pow(x, y): x > 0, or x = 0 <= y, or x < 0 with integer y; elsewhere NaN."""
 
 ARITY: Final = tuple(operator.arity for operator in OPERATORS)
 BY_NAME: Final = {operator.name: operator for operator in OPERATORS if operator.arity > 0}

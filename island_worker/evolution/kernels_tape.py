@@ -3,7 +3,7 @@
 import numpy as np
 
 from common.expression.kernels import forward_block
-from common.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, VARIABLE
+from common.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, SQUARE, VARIABLE
 from common.jit import inlined, kernel
 from island_worker.evolution.structures import Bytes, Floats, Ints, Shorts, Tape
 
@@ -53,7 +53,8 @@ def compile_tape(code: Bytes, left: Shorts, right: Shorts, constants: Floats, ta
 @inlined
 def _same(tape: Tape, i: int, op: int, left: int, right: int, constant: float) -> bool:
     return (tape.code[i] == op and tape.left[i] == left and tape.right[i] == right) and (
-        op != CONSTANT or tape.constants[i] == constant
+        op != CONSTANT
+        or (tape.constants[i] == constant and np.signbit(tape.constants[i]) == np.signbit(np.float64(constant)))
     )
 
 
@@ -74,8 +75,8 @@ def _append(tape: Tape, count: int, op: int, left: int, right: int, constant: fl
 def canonical_tape(source: Tape, length: int, work_values: Floats, tape: Tape) -> int:
     """Fold constants and duplicates of `source` (`length` nodes) onto `tape`; return the number of nodes.
 
-    Operands of + and * are put in order, so that x + y and y + x are one node. Folding may leave nodes that nobody
-    needs; a second pass over the live ones removes them. `source` and `tape` must differ.
+    Operands of + and * are put in order and a square is a product, so that equal values are one node. Folding may leave
+    nodes that nobody needs; a second pass over the live ones removes them. `source` and `tape` must differ.
     """
     count = 0
     place = source.origin
@@ -84,6 +85,8 @@ def canonical_tape(source: Tape, length: int, work_values: Floats, tape: Tape) -
         arity = ARITY_OF[op]
         left = place[source.left[i]] if arity > 0 else source.left[i]
         right = place[source.right[i]] if arity > 1 else 0
+        if op == SQUARE:
+            op, arity, right = np.int64(MULTIPLY), np.int64(2), left
         if op in (ADD, MULTIPLY) and left > right:
             left, right = right, left
         constant = source.constants[i]

@@ -2,7 +2,7 @@
 
 NaN rules: nothing is protected. An operator gives what IEEE 754 gives; where the mathematics has no value (log of a
 negative number, 0/0, sqrt of a negative number) the value is NaN, and NaN and infinity travel on as IEEE 754 says.
-sin and cos beyond |x| > 1e5 are NaN. pow(x, y) has a value for x > 0, for x = 0 < y, and for x < 0 with a whole y.
+sin and cos beyond |x| > 1e5 are NaN. pow(x, y) has a value for x > 0, for x = 0 <= y, and for x < 0 with a whole y.
 """
 
 import math
@@ -64,7 +64,7 @@ def _sqrt(a: float, _: float) -> float:
 
 
 def _pow(a: float, b: float) -> float:
-    if a > 0.0 or (a == 0.0 and b > 0.0) or (a < 0.0 and math.isfinite(b) and b == math.floor(b)):
+    if a > 0.0 or (a == 0.0 and b >= 0.0) or (a < 0.0 and math.isfinite(b) and b == math.floor(b)):
         try:
             return math.pow(a, b)
         except OverflowError:

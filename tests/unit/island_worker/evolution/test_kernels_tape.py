@@ -1,0 +1,114 @@
+"""From lists to tapes to canonical programs, against the definitions and against the simplification of programs."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+
+from common.expression.algebra import complexity, simplify_program
+from common.expression.operators import ADD, ARITY, DIVIDE, MULTIPLY, SQUARE, SUBTRACT, VARIABLE
+from island_worker.evolution.kernels_tape import canonical_tape, compile_tape, mark_live
+from island_worker.evolution.structures import empty_tape, empty_work
+from tests.oracles.programs import program_of
+from tests.oracles.tapes import SPACE, list_of, live_nodes, node_values, program_on, tape_of
+from tests.property.programs import NAMES, ROWS, programs
+
+X, Y = (VARIABLE, 0), (VARIABLE, 1)
+QUICK = settings(max_examples=200, deadline=None, derandomize=True, database=None)
+
+
+@pytest.fixture(autouse=True)
+def _quiet():
+    with np.errstate(all="ignore"):
+        yield
+
+
+def canonical(program):
+    source, count = tape_of(program)
+    tape = empty_tape(SPACE)
+    return program_on(tape, canonical_tape(source, count, empty_work(SPACE, 1).values, tape))
+
+
+def compiled(program):
+    lists, tape = list_of(program), empty_tape(SPACE)
+    return tape, compile_tape(lists.code[0], lists.left[0], lists.right[0], lists.constants[0], tape)
+
+
+def assert_same_bits(one, other, row):
+    inputs = np.array(row)[:, None]
+    found, expected = (node_values(program, inputs)[-1] for program in (one, other))
+    np.testing.assert_array_equal(found, expected)
+    assert np.signbit(found) == np.signbit(expected) or np.isnan(found)
+
+
+@QUICK
+@given(programs())
+def test_live_nodes_are_those_that_the_output_depends_on(program):
+    lists, live = list_of(program), np.zeros(len(program), np.int64)
+    count = mark_live(lists.code[0], lists.left[0], lists.right[0], live)
+    assert np.flatnonzero(live > 0).tolist() == live_nodes(program)
+    assert count == len(live_nodes(program))
+
+
+@QUICK
+@given(programs(), ROWS)
+def test_a_tape_holds_the_live_nodes_in_order_and_has_their_values(program, row):
+    tape, count = compiled(program)
+    assert tape.origin[:count].tolist() == live_nodes(program)
+    assert tape.live[tape.origin[:count]].tolist() == list(range(count))
+    on_tape = program_on(tape, count)
+    on_tape.validate(len(NAMES))
+    inputs = np.array(row)[:, None]
+    np.testing.assert_array_equal(node_values(on_tape, inputs), node_values(program, inputs)[live_nodes(program)])
+
+
+@QUICK
+@given(programs(), ROWS)
+def test_the_canonical_tape_keeps_every_bit_and_has_only_live_and_different_nodes(program, row):
+    simple = canonical(program)
+    simple.validate(len(NAMES))
+    assert live_nodes(simple) == list(range(len(simple)))
+    assert_same_bits(simple, program, row)
+
+
+@QUICK
+@given(programs())
+def test_the_canonical_tape_has_the_complexity_of_the_program(program):
+    """The simplification of programs folds nothing that is not finite, the tape does: those are left out here."""
+    values = node_values(program, np.zeros((len(NAMES), 1)))[:, 0]
+    depends_on_input = np.zeros(len(program), bool)
+    for node, code in enumerate(program.operators):
+        parts = (program.left[node], program.right[node])[: ARITY[code]]
+        depends_on_input[node] = code == VARIABLE or depends_on_input[list(parts)].any()
+    assume(np.isfinite(values[~depends_on_input]).all())
+    assert len(canonical(program)) == complexity(program)
+
+
+@QUICK
+@given(programs(), ROWS)
+def test_what_is_canonical_stays_so(program, row):
+    simple = canonical(program)
+    assert canonical(simple) == simple
+    assert_same_bits(simplify_program(simple), program, row)
+
+
+def test_sums_and_products_are_the_same_in_either_order_but_differences_are_not():
+    both = [X, Y, (ADD, 0, 1), (ADD, 1, 0), (MULTIPLY, 2, 3)]
+    assert len(canonical(program_of(both))) == 4
+    both = [X, Y, (SUBTRACT, 0, 1), (SUBTRACT, 1, 0), (MULTIPLY, 2, 3)]
+    assert len(canonical(program_of(both))) == 5
+
+
+def test_a_square_is_a_product_with_itself():
+    assert len(canonical(program_of([X, (SQUARE, 0), (MULTIPLY, 0, 0), (ADD, 1, 2)]))) == 3
+
+
+def test_zeros_of_different_sign_are_different_constants():
+    nodes = [0.0, -0.0, X, (DIVIDE, 2, 0), (DIVIDE, 2, 1), (ADD, 3, 4)]
+    assert len(canonical(program_of(nodes))) == 6
+
+
+def test_constants_are_folded_through_and_through():
+    nodes = [2.0, 3.0, (ADD, 0, 1), (MULTIPLY, 2, 2), X, (SUBTRACT, 4, 3)]
+    found = canonical(program_of(nodes))
+    assert len(found) == 3
+    assert 25.0 in found.constants
