@@ -1,6 +1,8 @@
 """What does not change during an island's life: the problem's rows, the space, and how fits and measures are made."""
 
 import math
+import threading
+from functools import lru_cache
 
 import numpy as np
 
@@ -15,6 +17,7 @@ from island_worker.evolution.structures import (
     Coevolving,
     Fit,
     Rows,
+    Scratch,
     Space,
     empty_lists,
     empty_scratch,
@@ -22,6 +25,8 @@ from island_worker.evolution.structures import (
 )
 
 LEAST_INNER = 2
+"""Constants inside terms that may be fitted on few rows all the same, beyond a quarter of their number (ADR 0005)."""
+
 EXACT_TARGET = 1e-9
 """Normalized error below which an equation counts as found when nothing else is asked for."""
 
@@ -52,7 +57,9 @@ class Setting:
         self.rows = self.every
         if self.coevolving.enabled:
             self.rows = Rows(np.zeros((variables, padded(sample))), np.zeros(padded(sample)), sample)
-        self.scratch = empty_scratch(evolution.population, self.space.nodes, variables, self.sample, rows)
+        self.scratch = _shared_scratch(
+            threading.get_ident(), evolution.population, self.space.nodes, variables, self.sample, rows
+        )
 
     def gather(self, coevolution: Coevolution) -> None:
         """Fill `rows` with those of the best predictor; nothing to do while predictors are off."""
@@ -74,6 +81,16 @@ class Setting:
             best=np.zeros(1, np.int64),
             clock=np.zeros(1, np.int64),
         )
+
+
+@lru_cache(maxsize=4)
+def _shared_scratch(thread: int, population: int, nodes: int, variables: int, sample: int, rows: int) -> Scratch:
+    """Return the scratch arrays of all islands of one shape that a thread advances, one at a time.
+
+    They hold nothing between two calls of a kernel, and with 100,000 rows they weigh 40 MB.
+    """
+    del thread  # only tells scratch arrays of different threads apart
+    return empty_scratch(population, nodes, variables, sample, rows)
 
 
 def target_error(config: JobConfig, floor: float) -> float:
