@@ -1,4 +1,4 @@
-"""Image and compose file, as far as they can be judged without a container engine: syntax, and fit with the programs."""
+"""Image and compose file, as far as they can be judged without a container engine: syntax, and fit with programs."""
 
 import ast
 import fnmatch

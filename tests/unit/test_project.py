@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 import common
+from common.config import PRESETS
 from coordinator.cli import arguments, exits
 from coordinator.cli.options import job_config
 from island_worker import cli as worker_cli
@@ -100,6 +101,13 @@ def test_the_job_file_in_the_readme_is_understood(tmp_path: Path) -> None:
     (tmp_path / "job.toml").write_text(text)
     config = job_config(arguments.parse(["run", "x.csv", "--config", str(tmp_path / "job.toml")]))
     assert config.model_dump(exclude_defaults=True) == tomllib.loads(text)
+
+
+def test_the_readme_says_when_searches_end() -> None:
+    budget, paper = PRESETS["default"].budget, PRESETS["paper"].budget
+    text = " ".join(DOCUMENTS["README.md"].split())
+    assert f"none has improved for {budget.stagnation} epochs, or after {budget.max_epochs} epochs" in text
+    assert f"({paper.stagnation} and {paper.max_epochs} with preset `paper`)" in text
 
 
 def test_the_readme_shows_every_command() -> None:
