@@ -64,7 +64,9 @@ def _sqrt(a: float, _: float) -> float:
 
 
 def _pow(a: float, b: float) -> float:
-    if a > 0.0 or (a == 0.0 and b >= 0.0) or (a < 0.0 and math.isfinite(b) and b == math.floor(b)):
+    if math.isnan(a) or math.isnan(b):
+        return NAN
+    if a > 0.0 or (a == 0.0 and b >= 0.0) or (a < 0.0 and (math.isinf(b) or b % 1.0 == 0.0)):
         try:
             return math.pow(a, b)
         except OverflowError:
