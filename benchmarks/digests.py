@@ -141,7 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _outcomes(system: str, options: argparse.Namespace, folder: Path) -> list[Outcome]:
     data = folder / f"{system}.csv"
-    write_csv(data, trajectories(system, options.step, options.seed))
+    write_csv(data, trajectories(system, options.step, options.seed, options.noise))
     numbers = itertools.count()
 
     def search(way: Way) -> dict[str, object]:
@@ -185,6 +185,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.digests", description=__doc__.split("\n")[0])
     parser.add_argument("--system", choices=TABLE_III, action="append", help="repeat for several (lotka_volterra)")
     parser.add_argument("--step", type=float, default=0.1, help="sampling step (%(default)s)")
+    parser.add_argument("--noise", type=float, default=0.0, help="share of each state's deviation (%(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of data and search (%(default)s)")
     parser.add_argument("--epochs", type=int, default=4, help="length of each search (%(default)s)")
     parser.add_argument("--out", type=Path, help="file for all figures as JSON")

@@ -110,7 +110,9 @@ class Report:
         converged = sum(verdict.converged for verdict in self.verdicts)
         seconds = sorted({(each.case, each.seed): each.seconds for each in self.verdicts}.values())
         times = f"median {seconds[len(seconds) // 2]:.2f} s, longest {seconds[-1]:.2f} s" if seconds else "no search"
-        return f"{found} of {len(self.verdicts)} found, {converged} converged; {times}; load {load():.1f}"
+        exact, singular = sum(each.exact for each in self.verdicts), sum(each.is_singular for each in self.verdicts)
+        counts = f"{found} of {len(self.verdicts)} found: {exact} exact in form, {singular} flagged as singular"
+        return f"{counts}; {converged} converged; {times}; load {load():.1f}"
 
     def _write(self) -> None:
         if self._out is None:

@@ -1,9 +1,10 @@
 """A coordinator and workers as processes of this machine, for benchmarks that search many times.
 
 Starting them and loading kernels takes seconds, so that is done once, and before any time is taken. Whatever happens,
-the processes end with the ``with`` block.
+the processes end with the ``with`` block, or with this process.
 """
 
+import os
 import subprocess
 import sys
 import uuid
@@ -30,6 +31,15 @@ KERNELS_LIMIT_S: Final = 600.0
 
 STOP_LIMIT_S: Final = 5.0
 _LOOK_S: Final = 0.1
+_TIED_COORDINATOR: Final = """
+import sys
+from coordinator.cli.main import main
+from island_worker.processes import end_with_parent
+end_with_parent(int(sys.argv[1]))
+sys.exit(main(sys.argv[2:]))
+"""
+"""The coordinator's program, which ends also when this process is killed, as workers do by themselves."""
+
 _SAY_S: Final = 15.0
 
 
@@ -131,7 +141,7 @@ def searching(workers: int, environment: dict[str, str] | None = None) -> Iterat
 
 def _serve_command(folder: Path) -> Sequence[str]:
     options = ["--listen", "tcp/127.0.0.1:0", "--state", str(folder / "state")]
-    return [sys.executable, "-m", "coordinator", "serve", *options]
+    return [sys.executable, "-c", _TIED_COORDINATOR, str(os.getpid()), "serve", *options]
 
 
 def _address(coordinator: subprocess.Popen[str], log: Path) -> str:
