@@ -1,7 +1,7 @@
 """Making the kernels ready before work comes: compiled once per machine, loaded from the cache everywhere else.
 
 Of several processes that find nothing compiled, one compiles while the others wait and then load. What has been
-compiled is marked by a file beside the cache, one for each kind of processor and version of the compiler.
+compiled is marked by a file beside the cache, one for each kind of processor, version of the compiler and checkout.
 """
 
 import contextlib
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Report = Callable[[str], None]
 
+_ROOT: Final = Path(__file__).resolve().parent.parent
 _ROWS: Final = 40
 _SETTINGS: Final = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_OPT", "NUMBA_BOUNDSCHECK")
 
@@ -88,11 +89,17 @@ def _small_problem() -> "Problem":
 
 
 def _machine() -> str:
-    """Return a name for everything, apart from the kernels' source, that machine code depends on."""
-    parts = [platform.python_version(), platform.machine(), _processor()]
+    """Return a name for everything, apart from the text of the kernels, by which numba finds its machine code."""
+    parts = [*_stamps(), platform.python_version(), platform.machine(), _processor()]
     parts += [_version(name) for name in ("numba", "llvmlite", "numpy")]
     parts += [f"{name}={os.environ.get(name, '')}" for name in _SETTINGS]
     return hashlib.blake2b("\n".join(parts).encode(), digest_size=8).hexdigest()
+
+
+def _stamps() -> list[str]:
+    """Return place and time of the kernels' sources: numba compiles anew what was moved, copied or written again."""
+    files = [_ROOT / "common" / "seeding.py", *sorted(_ROOT.glob("*/*/kernels*.py"))]
+    return [f"{file} {file.stat().st_mtime_ns}" for file in files]
 
 
 def _processor() -> str:

@@ -8,6 +8,7 @@ import pytest
 
 from common import jit
 from common.errors import AtollError
+from island_worker import warmup
 from island_worker.warmup import warm_up
 
 
@@ -55,6 +56,17 @@ def test_another_processor_is_another_first_time(monkeypatch: pytest.MonkeyPatch
     assert len(said) == 2
 
 
+def test_a_copy_of_the_sources_elsewhere_is_another_first_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The machine code of one checkout is not found from another, however equal the sources."""
+    said: list[str] = []
+    warm_up(said.append, Exercise())
+    (tmp_path / "common").mkdir()
+    (tmp_path / "common" / "seeding.py").write_text("")
+    monkeypatch.setattr(warmup, "_ROOT", tmp_path)
+    warm_up(said.append, Exercise())
+    assert len(said) == 2
+
+
 def test_who_comes_while_another_compiles_waits_and_then_loads(cache: Path) -> None:
     cache.mkdir(parents=True)
     said: list[str] = []
@@ -78,8 +90,6 @@ def test_who_comes_while_another_compiles_waits_and_then_loads(cache: Path) -> N
 
 
 def _marker_names() -> list[str]:
-    from island_worker import warmup
-
     return [f"ready-{warmup._machine()}"]
 
 
