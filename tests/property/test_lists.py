@@ -1,0 +1,169 @@
+"""What must hold of every list that evolution makes: acyclic, evaluable, from the space it was drawn from."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from common.expression.operators import BY_NAME
+from common.seeding import Stream
+from island_worker.evolution.formula import from_tape, to_program
+from island_worker.evolution.kernels_random import below, next_bits, normal, uniform
+from island_worker.evolution.kernels_tape import compile_tape, mark_live
+from island_worker.evolution.kernels_variation import cross, distance, mutate, random_constant
+from island_worker.evolution.structures import Space, empty_lists, empty_tape
+from tests.oracles import variation as oracle
+from tests.oracles.spaces import random_lists, space_of, stream_of
+from tests.oracles.tapes import node_values
+
+QUICK = settings(max_examples=100, deadline=None, derandomize=True, database=None)
+SEEDS = st.integers(0, 2**64 - 1)
+
+
+@pytest.fixture(autouse=True)
+def _quiet():
+    """With the JIT off kernels meet numpy's warnings, the generator's among them: it counts modulo 2**64."""
+    with np.errstate(all="ignore"):
+        yield
+
+
+@st.composite
+def spaces(draw: st.DrawFn) -> Space:
+    names = draw(st.lists(st.sampled_from(sorted(BY_NAME)), min_size=1, max_size=6, unique=True))
+    return space_of(
+        tuple(names),
+        terminals=draw(st.integers(1, 9)),
+        operators=draw(st.integers(1, 30)),
+        variables=draw(st.integers(1, 4)),
+        scales=draw(st.sampled_from([(), (1.0,), (1024.0, 2.0**-20)])),
+        mutation=draw(st.sampled_from([0.0, 0.05, 1.0])),
+        crossover=draw(st.sampled_from([0.0, 0.75, 1.0])),
+    )
+
+
+def assert_sound(lists, space):
+    for p in range(lists.code.shape[0]):
+        assert not oracle.problems(lists, p, space)
+        tape = empty_tape(space.nodes)
+        count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
+        program = to_program(from_tape(tape, count))
+        program.validate(space.variables)
+        assert node_values(program, np.ones((space.variables, 1))).shape == (count, 1)
+
+
+def bits(lists):
+    return [column.tobytes() for column in lists]
+
+
+@QUICK
+@given(spaces(), SEEDS)
+def test_random_lists_are_sound_and_begin_as_they_stand(space, seed):
+    lists = random_lists(3, space, seed)
+    assert_sound(lists, space)
+    assert (lists.scale == [0.0, 1.0, 0.0, 0.0, 0.0]).all()
+    assert np.isfinite(lists.constants).all()
+    assert bits(lists) == bits(random_lists(3, space, seed))
+
+
+@QUICK
+@given(spaces(), SEEDS)
+def test_mutants_are_sound_and_their_terminals_stay_terminals(space, seed):
+    lists, stream = random_lists(2, space, seed), stream_of(seed)
+    before = bits(lists)
+    for _ in range(3):
+        mutate(lists, 0, space, stream)
+    assert_sound(lists, space)
+    if space.mutation == 0.0:
+        assert bits(lists) == before
+
+
+@QUICK
+@given(spaces(), SEEDS)
+def test_children_are_sound_and_those_of_the_definition(space, seed):
+    parents, children = random_lists(2, space, seed), empty_lists(2, space.nodes)
+    parents.scale[:] = np.arange(10.0).reshape(2, 5)
+    cross(children, parents, 0, 1, space, stream_of(seed))
+    assert_sound(children, space)
+    cut = oracle.cut_of(Stream(seed), space)
+    expected = oracle.crossed(oracle.nodes_of(parents, 0), oracle.nodes_of(parents, 1), cut)
+    assert (oracle.nodes_of(children, 0), oracle.nodes_of(children, 1)) == expected
+    np.testing.assert_array_equal(children.scale, parents.scale)
+
+
+def live_flags(lists, p):
+    live = np.zeros(lists.code.shape[1], np.int64)
+    mark_live(lists.code[p], lists.left[p], lists.right[p], live)
+    return live
+
+
+@QUICK
+@given(spaces(), SEEDS)
+def test_distance_is_that_of_the_definition(space, seed):
+    lists = random_lists(2, space, seed)
+    other = empty_lists(2, space.nodes)
+    cross(other, lists, 0, 1, space, stream_of(seed))
+    for two, q in ((lists, 1), (other, 0), (other, 1), (lists, 0)):
+        found = distance(lists, 0, live_flags(lists, 0), two, q, live_flags(two, q))
+        assert found == oracle.distance(oracle.nodes_of(lists, 0), oracle.nodes_of(two, q))
+        assert found == distance(two, q, live_flags(two, q), lists, 0, live_flags(lists, 0))
+    assert found == 0
+
+
+@QUICK
+@given(spaces(), SEEDS)
+def test_the_value_of_a_constant_makes_no_distance(space, seed):
+    lists = random_lists(2, space, seed)
+    for name in ("code", "left", "right"):
+        getattr(lists, name)[1] = getattr(lists, name)[0]
+    assert distance(lists, 0, live_flags(lists, 0), lists, 1, live_flags(lists, 1)) == 0
+
+
+@QUICK
+@given(SEEDS, st.integers(1, 2**31))
+def test_the_kernels_generator_is_the_one_of_common_seeding(seed, bound):
+    mine, theirs = stream_of(seed), Stream(seed)
+    for _ in range(5):
+        assert int(next_bits(mine)) == theirs.bits()
+        assert int(below(mine, bound)) == theirs.below(bound)
+        assert float(uniform(mine)) == theirs.uniform()
+
+
+def test_normal_numbers_are_normal():
+    stream = stream_of(1)
+    drawn = np.array([normal(stream) for _ in range(20_000)])
+    assert abs(drawn.mean()) < 0.03
+    assert abs(drawn.std() - 1.0) < 0.03
+    assert abs((abs(drawn) < 1.96).mean() - 0.95) < 0.01
+
+
+def test_constants_without_scales_are_uniform_on_minus_ten_to_ten():
+    space, stream = space_of(scales=()), stream_of(2)
+    drawn = np.array([random_constant(space, stream) for _ in range(4000)])
+    assert -10.0 <= drawn.min() < -9.9
+    assert 9.9 < drawn.max() <= 10.0
+    assert abs(drawn.mean()) < 0.4
+
+
+def test_constants_with_scales_have_the_magnitudes_of_their_products():
+    """With one scale: a quarter each over it and times it, the rest as they are; each log-uniform over two decades."""
+    space, stream = space_of(scales=(2.0**20,)), stream_of(3)
+    drawn = np.array([random_constant(space, stream) for _ in range(8000)])
+    powers = np.log2(abs(drawn)) / 20.0
+    assert abs((powers < -0.5).mean() - 0.25) < 0.03
+    assert abs((powers > 0.5).mean() - 0.25) < 0.03
+    assert abs((drawn > 0.0).mean() - 0.5) < 0.03
+    plain = abs(drawn[abs(powers) < 0.5])
+    assert 0.1 <= plain.min() < 0.11
+    assert 9.5 < plain.max() <= 10.0
+
+
+@pytest.mark.parametrize("mutation", [0.05, 0.5])
+def test_nodes_change_about_as_often_as_asked(mutation):
+    """Some changes draw what was there before, so that a little less is seen."""
+    space = space_of(mutation=mutation, variables=4)
+    lists, stream = random_lists(200, space, 7), stream_of(8)
+    before = [column.copy() for column in lists]
+    for p in range(200):
+        mutate(lists, p, space, stream)
+    changed = np.any([old != new for old, new in zip(before[:4], lists[:4], strict=True)], axis=0)
+    assert 0.8 * mutation < changed.mean() < 1.1 * mutation
