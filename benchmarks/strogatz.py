@@ -4,8 +4,8 @@
 name of `PUBLISHED`, and ``truth.json``, which maps each name to the true expression. A file counts as solved when the
 normalized error is below `SOLVED`, whether or not the form is exact; both are printed.
 
-``--preset paper --max-time 300 --target-error 1e-3`` is the algorithm of Table II with nothing added: its constants
-are only drawn and mutated, so that how far it gets depends on what counts as found.
+``--preset paper --to-the-end --max-time 300 --target-error 1e-3`` is the algorithm of Table II with nothing added: its
+constants are only drawn and mutated, so that how far it gets depends on what counts as found.
 """
 
 import argparse
@@ -28,6 +28,9 @@ from coordinator.data.prepare import prepare
 from coordinator.data.readers import read_table
 
 SOLVED: Final = 1e-4
+NEVER: Final = 10**9
+"""More epochs than any search has."""
+
 LEVELS: Final = (1e-2, 1e-3, 1e-4)
 """Normalized errors at whose first passing seconds and point evaluations are taken."""
 
@@ -55,7 +58,10 @@ PUBLISHED: Final = {
 def configured(options: argparse.Namespace, seed: int) -> JobConfig:
     """Return the configuration of one search."""
     config = PRESETS[options.preset]
-    budget = config.budget.model_copy(update={"max_time": options.max_time, "target_error": options.target_error})
+    limits = {"max_time": options.max_time, "target_error": options.target_error}
+    if options.to_the_end:
+        limits |= {"stagnation": NEVER, "max_epochs": NEVER}
+    budget = config.budget.model_copy(update=limits)
     data = config.data.model_copy(update={"target": LABEL})
     return config.model_copy(update={"seed": seed, "budget": budget, "data": data})
 
@@ -152,6 +158,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--file", choices=PUBLISHED, action="append", help="repeat for several; default: all 14")
     parser.add_argument("--preset", choices=PRESETS, default="default")
     parser.add_argument("--target-error", type=float, help="normalized error at which a search ends")
+    parser.add_argument("--to-the-end", action="store_true", help="use all of --max-time, also without progress")
     add_common(parser, "0-2", 60.0)
     return parser
 

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from benchmarks.strogatz import PUBLISHED, Passings, beside_the_paper, is_solved, main, truths
+from benchmarks.strogatz import PUBLISHED, Passings, _parser, beside_the_paper, configured, is_solved, main, truths
 from common.errors import DataError
 from common.wire.views import JobView, VariableView
 from tests.unit.benchmarks.verdicts import VERDICT
@@ -42,6 +42,14 @@ def test_the_published_sums_are_those_of_the_paper():
     seconds, evaluations = (sum(column) for column in zip(*PUBLISHED.values(), strict=True))
     assert seconds == pytest.approx(589.7, abs=1.0)
     assert evaluations == pytest.approx(59.6e9, rel=0.01)
+
+
+@pytest.mark.parametrize("words", [[], ["--to-the-end"]])
+def test_a_search_may_go_on_without_progress(words):
+    options = _parser().parse_args(["--data", "d", "--max-time", "300", "--target-error", "1e-3", *words])
+    budget = configured(options, 3).budget
+    assert (budget.max_time, budget.target_error) == (300.0, 1e-3)
+    assert (budget.stagnation > 10**6) is bool(words)
 
 
 @pytest.mark.parametrize(("error", "solved"), [(9e-5, True), (1.1e-4, False), (None, False)])
