@@ -98,8 +98,7 @@ def _machine() -> str:
 
 def _stamps() -> list[str]:
     """Return place and time of the kernels' sources: numba compiles anew what was moved, copied or written again."""
-    files = [_ROOT / "common" / "seeding.py", *sorted(_ROOT.glob("*/*/kernels*.py"))]
-    return [f"{file} {file.stat().st_mtime_ns}" for file in files]
+    return [f"{file} {file.stat().st_mtime_ns}" for file in sorted(_ROOT.glob("*/*/kernels*.py"))]
 
 
 def _processor() -> str:

@@ -60,8 +60,6 @@ def test_a_copy_of_the_sources_elsewhere_is_another_first_time(tmp_path: Path, m
     """The machine code of one checkout is not found from another, however equal the sources."""
     said: list[str] = []
     warm_up(said.append, Exercise())
-    (tmp_path / "common").mkdir()
-    (tmp_path / "common" / "seeding.py").write_text("")
     monkeypatch.setattr(warmup, "_ROOT", tmp_path)
     warm_up(said.append, Exercise())
     assert len(said) == 2
