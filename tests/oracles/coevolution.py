@@ -1,0 +1,39 @@
+"""Slow, obvious versions of what predictors and trainers are judged by."""
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from common.dataset import FloatArray
+from island_worker.evolution.formula import from_tape, to_program
+from island_worker.evolution.kernels_tape import compile_tape
+from island_worker.evolution.structures import Fit, Lists, Rows, empty_tape
+from tests.oracles.tapes import node_values
+
+
+def losses(lists: Lists, p: int, rows: Rows, options: Fit) -> FloatArray:
+    """Return the loss of individual `p`, taken as one term with its scaling (`options.terms` 0), at every row."""
+    tape = empty_tape(lists.code.shape[1])
+    count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
+    values = node_values(to_program(from_tape(tape, count)), rows.inputs[:, : rows.length])
+    differences = np.abs(lists.scale[p, 0] + lists.scale[p, 1] * values[-1] - rows.target[: rows.length])
+    return differences if options.loss == 0 else differences**2
+
+
+def predicted(losses_by_row: FloatArray, chosen: Iterable[int]) -> float:
+    """Return the loss that the rows `chosen` predict."""
+    return float(np.mean([losses_by_row[row] for row in chosen]))
+
+
+def quality(losses_of_trainers: Sequence[FloatArray], chosen: Sequence[int]) -> float:
+    """Return the mean absolute difference of predicted and exact loss over trainers whose exact loss is finite."""
+    differences = [
+        abs(predicted(each, chosen) - float(np.mean(each))) for each in losses_of_trainers if np.isfinite(np.mean(each))
+    ]
+    return float(np.mean(differences)) if differences else math.inf
+
+
+def disagreement(losses_by_row: FloatArray, predictors: Sequence[Sequence[int]]) -> float:
+    """Return the variance of what the predictors predict for one individual."""
+    return float(np.var([predicted(losses_by_row, chosen) for chosen in predictors]))

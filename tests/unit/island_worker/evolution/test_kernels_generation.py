@@ -1,0 +1,148 @@
+"""A generation: pairing, crowding, counting, and what is left of an individual once its constants are fitted."""
+
+import numpy as np
+import pytest
+
+from common.expression.operators import CONSTANT
+from common.seeding import Stream
+from island_worker.evolution.kernels_generation import (
+    FITTING,
+    OFFSPRING,
+    PARTS,
+    REEVALUATION,
+    develop,
+    generation,
+    output_of,
+    remeasure,
+)
+from island_worker.evolution.kernels_variation import cross, mutate
+from island_worker.evolution.structures import Fit, empty_lists, empty_scratch, padded_rows
+from tests.oracles import fitting
+from tests.oracles import variation as oracle
+from tests.oracles.spaces import random_lists, space_of, stream_of
+
+POPULATION, ROWS = 16, 24
+SPACE = space_of(variables=2)
+FITTED, PLAIN = Fit(4, 3, 2, 0), Fit(0, 0, 2, 0)
+
+
+@pytest.fixture(autouse=True)
+def _quiet():
+    with np.errstate(all="ignore"):
+        yield
+
+
+class Arena:
+    """A population on some rows, with all that a generation needs."""
+
+    def __init__(self, options=FITTED, seed=1):
+        random = np.random.default_rng(seed)
+        inputs = random.uniform(0.5, 3.0, (2, ROWS))
+        self.options = options
+        self.rows = padded_rows(inputs, inputs[0] * inputs[1] + np.sin(inputs[0]) + 0.1 * random.normal(size=ROWS))
+        self.lists = random_lists(POPULATION, SPACE, seed)
+        self.fitness = np.full(POPULATION, np.inf)
+        self.scratch = empty_scratch(POPULATION, SPACE.nodes, 2, ROWS, ROWS)
+        self.counters = np.zeros(len(PARTS), np.int64)
+        self.stream = stream_of(seed)
+        self.remeasure()
+
+    def remeasure(self):
+        s = self.scratch
+        remeasure(self.lists, self.fitness, self.rows, self.options, s.tape, s.work, s.result, self.counters)
+
+    def develop(self, lists, p, part=OFFSPRING):
+        s = self.scratch
+        return develop(lists, p, self.rows, self.options, s.tape, s.work, s.result, self.counters, part)
+
+    def generation(self):
+        generation(self.lists, self.fitness, SPACE, self.options, self.rows, self.scratch, self.stream, self.counters)
+
+    def output(self, p):
+        output_of(self.lists, p, self.rows, self.options, self.scratch.tape, self.scratch.work)
+        return self.scratch.work.output[:ROWS].copy()
+
+    def members(self):
+        return [oracle.Member(oracle.nodes_of(self.lists, p), float(self.fitness[p])) for p in range(POPULATION)]
+
+
+@pytest.mark.parametrize("options", [FITTED, PLAIN])
+def test_fitness_is_the_error_of_the_individual_as_it_stands(options):
+    """What is kept of an individual, constants and scaling, gives the very output that was measured."""
+    arena = Arena(options)
+    for _ in range(5):
+        arena.generation()
+    for p in np.flatnonzero(np.isfinite(arena.fitness)):
+        expected = fitting.errors(arena.output(p), arena.rows.target[:ROWS])[0]
+        assert arena.fitness[p] == pytest.approx(expected, rel=1e-12)
+
+
+def test_squared_errors_are_the_fitness_where_that_is_the_loss():
+    arena = Arena(Fit(4, 3, 2, 1))
+    for p in np.flatnonzero(np.isfinite(arena.fitness)):
+        expected = fitting.errors(arena.output(p), arena.rows.target[:ROWS])[1]
+        assert arena.fitness[p] == pytest.approx(expected, rel=1e-11)
+
+
+def test_developing_changes_live_constants_only():
+    arena = Arena()
+    before = random_lists(POPULATION, SPACE, 1)
+    for p in range(POPULATION):
+        live = oracle.live_of(oracle.nodes_of(before, p))
+        for i, (old, new) in enumerate(zip(oracle.nodes_of(before, p), oracle.nodes_of(arena.lists, p), strict=True)):
+            assert old[:3] == new[:3]
+            assert old[3] == new[3] or (i in live and old[0] == CONSTANT)
+
+
+def test_a_preset_without_fits_changes_no_constant():
+    arena = Arena(PLAIN)
+    for column, before in zip(arena.lists, random_lists(POPULATION, SPACE, 1), strict=True):
+        np.testing.assert_array_equal(column, before)
+
+
+def test_evaluations_are_counted_by_part():
+    arena = Arena(PLAIN)
+    assert dict(zip(PARTS, arena.counters.tolist(), strict=True)) == {
+        "offspring": 0, "reevaluation": POPULATION * ROWS, "constant_fitting": 0, "refitting": 0, "coevolution": 0,
+    }  # fmt: skip
+    arena.generation()
+    assert arena.counters[OFFSPRING] == POPULATION * ROWS
+    assert arena.counters[FITTING] == 0
+
+
+def test_fitting_counts_apart_and_at_most_three_for_a_row_and_step():
+    arena = Arena()
+    assert arena.counters[REEVALUATION] == POPULATION * ROWS
+    assert 0 < arena.counters[FITTING] <= POPULATION * ROWS * 3 * FITTED.steps
+    assert arena.counters[FITTING] % ROWS == 0
+
+
+@pytest.mark.parametrize("options", [FITTED, PLAIN])
+def test_a_generation_is_that_of_the_definition(options):
+    """Parents at random in pairs; two children each; the child that is no worse than the parent it resembles stays."""
+    arena, reference = Arena(options), Arena(options)
+    for _ in range(3):
+        stream, before = Stream(int(arena.stream[0])), arena.members()
+        arena.generation()
+        after = arena.members()
+        order = stream.permutation(POPULATION)
+        children = empty_lists(2, SPACE.nodes)
+        for first, second in zip(order[::2], order[1::2], strict=True):
+            cross(children, reference.lists, first, second, SPACE, reference_stream := stream_of(stream._state))
+            fits = []
+            for q in range(2):
+                mutate(children, q, SPACE, reference_stream)
+                fits.append(float(reference.develop(children, q)))
+            stream = Stream(int(reference_stream[0]))
+            born = tuple(oracle.Member(oracle.nodes_of(children, q), fits[q]) for q in range(2))
+            assert (after[first], after[second]) == oracle.survivors((before[first], before[second]), born)
+        for mine, theirs in zip(reference.lists, arena.lists, strict=True):
+            mine[...] = theirs
+
+
+def test_nobody_s_place_is_ever_taken_by_someone_worse():
+    arena = Arena()
+    for _ in range(10):
+        before = arena.fitness.copy()
+        arena.generation()
+        assert (arena.fitness <= before).all()
