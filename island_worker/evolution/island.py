@@ -222,14 +222,30 @@ class Island:
         made = cls(problem, config, island)
         try:
             for name, mine in made._state_arrays().items():
+                if (arrays[name].shape, arrays[name].dtype.kind) != (mine.shape, mine.dtype.kind):
+                    raise ValueError(f"{name} has shape {arrays[name].shape}, expected {mine.shape}")
                 mine[...] = arrays[name]
             made.epoch = int(header["epoch"])
             made._front.replace(FrontEntry(*entry) for entry in header["front"])
         except (KeyError, ValueError, TypeError) as error:
             raise RemoteProtocolError(f"the state of an island does not fit its job: {error}") from error
+        made._check()
         made._retrain()
         made._start_epoch()
         return made
+
+    def _check(self) -> None:
+        """Raise RemoteProtocolError unless all nodes and rows that kernels will follow exist; at epoch 0 none are."""
+        setting, its = self._setting, self._coevolution
+        if self.epoch == 0:
+            return
+        migration.check_nodes(self._lists, setting.space, setting.allowed)
+        if not setting.coevolving.enabled:
+            return
+        migration.check_nodes(its.trainers, setting.space, setting.allowed)
+        rows_exist = ((its.predictors >= 0) & (its.predictors < setting.every.length)).all()
+        if not (rows_exist and 0 <= its.best[0] < len(its.quality)):
+            raise RemoteProtocolError("the predictors in the state of an island name rows that do not exist")
 
     def _retrain(self) -> None:
         """Bring back the trainers' losses by row, which follow from the trainers; not counted again."""

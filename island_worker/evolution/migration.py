@@ -6,6 +6,7 @@ The permutation is drawn from (seed, variable, epoch), so that every island know
 
 from collections.abc import Mapping
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,9 @@ from common.wire.codec import decode_arrays, encode_arrays
 from island_worker.evolution.structures import MOST_TERMS, Lists, Space, empty_lists
 
 Slots = npt.NDArray[np.int64]
+
+_KINDS: Final = {"slots": "i4", "code": "i1", "left": "i4", "right": "i4", "constants": "f8", "scale": "f8"}
+"""Types of the arrays of a block."""
 
 
 @lru_cache(maxsize=32)
@@ -87,20 +91,18 @@ def unpack(blocks: Mapping[int, bytes], population: int, space: Space, allowed: 
 
 def _parsed(block: bytes, space: Space, allowed: frozenset[int]) -> tuple[Slots, Lists]:
     _, arrays = decode_arrays(block)
-    try:
-        slots = arrays["slots"].astype(np.int64)
-        lists = Lists(*(arrays[name] for name in Lists._fields))
-    except KeyError as error:
-        raise RemoteProtocolError(f"a block of migrants has no {error}") from error
-    shape = (len(slots), space.nodes)
-    shapes = [column.shape for column in lists]
-    if slots.ndim != 1 or shapes != [shape] * 4 + [(len(slots), 1 + MOST_TERMS)]:
-        raise RemoteProtocolError(f"a block of migrants has shapes {shapes}, expected {shape}")
-    _check_nodes(lists, space, allowed)
+    count = arrays["slots"].size if "slots" in arrays else 0
+    shapes = {"slots": (count,), "scale": (count, 1 + MOST_TERMS)}
+    expected = {name: (kind, shapes.get(name, (count, space.nodes))) for name, kind in _KINDS.items()}
+    found = {name: (array.dtype.str[1:], array.shape) for name, array in arrays.items()}
+    if found != expected:
+        raise RemoteProtocolError(f"a block of migrants holds {found}, expected {expected}")
+    slots, lists = arrays["slots"].astype(np.int64), Lists(*(arrays[name] for name in Lists._fields))
+    check_nodes(lists, space, allowed)
     return slots, lists
 
 
-def _check_nodes(lists: Lists, space: Space, allowed: frozenset[int]) -> None:
+def check_nodes(lists: Lists, space: Space, allowed: frozenset[int]) -> None:
     """Raise RemoteProtocolError unless every list is acyclic and uses only the operators of the job."""
     index = np.arange(space.nodes)
     is_terminal = index < space.terminals
@@ -112,7 +114,7 @@ def _check_nodes(lists: Lists, space: Space, allowed: frozenset[int]) -> None:
     fits &= (lists.left >= 0) & (lists.left < limit) & (lists.right >= 0)
     fits &= lists.right < np.where(is_terminal, 1, index)
     if not fits.all():
-        raise RemoteProtocolError("a migrant has a node that no list of this job can have")
+        raise RemoteProtocolError("a list has a node that no list of this job can have")
 
 
 def operator_codes(names: tuple[str, ...]) -> list[int]:

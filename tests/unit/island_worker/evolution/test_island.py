@@ -1,0 +1,252 @@
+"""An island's epoch is a pure function of its state, its immigrants, the problem, the configuration and the seed."""
+
+import os
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from common.config import (
+    BudgetConfig,
+    EvolutionConfig,
+    JobConfig,
+    MigrationConfig,
+    PredictorConfig,
+    SpaceConfig,
+)
+from common.dataset import Problem, Target
+from common.errors import LocalProtocolError, RemoteProtocolError
+from common.expression.algebra import complexity
+from common.expression.program import Program
+from common.wire.codec import decode_arrays, encode_arrays
+from island_worker.evolution.island import Island, receivers, senders
+from tests.archipelago import advance, reshuffle, search
+from tests.oracles import fitting
+from tests.oracles.tapes import node_values
+
+ROOT = Path(__file__).resolve().parents[4]
+
+
+def problem_of(rows=60, truth=None):
+    """Return a problem over two variables; by default one that no equation of the space solves."""
+    number = np.arange(rows)
+    x, y = 0.5 + number * 37 % 41 / 20.0, 0.25 + number * 29 % 43 / 25.0
+    values = np.sqrt(x * y + 1.0) / (x + y) if truth is None else truth(x, y)
+    return Problem(("x", "y"), np.stack([x, y]), Target("x", "dx/dt", values, 0.0, float(values.std())))
+
+
+def config_of(seed=3, islands=2, population=16, generations=30, rows=8, **changes):
+    fields = {
+        "seed": seed,
+        "space": SpaceConfig(terminals=7),
+        "evolution": EvolutionConfig(islands=islands, population=population),
+        "predictors": PredictorConfig(rows=rows, effort=0.2, renewal=5),
+        "migration": MigrationConfig(generations=generations),
+        "budget": BudgetConfig(target_error=1e-300),
+    }
+    return JobConfig(**{**fields, **changes})
+
+
+PROBLEM, CONFIG = problem_of(), config_of()
+
+
+def run(config=CONFIG, problem=PROBLEM, epochs=2, stride=10):
+    return search(problem, config, epochs, stride)
+
+
+def test_the_same_seed_gives_the_same_answer_and_another_seed_another():
+    assert run() == run()
+    assert not set(run().digests) & set(run(config_of(seed=4)).digests)
+
+
+def test_islands_of_one_seed_differ():
+    digests = run().digests
+    assert len(set(digests)) == len(digests) == 4
+
+
+@pytest.mark.parametrize("stride", [1, 7, 100])
+def test_it_does_not_matter_in_how_many_steps_an_epoch_is_done(stride):
+    assert run(stride=stride) == run(stride=10)
+
+
+@pytest.mark.parametrize("generations", [10, 25, 33])
+def test_offers_are_made_at_intervals_and_at_the_epoch_s_end(generations):
+    outcome = run(config_of(generations=generations)).outcomes[0]
+    assert {entry.generation for entry in outcome.additions} <= {10, 20, 30, generations}
+    assert outcome.generations == generations
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+@pytest.mark.parametrize("is_predicted", [True, False])
+def test_an_island_written_and_read_between_epochs_goes_on_with_the_same_bits(preset, is_predicted):
+    """All that can influence later bits or counters is in its bytes."""
+    evolution = EvolutionConfig(islands=2, population=16)
+    if preset == "paper":
+        evolution = evolution.model_copy(update={"constant_fit_steps": 0, "linear_terms": 0, "scaled_constants": False})
+    config = config_of(evolution=evolution, preset=preset, predictors=PredictorConfig(rows=8, enabled=is_predicted))
+    islands = [Island(PROBLEM, config, number) for number in range(2)]
+    for _ in range(3):
+        islands = [Island.from_bytes(each.to_bytes(), PROBLEM, config, k) for k, each in enumerate(islands)]
+        ended = [advance(island) for island in islands]
+        reshuffle(islands, config, "x")
+    assert tuple(ended) == run(config, epochs=3).outcomes[-2:]
+
+
+def test_bytes_are_the_same_after_reading_and_writing():
+    island = Island(PROBLEM, CONFIG, 0)
+    other = Island(PROBLEM, CONFIG, 1)
+    for each in (island, other):
+        advance(each)
+    reshuffle([island, other], CONFIG, "x")
+    data = island.to_bytes()
+    assert Island.from_bytes(data, PROBLEM, CONFIG, 0).to_bytes() == data
+
+
+def without(data, name):
+    header, arrays = decode_arrays(data)
+    return encode_arrays(header, {key: array for key, array in arrays.items() if key != name})
+
+
+def with_array(data, name, array):
+    header, arrays = decode_arrays(data)
+    return encode_arrays(header, {**arrays, name: array})
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda data: b"",
+        lambda data: data[:-1],
+        lambda data: without(data, "fitness"),
+        lambda data: with_array(data, "fitness", np.zeros(3)),
+        lambda data: with_array(data, "fitness", np.zeros(1)),
+        lambda data: with_array(data, "list code", np.full((16, 32), 99, np.int8)),
+        lambda data: with_array(data, "trainer left", np.full((8, 32), 31, np.int32)),
+        lambda data: with_array(data, "predictors", np.full((8, 8), 60, np.int64)),
+        lambda data: with_array(data, "best", np.array([8])),
+        lambda data: encode_arrays({}, decode_arrays(data)[1]),
+        lambda data: encode_arrays({"epoch": 1, "front": [[1, 2]]}, decode_arrays(data)[1]),
+    ],
+)
+def test_a_state_that_does_not_fit_is_refused(spoil):
+    island = Island(PROBLEM, config_of(islands=1), 0)
+    advance(island)
+    reshuffle([island], config_of(islands=1), "x")
+    with pytest.raises(RemoteProtocolError):
+        Island.from_bytes(spoil(island.to_bytes()), PROBLEM, config_of(islands=1), 0)
+
+
+def test_an_island_that_refused_immigrants_is_unchanged():
+    islands = [Island(PROBLEM, CONFIG, number) for number in range(2)]
+    for island in islands:
+        advance(island)
+    sent = [island.emigrants() for island in islands]
+    before, outcome = islands[0].emigrants(), islands[0].outcome()
+    for blocks in ({}, {0: sent[0][0]}, {0: sent[0][0], 1: b"x"}, {0: sent[0][0], 1: sent[0][0]}):
+        with pytest.raises(RemoteProtocolError):
+            islands[0].immigrate(blocks)
+        assert islands[0].epoch == 0
+        assert islands[0].emigrants() == before
+        assert islands[0].outcome() == outcome
+    reshuffle(islands, CONFIG, "x")
+    assert advance(islands[0]) == run().outcomes[2]
+
+
+def test_methods_out_of_turn_are_our_own_mistake():
+    island = Island(PROBLEM, CONFIG, 0)
+    with pytest.raises(LocalProtocolError):
+        island.immigrate({})
+    island.advance(10)
+    with pytest.raises(LocalProtocolError):
+        island.to_bytes()
+
+
+@pytest.mark.parametrize("field", ["predictors", "space"])
+def test_what_must_be_resolved_beforehand_is_named(field):
+    with pytest.raises(LocalProtocolError, match="not resolved"):
+        Island(PROBLEM, config_of(**{field: getattr(JobConfig(), field)}), 0)
+
+
+@pytest.mark.parametrize("loss", ["mae", "rmse"])
+def test_every_addition_was_measured_on_all_rows(loss):
+    config = config_of(evolution=EvolutionConfig(islands=2, population=16, loss=loss))
+    additions = [entry for outcome in run(config).outcomes for entry in outcome.additions]
+    assert len(additions) > 5
+    for entry in additions:
+        program = Program.from_bytes(entry.program, 2)
+        with np.errstate(all="ignore"):
+            absolute, squared = fitting.errors(node_values(program, PROBLEM.inputs)[-1], PROBLEM.target.values)
+        assert entry.complexity == complexity(program)
+        assert entry.mse == pytest.approx(squared, rel=1e-12)
+        assert entry.error == pytest.approx(absolute if loss == "mae" else squared**0.5, rel=1e-12)
+
+
+def test_additions_improve_the_island_s_own_front_in_the_order_they_were_found():
+    for number in range(2):
+        front = []
+        for outcome in run(epochs=3).outcomes[number::2]:
+            for entry in outcome.additions:
+                assert (entry.epoch, entry.island) == (outcome.epoch, number)
+                assert all(entry.error < each.error for each in front if each.complexity <= entry.complexity)
+                front.append(entry)
+            assert outcome.best_error == pytest.approx(min(e.error for e in front) / PROBLEM.target.deviation)
+
+
+def test_evaluations_are_cumulative_and_the_coevolution_s_share_stays_small():
+    config = config_of(predictors=PredictorConfig(rows=8, effort=0.05, renewal=5))
+    outcomes = run(config, problem_of(rows=400), epochs=4).outcomes[::2]
+    for one, two in pairwise(outcomes):
+        assert all(two.evaluations[part] >= one.evaluations[part] for part in one.evaluations)
+    spent = outcomes[-1].evaluations
+    one_renewal = 16 * 8 * 8 + 400
+    assert 0 < spent["coevolution"] <= 0.05 * sum(spent.values()) + one_renewal
+
+
+def test_few_rows_switch_predictors_off():
+    outcome = run(problem=problem_of(rows=16)).outcomes[0]
+    assert outcome.evaluations["coevolution"] == 0
+    assert outcome.evaluations["offspring"] == (30 + 1) * 16 * 16
+
+
+def test_an_island_that_meets_the_target_stops_there():
+    problem = problem_of(truth=lambda x, y: 3.0 * x - x * x - 2.0 * x * y)
+    config = config_of(population=64, generations=100, rows=16, budget=BudgetConfig(target_error=1e-9))
+    found = search(problem, config, 20)
+    assert found.has_hit
+    hit = next(outcome for outcome in found.outcomes if outcome.hit)
+    assert hit.hit.error <= 1e-9
+    assert hit.hit.generation == hit.generations
+    assert hit.best_error == hit.hit.error
+    assert found.front[-1].error <= 1e-9 * problem.target.deviation
+
+
+def test_no_entry_is_more_complex_than_allowed():
+    config = config_of(space=SpaceConfig(terminals=7, max_size=5))
+    assert max(entry.complexity for entry in run(config).front) <= 5
+
+
+def test_who_sends_is_who_is_waited_for():
+    config = config_of(islands=6, population=4)
+    for island in range(6):
+        assert island not in senders(config, "x", 0, island)
+        assert all(island in receivers(config, "x", 0, source) for source in senders(config, "x", 0, island))
+
+
+TINY = """
+import numpy, sys
+numpy.seterr(all="ignore")
+from tests.unit.island_worker.evolution.test_island import config_of, run
+sys.stdout.write(" ".join(run(config_of(population=8, generations=5)).digests))
+"""
+
+
+def test_interpreted_kernels_give_the_bits_of_the_compiled_ones():
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    finished = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", TINY], cwd=ROOT, env=environment, capture_output=True, text=True
+    )
+    assert finished.returncode == 0, finished.stderr
+    assert finished.stdout.split() == run(config_of(population=8, generations=5)).digests
