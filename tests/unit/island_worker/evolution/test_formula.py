@@ -1,0 +1,102 @@
+"""Coefficients worked into a program, and what is left when one part of it goes."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from common.expression.operators import ADD, ARITY, MULTIPLY, SIN, SUBTRACT, VARIABLE
+from common.expression.parse import from_infix
+from common.expression.text import to_infix
+from island_worker.evolution.formula import (
+    combined,
+    from_program,
+    from_tape,
+    onto_tape,
+    reductions,
+    to_program,
+)
+from island_worker.evolution.structures import empty_tape
+from tests.oracles.programs import program_of
+from tests.oracles.tapes import node_values
+from tests.property.programs import NAMES, programs
+
+QUICK = settings(max_examples=150, deadline=None, derandomize=True, database=None)
+X, Y = (VARIABLE, 0), (VARIABLE, 1)
+INPUTS = np.random.default_rng(0).uniform(0.5, 2.0, (len(NAMES), 5))
+COEFFICIENTS = st.lists(st.sampled_from([0.0, 1.0, -1.0, 2.5, -0.25]), min_size=4, max_size=4)
+
+
+@pytest.fixture(autouse=True)
+def _quiet():
+    with np.errstate(all="ignore"):
+        yield
+
+
+@QUICK
+@given(programs())
+def test_a_formula_goes_to_a_program_and_a_tape_and_back(program):
+    formula, tape = from_program(program), empty_tape(len(program))
+    assert to_program(formula) == program
+    assert from_tape(tape, onto_tape(formula, tape)) == formula
+
+
+@QUICK
+@given(programs(constants=st.floats(-5.0, 5.0)), COEFFICIENTS, st.sampled_from([0.0, 1.5, -2.0]), st.data())
+def test_a_combination_is_worth_what_it_says(program, coefficients, shift, data):
+    node = st.integers(0, len(program) - 1)
+    terms = data.draw(st.lists(node, max_size=4, unique=True))
+    found = to_program(combined(from_program(program), terms, coefficients[: len(terms)], shift))
+    found.validate(len(NAMES))
+    values = node_values(program, INPUTS)
+    expected = np.full(INPUTS.shape[1], shift)
+    for term, a in zip(terms, coefficients, strict=False):
+        if a != 0.0:
+            expected = expected + a * values[term]
+    np.testing.assert_allclose(node_values(found, INPUTS)[-1], expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "shift", "expected"),
+    [
+        ([1.0, 1.0], 0.0, "x + y"),
+        ([1.0, -1.0], 0.0, "x - y"),
+        ([-1.0, 1.0], 0.0, "y - x"),
+        ([-2.0, 3.0], 0.0, "3.0*y - 2.0*x"),
+        ([0.0, 3.0], 0.0, "3.0*y"),
+        ([2.0, 0.0], 1.5, "2.0*x + 1.5"),
+        ([0.0, 0.0], 1.5, "1.5"),
+        ([0.0, 0.0], 0.0, "0.0"),
+    ],
+)
+def test_combinations_read_as_a_person_would_write_them(coefficients, shift, expected):
+    formula = combined(from_program(program_of([X, Y])), [0, 1], coefficients, shift)
+    assert to_infix(from_infix(expected, ("x", "y")), ("x", "y")) == to_infix(to_program(formula), ("x", "y"))
+
+
+@QUICK
+@given(programs())
+def test_reductions_are_sound_and_every_operator_gives_way_to_each_argument_and_to_a_constant(program):
+    formula = from_program(program)
+    found = list(reductions(formula))
+    expected = 0
+    for node in formula:
+        expected += 0 if ARITY[node.code] == 0 else 2 if ARITY[node.code] == 1 or node.left == node.right else 3
+    assert len(found) == expected
+    for each in found:
+        to_program(each).validate(len(NAMES))
+
+
+def test_reductions_of_a_sum_are_its_arguments_and_a_constant_from_the_output_down():
+    found = [to_program(each) for each in reductions(from_program(program_of([X, Y, (ADD, 0, 1)])))]
+    values = [node_values(program, [[3.0], [5.0]])[-1, 0] for program in found]
+    assert values == [3.0, 5.0, 1.0]
+
+
+def test_a_reduction_turns_every_use_of_the_node():
+    """sin(x) * y + sin(x): without its sine, x * y + x."""
+    nodes = [X, Y, (SIN, 0), (MULTIPLY, 2, 1), (ADD, 3, 2), (SUBTRACT, 4, 1)]
+    found = [
+        node_values(to_program(each), [[3.0], [5.0]])[-1, 0] for each in reductions(from_program(program_of(nodes)))
+    ]
+    assert 3.0 * 5.0 + 3.0 - 5.0 in found
