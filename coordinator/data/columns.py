@@ -88,6 +88,7 @@ def resolve(table: Table, config: DataConfig) -> Roles:
     for name in sorted(mentioned(config)):
         check_known(name, table)
     roles = _resolved(table.names, config)
+    _check_time(roles, table)
     _check_equations(roles, config)
     _check_angles(roles, config)
     return roles
@@ -156,6 +157,13 @@ def _is_free(name: str, config: DataConfig) -> bool:
     """Say whether a column called t or time may be the time: as an input it may, with another part it may not."""
     other = (config.target, config.trajectory, *(config.states or ()), *(config.derivatives or ()))
     return name not in other
+
+
+def _check_time(roles: Roles, table: Table) -> None:
+    """Raise DataError when there is a time, but as text."""
+    name = next((name for name in TIME_NAMES if name in table.skipped), None)
+    if name is not None and roles.time is None and roles.target is None and not roles.derivatives:
+        raise DataError(f"column '{name}' of {table.files[0]} holds text, such as dates; convert it to numbers first")
 
 
 def _check_equations(roles: Roles, config: DataConfig) -> None:

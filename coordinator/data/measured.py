@@ -86,7 +86,7 @@ def _remarks(table: Table, roles: Roles, rows: list[int], config: DataConfig) ->
     """Return sentences about choices that the user may not expect."""
     remarks = []
     if table.skipped:
-        remarks.append(f"Columns of text are not used: {', '.join(table.skipped)}.")
+        remarks.append(f"Columns of text or without a name are not used: {', '.join(table.skipped)}.")
     if roles.target is not None and config.states is None and not config.inputs:
         left = [name for name in ("t", "time") if name in table.names and name not in roles.used]
         remarks += [f"Column '{name}' is taken for time and not used; add --inputs {name} to use it." for name in left]

@@ -9,6 +9,7 @@ import io
 import math
 import re
 import textwrap
+import zipfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -142,6 +143,8 @@ def _parquet_rows(path: Path) -> _Rows:
     for series in frame.get_columns():
         if series.dtype.is_temporal():
             raise DataError(f"column '{series.name}' of {path.name} holds dates or times; convert it to numbers first")
+        if series.dtype.is_nested():
+            raise DataError(f"column '{series.name}' of {path.name} holds lists or structures; write one number a cell")
         plain = series.cast(polars.Float64) if series.dtype.is_numeric() else series.cast(polars.String, strict=False)
         columns.append(["" if value is None else str(value) for value in plain.to_list()])
     return _with_breaks(tuple(frame.columns), columns)
@@ -149,10 +152,11 @@ def _parquet_rows(path: Path) -> _Rows:
 
 def _npz_rows(path: Path) -> _Rows:
     try:
+        zipfile.ZipFile(path).close()  # whatever is none is found out here: np.load would leave it open
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: np.asarray(archive[name]) for name in archive.files}
-    except ValueError as error:
-        raise DataError(f"{path.name} is not an NPZ file of plain arrays: {error}") from error
+    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise DataError(f"{path.name} is not an NPZ file of plain arrays; write one with numpy.savez") from error
     lengths = {array.shape for array in arrays.values()}
     if len(lengths) != 1 or len(next(iter(lengths))) != 1:
         raise DataError(f"{path.name} holds arrays of shapes {sorted(lengths)}; one-dimensional ones of one length fit")
@@ -169,7 +173,7 @@ def _with_breaks(headers: tuple[str, ...], columns: list[list[str]]) -> _Rows:
 
 
 def _table_of(file: str, rows: _Rows, config: DataConfig) -> Table:
-    """Turn cells into numbers; a column without a name (such as a spreadsheet's row numbers) is set aside."""
+    """Turn cells into numbers; a column without a name (such as a table's row numbers) is set aside, by its place."""
     named = [
         (split_unit(_on_one_line(header)), cells)
         for header, cells in zip(rows.headers, rows.columns, strict=True)
@@ -184,7 +188,8 @@ def _table_of(file: str, rows: _Rows, config: DataConfig) -> Table:
     config = without_units(config, names)
     needed, trajectory = mentioned(config), trajectory_name(names, config)
     kept: list[tuple[str, str, list[float]]] = []
-    skipped = []
+    places = enumerate(zip(rows.headers, rows.columns, strict=True), start=1)
+    skipped = [f"column {place}" for place, (header, cells) in places if not header and any(map(str.strip, cells))]
     for (name, unit), cells in named:
         if _is_text(cells) and name != trajectory and name not in needed:
             skipped.append(name)

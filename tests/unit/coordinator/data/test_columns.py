@@ -90,3 +90,9 @@ def test_columns_that_are_not_there_are_refused(names, options, message):
     with pytest.raises(DataError) as raised:
         roles(names, **options)
     assert message in str(raised.value)
+
+
+def test_a_time_column_of_text_is_named():
+    table = table_of({"x": [0.0, 1.0]}, skipped=("t",))
+    with pytest.raises(DataError, match=r"column 't' of a\.csv holds text"):
+        resolve(table, DataConfig())

@@ -152,5 +152,5 @@ def test_an_angle_that_only_makes_full_turns_is_constant():
 def test_columns_of_text_and_unused_time_are_remarked():
     table = table_of(oscillator(), skipped=("who",))
     warnings = measured(table, DataConfig(target="y")).warnings
-    assert warnings[0] == "Columns of text are not used: who."
+    assert warnings[0] == "Columns of text or without a name are not used: who."
     assert warnings[1] == "Column 't' is taken for time and not used; add --inputs t to use it."

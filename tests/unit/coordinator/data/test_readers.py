@@ -94,8 +94,10 @@ def test_columns_of_text_are_set_aside(read):
     assert table.skipped == ("who",)
 
 
-def test_columns_without_a_name_are_left_out(read):
-    assert read(",t,x\n0,0,1\n1,1,2\n").names == ("t", "x")
+def test_columns_without_a_name_are_set_aside_unless_empty(read):
+    table = read(",t,x,\n0,0,1,\n1,1,2,\n")
+    assert table.names == ("t", "x")
+    assert table.skipped == ("column 1",)
 
 
 @pytest.mark.parametrize("config", [DataConfig(), DataConfig(trajectory="trajectory")])
@@ -196,3 +198,17 @@ def test_text_in_numbers_of_parquet_is_named_by_row(tmp_path):
     polars.DataFrame({"t": ["0", "1", "x"]}).write_parquet(tmp_path / "a.parquet")
     with pytest.raises(DataError, match=r"column 't' of a.parquet holds 'x' in row 3 where a number is expected"):
         read_table([tmp_path / "a.parquet"], DataConfig())
+
+
+def test_lists_in_parquet_are_refused(tmp_path):
+    polars.DataFrame({"t": [0.0], "x": [[1.0, 2.0]]}).write_parquet(tmp_path / "a.parquet")
+    with pytest.raises(DataError, match=r"column 'x' of a\.parquet holds lists"):
+        read_table([tmp_path / "a.parquet"], DataConfig())
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"PK\x03\x04 and no more"])
+def test_an_npz_that_is_none_is_refused_without_advice_to_trust_it(tmp_path, content):
+    (tmp_path / "a.npz").write_bytes(content)
+    with pytest.raises(DataError, match=r"a\.npz is not an NPZ file of plain arrays") as caught:
+        read_table([tmp_path / "a.npz"], DataConfig())
+    assert "pickle" not in str(caught.value)
