@@ -36,7 +36,7 @@ class NoWorkerLeftError(AtollError):
 
 
 class Workers:
-    """Worker processes of this machine; a context manager that leaves none behind."""
+    """Worker processes of this machine; a context manager that leaves none behind, and kills them after an error."""
 
     def __init__(self, endpoint: str, number: int, log: Path) -> None:
         self.log = log
@@ -58,6 +58,8 @@ class Workers:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if kind is not None:  # one that is starting may hear nothing for seconds, and nothing is lost with it
+            self._kill()
         self.stop()
 
     def check(self) -> list[str]:
@@ -84,12 +86,16 @@ class Workers:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     process.wait(_STOP_LIMIT_S)
         finally:
+            self._kill()
             for process in self._processes.values():
-                process.kill()
                 process.wait()
             self._processes.clear()
             if self._file is not None:
                 self._file.close()
+
+    def _kill(self) -> None:
+        for process in self._processes.values():
+            process.kill()
 
     def _start(self, name: str) -> None:
         self._processes[name] = subprocess.Popen(
