@@ -33,6 +33,7 @@ EXIT_CODES: Final = (
 RESULT_FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
 DEFAULT_LISTEN: Final = "tcp/127.0.0.1:7447"
 DEFAULT_STATE: Final = "atoll-state"
+MOST_WORKERS: Final = 1024
 
 
 class _Parser(argparse.ArgumentParser):
@@ -124,7 +125,7 @@ def _add_run(verbs: Any) -> None:
     parser = _verb(verbs, "run", "search on this machine; nothing needs to be started beforehand")
     _add_job(parser)
     parser.add_argument(
-        "--workers", type=_positive, metavar="N", help="worker processes (default: one per core this process may use)"
+        "--workers", type=_workers, metavar="N", help="worker processes (default: one per core this process may use)"
     )
     parser.add_argument("--out", metavar="DIR", help="folder of result.json and the log (default: runs/JOB)")
 
@@ -230,7 +231,7 @@ def _add_budget(group: Any) -> None:
     )
 
 
-def _positive(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, but {text!r} was given")
+def _workers(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= MOST_WORKERS):
+        raise argparse.ArgumentTypeError(f"expected a whole number from 1 to {MOST_WORKERS}, but {text!r} was given")
     return int(text)

@@ -36,14 +36,14 @@ def job_config(options: argparse.Namespace) -> JobConfig:
     return config
 
 
-def names(text: str, option: str) -> tuple[str, ...]:
-    """Split ``x,y`` into column names; a name with a comma is written in double quotes."""
+def names(text: str, option: str, noun: str = "column") -> tuple[str, ...]:
+    """Split ``x,y`` into names, of columns or another `noun`; a name with a comma is written in double quotes."""
     parts = tuple(part.strip() for part in next(csv.reader([text], skipinitialspace=True), []))
     if not parts or not all(parts):
-        raise UsageError(f"{option} must be column names separated by commas, but {text!r} was given")
+        raise UsageError(f"{option} must be {noun} names separated by commas, but {text!r} was given")
     twice = next((part for part in parts if parts.count(part) > 1), None)
     if twice is not None:
-        raise UsageError(f"{option} names {twice!r} twice; name every column once")
+        raise UsageError(f"{option} names {twice!r} twice; name every {noun} once")
     return parts
 
 
@@ -61,11 +61,17 @@ def epochs(text: str, option: str = "--max-epochs") -> dict[str, Any]:
     for part in names(text, option):
         name, separator, number = part.rpartition("=")
         count = _whole(number, option)
+        if name in budget.get("max_epochs_of", {}) or (not separator and "max_epochs" in budget):
+            raise UsageError(f"{option} gives two numbers of epochs for {name or 'all equations'}; give one")
         if separator:
             budget.setdefault("max_epochs_of", {})[name] = count
         else:
             budget["max_epochs"] = count
     return budget
+
+
+def _operators(text: str, option: str) -> tuple[str, ...]:
+    return names(text, option, "operator")
 
 
 def _angle(text: str) -> dict[str, Any]:
@@ -106,7 +112,7 @@ _OPTIONS: Final[Mapping[str, tuple[str, _Reader]]] = {
     "order": ("data.order", _whole),
     "only": ("data.only", names),
     "missing": ("data.missing", _text),
-    "operators": ("space.operators", names),
+    "operators": ("space.operators", _operators),
     "max_size": ("space.max_size", _whole),
     "islands": ("evolution.islands", _whole),
     "max_time": ("budget.max_time", seconds),
@@ -198,6 +204,7 @@ def _check(config: JobConfig) -> None:
     _check_operators(config.space.operators)
     _check_modes(config.data)
     _check_columns(config.data)
+    _check_angles(config.data)
 
 
 def _check_operators(operators: Sequence[str]) -> None:
@@ -239,3 +246,11 @@ def _check_columns(data: DataConfig) -> None:
             first[column] = role
     if data.time is not None and first.get(data.time, "--inputs") != "--inputs":
         raise UsageError(f"{data.time!r} is named by both --time and {first[data.time]}; a column has one role")
+
+
+def _check_angles(data: DataConfig) -> None:
+    """Refuse an angle that is named twice, perhaps in two units."""
+    columns = [angle.column for angle in data.angles]
+    for column in columns:
+        if columns.count(column) > 1:
+            raise UsageError(f"--angle names {column!r} twice; name every angle once")

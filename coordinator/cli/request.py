@@ -87,9 +87,15 @@ def request_of(options: argparse.Namespace) -> Request:
     request = Request(job_id(options.id), name, job_config(options), files, options.json)
     for file in files:
         if not file.is_file():
-            found = "is a folder" if file.is_dir() else "does not exist"
+            found = _what_is_there(file)
             raise DataError(f"{file} {found}, but a CSV, TSV or Parquet file was expected; check the name")
     return request
+
+
+def _what_is_there(path: Path) -> str:
+    if path.is_dir():
+        return "is a folder"
+    return "is a pipe or a device" if path.exists() else "does not exist"
 
 
 def address_of(options: argparse.Namespace) -> str:

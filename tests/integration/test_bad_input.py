@@ -67,6 +67,11 @@ def test_bad_data_are_refused_with_one_sentence(run: Callable[..., str], text: s
     assert [word for word in words if word not in sentence] == []
 
 
+def test_a_device_is_not_called_missing(run: Callable[..., str], tmp_path: Path) -> None:
+    (tmp_path / "data.csv").symlink_to("/dev/null")
+    assert "a pipe or a device" in run(None)
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
