@@ -8,13 +8,17 @@ import struct
 import sys
 import threading
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from common import VERSION
+from common.errors import StoreError, UsageError
 from common.wire.addresses import Address, parse_address
 from coordinator.cli.exits import DONE
 from coordinator.cli.output import note, say
 from coordinator.cli.signals import stopping
+
+if TYPE_CHECKING:
+    from coordinator.service.store import Store
 
 _EVERYWHERE: Final = ("0.0.0.0", "::")
 _SIOCGIFADDR: Final = 0x8915
@@ -26,15 +30,24 @@ def serve(options: argparse.Namespace) -> int:
     configure_log()
     from common.wire.zenoh_bus import open_router
     from coordinator.service.service import Service
-    from coordinator.service.store import Store
 
     stop = threading.Event()
-    with stopping(stop), Store.open(Path(options.state)) as store, open_router(str(wanted)) as bus:
+    with stopping(stop), _opened(options.state) as store, open_router(str(wanted)) as bus:
         service = Service(bus, store)
         say(greeting(parse_address(bus.endpoint), options.state))
         service.run(stop)
     note("coordinator: stopped; jobs and results are kept")
     return DONE
+
+
+def _opened(state: str) -> "Store":
+    """Open the store in the folder `state`; raises UsageError when it cannot be used, since another could be named."""
+    from coordinator.service.store import Store
+
+    try:
+        return Store.open(Path(state))
+    except StoreError as error:
+        raise UsageError(str(error)) from error
 
 
 def configure_log() -> None:

@@ -65,7 +65,10 @@ class Lock:
             directory.mkdir(parents=True, exist_ok=True)
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
-            raise StoreError(f"the store {directory} cannot be written: {(error.strerror or '').lower()}") from error
+            reason = (error.strerror or "").lower()
+            raise StoreError(
+                f"the store {directory} cannot be written: {reason}; choose another directory with --state"
+            ) from error
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:

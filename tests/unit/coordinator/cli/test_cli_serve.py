@@ -1,5 +1,11 @@
 """What a coordinator says when it starts."""
 
+from argparse import Namespace
+from pathlib import Path
+
+import pytest
+
+from common.errors import UsageError
 from common.wire.addresses import parse_address
 from coordinator.cli import serve
 from coordinator.cli.serve import greeting, heard_on
@@ -25,3 +31,10 @@ def test_every_address_heard_on_is_named_when_listening_everywhere(monkeypatch) 
 
 def test_this_machine_hears_on_its_own_address() -> None:
     assert "127.0.0.1" in heard_on("0.0.0.0")
+
+
+def test_a_state_that_cannot_be_a_folder_is_bad_usage(tmp_path: Path) -> None:
+    place = tmp_path / "file"
+    place.write_text("")
+    with pytest.raises(UsageError, match="choose another directory with --state"):
+        serve.serve(Namespace(listen="tcp/127.0.0.1:0", state=str(place)))
