@@ -72,6 +72,8 @@ def parse_picks(texts: Sequence[str]) -> dict[str, int]:
         variable, _, number = text.rpartition("=")
         if not variable or not number.isdecimal():
             raise UsageError(f"--pick wants VARIABLE=NUMBER such as x=2, but got {text!r}")
+        if variable in picks:
+            raise UsageError(f"--pick names the equation {variable!r} twice; pick one member of its front")
         picks[variable] = int(number)
     return picks
 
@@ -117,7 +119,7 @@ def render_latex(result: Mapping[str, Any]) -> str:
         for equation in result["equations"]
         if equation["expression"] is not None
     ]
-    return "\n".join([r"\begin{align*}", " \\\\\n".join(lines), r"\end{align*}"])
+    return "\n".join([r"\begin{align*}", *([" \\\\\n".join(lines)] if lines else []), r"\end{align*}"])
 
 
 def display(expression: str, names: Sequence[str]) -> str:
@@ -155,7 +157,7 @@ def _verdict(equation: Mapping[str, Any]) -> str:
     found = "converged" if equation["converged"] else "not converged"
     text = f"{found}: error {_number(equation['normalized_error'])} of the target's deviation"
     text += f", size {equation['complexity']}, epoch {equation['epoch']}"
-    if not equation["converged"] and equation["why"]:
+    if not equation["converged"] and equation["why"] not in (None, "target"):  # "target": another member met it
         text += f"; {_ENDS.get(equation['why'], equation['why'])}"
     return text
 

@@ -159,6 +159,22 @@ def test_latex_writes_fractions_and_rounded_constants():
     assert "3 x" in text
 
 
+def test_latex_of_nothing_found_yet_has_no_blank_line():
+    empty = {**result(), "equations": [{**each, "expression": None} for each in result()["equations"]]}
+    assert render(empty, "latex").splitlines() == [r"\begin{align*}", r"\end{align*}"]
+
+
+def test_a_picked_equation_that_has_not_converged_is_not_said_to_have_met_the_target():
+    text = render_text(pick(result(), {"x": 1}))
+    assert "not converged" in text
+    assert "target error was met" not in text
+
+
+def test_one_equation_is_picked_once():
+    with pytest.raises(UsageError, match="'x' twice"):
+        parse_picks(["x=1", "x=2"])
+
+
 def test_picking_takes_another_member():
     picked = pick(result(), parse_picks(["x=1"]))
     equation = picked["equations"][0]
