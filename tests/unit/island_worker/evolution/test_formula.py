@@ -27,12 +27,6 @@ INPUTS = np.random.default_rng(0).uniform(0.5, 2.0, (len(NAMES), 5))
 COEFFICIENTS = st.lists(st.sampled_from([0.0, 1.0, -1.0, 2.5, -0.25]), min_size=4, max_size=4)
 
 
-@pytest.fixture(autouse=True)
-def _quiet():
-    with np.errstate(all="ignore"):
-        yield
-
-
 @QUICK
 @given(programs())
 def test_a_formula_goes_to_a_program_and_a_tape_and_back(program):

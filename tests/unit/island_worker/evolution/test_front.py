@@ -31,12 +31,6 @@ ENTRIES = st.lists(
 NAMES = ("x", "y")
 
 
-@pytest.fixture(autouse=True)
-def _quiet():
-    with np.errstate(all="ignore"):
-        yield
-
-
 def front_of(entries):
     front = Front()
     added = [front.add(entry) for entry in entries]

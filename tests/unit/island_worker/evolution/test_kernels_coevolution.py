@@ -39,12 +39,6 @@ PLAIN, FITTED = Fit(0, 0, 2, 0), Fit(3, 3, 2, 0)
 QUICK = settings(max_examples=60, deadline=None, derandomize=True, database=None)
 
 
-@pytest.fixture(autouse=True)
-def _quiet():
-    with np.errstate(all="ignore"):
-        yield
-
-
 class Arena:
     """A population, its predictors and trainers, on rows of a problem."""
 

@@ -42,12 +42,6 @@ QUICK = settings(max_examples=200, deadline=None, derandomize=True, database=Non
 SCALED, AS_IT_STANDS = Fit(4, 3, 2, 0), Fit(4, 0, 2, 0)
 
 
-@pytest.fixture(autouse=True)
-def _quiet():
-    with np.errstate(all="ignore"):
-        yield
-
-
 def fitted(program, inputs, target, options=SCALED, steps=20, most=100):
     """Return (program after the fit, scale, mean absolute error, mean squared error, point evaluations)."""
     tape, count = tape_of(program)

@@ -26,12 +26,6 @@ SPACE = space_of(variables=2)
 FITTED, PLAIN = Fit(4, 3, 2, 0), Fit(0, 0, 2, 0)
 
 
-@pytest.fixture(autouse=True)
-def _quiet():
-    with np.errstate(all="ignore"):
-        yield
-
-
 class Arena:
     """A population on some rows, with all that a generation needs."""
 

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import pytest
 
 from common.expression.algebra import complexity
 from island_worker.evolution.formula import from_tape, to_program
@@ -15,12 +14,6 @@ from tests.oracles.spaces import random_lists, space_of
 
 POPULATION = 60
 SPACE = space_of(("+", "-", "*", "sin"))
-
-
-@pytest.fixture(autouse=True)
-def _quiet():
-    with np.errstate(all="ignore"):
-        yield
 
 
 class Arena:

@@ -1,7 +1,6 @@
 """From lists to tapes to canonical programs, against the definitions and against the simplification of programs."""
 
 import numpy as np
-import pytest
 from hypothesis import assume, given, settings
 
 from common.expression.algebra import complexity, simplify_program
@@ -14,12 +13,6 @@ from tests.property.programs import NAMES, ROWS, programs
 
 X, Y = (VARIABLE, 0), (VARIABLE, 1)
 QUICK = settings(max_examples=200, deadline=None, derandomize=True, database=None)
-
-
-@pytest.fixture(autouse=True)
-def _quiet():
-    with np.errstate(all="ignore"):
-        yield
 
 
 def canonical(program):
