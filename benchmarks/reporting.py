@@ -132,4 +132,5 @@ def plain_errors(program: str) -> Iterator[None]:
         note(f"{program}: {error}")
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
+        note(f"{program}: interrupted; what it had by then is in the file given by --out, if any")
         sys.exit(130)
