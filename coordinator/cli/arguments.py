@@ -6,6 +6,7 @@ What the options mean for a job is decided in `coordinator.cli.options`; what a 
 
 import argparse
 import re
+import sys
 from collections.abc import Sequence
 from typing import Any, Final, NoReturn
 
@@ -106,7 +107,8 @@ class _Version(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
         from common import PROTOCOL_VERSION, VERSION
 
-        parser.exit(message=f"coordinator {VERSION} (protocol {PROTOCOL_VERSION})\n")
+        sys.stdout.write(f"coordinator {VERSION} (protocol {PROTOCOL_VERSION})\n")
+        parser.exit()
 
 
 def _verb(verbs: Any, name: str, text: str) -> argparse.ArgumentParser:

@@ -18,6 +18,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     which takes long once the libraries for numbers are loaded. Never raises but SystemExit after ``--help``.
     """
     check_product()
+    if argv is None:
+        open_closed_streams()
     code = _guarded(sys.argv[1:] if argv is None else argv)
     if argv is None:
         _flush()
@@ -47,6 +49,16 @@ def _flush() -> None:
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):
             stream.flush()
+
+
+def open_closed_streams() -> None:
+    """Let standard streams that were closed before the start lead nowhere, so that no file takes their numbers."""
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(number, True)
+    os.close(number)
+    sys.stdin = sys.stdin or open(0, encoding="utf-8")  # noqa: SIM115  it is open as long as the process
+    sys.stdout = sys.stdout or open(1, "w", encoding="utf-8")  # noqa: SIM115
+    sys.stderr = sys.stderr or open(2, "w", encoding="utf-8")  # noqa: SIM115
 
 
 def check_product() -> None:

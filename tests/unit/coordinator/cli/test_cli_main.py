@@ -105,3 +105,22 @@ def test_a_foreign_package_in_our_place_is_refused(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("common.PRODUCT", "something else")
     with pytest.raises(SystemExit, match="not Atoll's package"):
         main(["jobs"])
+
+
+def test_closed_standard_streams_are_no_error() -> None:
+    """A service manager, or ``>&-`` in a shell, may start a program without any of them."""
+    line = f"{sys.executable} -m coordinator serve --listen nonsense"
+    for closed in ("<&-", ">&-", "<&- >&-", "<&- >&- 2>&-"):
+        done = subprocess.run(f"{line} {closed}", shell=True, capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode == 2
+        assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no device that is always full")
+def test_output_that_cannot_be_written_is_said() -> None:
+    code = "from coordinator.cli import jobs, main, output; jobs.jobs = lambda options: output.say('x'); main.main()"
+    line = [sys.executable, "-c", code, "jobs"]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(line, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "the output cannot be written" in done.stderr
