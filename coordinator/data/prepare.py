@@ -180,6 +180,9 @@ def _target(name: str, lhs: str, its: Estimate, kept: list[int]) -> Target:
     floor, _ = moments(np.ascontiguousarray(its.uncertainty[kept] / deviation))
     if not math.isfinite(floor):
         raise DataError(f"the uncertainty of the derivative of '{name}' cannot be told; sample more often")
+    _, spread = moments(values)
+    if spread < deviation:  # constant but for rounding, of which a comparison of two orders sees only a part
+        floor = max(floor, spread / deviation)
     return Target(name, lhs, values, floor, deviation, its.noise)
 
 

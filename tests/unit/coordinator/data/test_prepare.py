@@ -226,3 +226,14 @@ def test_a_state_that_grows_linearly_has_a_constant_derivative():
 def test_objections_to_the_data_reach_the_caller():
     with pytest.raises(DataError, match="is constant"):
         prepared({**oscillator(), "y": np.ones(60)})
+
+
+@pytest.mark.parametrize("slope", [1.0 / 3.0, -0.7, math.pi])
+def test_the_floor_of_a_constant_derivative_covers_its_rounding(slope):
+    """The mean must count as found, or the search would go on to fit the rounding."""
+    columns = oscillator(100)
+    columns["x"] = 1.0 + columns["t"] * slope
+    target = prepared(columns).targets[0]
+    mean = np.mean(target.values)
+    assert mean == pytest.approx(slope)
+    assert np.mean(np.abs(target.values - mean)) <= 2.0 * target.floor * target.deviation
