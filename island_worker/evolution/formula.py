@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, SUBTRACT
+from common.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, NEGATE, SUBTRACT
 from common.expression.program import Program
 from island_worker.evolution.structures import Tape
 
@@ -79,7 +79,10 @@ def combined(formula: Formula, terms: Sequence[int], coefficients: Sequence[floa
 def _joined(nodes: list[Node], top: int, node: int, a: float) -> int:
     """Append what makes ``top + a * node`` (``a * node`` when there is no top yet); return its index."""
     size = abs(a) if top >= 0 else a
-    if size != 1.0:
+    if size == -1.0:
+        nodes.append(Node(NEGATE, node))
+        node = len(nodes) - 1
+    elif size != 1.0:
         nodes += [Node(CONSTANT, constant=size), Node(MULTIPLY, node, len(nodes))]
         node = len(nodes) - 1
     if top < 0:
@@ -89,7 +92,10 @@ def _joined(nodes: list[Node], top: int, node: int, a: float) -> int:
 
 
 def reductions(formula: Formula) -> Iterator[Formula]:
-    """Yield `formula` with one operator replaced by an argument of it or by a constant, from the output downwards."""
+    """Yield `formula` with one operator replaced by an argument of it or by a constant, from the output downwards.
+
+    A difference is also replaced by its negative part alone.
+    """
     for i in range(len(formula) - 1, -1, -1):
         arity = ARITY[formula[i].code]
         if arity == 0:
@@ -97,6 +103,8 @@ def reductions(formula: Formula) -> Iterator[Formula]:
         yield _redirected(formula, i, formula[i].left)
         if arity == 2 and formula[i].right != formula[i].left:
             yield _redirected(formula, i, formula[i].right)
+        if formula[i].code == SUBTRACT:
+            yield (*formula[:i], Node(NEGATE, formula[i].right), *formula[i + 1 :])
         yield (*formula[:i], Node(CONSTANT, constant=1.0), *formula[i + 1 :])
 
 

@@ -58,6 +58,8 @@ def test_a_combination_is_worth_what_it_says(program, coefficients, shift, data)
         ([-1.0, 1.0], 0.0, "y - x"),
         ([-2.0, 3.0], 0.0, "3.0*y - 2.0*x"),
         ([0.0, 3.0], 0.0, "3.0*y"),
+        ([-1.0, 0.0], 0.0, "-x"),
+        ([-1.0, -2.0], 0.0, "-x - 2.0*y"),
         ([2.0, 0.0], 1.5, "2.0*x + 1.5"),
         ([0.0, 0.0], 1.5, "1.5"),
         ([0.0, 0.0], 0.0, "0.0"),
@@ -76,6 +78,7 @@ def test_reductions_are_sound_and_every_operator_gives_way_to_each_argument_and_
     expected = 0
     for node in formula:
         expected += 0 if ARITY[node.code] == 0 else 2 if ARITY[node.code] == 1 or node.left == node.right else 3
+        expected += node.code == SUBTRACT
     assert len(found) == expected
     for each in found:
         to_program(each).validate(len(NAMES))

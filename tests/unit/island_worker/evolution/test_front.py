@@ -143,6 +143,14 @@ def test_pruning_leaves_out_what_is_superfluous():
     assert simplest.complexity <= 9
 
 
+def test_pruning_turns_a_difference_from_next_to_nothing_into_a_negative():
+    arena = Arena(lambda x, y: -x)
+    arena.offer("y*1e-17 - x")
+    arena.offering.prune(1e-9 * arena.setting.deviation, arena.counters, (0, 10, 0))
+    simplest = next(e for e in arena.front.entries() if e.error <= 1e-9 * arena.setting.deviation)
+    assert to_infix(Program.from_bytes(simplest.program, 2), ("x", "y")) == "-x"
+
+
 def test_pruning_changes_nothing_where_nothing_can_go():
     arena = Arena(lambda x, y: x * y)
     arena.offer("x*y")
