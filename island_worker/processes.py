@@ -107,7 +107,13 @@ class _Children:
     def _start(self, command: Command) -> None:
         child = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
         self._children.append(child)
-        threading.Thread(target=lambda: self._events.put(("ended", child.wait())), daemon=True).start()
+        threading.Thread(target=self._wait_for, args=(child,), daemon=True).start()
+
+    def _wait_for(self, child: subprocess.Popen[bytes]) -> None:
+        code = child.wait()
+        if code < 0 and self._deadline is None:
+            sys.stderr.write(f"island-worker: process {child.pid} was ended by signal {-code}; the others go on\n")
+        self._events.put(("ended", code))
 
     def _next_code(self) -> int:
         """Wait for the next child to end, serving signals meanwhile."""

@@ -190,7 +190,7 @@ def test_two_coordinators_share_neither_a_port_nor_a_store(place: Path) -> None:
         assert same_port.returncode == 2
         assert "the port is in use" in same_port.stderr
         same_store = done(place, "coordinator", "serve", "--listen", "tcp/127.0.0.1:0", "--state", "four")
-        assert same_store.returncode == 1
+        assert same_store.returncode == 2
         assert "is in use by another coordinator" in same_store.stderr
         for answer in (same_port, same_store):
             assert answer.stderr.count("\n") == 1

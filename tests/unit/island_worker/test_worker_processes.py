@@ -129,3 +129,8 @@ def test_the_worst_exit_code_is_ours(codes: list[str], expected: int) -> None:
 @pytest.mark.parametrize(("codes", "expected"), [([], 0), ([0, 0], 0), ([0, 3, 2], 3), ([-9, 0], 1), ([130, 1], 130)])
 def test_worst(codes: list[int], expected: int) -> None:
     assert worst(codes) == expected
+
+
+def test_a_child_that_is_killed_is_mentioned(capfd: pytest.CaptureFixture[str]) -> None:
+    assert supervise([_ending_with("os.kill(os.getpid(), signal.SIGKILL)"), _ending_with("sys.exit(0)")]) == 1
+    assert "was ended by signal 9; the others go on" in capfd.readouterr().err
