@@ -46,6 +46,13 @@ def cache_directory() -> Path:
 os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_directory()))
 
 import numba  # noqa: E402  the cache directory must be set before numba reads its configuration
+import numba.extending  # noqa: E402
+
+IS_COMPILED = not numba.config.DISABLE_JIT
+"""Whether kernels are machine code; else they run as the Python they are."""
+
+types = numba.types
+intrinsic = numba.extending.intrinsic
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -53,6 +60,11 @@ F = TypeVar("F", bound=Callable[..., Any])
 def kernel(function: F) -> F:
     """Compile `function` on first call: strict arithmetic, numpy's division rules, GIL released, cached on disk."""
     return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False)(function))
+
+
+def callback(signature: str, function: F) -> Any:
+    """Compile `function` apart from its callers, which reach it by its ``address``: it is compiled once, not in each."""
+    return numba.cfunc(signature, cache=True, nopython=True, error_model="numpy", fastmath=False)(function)
 
 
 def inlined(function: F) -> F:

@@ -23,9 +23,10 @@ from island_worker.evolution.formula import (
     to_program,
 )
 from island_worker.evolution.kernels_offers import canonical, choose_offers, refit
+from island_worker.evolution.kernels_rows import padded_rows
 from island_worker.evolution.kernels_tape import canonical_tape
 from island_worker.evolution.setting import Setting
-from island_worker.evolution.structures import MOST_FITTED, MOST_TERMS, Fit, Lists, Rows, padded_rows
+from island_worker.evolution.structures import MOST_FITTED, MOST_TERMS, Fit, Lists, Rows
 
 REFIT_STEPS = 10
 POLISH_STEPS = 4
@@ -149,7 +150,7 @@ class Offering:
         """Put the canonical form of `formula` on the canonical tape; return its size."""
         scratch = self._setting.scratch
         return int(
-            canonical_tape(scratch.tape, onto_tape(formula, scratch.tape), scratch.work.values, scratch.canonical)
+            canonical_tape(scratch.tape, onto_tape(formula, scratch.tape), scratch.work, scratch.canonical)
         )
 
     def _entry(self, size: int, tag: Tag) -> FrontEntry:
@@ -201,4 +202,4 @@ class Offering:
 def _spread(every: Rows) -> Rows:
     """Return rows evenly spread over `every`."""
     index = np.arange(min(every.length, PRUNE_SAMPLE)) * every.length // min(every.length, PRUNE_SAMPLE)
-    return padded_rows(every.inputs[:, index], every.target[index])
+    return padded_rows(every.inputs[:, index], every.target[0, index])

@@ -115,7 +115,7 @@ class Island:
                     setting.rows,
                     setting.fit,
                     scratch.tape,
-                    scratch.work,
+                    scratch.near,
                     scratch.result,
                     self._counters,
                     OFFSPRING,

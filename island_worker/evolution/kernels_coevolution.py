@@ -7,8 +7,9 @@ trainers. The losses of trainers at every row are kept, so that judging a predic
 import numpy as np
 
 from common.jit import inlined, kernel
-from island_worker.evolution.kernels_generation import COEVOLUTION, INFINITY, generation, output_of, remeasure
+from island_worker.evolution.kernels_generation import COEVOLUTION, INFINITY, generation, remeasure, residual_of_list
 from island_worker.evolution.kernels_random import Stream, below, uniform
+from island_worker.evolution.kernels_rows import gather
 from island_worker.evolution.kernels_variation import copy_list
 from island_worker.evolution.structures import Coevolution, Coevolving, Fit, Floats, Ints, Lists, Rows, Scratch, Space
 
@@ -19,10 +20,10 @@ _ROW_MUTATION = 0.05
 def train(coevolution: Coevolution, t: int, every: Rows, options: Fit, scratch: Scratch, counters: Ints) -> None:
     """Measure trainer `t` on every row: its losses by row and its exact loss (inf when not finite anywhere)."""
     work = scratch.work
-    output_of(coevolution.trainers, t, every, options, scratch.tape, work)
+    residual_of_list(coevolution.trainers, t, every, options, scratch.tape, work)
     total = 0.0
     for r in range(every.length):
-        e = work.output[r] - every.target[r]
+        e = work.residual[0, r]
         loss = abs(e) if options.loss == 0 else e * e
         coevolution.losses[t, r] = loss
         total += loss
@@ -131,16 +132,16 @@ def most_disputed(
     size = coevolution.predictors.shape[1]
     best = -1
     widest = -1.0
-    output = scratch.work.output
+    residual = scratch.near.residual
     for p in range(population):
         total = 0.0
         square = 0.0
         for k in range(number):
-            gather(rows, every, coevolution.predictors[k])
-            output_of(lists, p, rows, options, scratch.tape, scratch.work)
+            gather(rows, every, coevolution.predictors[k], scratch.near.functions)
+            residual_of_list(lists, p, rows, options, scratch.tape, scratch.near)
             loss = 0.0
             for r in range(size):
-                e = output[r] - rows.target[r]
+                e = residual[0, r]
                 loss += abs(e) if options.loss == 0 else e * e
             loss /= size
             total += loss
@@ -151,17 +152,6 @@ def most_disputed(
             widest = spread
             best = p
     return best
-
-
-@kernel
-def gather(rows: Rows, every: Rows, index: Ints) -> None:
-    """Fill `rows` with the rows `index` of `every`, repeating the last one as padding."""
-    last = index.shape[0] - 1
-    for k in range(rows.target.shape[0]):
-        r = index[min(k, last)]
-        for v in range(rows.inputs.shape[0]):
-            rows.inputs[v, k] = every.inputs[v, r]
-        rows.target[k] = every.target[r]
 
 
 @kernel
@@ -210,8 +200,8 @@ def use_best_predictor(
 ) -> None:
     """Gather the best predictor's rows (all rows while predictors are off) and measure the population on them."""
     if rows.length < every.length:
-        gather(rows, every, coevolution.predictors[coevolution.best[0]])
-    remeasure(lists, fitness, rows, options, scratch.tape, scratch.work, scratch.result, counters)
+        gather(rows, every, coevolution.predictors[coevolution.best[0]], scratch.near.functions)
+    remeasure(lists, fitness, rows, options, scratch.tape, scratch.near, scratch.result, counters)
 
 
 @kernel

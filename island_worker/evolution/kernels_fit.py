@@ -1,8 +1,9 @@
 """Fit a program to rows: its top-level terms in closed form, the constants inside them by Levenberg and Marquardt.
 
 An individual's output is b + a_1 t_1 + ... + a_m t_m, where the t_j are the terms that its list adds and subtracts at
-the top. With one term this is linear scaling (Keijzer 2003). The a_j and b minimise the squared error for the terms at
-hand and take part in every step, which makes a step one of variable projection (Golub & Pereyra 1973). Damping is
+the top. With one term this is linear scaling (Keijzer 2003). The a_j and b always minimise the squared error for the
+terms at hand, so that only the inner constants need steps: variable projection (Golub & Pereyra 1973) with Kaufman's
+(1975) Jacobian, which holds the a_j and takes out of each column what 1 and the terms can express. Damping is
 Marquardt's (1963): a multiple of the diagonal of the normal equations. Sums run over rows in order; nothing is
 allocated.
 """
@@ -11,9 +12,11 @@ from typing import Final
 
 import numpy as np
 
-from common.expression.kernels import LANES, forward, lane_sum, reverse_block
+from common.expression.kernels import Int, forward, reverse_block
+from common.expression.kernels_lanes import LANES, add_scaled, copy, fill, place, total_magnitude
 from common.expression.operators import ADD, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SUBTRACT, VARIABLE
 from common.jit import inlined, kernel
+from island_worker.evolution.kernels_rows import centre_into, product
 from island_worker.evolution.kernels_tape import ARITY_OF
 from island_worker.evolution.kernels_variation import reset_scale
 from island_worker.evolution.structures import MOST_FITTED, Fit, Floats, Ints, Rows, Tape, Work
@@ -23,10 +26,13 @@ _FIRST_DAMPING: Final = 1e-3
 _STALLED: Final = 1e-3
 _EXACT: Final = 1e-30
 _COLLINEAR: Final = 1e-10
+_NEGLIGIBLE: Final = 1e-28
+_ZERO: Final = np.int64(0)
+_ONE: Final = np.int64(1)
 
 
 @inlined
-def _add_term(terms: Ints, number: int, node: int, code: Ints) -> int:
+def _add_term(terms: Ints, number: Int, node: Int, code: Ints) -> Int:
     """Append `node` unless it is there already or a constant, which b stands for; return the number of terms."""
     if code[node] == CONSTANT:
         return number
@@ -37,8 +43,8 @@ def _add_term(terms: Ints, number: int, node: int, code: Ints) -> int:
     return number + 1
 
 
-@kernel
-def collect_terms(tape: Tape, count: int, most: int, terms: Ints) -> int:
+@inlined
+def collect_terms(tape: Tape, count: Int, most: Int, terms: Ints) -> Int:
     """List in `terms` the tape indices of at most `most` terms; return their number, 0 for a constant program.
 
     From the output down, a sum or difference gives way to its arguments, and a negation or a product with a constant
@@ -46,35 +52,36 @@ def collect_terms(tape: Tape, count: int, most: int, terms: Ints) -> int:
     """
     terms[0] = count - 1
     if most == 0:
-        return 1
-    number = 0
-    number = _add_term(terms, number, count - 1, tape.code)
-    j = 0
+        return _ONE
+    code = tape.code
+    number = _ZERO if code[count - 1] == CONSTANT else _ONE
+    j = _ZERO
     while j < number:
         node = terms[j]
-        op = tape.code[node]
+        op = code[node]
         left = tape.left[node]
         right = tape.right[node]
-        product = (op == MULTIPLY and (tape.code[left] == CONSTANT or tape.code[right] == CONSTANT)) or (
-            op == DIVIDE and tape.code[right] == CONSTANT
+        splits = (op == ADD or op == SUBTRACT) and number < most
+        scaled = (op == MULTIPLY and (code[left] == CONSTANT or code[right] == CONSTANT)) or (
+            op == DIVIDE and code[right] == CONSTANT
         )
-        if op == NEGATE or product or (op in (ADD, SUBTRACT) and number < most):
-            for k in range(j, number - 1):
-                terms[k] = terms[k + 1]
-            number -= 1
-            number = _add_term(terms, number, left, tape.code)
-            if ARITY_OF[op] > 1:
-                number = _add_term(terms, number, right, tape.code)
-            j = 0
-        else:
+        if not (splits or scaled or op == NEGATE):
             j += 1
+            continue
+        for k in range(j, number - 1):
+            terms[k] = terms[k + 1]
+        number -= 1
+        number = _add_term(terms, number, left, code)
+        if op != NEGATE:
+            number = _add_term(terms, number, right, code)
+        j = _ZERO
     return number
 
 
-@kernel
-def choose_fitted(tape: Tape, count: int, number: int, most: int, work: Work) -> int:
+@inlined
+def choose_fitted(tape: Tape, count: Int, number: Int, most: Int, work: Work) -> Int:
     """List the first `most` constants inside the terms in `work.fitted`; mark what depends on them; return how many."""
-    feeds = work.feeds
+    feeds = tape.wanted
     for i in range(count):
         feeds[i] = False
     for j in range(number):
@@ -86,223 +93,181 @@ def choose_fitted(tape: Tape, count: int, number: int, most: int, work: Work) ->
                 feeds[tape.left[i]] = True
             if arity > 1:
                 feeds[tape.right[i]] = True
-    fitted = 0
+    fitted = _ZERO
     for i in range(count):
         op = tape.code[i]
-        tape.depends[i] = False
-        if op == CONSTANT:
-            if feeds[i] and fitted < most and fitted < MOST_FITTED:
-                work.fitted[fitted] = i
-                fitted += 1
-                tape.depends[i] = True
-        elif op != VARIABLE and feeds[i]:
-            tape.depends[i] = tape.depends[tape.left[i]] or tape.depends[tape.right[i]]
+        depends = False
+        if feeds[i]:
+            if op == CONSTANT:
+                depends = fitted < most and fitted < MOST_FITTED
+                if depends:
+                    work.fitted[fitted] = i
+                    fitted += 1
+            elif op != VARIABLE:
+                depends = tape.depends[tape.left[i]] or (ARITY_OF[op] > 1 and tape.depends[tape.right[i]])
+        tape.depends[i] = depends
     return fitted
 
 
-@kernel
-def combine_into(output: Floats, values: Floats, terms: Ints, number: int, scale: Floats, rows: int) -> None:
-    """Write b + a_1 t_1 + ... into `output`; `scale` is (b, a_1, ...)."""
-    for start in range(0, rows, LANES):
-        for k in range(LANES):
-            output[start + k] = scale[0]
-        for j in range(number):
-            a = scale[1 + j]
-            term = values[terms[j]]
-            for k in range(LANES):
-                output[start + k] += a * term[start + k]
+@inlined
+def fit_terms(number: Int, rows: Rows, work: Work, scale: Floats) -> None:
+    """Set `scale` to the b, a_1, ... that minimise the squared error, and `work.residual` to what they leave.
 
-
-@kernel
-def sum_of(x: Floats, n: int, lanes: Floats) -> float:
-    """Return the sum of x over rows [0, n), by lanes and then blocks."""
-    total = 0.0
-    for start in range(0, n, LANES):
-        for k in range(LANES):
-            lanes[k] = x[start + k] if start + k < n else 0.0
-        total += lane_sum(lanes)
-    return total
-
-
-@kernel
-def _product_about(x: Floats, x0: float, y: Floats, y0: float, n: int, lanes: Floats) -> float:
-    """Return the sum of (x - x0) (y - y0) over rows [0, n)."""
-    total = 0.0
-    for start in range(0, n, LANES):
-        for k in range(LANES):
-            lanes[k] = (x[start + k] - x0) * (y[start + k] - y0) if start + k < n else 0.0
-        total += lane_sum(lanes)
-    return total
-
-
-@kernel
-def fit_terms(number: int, rows: Rows, work: Work, scale: Floats) -> None:
-    """Set `scale` to the b, a_1, ... that minimise the squared error, by centred normal equations and Cholesky.
-
-    A term that is constant, or a combination of earlier ones, gets 0.
+    By modified Gram-Schmidt on the centred terms. A term that is constant, or a combination of earlier ones, gets 0.
     """
     n = rows.length
-    lanes = work.lanes
-    matrix = work.matrix
-    mean_y = sum_of(rows.target, n, lanes) / n
-    for i in range(number):
-        term = work.values[work.terms[i]]
-        mean = sum_of(term, n, lanes) / n
-        work.means[i] = mean
-        work.gradient[i] = _product_about(term, mean, rows.target, mean_y, n, lanes)
-        for j in range(i + 1):
-            matrix[i, j] = _product_about(term, mean, work.values[work.terms[j]], work.means[j], n, lanes)
-    for i in range(number):
-        power = matrix[i, i]
-        for j in range(i + 1):
-            s = matrix[i, j]
-            for k in range(j):
-                s -= matrix[i, k] * matrix[j, k]
-            if j < i:
-                matrix[i, j] = s / matrix[j, j] if matrix[j, j] > 0.0 else 0.0
-            else:
-                usable = s > _COLLINEAR * power and power > 1e-28 * work.means[i] * work.means[i] * n
-                matrix[i, i] = np.sqrt(s) if usable else 0.0
-    for i in range(number):
-        s = work.gradient[i]
-        for k in range(i):
-            s -= matrix[i, k] * scale[1 + k]
-        scale[1 + i] = s / matrix[i, i] if matrix[i, i] > 0.0 else 0.0
-    for i in range(number - 1, -1, -1):
-        s = scale[1 + i]
-        for k in range(i + 1, number):
-            s -= matrix[k, i] * scale[1 + k]
-        scale[1 + i] = s / matrix[i, i] if matrix[i, i] > 0.0 else 0.0
-    scale[0] = mean_y
-    for i in range(number):
-        scale[0] -= scale[1 + i] * work.means[i]
+    basis = work.basis
+    for start in range(_ZERO, n, LANES):
+        copy(place(work.residual, _ZERO, start), place(rows.centred, _ZERO, start))
+    for j in range(number):
+        term = work.terms[j]
+        mean = product(work.values, term, rows.mask, _ZERO, n) / n
+        work.means[j] = mean
+        centre_into(basis, j, work.values, term, mean, rows)
+        power = product(basis, j, basis, j, n)
+        length = power
+        for i in range(j):
+            ratio = product(basis, i, basis, j, n) * work.inverse[i]
+            work.ratio[i, j] = ratio
+            _subtract_multiple(basis, j, ratio, basis, i, n)
+        if j > 0:
+            length = product(basis, j, basis, j, n)
+        usable = length > _COLLINEAR * power and power > _NEGLIGIBLE * mean * mean * n
+        inverse = 1.0 / length if usable else 0.0
+        work.inverse[j] = inverse
+        amount = product(basis, j, work.residual, _ZERO, n) * inverse if usable else 0.0 * power  # NaN stays NaN
+        scale[1 + j] = amount
+        _subtract_multiple(work.residual, _ZERO, amount, basis, j, n)
+    scale[0] = rows.facts[0]
+    for j in range(number - 1, -1, -1):
+        if work.inverse[j] == 0.0:
+            scale[1 + j] = 0.0
+            continue
+        for k in range(j + 1, number):
+            scale[1 + j] -= work.ratio[j, k] * scale[1 + k]
+        scale[0] -= scale[1 + j] * work.means[j]
 
 
-@kernel
-def errors(output: Floats, rows: Rows, lanes: Floats, result: Floats) -> None:
-    """Set result[0] to the mean absolute and result[1] to the mean squared error of `output`; inf when not finite."""
+@inlined
+def _subtract_multiple(out: Floats, i: Int, factor: float, source: Floats, j: Int, length: Int) -> None:
+    """Subtract `factor` times source[j] from out[i]."""
+    for start in range(_ZERO, length, LANES):
+        add_scaled(place(out, i, start), -factor, place(source, j, start))
+
+
+@inlined
+def residual_of(number: Int, rows: Rows, work: Work, scale: Floats) -> None:
+    """Set `work.residual` to the target less b + a_1 t_1 + ... with the coefficients in `scale`."""
+    residual = work.residual
+    for start in range(_ZERO, rows.length, LANES):
+        out = place(residual, _ZERO, start)
+        fill(out, -scale[0])
+        add_scaled(out, 1.0, place(rows.target, _ZERO, start))
+        for j in range(number):
+            add_scaled(out, -scale[1 + j], place(work.values, work.terms[j], start))
+    centre_into(residual, _ZERO, residual, _ZERO, 0.0, rows)
+
+
+@inlined
+def errors(rows: Rows, work: Work, result: Floats) -> None:
+    """Set result[0] to the mean absolute and result[1] to the mean squared `work.residual`; inf when not finite."""
     n = rows.length
-    target = rows.target
-    total = 0.0
-    square = 0.0
-    for start in range(0, n, LANES):
-        for k in range(LANES):
-            lanes[k] = abs(output[start + k] - target[start + k])
-        for k in range(n - start, LANES):
-            lanes[k] = 0.0
-        total += lane_sum(lanes)
-        for k in range(LANES):
-            e = output[start + k] - target[start + k]
-            lanes[k] = e * e
-        for k in range(n - start, LANES):
-            lanes[k] = 0.0
-        square += lane_sum(lanes)
-    finite = np.isfinite(square) and np.isfinite(total)
-    result[0] = total / n if finite else INFINITY
+    sum_ = 0.0
+    for start in range(_ZERO, n, LANES):
+        sum_ += total_magnitude(place(work.residual, _ZERO, start), place(rows.mask, _ZERO, start))
+    square = product(work.residual, _ZERO, work.residual, _ZERO, n)
+    finite = np.isfinite(square) and np.isfinite(sum_)
+    result[0] = sum_ / n if finite else INFINITY
     result[1] = square / n if finite else INFINITY
 
 
-@kernel
-def measure_tape(tape: Tape, count: int, rows: Rows, linear: int, work: Work, scale: Floats, result: Floats) -> None:
-    """Evaluate the tape on `rows` with `work.terms` as they are and set the errors; one value at each row.
-
-    `linear` is the number of terms when b, a_1, ... are to be fitted first, else 0; returns nothing.
-    """
-    forward(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, rows.length, work.values)
-    if linear > 0:
-        fit_terms(linear, rows, work, scale)
-    combine_into(work.output, work.values, work.terms, work.number[0], scale, rows.length)
-    errors(work.output, rows, work.lanes, result)
-
-
-@kernel
-def _normal_equations(tape: Tape, count: int, fitted: int, linear: int, rows: Rows, scale: Floats, work: Work) -> int:
-    """Fill matrix and gradient for the columns (d/dc, t_j, 1) at the values standing in `work`; return their number."""
-    size = fitted + (linear + 1 if linear > 0 else 0)
-    for i in range(size):
-        work.gradient[i] = 0.0
-        for j in range(i + 1):
-            work.matrix[i, j] = 0.0
-    columns = work.columns
-    lanes = work.lanes
-    for start in range(0, rows.length, LANES):
-        _columns_into(tape, count, fitted, linear, rows, scale, start, work)
-        residual = columns[size]
-        for i in range(size):
-            one = columns[i]
-            for k in range(LANES):
-                lanes[k] = one[k] * residual[k]
-            work.gradient[i] += lane_sum(lanes)
-            for j in range(i + 1):
-                other = columns[j]
-                for k in range(LANES):
-                    lanes[k] = one[k] * other[k]
-                work.matrix[i, j] += lane_sum(lanes)
-    return size
-
-
-@kernel
-def _columns_into(
-    tape: Tape, count: int, fitted: int, linear: int, rows: Rows, scale: Floats, start: int, work: Work
+@inlined
+def measure_tape(
+    tape: Tape, count: Int, rows: Rows, is_linear: bool, partly: bool, work: Work, scale: Floats, result: Floats
 ) -> None:
-    """Write the columns of the Jacobian and the residual for one block of rows; zero beyond the last row."""
+    """Evaluate the tape on `rows`, with `work.terms` as they are, and set the errors; one value at each row.
+
+    `is_linear`: b, a_1, ... are fitted first; `partly`: only what depends on fitted constants has changed.
+    """
+    wanted = tape.depends if partly else tape.wanted
+    forward(
+        count, tape.code, tape.left, tape.right, tape.constants, wanted, rows.inputs, rows.waves, rows.length,
+        work.values, work.functions,
+    )  # fmt: skip
+    if is_linear:
+        fit_terms(work.number[0], rows, work, scale)
+    else:
+        residual_of(work.number[0], rows, work, scale)
+    errors(rows, work, result)
+
+
+@inlined
+def _jacobian(
+    tape: Tape, count: Int, fitted: Int, is_linear: bool, rows: Rows, scale: Floats, work: Work
+) -> None:
+    """Fill `work.columns` with the derivatives of the output by the fitted constants, the a_j held."""
     adjoints = work.adjoints
-    for i in range(count):
-        if tape.depends[i]:
-            for k in range(LANES):
-                adjoints[i, k] = 0.0
-    for j in range(work.number[0]):
-        for k in range(LANES):
-            adjoints[work.terms[j], k] = scale[1 + j]
-    reverse_block(count, tape.code, tape.left, tape.right, tape.depends, work.values, start, adjoints)
-    columns = work.columns
-    size = fitted
+    for start in range(_ZERO, rows.length, LANES):
+        for i in range(count):
+            if tape.depends[i]:
+                fill(place(adjoints, i, _ZERO), 0.0)
+        for j in range(work.number[0]):
+            fill(place(adjoints, work.terms[j], _ZERO), scale[1 + j])
+        reverse_block(
+            count, tape.code, tape.left, tape.right, tape.depends, work.values, start, adjoints, work.functions
+        )
+        for i in range(fitted):
+            copy(place(work.columns, i, start), place(adjoints, work.fitted[i], _ZERO))
     for i in range(fitted):
-        for k in range(LANES):
-            columns[i, k] = adjoints[work.fitted[i], k]
-    if linear > 0:
-        for j in range(linear):
-            for k in range(LANES):
-                columns[size, k] = work.values[work.terms[j], start + k]
-            size += 1
-        for k in range(LANES):
-            columns[size, k] = 1.0
-        size += 1
-    for k in range(LANES):
-        columns[size, k] = work.output[start + k] - rows.target[start + k]
-    for i in range(size + 1):
-        for k in range(rows.length - start, LANES):
-            columns[i, k] = 0.0
+        mean = product(work.columns, i, rows.mask, _ZERO, rows.length) / rows.length if is_linear else 0.0
+        centre_into(work.columns, i, work.columns, i, mean, rows)
 
 
-@kernel
-def _solve(size: int, damping: float, work: Work) -> bool:
+@inlined
+def _normal_equations(
+    tape: Tape, count: Int, fitted: Int, is_linear: bool, rows: Rows, scale: Floats, work: Work
+) -> None:
+    """Fill matrix and gradient at the values standing in `work`; what terms can express is taken out of the columns."""
+    _jacobian(tape, count, fitted, is_linear, rows, scale, work)
+    n = rows.length
+    columns = work.columns
+    for i in range(fitted):
+        if is_linear:
+            for j in range(work.number[0]):
+                if work.inverse[j] > 0.0:
+                    ratio = product(work.basis, j, columns, i, n) * work.inverse[j]
+                    _subtract_multiple(columns, i, ratio, work.basis, j, n)
+        work.gradient[i] = -product(columns, i, work.residual, _ZERO, n)
+        for j in range(i + 1):
+            work.matrix[i, j] = product(columns, i, columns, j, n)
+
+
+@inlined
+def _solve(size: Int, damping: float, work: Work) -> bool:
     """Solve (A + damping diag A) step = -gradient by Cholesky; return False when that is not possible."""
+    damped = work.damped
     for i in range(size):
-        for j in range(i + 1):
-            work.damped[i, j] = work.matrix[i, j]
-        work.damped[i, i] = work.matrix[i, i] * (1.0 + damping) + 1e-300
-    for i in range(size):
-        for j in range(i + 1):
-            s = work.damped[i, j]
+        for j in range(i):
+            s = work.matrix[i, j]
             for k in range(j):
-                s -= work.damped[i, k] * work.damped[j, k]
-            if i == j:
-                if not s > 1e-15 * work.matrix[i, i] or not np.isfinite(s):
-                    return False
-                work.damped[i, i] = np.sqrt(s)
-            else:
-                work.damped[i, j] = s / work.damped[j, j]
+                s -= damped[i, k] * damped[j, k]
+            damped[i, j] = s * damped[j, j]
+        s = work.matrix[i, i] * (1.0 + damping) + 1e-300
+        for k in range(i):
+            s -= damped[i, k] * damped[i, k]
+        if not s > 1e-15 * work.matrix[i, i] or not np.isfinite(s):
+            return False
+        damped[i, i] = 1.0 / np.sqrt(s)
     for i in range(size):
         s = -work.gradient[i]
         for k in range(i):
-            s -= work.damped[i, k] * work.step[k]
-        work.step[i] = s / work.damped[i, i]
+            s -= damped[i, k] * work.step[k]
+        work.step[i] = s * damped[i, i]
     for i in range(size - 1, -1, -1):
         s = work.step[i]
         for k in range(i + 1, size):
-            s -= work.damped[k, i] * work.step[k]
-        work.step[i] = s / work.damped[i, i]
+            s -= damped[k, i] * work.step[k]
+        work.step[i] = s * damped[i, i]
         if not np.isfinite(work.step[i]):
             return False
     return True
@@ -310,7 +275,7 @@ def _solve(size: int, damping: float, work: Work) -> bool:
 
 @kernel
 def fit(
-    tape: Tape, count: int, rows: Rows, options: Fit, most: int, steps: int, work: Work, scale: Floats, result: Floats
+    tape: Tape, count: Int, rows: Rows, options: Fit, most: Int, steps: Int, work: Work, scale: Floats, result: Floats
 ) -> int:
     """Fit terms and inner constants of the tape to `rows`, in place; set the errors; return point evaluations.
 
@@ -323,41 +288,48 @@ def fit(
     """
     number = collect_terms(tape, count, options.terms, work.terms)
     work.number[0] = number
-    linear = number if options.terms > 0 else 0
+    is_linear = options.terms > 0
     reset_scale(scale)
-    fitted = (
-        choose_fitted(tape, count, number, max(most - linear - 1, options.least), work) if steps > 0 else linear * 0
-    )
-    measure_tape(tape, count, rows, linear, work, scale, result)
+    room = max(most - (number if is_linear else _ZERO) - 1, options.least)
+    fitted = choose_fitted(tape, count, number, room if steps > 0 else _ZERO, work)
+    measure_tape(tape, count, rows, is_linear, False, work, scale, result)
     evaluations = rows.length
     if fitted == 0 or not np.isfinite(result[1]):
         return evaluations
-    power = _product_about(rows.target, 0.0, rows.target, 0.0, rows.length, work.lanes) / rows.length
+    return evaluations + _descend(tape, count, fitted, rows, is_linear, steps, work, scale, result)
+
+
+@inlined
+def _descend(
+    tape: Tape, count: Int, fitted: Int, rows: Rows, is_linear: bool, steps: Int, work: Work, scale: Floats,
+    result: Floats,
+) -> int:  # fmt: skip
+    """Take at most `steps` steps from where `fit` has measured the tape; return point evaluations."""
     damping = _FIRST_DAMPING
-    fresh = True
-    size = fitted
+    is_fresh = True
+    evaluations = _ZERO
     for _ in range(steps):
-        if result[1] <= _EXACT * power:
+        if result[1] <= _EXACT * rows.facts[1]:
             break
-        if fresh:
-            size = _normal_equations(tape, count, fitted, linear, rows, scale, work)
+        if is_fresh:
+            _normal_equations(tape, count, fitted, is_linear, rows, scale, work)
             evaluations += 2 * rows.length
-            fresh = False
-        if not _solve(size, damping, work):
+        if not _solve(fitted, damping, work):
+            is_fresh = False
             damping *= 10.0
             continue
         for j in range(fitted):
             work.kept[j] = tape.constants[work.fitted[j]]
             tape.constants[work.fitted[j]] += work.step[j]
         _keep_into(work.kept_scale, scale)
-        measure_tape(tape, count, rows, linear, work, scale, work.trial)
+        measure_tape(tape, count, rows, is_linear, True, work, scale, work.trial)
         evaluations += rows.length
-        if work.trial[1] < result[1]:
+        is_fresh = work.trial[1] < result[1]
+        if is_fresh:
             gain = 1.0 - work.trial[1] / result[1]
             damping *= 0.1
             result[0] = work.trial[0]
             result[1] = work.trial[1]
-            fresh = True
             if gain < _STALLED:
                 break
         else:

@@ -9,10 +9,11 @@ from typing import Final
 import numpy as np
 
 from common.expression.kernels import Int, forward
+from common.expression.operators import CONSTANT
 from common.jit import inlined, kernel
-from island_worker.evolution.kernels_fit import collect_terms, combine_into, fit
+from island_worker.evolution.kernels_fit import collect_terms, fit, residual_of
 from island_worker.evolution.kernels_random import Stream, below
-from island_worker.evolution.kernels_tape import compile_tape, mark_live
+from island_worker.evolution.kernels_tape import compile_tape, sign
 from island_worker.evolution.kernels_variation import copy_list, cross, distance, mutate
 from island_worker.evolution.structures import Fit, Floats, Ints, Lists, Rows, Scratch, Space, Tape, Work
 
@@ -28,33 +29,43 @@ INFINITY = np.inf
 
 
 @kernel
-def output_of(lists: Lists, p: int, rows: Rows, options: Fit, tape: Tape, work: Work) -> None:
-    """Write the output of individual `p`, as it stands, on `rows` into `work.output`."""
-    count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
+def residual_of_list(lists: Lists, p: Int, rows: Rows, options: Fit, tape: Tape, work: Work) -> None:
+    """Write the target less the output of individual `p`, as it stands, on `rows` into `work.residual`."""
+    count = compile_tape(lists, p, tape)
     number = collect_terms(tape, count, options.terms, work.terms)
-    forward(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, rows.length, work.values)
-    combine_into(work.output, work.values, work.terms, number, lists.scale[p], rows.length)
+    for i in range(count):
+        tape.wanted[i] = True
+    forward(
+        count, tape.code, tape.left, tape.right, tape.constants, tape.wanted, rows.inputs, rows.waves, rows.length,
+        work.values, work.functions,
+    )  # fmt: skip
+    residual_of(number, rows, work, lists.scale[p])
+
+
+@inlined
+def _develop(
+    lists: Lists, p: Int, rows: Rows, options: Fit, tape: Tape, work: Work, result: Floats, counters: Ints, part: Int
+) -> float:
+    """See `develop`, which is apart so that it is compiled once for calls from outside."""
+    count = compile_tape(lists, p, tape)
+    used = fit(tape, count, rows, options, rows.length // 4, options.steps, work, lists.scale[p], result)
+    counters[part] += rows.length
+    counters[FITTING] += used - rows.length
+    for i in range(count if used > rows.length else 0):
+        if tape.code[i] == CONSTANT:
+            lists.constants[p, tape.origin[i]] = tape.constants[i]
+    return result[options.loss]
 
 
 @kernel
 def develop(
-    lists: Lists, p: int, rows: Rows, options: Fit, tape: Tape, work: Work, result: Floats, counters: Ints, part: Int
+    lists: Lists, p: Int, rows: Rows, options: Fit, tape: Tape, work: Work, result: Floats, counters: Ints, part: Int
 ) -> float:
     """Fit the constants of individual `p` to `rows`, write them back, count; return its loss there.
 
     The first value at each row is counted under `part`, the rest as constant fitting.
     """
-    count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
-    most = rows.length // 4
-    used = fit(tape, count, rows, options, most, options.steps, work, lists.scale[p], result)
-    counters[part] += rows.length
-    counters[FITTING] += used - rows.length
-    if options.steps > 0:
-        for i in range(count):
-            lists.constants[p, tape.origin[i]] = (
-                tape.constants[i] if tape.code[i] == 1 else lists.constants[p, tape.origin[i]]
-            )
-    return result[options.loss]
+    return _develop(lists, p, rows, options, tape, work, result, counters, part)
 
 
 @kernel
@@ -67,7 +78,7 @@ def remeasure(
     old ones: a change of predictor would be a purge.
     """
     for p in range(fitness.shape[0]):
-        fitness[p] = develop(lists, p, rows, options, tape, work, result, counters, REEVALUATION)
+        fitness[p] = _develop(lists, p, rows, options, tape, work, result, counters, REEVALUATION)
 
 
 @inlined
@@ -79,22 +90,19 @@ def _shuffle(order: Ints, stream: Stream) -> None:
         order[other] = kept
 
 
-@kernel
-def _crowd(parents: Lists, fitness: Floats, pair: Ints, children: Lists, child_fitness: Floats, live: Ints) -> None:
-    """Let the two children meet the more similar parents; a tie goes uncrossed; replace when no worse."""
-    for q in range(2):
-        p = pair[q]
-        mark_live(parents.code[p], parents.left[p], parents.right[p], live[q])
-        mark_live(children.code[q], children.left[q], children.right[q], live[2 + q])
-    straight = distance(parents, pair[0], live[0], children, 0, live[2])
-    straight += distance(parents, pair[1], live[1], children, 1, live[3])
-    crossed = distance(parents, pair[0], live[0], children, 1, live[3])
-    crossed += distance(parents, pair[1], live[1], children, 0, live[2])
-    for q in range(2):
-        p = pair[q] if straight <= crossed else pair[1 - q]
-        if child_fitness[q] <= fitness[p]:
-            copy_list(parents, p, children, q)
-            fitness[p] = child_fitness[q]
+@inlined
+def _sign_families(parents: Lists, first: Int, second: Int, scratch: Scratch) -> bool:
+    """Sign two parents and the two children; return whether the children face the parents they began as.
+
+    Parents and children are matched by their distances; a tie goes uncrossed.
+    """
+    signature, bits = scratch.signature, scratch.tape.bits
+    sign(parents, first, bits, signature, 0)
+    sign(parents, second, bits, signature, 1)
+    sign(scratch.children, 0, bits, signature, 2)
+    sign(scratch.children, 1, bits, signature, 3)
+    straight = distance(signature, 0, 2) + distance(signature, 1, 3)
+    return straight <= distance(signature, 0, 3) + distance(signature, 1, 2)
 
 
 @kernel
@@ -109,17 +117,21 @@ def generation(
     counters: Ints,
 ) -> None:
     """Advance the population by one generation on the current predictor's `rows`."""
-    order = scratch.order
+    order, children = scratch.order, scratch.children
     for p in range(order.shape[0]):
         order[p] = p
     _shuffle(order, stream)
-    for first in range(0, order.shape[0], 2):
-        scratch.pair[0] = order[first]
-        scratch.pair[1] = order[first + 1]
-        cross(scratch.children, lists, order[first], order[first + 1], space, stream)
+    for pair in range(0, order.shape[0], 2):
+        first, second = order[pair], order[pair + 1]
+        cross(children, lists, first, second, space, stream)
         for q in range(2):
-            mutate(scratch.children, q, space, stream)
-            scratch.child_fitness[q] = develop(
-                scratch.children, q, rows, options, scratch.tape, scratch.work, scratch.result, counters, OFFSPRING
+            mutate(children, q, space, stream)
+        is_straight = _sign_families(lists, first, second, scratch)
+        for q in range(2):
+            loss = _develop(
+                children, q, rows, options, scratch.tape, scratch.near, scratch.result, counters, OFFSPRING
             )
-        _crowd(lists, fitness, scratch.pair, scratch.children, scratch.child_fitness, scratch.live)
+            p = first if (q == 0) == is_straight else second
+            if loss <= fitness[p]:
+                copy_list(lists, p, children, q)
+                fitness[p] = loss

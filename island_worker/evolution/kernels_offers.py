@@ -29,8 +29,8 @@ def structure_hash(tape: Tape, count: int) -> np.uint64:
 @kernel
 def canonical(lists: Lists, p: int, scratch: Scratch) -> int:
     """Write individual `p` as a canonical program to `scratch.canonical`; return its size, scaling left out."""
-    count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], scratch.tape)
-    return canonical_tape(scratch.tape, count, scratch.work.values, scratch.canonical)
+    count = compile_tape(lists, p, scratch.tape)
+    return canonical_tape(scratch.tape, count, scratch.work, scratch.canonical)
 
 
 @kernel

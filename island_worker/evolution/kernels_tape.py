@@ -2,52 +2,89 @@
 
 import numpy as np
 
-from common.expression.kernels import forward_block
-from common.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, SQUARE, VARIABLE
+from common.expression.kernels import Int, forward_block
+from common.expression.kernels_lanes import highest_bit, lowest_bit
+from common.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, SQUARE
 from common.jit import inlined, kernel
-from island_worker.evolution.structures import Bytes, Floats, Ints, Shorts, Tape
+from island_worker.evolution.structures import Hashes, Ints, Lists, Tape, Work
 
 ARITY_OF = np.array(ARITY, np.int64)
 
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
 
-@kernel
-def mark_live(code: Bytes, left: Shorts, right: Shorts, live: Ints) -> int:
-    """Set `live[i]` to 1 for nodes that the output (the last node) depends on, else -1; return how many live."""
-    last = code.shape[0] - 1
-    for i in range(last):
-        live[i] = -1
-    live[last] = 1
+
+@inlined
+def mark_live(lists: Lists, p: Int, bits: Hashes) -> None:
+    """Set the bit of every node of list `p` that its output (the last node) depends on, 64 nodes to a word."""
+    for word in range(bits.shape[0]):
+        bits[word] = _NONE
+    last = lists.code.shape[1] - 1
+    bits[last >> 6] = _ONE << np.uint64(last & 63)
+    for word in range(last >> 6, -1, -1):
+        waiting = bits[word]
+        while waiting != _NONE:
+            b = highest_bit(waiting)
+            waiting ^= _ONE << np.uint64(b)
+            i = (word << 6) + b
+            arity = ARITY_OF[lists.code[p, i]]
+            if arity == 0:
+                continue
+            left, right = np.int64(lists.left[p, i]), np.int64(lists.right[p, i])
+            right = right if arity > 1 else left
+            if left >> 6 == word:
+                waiting |= _ONE << np.uint64(left & 63)
+            if right >> 6 == word:
+                waiting |= _ONE << np.uint64(right & 63)
+            bits[left >> 6] |= _ONE << np.uint64(left & 63)
+            bits[right >> 6] |= _ONE << np.uint64(right & 63)
+
+
+@inlined
+def compile_tape(lists: Lists, p: Int, tape: Tape) -> int:
+    """Write the live nodes of list `p` onto `tape`; return their number."""
+    mark_live(lists, p, tape.bits)
     count = 0
-    for i in range(last, -1, -1):
-        if live[i] < 0:
-            continue
-        count += 1
-        arity = ARITY_OF[code[i]]
-        if arity > 0:
-            live[left[i]] = 1
-        if arity > 1:
-            live[right[i]] = 1
+    for word in range(tape.bits.shape[0]):
+        waiting = tape.bits[word]
+        while waiting != _NONE:
+            b = lowest_bit(waiting)
+            waiting &= waiting - _ONE
+            i = (word << 6) + b
+            tape.live[i] = count
+            tape.origin[count] = i
+            op = np.int64(lists.code[p, i])
+            arity = ARITY_OF[op]
+            left = np.int64(lists.left[p, i])
+            tape.code[count] = op
+            tape.left[count] = tape.live[left] if arity > 0 else left
+            tape.right[count] = tape.live[lists.right[p, i]] if arity > 1 else 0
+            tape.constants[count] = lists.constants[p, i] if op == CONSTANT else 0.0
+            count += 1
     return count
 
 
-@kernel
-def compile_tape(code: Bytes, left: Shorts, right: Shorts, constants: Floats, tape: Tape) -> int:
-    """Write the live nodes of one list onto `tape`; return their number."""
-    mark_live(code, left, right, tape.live)
-    count = 0
-    for i in range(code.shape[0]):
-        if tape.live[i] < 0:
-            continue
-        tape.live[i] = count
-        tape.origin[count] = i
-        op = np.int64(code[i])
-        arity = ARITY_OF[op]
-        tape.code[count] = op
-        tape.left[count] = tape.live[left[i]] if arity > 0 else (np.int64(left[i]) if op == VARIABLE else 0)
-        tape.right[count] = tape.live[right[i]] if arity > 1 else 0
-        tape.constants[count] = constants[i] if op == CONSTANT else 0.0
-        count += 1
-    return count
+@inlined
+def sign(lists: Lists, p: Int, bits: Hashes, signature: Ints, q: Int) -> None:
+    """Write the signature of list `p` to row `q` of `signature`: 0 for each dead node, else operator and arguments.
+
+    Arguments that the operator does not have, and the values of constants, are left out. `bits` are scratch.
+    """
+    mark_live(lists, p, bits)
+    for i in range(signature.shape[1]):
+        signature[q, i] = 0
+    for word in range(bits.shape[0]):
+        waiting = bits[word]
+        while waiting != _NONE:
+            i = (word << 6) + lowest_bit(waiting)
+            waiting &= waiting - _ONE
+            op = np.int64(lists.code[p, i])
+            signed = op + 1
+            if op != CONSTANT:
+                signed |= np.int64(lists.left[p, i]) << 8
+            if ARITY_OF[op] > 1:
+                signed |= np.int64(lists.right[p, i]) << 32
+            signature[q, i] = signed
 
 
 @inlined
@@ -72,7 +109,7 @@ def _append(tape: Tape, count: int, op: int, left: int, right: int, constant: fl
 
 
 @kernel
-def canonical_tape(source: Tape, length: int, work_values: Floats, tape: Tape) -> int:
+def canonical_tape(source: Tape, length: int, work: Work, tape: Tape) -> int:
     """Fold constants and duplicates of `source` (`length` nodes) onto `tape`; return the number of nodes.
 
     Operands of + and * are put in order and a square is a product, so that equal values are one node. Folding may leave
@@ -91,7 +128,7 @@ def canonical_tape(source: Tape, length: int, work_values: Floats, tape: Tape) -
             left, right = right, left
         constant = source.constants[i]
         if arity > 0 and tape.code[left] == CONSTANT and (arity == 1 or tape.code[right] == CONSTANT):
-            constant = _folded(op, tape.constants[left], tape.constants[right], work_values)
+            constant = _folded(op, tape.constants[left], tape.constants[right], work)
             op, left, right = np.int64(CONSTANT), np.int64(0), np.int64(0)
         place[i] = _append(tape, count, op, left, right, constant)
         count = max(count, place[i] + 1)
@@ -99,14 +136,19 @@ def canonical_tape(source: Tape, length: int, work_values: Floats, tape: Tape) -
 
 
 @kernel
-def _folded(op: int, a: float, b: float, work_values: Floats) -> float:
+def _folded(op: int, a: float, b: float, work: Work) -> float:
     """Return the value of an operator on two constants, by the very kernel that measures programs."""
     code = np.array([CONSTANT, CONSTANT, op])
     left = np.array([0, 0, 0])
     right = np.array([0, 0, 1])
+    constants = np.array([a, b, 0.0])
+    wanted = np.ones(3, np.bool_)
+    nothing = np.zeros((0, 1))
     zero = np.int64(0)
-    forward_block(np.int64(3), code, left, right, np.array([a, b, 0.0]), np.zeros((1, 1)), zero, work_values)
-    return work_values[2, 0]
+    forward_block(
+        np.int64(3), code, left, right, constants, wanted, nothing, nothing, zero, work.values, work.functions
+    )
+    return work.values[2, 0]
 
 
 @kernel

@@ -1,12 +1,19 @@
 """Random lists, crossover, mutation and the distance of deterministic crowding (paper, section 2 and Table II)."""
 
+import numpy as np
+
 from common.expression.kernels import Int
 from common.expression.kernels_elementary import strict_exp
+from common.expression.kernels_lanes import lowest_bit
 from common.expression.operators import CONSTANT, VARIABLE
 from common.jit import inlined, kernel
-from island_worker.evolution.kernels_random import Stream, below, normal, uniform
-from island_worker.evolution.kernels_tape import ARITY_OF
+from island_worker.evolution.kernels_random import Stream, below, next_bits, normal, uniform
 from island_worker.evolution.structures import Floats, Ints, Lists, Space
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_LOW = np.uint64(0xFFFFFFFF)
+_S32 = np.uint64(32)
 
 
 @kernel
@@ -37,7 +44,7 @@ def _varied_constant(value: float, space: Space, stream: Stream) -> float:
 
 
 @inlined
-def _random_terminal(lists: Lists, p: int, i: int, space: Space, stream: Stream) -> None:
+def _random_terminal(lists: Lists, p: Int, i: Int, space: Space, stream: Stream) -> None:
     if uniform(stream) < 0.5:
         lists.code[p, i] = VARIABLE
         lists.left[p, i] = below(stream, space.variables)
@@ -57,7 +64,7 @@ def reset_scale(scale: Floats) -> None:
 
 
 @kernel
-def random_list(lists: Lists, p: int, space: Space, stream: Stream) -> None:
+def random_list(lists: Lists, p: Int, space: Space, stream: Stream) -> None:
     """Fill list `p` at random: terminals, then operators that refer to any earlier nodes."""
     reset_scale(lists.scale[p])
     for i in range(space.nodes):
@@ -70,32 +77,47 @@ def random_list(lists: Lists, p: int, space: Space, stream: Stream) -> None:
             lists.right[p, i] = below(stream, i)
 
 
-@kernel
-def mutate(lists: Lists, p: int, space: Space, stream: Stream) -> None:
-    """Change each node of list `p` with probability `space.mutation`: one of its operator and its two arguments.
-
-    A terminal becomes another terminal; a constant is moved rather than replaced in half of the cases.
-    """
-    for i in range(space.nodes):
-        if uniform(stream) >= space.mutation:
-            continue
-        if i < space.terminals:
-            if lists.code[p, i] == CONSTANT and uniform(stream) < 0.5:
-                lists.constants[p, i] = _varied_constant(lists.constants[p, i], space, stream)
-            else:
-                _random_terminal(lists, p, i, space, stream)
-            continue
-        part = below(stream, 3)
-        if part == 0:
-            lists.code[p, i] = space.operators[below(stream, space.operators.shape[0])]
-        elif part == 1:
-            lists.left[p, i] = below(stream, i)
+@inlined
+def _mutate_node(lists: Lists, p: Int, i: Int, space: Space, stream: Stream) -> None:
+    if i < space.terminals:
+        if lists.code[p, i] == CONSTANT and uniform(stream) < 0.5:
+            lists.constants[p, i] = _varied_constant(lists.constants[p, i], space, stream)
         else:
-            lists.right[p, i] = below(stream, i)
+            _random_terminal(lists, p, i, space, stream)
+        return
+    part = below(stream, 3)
+    if part == 0:
+        lists.code[p, i] = space.operators[below(stream, space.operators.shape[0])]
+    elif part == 1:
+        lists.left[p, i] = below(stream, i)
+    else:
+        lists.right[p, i] = below(stream, i)
 
 
 @inlined
-def copy_nodes(target: Lists, p: int, source: Lists, q: Int, first: Int, last: int) -> None:
+def mutate(lists: Lists, p: Int, space: Space, stream: Stream) -> None:
+    """Change each node of list `p` with probability `space.mutation`: one of its operator and its two arguments.
+
+    A terminal becomes another terminal; a constant is moved rather than replaced in half of the cases. Which nodes
+    change is drawn first, two from one number, so that no branch hangs on each draw.
+    """
+    threshold = np.uint64(space.mutation * 4294967296.0)
+    for first in range(0, space.nodes, 64):
+        last = min(first + 64, space.nodes)
+        changed = _NONE
+        for i in range(first, last, 2):
+            bits = next_bits(stream)
+            low = _ONE if (bits & _LOW) < threshold else _NONE
+            high = _ONE if (bits >> _S32) < threshold and i + 1 < last else _NONE
+            changed |= (low | (high << _ONE)) << np.uint64(i - first)
+        while changed != _NONE:
+            i = first + lowest_bit(changed)
+            changed &= changed - _ONE
+            _mutate_node(lists, p, i, space, stream)
+
+
+@inlined
+def copy_nodes(target: Lists, p: Int, source: Lists, q: Int, first: Int, last: Int) -> None:
     """Copy nodes [first, last) of list `q` of `source` to list `p` of `target`."""
     for i in range(first, last):
         target.code[p, i] = source.code[q, i]
@@ -105,15 +127,15 @@ def copy_nodes(target: Lists, p: int, source: Lists, q: Int, first: Int, last: i
 
 
 @inlined
-def copy_list(target: Lists, p: int, source: Lists, q: Int) -> None:
+def copy_list(target: Lists, p: Int, source: Lists, q: Int) -> None:
     """Copy the whole list `q` of `source`, with its scaling, to list `p` of `target`."""
     copy_nodes(target, p, source, q, 0, source.code.shape[1])
     for j in range(source.scale.shape[1]):
         target.scale[p, j] = source.scale[q, j]
 
 
-@kernel
-def cross(children: Lists, parents: Lists, first: int, second: int, space: Space, stream: Stream) -> None:
+@inlined
+def cross(children: Lists, parents: Lists, first: Int, second: Int, space: Space, stream: Stream) -> None:
     """Write two complementary children of parents `first` and `second` to lists 0 and 1 of `children`.
 
     With probability `space.crossover` both lists are cut at one common random place; else the children are copies.
@@ -127,20 +149,10 @@ def cross(children: Lists, parents: Lists, first: int, second: int, space: Space
     copy_nodes(children, 1, parents, first, cut, space.nodes)
 
 
-@kernel
-def distance(one: Lists, p: int, live_one: Ints, two: Lists, q: int, live_two: Ints) -> int:
+@inlined
+def distance(signature: Ints, i: Int, j: Int) -> int:
     """Return the number of nodes, live in either list, that differ in operator or arguments; constants are equal."""
-    total = 0
-    for i in range(one.code.shape[1]):
-        if live_one[i] < 0 and live_two[i] < 0:
-            continue
-        a = one.code[p, i]
-        if live_one[i] < 0 or live_two[i] < 0 or a != two.code[q, i]:
-            total += 1
-            continue
-        if a == CONSTANT:
-            continue
-        arity = ARITY_OF[a]
-        if one.left[p, i] != two.left[q, i] or (arity > 1 and one.right[p, i] != two.right[q, i]):
-            total += 1
-    return total
+    differing = 0
+    for k in range(signature.shape[1]):
+        differing += 1 if signature[i, k] != signature[j, k] else 0
+    return differing

@@ -9,19 +9,19 @@ import numpy as np
 from common.config import JobConfig
 from common.dataset import FloatArray, Problem
 from common.errors import LocalProtocolError
-from common.expression.kernels import padded
-from island_worker.evolution.kernels_coevolution import gather
+from common.expression.kernels import functions_address
+from common.expression.operators import COS, SIN
+from island_worker.evolution.kernels_rows import gather, padded_rows
 from island_worker.evolution.migration import operator_codes
 from island_worker.evolution.structures import (
     Coevolution,
     Coevolving,
     Fit,
-    Rows,
     Scratch,
     Space,
     empty_lists,
+    empty_rows,
     empty_scratch,
-    padded_rows,
 )
 
 LEAST_INNER = 2
@@ -40,9 +40,10 @@ class Setting:
         self.island = island
         self.deviation = problem.target.deviation
         self.target = target_error(config, problem.target.floor) * self.deviation
-        self.every = padded_rows(problem.inputs, problem.target.values)
         self.space = _space(problem, config)
         self.allowed = frozenset(int(code) for code in self.space.operators)
+        keeps_waves = bool(self.allowed & {SIN, COS})
+        self.every = padded_rows(problem.inputs, problem.target.values, keeps_waves)
         evolution, predictors = config.evolution, config.predictors
         sample = predictors.rows
         if sample is None:
@@ -56,7 +57,7 @@ class Setting:
         variables = problem.inputs.shape[0]
         self.rows = self.every
         if self.coevolving.enabled:
-            self.rows = Rows(np.zeros((variables, padded(sample))), np.zeros(padded(sample)), sample)
+            self.rows = empty_rows(variables, sample, 2 * variables if keeps_waves else 0)
         self.scratch = _shared_scratch(
             threading.get_ident(), evolution.population, self.space.nodes, variables, self.sample, rows
         )
@@ -64,7 +65,7 @@ class Setting:
     def gather(self, coevolution: Coevolution) -> None:
         """Fill `rows` with those of the best predictor; nothing to do while predictors are off."""
         if self.coevolving.enabled:
-            gather(self.rows, self.every, coevolution.predictors[coevolution.best[0]])
+            gather(self.rows, self.every, coevolution.predictors[coevolution.best[0]], functions_address())
 
     def empty_coevolution(self) -> Coevolution:
         """Return predictors and trainers not yet drawn; a single unused one of each when predictors are off."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from common.expression.kernels import LANES, padded
+from common.expression.kernels import LANES, functions_address, padded
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -67,8 +67,16 @@ class Rows(NamedTuple):
 
     inputs: Floats
     """(V, padded)."""
+    waves: Floats
+    """(2 V, padded) sine and cosine of each input, or (0, padded): not kept, they are computed where they are needed."""
     target: Floats
-    """(padded,)."""
+    """(1, padded)."""
+    mask: Floats
+    """(1, padded) 1 before the padding, 0 in it."""
+    centred: Floats
+    """(1, padded) target less its mean; 0 in the padding."""
+    facts: Floats
+    """(2,) mean of the target and of its square."""
     length: int
     """Rows before the padding."""
 
@@ -80,40 +88,51 @@ class Tape(NamedTuple):
     left: Ints
     right: Ints
     constants: Floats
+    wanted: Booleans
+    """Nodes that are to be evaluated."""
     depends: Booleans
+    """Nodes that depend on a constant that is being fitted."""
     origin: Ints
     """Index in the list that each live node came from."""
     live: Ints
-    """(L,) -1 for dead nodes of the list, else the index on the tape."""
+    """(L,) index on the tape of each live node of the list; of dead ones anything."""
+    bits: Hashes
+    """Live nodes of the list, 64 to a word."""
 
 
 class Work(NamedTuple):
-    """Scratch of the fit: values, adjoints and normal equations."""
+    """Scratch of the fit for rows of one length: values, adjoints and normal equations."""
 
     values: Floats
     """(nodes, padded rows)."""
     adjoints: Floats
-    """(nodes, LANES)."""
-    lanes: Floats
-    output: Floats
-    """(padded rows,)."""
+    """(nodes + 1, LANES); the last row is scratch."""
+    basis: Floats
+    """(MOST_TERMS, padded rows) the terms, centred and made orthogonal one after the other."""
     columns: Floats
-    """(most fitted + 1, LANES) columns of the Jacobian and, after the last, the residual."""
+    """(MOST_FITTED, padded rows) columns of the Jacobian."""
+    residual: Floats
+    """(1, padded rows) target less output; 0 in the padding."""
     matrix: Floats
     damped: Floats
     gradient: Floats
     step: Floats
     means: Floats
+    """(MOST_TERMS,) means of the terms."""
+    inverse: Floats
+    """(MOST_TERMS,) one over the squared length of each row of `basis`; 0 where the term cannot be used."""
+    ratio: Floats
+    """(MOST_TERMS, MOST_TERMS) how much of each earlier row of `basis` was in a term."""
     terms: Ints
     """Tape indices of the top-level terms; `number` of them."""
     number: Ints
     fitted: Ints
     """Tape indices of the constants that are fitted."""
-    feeds: Booleans
-    """Whether a node is part of a term."""
     kept: Floats
     kept_scale: Floats
     trial: Floats
+    functions: int
+    """Address of the compiled functions, see `common.expression.kernels_functions`."""
 
 
 class Coevolution(NamedTuple):
@@ -148,14 +167,16 @@ class Scratch(NamedTuple):
     """Everything a generation needs besides the island's own state."""
 
     order: Ints
-    pair: Ints
     children: Lists
     child_fitness: Floats
-    live: Ints
-    """(4, L): which nodes of the two parents and the two children are live."""
+    signature: Ints
+    """(4, L) signatures of the two parents and the two children."""
     tape: Tape
     canonical: Tape
+    near: Work
+    """For rows of a predictor's length."""
     work: Work
+    """For all rows."""
     result: Floats
     spare: Rows
     """Rows for one predictor at a time."""
@@ -180,32 +201,36 @@ def empty_lists(population: int, nodes: int) -> Lists:
 
 
 def empty_tape(nodes: int) -> Tape:
-    """Return scratch for a tape of at most `nodes` nodes."""
+    """Return scratch for a tape of at most `nodes` nodes, all wanted."""
     ints = [np.zeros(nodes, np.int64) for _ in range(5)]
-    return Tape(ints[0], ints[1], ints[2], np.zeros(nodes), np.zeros(nodes, np.bool_), ints[3], ints[4])
+    wanted, depends = np.ones(nodes, np.bool_), np.zeros(nodes, np.bool_)
+    bits = np.zeros(-(-nodes // 64), np.uint64)
+    return Tape(ints[0], ints[1], ints[2], np.zeros(nodes), wanted, depends, ints[3], ints[4], bits)
 
 
 def empty_work(nodes: int, rows: int) -> Work:
     """Return scratch to fit programs of at most `nodes` nodes on at most `rows` rows."""
-    most = MOST_FITTED + MOST_TERMS + 2
+    length = padded(rows)
     return Work(
-        values=np.zeros((nodes, padded(rows))),
-        adjoints=np.zeros((nodes, LANES)),
-        lanes=np.zeros(LANES),
-        output=np.zeros(padded(rows)),
-        columns=np.zeros((most, LANES)),
-        matrix=np.zeros((most, most)),
-        damped=np.zeros((most, most)),
-        gradient=np.zeros(most),
-        step=np.zeros(most),
+        values=np.zeros((nodes, length)),
+        adjoints=np.zeros((nodes + 1, LANES)),
+        basis=np.zeros((MOST_TERMS, length)),
+        columns=np.zeros((MOST_FITTED, length)),
+        residual=np.zeros((1, length)),
+        matrix=np.zeros((MOST_FITTED, MOST_FITTED)),
+        damped=np.zeros((MOST_FITTED, MOST_FITTED)),
+        gradient=np.zeros(MOST_FITTED),
+        step=np.zeros(MOST_FITTED),
         means=np.zeros(MOST_TERMS),
+        inverse=np.zeros(MOST_TERMS),
+        ratio=np.zeros((MOST_TERMS, MOST_TERMS)),
         terms=np.zeros(MOST_TERMS + 2, np.int64),
         number=np.zeros(1, np.int64),
         fitted=np.zeros(MOST_FITTED, np.int64),
-        feeds=np.zeros(nodes, np.bool_),
         kept=np.zeros(MOST_FITTED),
         kept_scale=np.zeros(1 + MOST_TERMS),
         trial=np.zeros(2),
+        functions=functions_address(),
     )
 
 
@@ -214,23 +239,27 @@ def empty_scratch(population: int, nodes: int, variables: int, sample: int, rows
     space = nodes + 4 + 3 * MOST_TERMS
     return Scratch(
         order=np.zeros(population, np.int64),
-        pair=np.zeros(2, np.int64),
         children=empty_lists(2, nodes),
         child_fitness=np.zeros(2),
-        live=np.zeros((4, nodes), np.int64),
+        signature=np.zeros((4, nodes), np.int64),
         tape=empty_tape(space),
         canonical=empty_tape(space),
+        near=empty_work(space, sample),
         work=empty_work(space, rows),
         result=np.zeros(2),
-        spare=Rows(np.zeros((variables, padded(sample))), np.zeros(padded(sample)), sample),
+        spare=empty_rows(variables, sample, 0),
         predictor_children=np.zeros((2, sample), np.int64),
         best_of_size=np.zeros(space, np.int64),
         hashes=np.zeros(population, np.uint64),
     )
 
 
-def padded_rows(inputs: Floats, target: Floats) -> Rows:
-    """Return `inputs` (V, R) and `target` (R,) padded by repeating the last row."""
-    count = target.shape[0]
-    index = np.minimum(np.arange(padded(count)), count - 1)
-    return Rows(np.ascontiguousarray(inputs[:, index]), np.ascontiguousarray(target[index]), count)
+def empty_rows(variables: int, length: int, waves: int) -> Rows:
+    """Return `length` rows to be filled; `waves` is 2 for each variable whose sine and cosine are kept, else 0."""
+    wide = padded(length)
+    mask = np.zeros((1, wide))
+    mask[0, :length] = 1.0
+    one = (1, wide)
+    return Rows(
+        np.zeros((variables, wide)), np.zeros((waves, wide)), np.zeros(one), mask, np.zeros(one), np.zeros(2), length
+    )

@@ -1,0 +1,63 @@
+"""The operators that are functions, and their slopes, over one block of rows: compiled once, called by address.
+
+They are long, and a compiler that works through all callees anew in every caller would spend its minute on them.
+"""
+
+from typing import Any, Final
+
+from common.expression.kernels_elementary import strict_cos, strict_exp, strict_log, strict_pow, strict_sin, strict_tanh
+from common.expression.kernels_lanes import LANES, get, put
+from common.expression.operators import COS, EXP, LOG, POW, SIN, TANH
+from common.jit import IS_COMPILED, callback
+
+SIGN: Final = 32
+"""-1, 0 or 1: the slope of the absolute value."""
+
+POWER_SLOPE: Final = 33
+"""b * a**(b - 1)."""
+
+
+def _apply(operator: int, out: Any, a: Any, b: Any) -> None:
+    """Write function `operator` of the numbers at place `a` (and `b`) to place `out`."""
+    if operator == SIN:
+        for k in range(LANES):
+            put(out, k, strict_sin(get(a, k)))
+    elif operator == COS:
+        for k in range(LANES):
+            put(out, k, strict_cos(get(a, k)))
+    elif operator == EXP:
+        for k in range(LANES):
+            put(out, k, strict_exp(get(a, k)))
+    elif operator == LOG:
+        for k in range(LANES):
+            put(out, k, strict_log(get(a, k)))
+    elif operator == TANH:
+        for k in range(LANES):
+            put(out, k, strict_tanh(get(a, k)))
+    elif operator == POW:
+        for k in range(LANES):
+            put(out, k, strict_pow(get(a, k), get(b, k)))
+    elif operator == SIGN:
+        for k in range(LANES):
+            x = get(a, k)
+            put(out, k, 1.0 if x > 0.0 else (-1.0 if x < 0.0 else 0.0))
+    elif operator == POWER_SLOPE:
+        for k in range(LANES):
+            put(out, k, get(b, k) * strict_pow(get(a, k), get(b, k) - 1.0))
+
+
+if IS_COMPILED:
+    from common.expression.kernels_lanes import call_at
+
+    _COMPILED: Final = callback("void(int64, int64, int64, int64)", _apply)
+    apply_function = call_at
+else:
+
+    def apply_function(address: int, operator: int, out: Any, a: Any, b: Any) -> None:
+        """Interpreted: the function itself; `address` means nothing."""
+        _apply(operator, out, a, b)
+
+
+def functions_address() -> int:
+    """Return where the compiled function lies in this process; 0 when interpreted."""
+    return int(_COMPILED.address) if IS_COMPILED else 0
