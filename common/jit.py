@@ -46,12 +46,14 @@ def cache_directory() -> Path:
 os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_directory()))
 
 import numba  # noqa: E402  the cache directory must be set before numba reads its configuration
+import numba.core.cgutils  # noqa: E402
 import numba.extending  # noqa: E402
 
 IS_COMPILED = not numba.config.DISABLE_JIT
 """Whether kernels are machine code; else they run as the Python they are."""
 
 types = numba.types
+cgutils = numba.core.cgutils
 intrinsic = numba.extending.intrinsic
 
 F = TypeVar("F", bound=Callable[..., Any])

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from common.jit import IS_COMPILED, intrinsic, types
+from common.jit import IS_COMPILED, cgutils, intrinsic, types
 
 LANES: Final = 16
 """Rows in a block."""
@@ -100,6 +100,11 @@ def _total(a: Any, b: Any) -> float:
 
 def _total_magnitude(a: Any, b: Any) -> float:
     return _total(np.abs(a), b)
+
+
+def _move(out: Any, p: int, source: Any, q: int, first: int, last: int) -> None:
+    """Copy source[q, first:last] to out[p, first:last]; both are C-contiguous and of one type."""
+    out[p, first:last] = source[q, first:last]
 
 
 def _get(a: Any, k: int) -> float:
@@ -284,15 +289,35 @@ if IS_COMPILED:
         return types.int64(types.uint64), generate
 
     @intrinsic
-    def call_at(typing: Any, address: Any, operator: Any, out: Any, a: Any, b: Any) -> Any:  # noqa: D103
+    def call_at(typing: Any, address: Any, operator: Any, count: Any, out: Any, a: Any, b: Any) -> Any:  # noqa: D103
         """Call the compiled function at `address`, see `common.jit.callback`."""
 
         def generate(context: Any, builder: Any, _: Any, arguments: tuple[Any, ...]) -> Any:
-            function = ir.FunctionType(ir.VoidType(), [_WORD] * 4)
+            function = ir.FunctionType(ir.VoidType(), [_WORD] * 5)
             builder.call(builder.inttoptr(arguments[0], function.as_pointer()), arguments[1:])
             return context.get_dummy_value()
 
-        return types.void(*[types.int64] * 5), generate
+        return types.void(*[types.int64] * 6), generate
+
+    @intrinsic
+    def move(typing: Any, out: Any, p: Any, source: Any, q: Any, first: Any, last: Any) -> Any:  # noqa: D103
+        """See `_move`."""
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: tuple[Any, ...]) -> Any:
+            target, p, origin, q, first, last = arguments
+            width = context.get_abi_sizeof(context.get_data_type(signature.args[0].dtype))
+            steps = ir.Constant(_WORD, width)
+            ends = []
+            for kind, array, row in ((signature.args[0], target, p), (signature.args[2], origin, q)):
+                strides = context.make_array(kind)(context, builder, array).strides
+                offsets = [(row, builder.extract_value(strides, 0)), (first, steps)]
+                address = _address(context, builder, kind, array, offsets)
+                ends.append(builder.inttoptr(address, ir.IntType(8).as_pointer()))
+            cgutils.raw_memcpy(builder, *ends, builder.sub(last, first), width)
+            return context.get_dummy_value()
+
+        word = types.int64
+        return types.void(out, word, source, word, word, word), generate
 
     fill = _operation("px", types.void, _emit_fill)
     get = _operation("pi", types.float64, _emit_get)
@@ -316,7 +341,7 @@ if IS_COMPILED:
     total_magnitude = _operation("pp", types.float64, _emit_total_magnitude)
 else:
     place, place_in = _place, _place_in
-    fill, copy, get, put = _fill, _copy, _get, _put
+    fill, copy, get, put, move = _fill, _copy, _get, _put, _move
     add, subtract, multiply, divide = _add, _subtract, _multiply, _divide
     negate, invert, root, magnitude = _negate, _invert, _root, _magnitude
     add_scaled, add_product, subtract_product = _add_scaled, _add_product, _subtract_product

@@ -10,7 +10,7 @@ import numpy as np
 
 from common.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, NEGATE, SUBTRACT
 from common.expression.program import Program
-from island_worker.evolution.structures import Tape
+from island_worker.evolution.structures import Book, Tape
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,13 @@ Formula = tuple[Node, ...]
 def from_tape(tape: Tape, count: int) -> Formula:
     """Return the first `count` nodes of `tape`."""
     columns = (tape.code[:count], tape.left[:count], tape.right[:count], tape.constants[:count])
+    return tuple(map(Node, *(column.tolist() for column in columns)))
+
+
+def from_book(book: Book, k: int) -> Formula:
+    """Return program `k` of `book`."""
+    count = int(book.size[k])
+    columns = (book.code[k, :count], book.left[k, :count], book.right[k, :count], book.constants[k, :count])
     return tuple(map(Node, *(column.tolist() for column in columns)))
 
 

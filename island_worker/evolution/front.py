@@ -16,13 +16,14 @@ from common.pareto import FrontEntry, merge
 from island_worker.evolution.formula import (
     Formula,
     combined,
+    from_book,
     from_program,
     from_tape,
     onto_tape,
     reductions,
     to_program,
 )
-from island_worker.evolution.kernels_offers import canonical, choose_offers, refit
+from island_worker.evolution.kernels_offers import SIMPLE, refit, refit_offers
 from island_worker.evolution.kernels_rows import padded_rows
 from island_worker.evolution.kernels_tape import canonical_tape
 from island_worker.evolution.setting import Setting
@@ -35,7 +36,6 @@ PRUNE_SAMPLE = 64
 MOST_NODES = 200
 _NEAR = 2.0
 _NEAR_EXACT = 1e-6
-_SIMPLE = 1e-4
 _PROMISING = 10.0
 
 Counters = npt.NDArray[np.int64]
@@ -64,6 +64,13 @@ class Front:
         """Return the least error of entries no more complex than that; inf when there is none."""
         return min((e.error for e in self._entries if e.complexity <= complexity), default=math.inf)
 
+    def least_by_size(self, sizes: int) -> npt.NDArray[np.float64]:
+        """Return `error_at` each complexity below `sizes`."""
+        least = np.full(sizes, math.inf)
+        for entry in self._entries:
+            least[entry.complexity :] = entry.error
+        return least
+
     def add(self, entry: FrontEntry) -> bool:
         """Add `entry` unless an entry as simple is as good; return whether it was added."""
         if not entry.error < self.error_at(entry.complexity):
@@ -81,7 +88,6 @@ class Offering:
         sizes = setting.scratch.best_of_size.shape[0]
         self.offered = np.zeros(sizes, np.uint64)
         self.offered_loss = np.full(sizes, math.inf)
-        self._chosen = np.zeros(sizes, np.int64)
         self._scale = np.zeros(1 + MOST_TERMS)
         self._result = np.zeros(2)
         self._unscaled = Fit(setting.fit.steps, 0, MOST_FITTED, setting.fit.loss)
@@ -90,23 +96,23 @@ class Offering:
 
     def offer(self, lists: Lists, fitness: npt.NDArray[np.float64], counters: Counters, tag: Tag) -> list[FrontEntry]:
         """Measure the best of each size on all rows and offer it; return what improved the front."""
-        scratch = self._setting.scratch
-        count = choose_offers(lists, fitness, scratch, self.offered, self.offered_loss, self._chosen)
+        setting, scratch = self._setting, self._setting.scratch
+        count = refit_offers(
+            lists, fitness, setting.every, setting.fit, REFIT_STEPS if setting.fit.steps else 0, scratch,
+            self.offered, self.offered_loss, self._front.least_by_size(len(self.offered)), scratch.book, counters,
+        )  # fmt: skip
         found: list[FrontEntry] = []
-        for p in self._chosen[:count].tolist():
-            found += self._offer_one(lists, p, counters, tag)
+        for k in range(count):
+            found += self._offer_one(k, counters, tag)
         return found
 
-    def _offer_one(self, lists: Lists, p: int, counters: Counters, tag: Tag) -> Iterator[FrontEntry]:
-        setting, scratch = self._setting, self._setting.scratch
-        size = canonical(lists, p, scratch)
-        steps = REFIT_STEPS if setting.fit.steps else 0
-        refit(size, setting.every, setting.fit, steps, scratch, self._scale, self._result, counters)
-        error = self._error()
-        if not error < self._front.error_at(size):
+    def _offer_one(self, k: int, counters: Counters, tag: Tag) -> Iterator[FrontEntry]:
+        book = self._setting.scratch.book
+        loss = float(book.loss[k])
+        if not loss < self._front.error_at(int(book.size[k])):
             return
-        for variant in self._variants(from_tape(scratch.canonical, size)):
-            entry = self._measured(variant, error, counters, tag)
+        for variant in self._variants(from_book(book, k), k, _NEAR * loss + _NEAR_EXACT * self._setting.deviation):
+            entry = self._measured(variant, counters, tag)
             if entry is not None and self._front.add(entry):
                 yield entry
 
@@ -114,48 +120,50 @@ class Offering:
         """Return the loss of the last measurement, in the target's units."""
         return float(self._result[0]) if self._setting.fit.loss == 0 else math.sqrt(float(self._result[1]))
 
-    def _variants(self, formula: Formula) -> list[Formula]:
-        """Return the formula with the coefficients just fitted; without the shift; with those near 0 and 1 exact."""
+    def _variants(self, formula: Formula, k: int, limit: float) -> list[Formula]:
+        """Return the ways to write down the coefficients just fitted that leave the loss within `limit`.
+
+        With the shift or without it, those near 1 and -1 as they are or exact; and the formula as it stands.
+        """
+        book = self._setting.scratch.book
+        number = int(book.number[k])
         if not self._setting.fit.terms:
             return [formula]
-        work = self._setting.scratch.work
-        terms = work.terms[: work.number[0]].tolist()
-        shift, *coefficients = self._scale[: 1 + len(terms)].tolist()
-        plain = [math.copysign(1.0, a) if abs(abs(a) - 1.0) < _SIMPLE else a for a in coefficients]
-        variants = {
-            combined(formula, terms, coefficients, shift): None,
-            combined(formula, terms, coefficients, 0.0): None,
-            combined(formula, terms, plain, shift): None,
-            combined(formula, terms, plain, 0.0): None,
-            formula: None,
-        }
+        terms = book.terms[k, :number].tolist()
+        shift, *coefficients = book.scale[k, : 1 + number].tolist()
+        plain = [math.copysign(1.0, a) if abs(abs(a) - 1.0) < SIMPLE else a for a in coefficients]
+        variants = {}
+        for index, loss in enumerate(book.variants[k].tolist()):
+            if loss <= limit:
+                written = plain if index & 2 else coefficients
+                variants[combined(formula, terms, written, 0.0 if index & 1 else shift)] = None
         return list(variants)
 
-    def _measured(self, formula: Formula, near: float, counters: Counters, tag: Tag) -> FrontEntry | None:
-        """Return an entry for `formula`, its constants refined, or None when it is too large or far from `near`."""
+    def _measured(self, formula: Formula, counters: Counters, tag: Tag) -> FrontEntry | None:
+        """Return an entry for `formula`, its constants refined, or None when it is too large or not finite."""
         setting, scratch = self._setting, self._setting.scratch
         size = self._canonical(formula)
         if size > self._largest:
             return None
-        refit(size, setting.every, self._unscaled, 0, scratch, self._scale, self._result, counters)
-        if setting.fit.steps and self._error() <= _NEAR * near + _NEAR_EXACT * setting.deviation:
-            refit(size, setting.every, self._unscaled, POLISH_STEPS, scratch, self._scale, self._result, counters)
-        if not math.isfinite(self._error()):
+        self._refit(size, setting.every, POLISH_STEPS if setting.fit.steps else 0, counters)
+        program = to_program(from_tape(scratch.canonical, size))
+        if not math.isfinite(self._error()) or tree_size(program) > PRINTABLE_SIZE:
             return None
-        entry = self._entry(size, tag)
-        printable = tree_size(Program.from_bytes(entry.program, setting.space.variables)) <= PRINTABLE_SIZE
-        return entry if printable else None
+        return self._entry(program, tag)
+
+    def _refit(self, size: int, rows: Rows, steps: int, counters: Counters) -> None:
+        scratch = self._setting.scratch
+        refit(
+            size, rows, self._unscaled, steps, scratch.canonical, scratch.work, self._scale, self._result, counters
+        )
 
     def _canonical(self, formula: Formula) -> int:
         """Put the canonical form of `formula` on the canonical tape; return its size."""
         scratch = self._setting.scratch
-        return int(
-            canonical_tape(scratch.tape, onto_tape(formula, scratch.tape), scratch.work, scratch.canonical)
-        )
+        return int(canonical_tape(scratch.tape, onto_tape(formula, scratch.tape), scratch.work, scratch.canonical))
 
-    def _entry(self, size: int, tag: Tag) -> FrontEntry:
-        program = to_program(from_tape(self._setting.scratch.canonical, size)).to_bytes()
-        return FrontEntry(size, self._error(), float(self._result[1]), *tag, program)
+    def _entry(self, program: Program, tag: Tag) -> FrontEntry:
+        return FrontEntry(len(program), self._error(), float(self._result[1]), *tag, program.to_bytes())
 
     def prune(self, target: float, counters: Counters, tag: Tag) -> list[FrontEntry]:
         """Leave out of the best program whatever it can do without: all that keeps the error at most `target`.
@@ -170,7 +178,7 @@ class Offering:
         while formula is not None:
             formula = self._reduced(formula, target, counters)
             if formula is not None:
-                entry = self._entry(len(formula), tag)
+                entry = self._entry(to_program(formula), tag)
                 if self._front.add(entry):
                     found.append(entry)
         return found
@@ -187,15 +195,14 @@ class Offering:
             size = self._canonical(candidate)
             if size >= len(formula) or not self._promising(size, target, counters):
                 continue
-            refit(size, self._setting.every, self._unscaled, PRUNE_STEPS, scratch, self._scale, self._result, counters)
+            self._refit(size, self._setting.every, PRUNE_STEPS, counters)
             if self._error() <= target:
                 return from_tape(scratch.canonical, size)
         return None
 
     def _promising(self, size: int, target: float, counters: Counters) -> bool:
         """Return whether the program on the canonical tape comes near `target` on a sample of the rows."""
-        scratch = self._setting.scratch
-        refit(size, self._sample, self._unscaled, PRUNE_STEPS, scratch, self._scale, self._result, counters)
+        self._refit(size, self._sample, PRUNE_STEPS, counters)
         return self._error() <= _PROMISING * target
 
 

@@ -2,11 +2,15 @@
 
 import numpy as np
 
+from common.expression.kernels import forward
 from common.jit import inlined, kernel
-from island_worker.evolution.kernels_fit import fit
+from island_worker.evolution.kernels_fit import errors, fit, residual_of
 from island_worker.evolution.kernels_generation import INFINITY, REFITTING
 from island_worker.evolution.kernels_tape import canonical_tape, compile_tape
-from island_worker.evolution.structures import Fit, Floats, Hashes, Ints, Lists, Rows, Scratch, Tape
+from island_worker.evolution.structures import Book, Fit, Floats, Hashes, Ints, Lists, Rows, Scratch, Tape, Work
+
+SIMPLE = 1e-4
+"""A coefficient as near to 1 or -1 as that is also tried as 1 or -1."""
 
 _PRIME = np.uint64(0x100000001B3)
 _BASIS = np.uint64(0xCBF29CE484222325)
@@ -70,9 +74,88 @@ def choose_offers(
 
 @kernel
 def refit(
-    count: int, rows: Rows, options: Fit, steps: int, scratch: Scratch, scale: Floats, result: Floats, counters: Ints
+    count: int,
+    rows: Rows,
+    options: Fit,
+    steps: int,
+    tape: Tape,
+    work: Work,
+    scale: Floats,
+    result: Floats,
+    counters: Ints,
 ) -> None:
-    """Fit the program on `scratch.canonical` to `rows`, in place; its terms are left in `scratch.work`; counted."""
-    most = rows.length // 4
-    used = fit(scratch.canonical, count, rows, options, most, steps, scratch.work, scale, result)
-    counters[REFITTING] += used
+    """Fit the program on `tape` to `rows`, in place; its terms are left in `work`; counted."""
+    counters[REFITTING] += fit(tape, count, rows, options, rows.length // 4, steps, work, scale, result)
+
+
+@inlined
+def loss_of(result: Floats, options: Fit) -> float:
+    """Return the loss in the target's units."""
+    return result[0] if options.loss == 0 else np.sqrt(result[1])
+
+
+@inlined
+def _measure_variants(count: int, rows: Rows, options: Fit, tape: Tape, work: Work, book: Book, k: int) -> None:
+    """Write to `book.variants` the loss of each way to write down the coefficients in `book.scale`."""
+    for i in range(count):
+        tape.wanted[i] = True
+    forward(
+        count, tape.code, tape.left, tape.right, tape.constants, tape.wanted, rows.inputs, rows.waves, rows.length,
+        work.values, work.functions,
+    )  # fmt: skip
+    number = book.number[k]
+    trial = work.kept_scale
+    for variant in range(book.variants.shape[1]):
+        for j in range(1, 1 + number):
+            a = book.scale[k, j]
+            is_simple = variant & 2 > 0 and abs(abs(a) - 1.0) < SIMPLE
+            trial[j] = (1.0 if a > 0.0 else -1.0) if is_simple else a
+        trial[0] = book.scale[k, 0] if variant & 1 == 0 else 0.0
+        residual_of(number, rows, work, trial)
+        errors(rows, work, work.trial)
+        book.variants[k, variant] = loss_of(work.trial, options)
+
+
+@kernel
+def refit_offers(
+    lists: Lists,
+    fitness: Floats,
+    rows: Rows,
+    options: Fit,
+    steps: int,
+    scratch: Scratch,
+    offered: Hashes,
+    offered_loss: Floats,
+    least: Floats,
+    book: Book,
+    counters: Ints,
+) -> int:
+    """Fit the best individual of each size to all `rows`; write to `book` those that improve; return their number.
+
+    Improving is a loss below `least` (sizes,), the least so far of programs no larger.
+    """
+    work, tape = scratch.work, scratch.canonical
+    chosen = choose_offers(lists, fitness, scratch, offered, offered_loss, scratch.chosen)
+    count = 0
+    for c in range(chosen):
+        size = canonical(lists, scratch.chosen[c], scratch)
+        scale = book.scale[count]
+        counters[REFITTING] += fit(tape, size, rows, options, rows.length // 4, steps, work, scale, scratch.result)
+        loss = loss_of(scratch.result, options)
+        if not loss < least[size]:
+            continue
+        book.size[count] = size
+        book.loss[count] = loss
+        book.number[count] = work.number[0] if options.terms > 0 else 0
+        for j in range(book.number[count]):
+            book.terms[count, j] = work.terms[j]
+        for i in range(size):
+            book.code[count, i] = tape.code[i]
+            book.left[count, i] = tape.left[i]
+            book.right[count, i] = tape.right[i]
+            book.constants[count, i] = tape.constants[i]
+        if options.terms > 0:
+            _measure_variants(size, rows, options, tape, work, book, count)
+            counters[REFITTING] += rows.length
+        count += 1
+    return count

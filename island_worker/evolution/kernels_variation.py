@@ -4,7 +4,7 @@ import numpy as np
 
 from common.expression.kernels import Int
 from common.expression.kernels_elementary import strict_exp
-from common.expression.kernels_lanes import lowest_bit
+from common.expression.kernels_lanes import lowest_bit, move
 from common.expression.operators import CONSTANT, VARIABLE
 from common.jit import inlined, kernel
 from island_worker.evolution.kernels_random import Stream, below, next_bits, normal, uniform
@@ -119,11 +119,10 @@ def mutate(lists: Lists, p: Int, space: Space, stream: Stream) -> None:
 @inlined
 def copy_nodes(target: Lists, p: Int, source: Lists, q: Int, first: Int, last: Int) -> None:
     """Copy nodes [first, last) of list `q` of `source` to list `p` of `target`."""
-    for i in range(first, last):
-        target.code[p, i] = source.code[q, i]
-        target.left[p, i] = source.left[q, i]
-        target.right[p, i] = source.right[q, i]
-        target.constants[p, i] = source.constants[q, i]
+    move(target.code, p, source.code, q, first, last)
+    move(target.left, p, source.left, q, first, last)
+    move(target.right, p, source.right, q, first, last)
+    move(target.constants, p, source.constants, q, first, last)
 
 
 @inlined

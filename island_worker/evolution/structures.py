@@ -163,6 +163,25 @@ class Coevolving(NamedTuple):
     renewal: int
 
 
+class Book(NamedTuple):
+    """Programs that improve a front, as fitted to all rows: (K,) or (K, N) each, see `Tape`."""
+
+    size: Ints
+    code: Ints
+    left: Ints
+    right: Ints
+    constants: Floats
+    number: Ints
+    """Number of terms; 0 when the program is taken as it stands."""
+    terms: Ints
+    """(K, MOST_TERMS) nodes."""
+    scale: Floats
+    """(K, 1 + MOST_TERMS) b, a_1, ..."""
+    loss: Floats
+    variants: Floats
+    """(K, 4) loss with the coefficients as they are; without b; with simple ones; with simple ones and without b."""
+
+
 class Scratch(NamedTuple):
     """Everything a generation needs besides the island's own state."""
 
@@ -182,7 +201,9 @@ class Scratch(NamedTuple):
     """Rows for one predictor at a time."""
     predictor_children: Ints
     best_of_size: Ints
+    chosen: Ints
     hashes: Hashes
+    book: Book
 
 
 MOST_FITTED = 12
@@ -250,8 +271,19 @@ def empty_scratch(population: int, nodes: int, variables: int, sample: int, rows
         spare=empty_rows(variables, sample, 0),
         predictor_children=np.zeros((2, sample), np.int64),
         best_of_size=np.zeros(space, np.int64),
+        chosen=np.zeros(space, np.int64),
         hashes=np.zeros(population, np.uint64),
+        book=_empty_book(space),
     )
+
+
+def _empty_book(nodes: int) -> Book:
+    ints = [np.zeros((nodes, nodes), np.int64) for _ in range(3)]
+    return Book(
+        np.zeros(nodes, np.int64), *ints, np.zeros((nodes, nodes)), np.zeros(nodes, np.int64),
+        np.zeros((nodes, MOST_TERMS), np.int64), np.zeros((nodes, 1 + MOST_TERMS)), np.zeros(nodes),
+        np.zeros((nodes, 4)),
+    )  # fmt: skip
 
 
 def empty_rows(variables: int, length: int, waves: int) -> Rows:
