@@ -132,7 +132,7 @@ class Offering:
         terms = book.terms[k, :number].tolist()
         shift, *coefficients = book.scale[k, : 1 + number].tolist()
         plain = [math.copysign(1.0, a) if abs(abs(a) - 1.0) < SIMPLE else a for a in coefficients]
-        variants = {}
+        variants: dict[Formula, None] = {}
         for index, loss in enumerate(book.variants[k].tolist()):
             if loss <= limit:
                 written = plain if index & 2 else coefficients
@@ -153,9 +153,7 @@ class Offering:
 
     def _refit(self, size: int, rows: Rows, steps: int, counters: Counters) -> None:
         scratch = self._setting.scratch
-        refit(
-            size, rows, self._unscaled, steps, scratch.canonical, scratch.work, self._scale, self._result, counters
-        )
+        refit(size, rows, self._unscaled, steps, scratch.canonical, scratch.work, self._scale, self._result, counters)
 
     def _canonical(self, formula: Formula) -> int:
         """Put the canonical form of `formula` on the canonical tape; return its size."""

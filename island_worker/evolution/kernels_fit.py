@@ -54,7 +54,7 @@ def collect_terms(tape: Tape, count: Int, most: Int, terms: Ints) -> Int:
     if most == 0:
         return _ONE
     code = tape.code
-    number = _ZERO if code[count - 1] == CONSTANT else _ONE
+    number: Int = _ZERO if code[count - 1] == CONSTANT else _ONE
     j = _ZERO
     while j < number:
         node = terms[j]
@@ -96,7 +96,7 @@ def choose_fitted(tape: Tape, count: Int, number: Int, most: Int, work: Work) ->
     fitted = _ZERO
     for i in range(count):
         op = tape.code[i]
-        depends = False
+        depends: bool | np.bool_ = False
         if feeds[i]:
             if op == CONSTANT:
                 depends = fitted < most and fitted < MOST_FITTED
@@ -202,9 +202,7 @@ def measure_tape(
 
 
 @inlined
-def _jacobian(
-    tape: Tape, count: Int, fitted: Int, is_linear: bool, rows: Rows, scale: Floats, work: Work
-) -> None:
+def _jacobian(tape: Tape, count: Int, fitted: Int, is_linear: bool, rows: Rows, scale: Floats, work: Work) -> None:
     """Fill `work.columns` with the derivatives of the output by the fitted constants, the a_j held."""
     adjoints = work.adjoints
     for start in range(_ZERO, rows.length, LANES):
@@ -276,7 +274,7 @@ def _solve(size: Int, damping: float, work: Work) -> bool:
 @kernel
 def fit(
     tape: Tape, count: Int, rows: Rows, options: Fit, most: Int, steps: Int, work: Work, scale: Floats, result: Floats
-) -> int:
+) -> Int:
     """Fit terms and inner constants of the tape to `rows`, in place; set the errors; return point evaluations.
 
     A value at a row counts 1; the reverse sweep that makes it a gradient counts 2 more.
@@ -303,7 +301,7 @@ def fit(
 def _descend(
     tape: Tape, count: Int, fitted: Int, rows: Rows, is_linear: bool, steps: Int, work: Work, scale: Floats,
     result: Floats,
-) -> int:  # fmt: skip
+) -> Int:  # fmt: skip
     """Take at most `steps` steps from where `fit` has measured the tape; return point evaluations."""
     damping = _FIRST_DAMPING
     is_fresh = True

@@ -128,9 +128,7 @@ def generation(
             mutate(children, q, space, stream)
         is_straight = _sign_families(lists, first, second, scratch)
         for q in range(2):
-            loss = _develop(
-                children, q, rows, options, scratch.tape, scratch.near, scratch.result, counters, OFFSPRING
-            )
+            loss = _develop(children, q, rows, options, scratch.tape, scratch.near, scratch.result, counters, OFFSPRING)
             p = first if (q == 0) == is_straight else second
             if loss <= fitness[p]:
                 copy_list(lists, p, children, q)
