@@ -24,13 +24,13 @@ from common.expression.operators import (
 from island_worker.evolution.kernels_fit import (
     choose_fitted,
     collect_terms,
-    combine_into,
     errors,
     fit,
     fit_terms,
     measure_tape,
-    sum_of,
+    residual_of,
 )
+from island_worker.evolution.kernels_rows import product
 from island_worker.evolution.structures import MOST_FITTED, MOST_TERMS, Fit, empty_work
 from tests.oracles import fitting as oracle
 from tests.oracles.programs import program_of
@@ -127,48 +127,59 @@ def test_never_more_constants_than_there_is_room_for():
     assert choose_fitted(tape, count, number, 100, work) == MOST_FITTED
 
 
+def errors_of(output, rows, beyond=-3.0):
+    """Return the errors of `output` (R,) as one term as it stands, with `beyond` in the padding."""
+    work, scale, result = empty_work(1, rows.length), np.array([0.0, 1.0, 0.0, 0.0, 0.0]), np.zeros(2)
+    work.values[:] = beyond
+    work.values[0, : rows.length] = output
+    residual_of(1, rows, work, scale)
+    errors(rows, work, result)
+    assert (work.residual[0, rows.length :] == 0.0).all()
+    return result.tolist()
+
+
 @QUICK
 @given(st.integers(1, 40), st.integers(0, 2**32 - 1))
 def test_sums_and_errors_are_those_of_their_definitions(length, seed):
     random = np.random.default_rng(seed)
     output, target = random.normal(size=(2, length)) * 10.0 ** random.integers(-3, 4)
     rows = rows_of(np.zeros((1, length)), target)
-    padded_output, result, lanes = np.resize(output, len(rows.target)), np.zeros(2), np.zeros(16)
-    errors(padded_output, rows, lanes, result)
-    assert result == pytest.approx(oracle.errors(output, target), rel=1e-13)
-    assert sum_of(rows.target, length, lanes) == pytest.approx(
+    assert errors_of(output, rows) == pytest.approx(oracle.errors(output, target), rel=1e-13)
+    assert product(rows.target, 0, rows.mask, 0, length) == pytest.approx(
         math.fsum(target), rel=1e-12, abs=1e-12 * abs(target).sum()
     )
+    assert rows.facts == pytest.approx([target.mean(), (target**2).mean()], rel=1e-12, abs=1e-12 * abs(target).mean())
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e200])
 @pytest.mark.parametrize("row", [0, 15, 16, 20])
 def test_one_value_that_is_not_finite_makes_both_errors_infinite(bad, row):
     rows = rows_of(np.zeros((1, 21)), np.ones(21))
-    output, result = np.zeros(len(rows.target)), np.zeros(2)
+    output = np.zeros(21)
     output[row] = bad
-    errors(output, rows, np.zeros(16), result)
-    assert result.tolist() == [math.inf, math.inf]
+    assert errors_of(output, rows) == [math.inf, math.inf]
 
 
 def test_what_stands_beyond_the_last_row_does_not_count():
     rows = rows_of(np.zeros((1, 21)), np.ones(21))
-    output, result = np.zeros(len(rows.target)), np.zeros(2)
-    output[21:] = math.nan
-    errors(output, rows, np.zeros(16), result)
-    assert result.tolist() == [1.0, 1.0]
+    assert errors_of(np.zeros(21), rows, beyond=1e100) == [1.0, 1.0]
 
 
 def terms_fitted(terms, target):
-    """Return `scale` for the given terms, and the combination's value at every row."""
+    """Return `scale` for the given terms, and the combination's value at every row; what is beyond does not matter."""
     rows = rows_of(np.zeros((1, len(target))), target)
     work = empty_work(8, rows.length)
     work.terms[: len(terms)] = np.arange(len(terms))
+    work.values[:] = 1e9
     work.values[: len(terms), : rows.length] = terms
-    scale, output = np.zeros(1 + MOST_TERMS), np.zeros(len(rows.target))
+    scale = np.zeros(1 + MOST_TERMS)
     fit_terms(len(terms), rows, work, scale)
-    combine_into(output, work.values, work.terms, len(terms), scale, rows.length)
-    return scale, output[: rows.length]
+    assert (work.residual[0, rows.length :] == 0.0).all()
+    left = work.residual.copy()
+    residual_of(len(terms), rows, work, scale)
+    size = np.abs(target).max() + np.abs(scale[1 : 1 + len(terms), None] * terms).max()
+    np.testing.assert_allclose(work.residual, left, atol=1e-12 * size)
+    return scale, target - left[0, : rows.length]
 
 
 @QUICK
@@ -244,8 +255,14 @@ def test_a_fit_never_increases_the_squared_error_and_counts_what_it_computes(pro
     tape, count = tape_of(after)
     rows, work, result = rows_of(inputs, target), empty_work(SPACE, 20), np.zeros(2)
     work.number[0] = collect_terms(tape, count, options.terms, work.terms)
-    measure_tape(tape, count, rows, 0, work, scale, result)
-    assert (result[0], result[1]) == (absolute, squared)
+    tape.wanted[:count] = True
+    measure_tape(tape, count, rows, False, False, work, scale, result)
+    as_it_stands = (result[0], result[1])
+    if options.terms == 0:
+        assert as_it_stands == (absolute, squared)
+    elif math.isfinite(squared):
+        size = np.abs(scale[1:, None] * work.values[work.terms[:MOST_TERMS], :20]).max()
+        assert as_it_stands[0] == pytest.approx(absolute, rel=1e-9, abs=1e-13 * size)
 
 
 def test_the_count_of_point_evaluations_is_the_documented_one():

@@ -8,8 +8,9 @@ from common.expression.algebra import complexity
 from island_worker.evolution.formula import from_tape, to_program
 from island_worker.evolution.kernels_generation import PARTS, REFITTING
 from island_worker.evolution.kernels_offers import canonical, choose_offers, refit, structure_hash
+from island_worker.evolution.kernels_rows import padded_rows
 from island_worker.evolution.kernels_tape import compile_tape
-from island_worker.evolution.structures import MOST_TERMS, Fit, empty_scratch, empty_tape, padded_rows
+from island_worker.evolution.structures import MOST_TERMS, Fit, empty_scratch, empty_tape
 from tests.oracles.spaces import random_lists, space_of
 
 POPULATION = 60
@@ -33,7 +34,7 @@ class Arena:
     def size(self, p):
         tape = empty_tape(SPACE.nodes)
         lists = self.lists
-        count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
+        count = compile_tape(lists, p, tape)
         return complexity(to_program(from_tape(tape, count)))
 
 
@@ -89,6 +90,6 @@ def test_refits_are_counted_and_leave_a_quarter_of_the_rows_for_each_constant():
     rows, counters = padded_rows(inputs, inputs[0]), np.zeros(len(PARTS), np.int64)
     scale, result = np.zeros(1 + MOST_TERMS), np.zeros(2)
     count = canonical(arena.lists, 0, arena.scratch)
-    refit(count, rows, Fit(4, 3, 2, 0), 0, arena.scratch, scale, result, counters)
+    refit(count, rows, Fit(4, 3, 2, 0), 0, arena.scratch.canonical, arena.scratch.work, scale, result, counters)
     assert counters[REFITTING] == 40
     assert counters.sum() == 40
