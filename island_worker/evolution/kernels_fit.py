@@ -27,6 +27,7 @@ _STALLED: Final = 1e-3
 _EXACT: Final = 1e-30
 _COLLINEAR: Final = 1e-10
 _NEGLIGIBLE: Final = 1e-28
+_SUPERFLUOUS: Final = 1e-20
 _ZERO: Final = np.int64(0)
 _ONE: Final = np.int64(1)
 
@@ -216,9 +217,27 @@ def _jacobian(tape: Tape, count: Int, fitted: Int, is_linear: bool, rows: Rows, 
         )
         for i in range(fitted):
             copy(place(work.columns, i, start), place(adjoints, work.fitted[i], _ZERO))
-    for i in range(fitted):
-        mean = product(work.columns, i, rows.mask, _ZERO, rows.length) / rows.length if is_linear else 0.0
-        centre_into(work.columns, i, work.columns, i, mean, rows)
+
+
+@inlined
+def _project(i: Int, rows: Rows, work: Work) -> None:
+    """Take out of column `i` what 1 and the terms can express; all of it where only rounding errors would be left.
+
+    Such a column belongs to a constant that the coefficients make superfluous, as c in a exp(x + c). A step along
+    rounding errors would be enormous, and would spoil the step of every other constant.
+    """
+    n = rows.length
+    columns = work.columns
+    mean = product(columns, i, rows.mask, _ZERO, n) / n
+    centre_into(columns, i, columns, i, mean, rows)
+    whole = product(columns, i, columns, i, n) + n * mean * mean
+    for j in range(work.number[0]):
+        if work.inverse[j] > 0.0:
+            ratio = product(work.basis, j, columns, i, n) * work.inverse[j]
+            _subtract_multiple(columns, i, ratio, work.basis, j, n)
+    if product(columns, i, columns, i, n) <= _SUPERFLUOUS * whole:
+        for start in range(_ZERO, n, LANES):
+            fill(place(columns, i, start), 0.0)
 
 
 @inlined
@@ -231,10 +250,9 @@ def _normal_equations(
     columns = work.columns
     for i in range(fitted):
         if is_linear:
-            for j in range(work.number[0]):
-                if work.inverse[j] > 0.0:
-                    ratio = product(work.basis, j, columns, i, n) * work.inverse[j]
-                    _subtract_multiple(columns, i, ratio, work.basis, j, n)
+            _project(i, rows, work)
+        else:
+            centre_into(columns, i, columns, i, 0.0, rows)
         work.gradient[i] = -product(columns, i, work.residual, _ZERO, n)
         for j in range(i + 1):
             work.matrix[i, j] = product(columns, i, columns, j, n)

@@ -232,6 +232,97 @@ def test_known_constants_are_found_to_many_digits(case):
     assert squared < 1e-20 * target.var()
 
 
+SUPERFLUOUS = {
+    "a factor that the exponential's shift repeats": (
+        [X, -0.4, (MULTIPLY, 0, 1), 0.3, (ADD, 2, 3), (EXP, 4)],
+        {3},
+        lambda x, y: 3.0 * np.exp(-0.9 * x) - 1.0,
+    ),
+    "a factor within a product": (
+        [X, 1.1, (MULTIPLY, 0, 1), (SIN, 2), 0.7, (MULTIPLY, 0, 4), (MULTIPLY, 3, 5)],
+        {4},
+        lambda x, y: 3.0 * x * np.sin(1.4 * x) - 1.0,
+    ),
+    "two of them": (
+        [X, 1.4, (MULTIPLY, 0, 1), 0.7, (MULTIPLY, 0, 3), (MULTIPLY, 2, 4), 1.5, (MULTIPLY, 0, 6), (SIN, 7),
+         (MULTIPLY, 8, 5)],
+        {1, 3},
+        lambda x, y: 2.0 * x * x * np.sin(1.8 * x) + 0.5,
+    ),
+    "a shift that the logarithm's factor repeats": (
+        [X, 1.4, (ADD, 0, 1), 2.0, (MULTIPLY, 2, 3), (LOG, 4)],
+        {3},
+        lambda x, y: 2.0 * np.log(x + 0.7) + 0.5,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("case", SUPERFLUOUS)
+def test_constants_that_coefficients_make_superfluous_stay_and_the_others_are_found(case, seed):
+    """What is left of their columns are rounding errors: a step along those would spoil all others."""
+    nodes, superfluous, truth = SUPERFLUOUS[case]
+    inputs = random_inputs(seed)
+    target, program = truth(*inputs), program_of(nodes)
+    after, _, absolute, _, _ = fitted(program, inputs, target, steps=30)
+    assert absolute < 1e-10 * target.std()
+    stayed = {i for i in np.flatnonzero(program.operators == CONSTANT) if after.constants[i] == program.constants[i]}
+    assert stayed == superfluous
+
+
+def jacobian_of(program, inputs, target, options):
+    """Return (Kaufman's columns, their fitted nodes, gradient, matrix) at the program's constants."""
+    tape, count = tape_of(program)
+    rows, work = rows_of(inputs, target), empty_work(SPACE, len(target))
+    scale, result = np.zeros(1 + MOST_TERMS), np.zeros(2)
+    fit(tape, count, rows, options, 100, 1, work, scale, result)
+    fitted_nodes = [int(i) for i in np.flatnonzero(program.operators == CONSTANT) if i in work.fitted.tolist()]
+    size = len(fitted_nodes)
+    assert (work.columns[:size, len(target) :] == 0.0).all()
+    lower = np.tril(work.matrix[:size, :size])
+    return work.columns[:size, : len(target)], fitted_nodes, work.gradient[:size], lower + np.tril(lower, -1).T
+
+
+@pytest.mark.parametrize("rows", [16, 40, 45])
+@pytest.mark.parametrize("case", CASES)
+def test_the_columns_are_derivatives_less_what_terms_can_express(case, rows):
+    """By difference quotients, the coefficients held, then projected by numpy's least squares (Kaufman 1975)."""
+    nodes, truth = CASES[case]
+    inputs, program = random_inputs(11, rows), program_of(nodes)
+    target = truth(*inputs) + np.random.default_rng(12).normal(size=rows)
+    columns, fitted_nodes, gradient, matrix = jacobian_of(program, inputs, target, SCALED)
+    terms = sorted(top_level_terms(program, SCALED.terms))
+    values = node_values(program, inputs)
+    scale, nearest = oracle.least_squares(values[terms], target)
+    for k, node in enumerate(fitted_nodes):
+        step = 1e-6
+        ahead, behind = (
+            scale[1:] @ node_values(oracle.with_constant(program, node, by), inputs)[terms] for by in (step, -step)
+        )
+        slope = (ahead - behind) / (2.0 * step)
+        expected = slope - oracle.least_squares(values[terms], slope)[1]
+        np.testing.assert_allclose(columns[k], expected, rtol=1e-5, atol=1e-7 * np.abs(slope).max())
+    np.testing.assert_allclose(gradient, -columns @ (target - nearest), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(matrix, columns @ columns.T, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("rows", [40, 45])
+@pytest.mark.parametrize("case", CASES)
+def test_with_noise_the_least_squares_are_those_of_another_solver(case, rows):
+    """Variable projection here, all parameters at once there: one minimum, from the same start."""
+    nodes, truth = CASES[case]
+    inputs, program = random_inputs(13, rows), program_of(nodes)
+    clean = truth(*inputs)
+    target = clean + 0.05 * clean.std() * np.random.default_rng(14).normal(size=rows)
+    after, scale, _, squared, _ = fitted(program, inputs, target, steps=100)
+    constants, coefficients, least = oracle.best(program, inputs, target, sorted(top_level_terms(program, 3)))
+    assert squared == pytest.approx(least, rel=1e-3)
+    assert squared <= least * (1.0 + 1e-3)
+    moved = np.flatnonzero(after.constants != program.constants)
+    np.testing.assert_allclose(after.constants[moved], constants[moved], rtol=0.1, atol=0.05)
+    assert scale[0] == pytest.approx(coefficients[0], rel=0.3, abs=0.1)
+
+
 def test_without_terms_every_constant_is_fitted_in_its_place():
     nodes = [X, 1.5, (MULTIPLY, 0, 1), 0.5, (ADD, 2, 3)]
     inputs = random_inputs(6)
