@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from common.expression.operators import BY_NAME
+from common.expression.operators import BY_NAME, CONSTANT
 from common.seeding import Stream
 from island_worker.evolution.formula import from_tape, to_program
 from island_worker.evolution.kernels_random import below, next_bits, normal, uniform
@@ -170,3 +170,54 @@ def test_nodes_change_about_as_often_as_asked(mutation):
         mutate(lists, p, space, stream)
     changed = np.any([old != new for old, new in zip(before[:4], lists[:4], strict=True)], axis=0)
     assert 0.8 * mutation < changed.mean() < 1.1 * mutation
+
+
+def mutants(lists, space, seed):
+    """Return copies of `lists`, each mutated once."""
+    after, stream = type(lists)(*(column.copy() for column in lists)), stream_of(seed)
+    for p in range(lists.code.shape[0]):
+        mutate(after, p, space, stream)
+    return after
+
+
+@pytest.mark.parametrize("nodes", [32, 33, 64, 65, 101])
+def test_every_place_of_a_list_changes_equally_often_and_on_its_own(nodes):
+    """Of 3000 lists; the draws that change nothing that can be seen are reckoned with."""
+    mutation, number = 0.3, 3000
+    space = space_of(operators=nodes - 7, mutation=mutation, variables=4)
+    lists = random_lists(number, space, 21)
+    after = mutants(lists, space, 22)
+    changed = np.any([old != new for old, new in zip(lists[:4], after[:4], strict=True)], axis=0)
+    place, operators = np.arange(7, nodes), len(space.operators)
+    unseen = (1.0 / operators + 2.0 / place) / 3.0
+    assert abs(changed[:, 7:].mean(axis=0) - mutation * (1.0 - unseen)).max() < 0.05
+    assert abs(changed[:, :7].mean() - mutation * (1.0 - 0.5 * 0.5 / 4)) < 0.02
+    seen = changed[:, 7:] - changed[:, 7:].mean(axis=0)
+    together = abs((seen[:, :-1] * seen[:, 1:]).mean(axis=0))
+    assert together.max() < 0.025
+
+
+@pytest.mark.parametrize("scales", [(), (1.0,)])
+def test_each_kind_of_change_is_as_likely_as_documented(scales):
+    """All nodes change: a third each of operator, left and right; half of the constants move, the rest are redrawn."""
+    space = space_of(mutation=1.0, variables=3, scales=scales)
+    lists = random_lists(2000, space, 23)
+    lists.constants[:, :7] = 1e6
+    after = mutants(lists, space, 24)
+    operators, place = len(space.operators), np.arange(7, space.nodes)
+    for name, unseen in (("code", 1.0 / operators), ("left", 1.0 / place), ("right", 1.0 / place)):
+        seen = getattr(lists, name)[:, 7:] != getattr(after, name)[:, 7:]
+        assert seen.mean() == pytest.approx(np.mean((1.0 - unseen) / 3.0), abs=0.01)
+    several = sum((getattr(lists, name) != getattr(after, name)).astype(int) for name in ("code", "left", "right"))
+    assert several[:, 7:].max() == 1
+    was_constant, is_constant = lists.code[:, :7] == CONSTANT, after.code[:, :7] == CONSTANT
+    assert is_constant[~was_constant].mean() == pytest.approx(0.5, abs=0.03)
+    moved = was_constant & is_constant & (abs(after.constants[:, :7]) > 100.0)
+    assert moved[was_constant].mean() == pytest.approx(0.5, abs=0.03)
+    assert is_constant[was_constant].mean() == pytest.approx(0.75, abs=0.03)
+    for variable in range(3):
+        assert (after.left[:, :7][~is_constant] == variable).mean() == pytest.approx(1 / 3, abs=0.03)
+    steps = after.constants[:, :7][moved] / 1e6 - 1.0 if scales else after.constants[:, :7][moved] - 1e6
+    deviation = 0.3 if scales else 1.0
+    assert abs(steps.mean()) < 0.05 * deviation
+    assert steps.std() == pytest.approx(deviation, rel=0.05)

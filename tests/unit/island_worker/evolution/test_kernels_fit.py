@@ -356,6 +356,25 @@ def test_a_fit_never_increases_the_squared_error_and_counts_what_it_computes(pro
         assert as_it_stands[0] == pytest.approx(absolute, rel=1e-9, abs=1e-13 * size)
 
 
+@pytest.mark.parametrize("length", [1, 15, 16, 17, 31, 45])
+@pytest.mark.parametrize("options", [SCALED, AS_IT_STANDS])
+def test_padding_never_counts(length, options):
+    """Whatever finite numbers stand beyond the last row, every bit of the fit is the same."""
+    nodes = [X, 0.7, (MULTIPLY, 0, 1), (COS, 2), Y, (SQRT, 4), (MULTIPLY, 3, 5), 0.4, (ADD, 4, 7), (ADD, 6, 8)]
+    inputs, target = random_inputs(15, length), np.random.default_rng(16).normal(size=length)
+    found = []
+    for beyond in (None, 2.5, 0.01):
+        rows = rows_of(inputs, target)
+        assert rows.mask.tolist() == [[1.0] * length + [0.0] * (rows.mask.shape[1] - length)]
+        if beyond is not None:
+            rows.inputs[:, length:], rows.target[:, length:] = beyond, 1e3 * beyond
+        tape, count = tape_of(program_of(nodes))
+        work, scale, result = empty_work(SPACE, length), np.zeros(1 + MOST_TERMS), np.zeros(2)
+        used = fit(tape, count, rows, options, 100, 6, work, scale, result)
+        found.append((used, tape.constants[:count].tolist(), scale.tolist(), result.tolist()))
+    assert found[0] == found[1] == found[2]
+
+
 def test_the_count_of_point_evaluations_is_the_documented_one():
     """One value a row, then for each step two for the gradient, unless the last step failed, and one for the trial."""
     inputs = random_inputs(7, rows=30)
