@@ -21,8 +21,7 @@ from common.wire.codec import decode_arrays, encode_arrays
 from island_worker.evolution import migration
 from island_worker.evolution.front import Front, Offering
 from island_worker.evolution.kernels_coevolution import begin_coevolution, evolve, train, use_best_predictor
-from island_worker.evolution.kernels_generation import OFFSPRING, PARTS, develop
-from island_worker.evolution.kernels_variation import random_list
+from island_worker.evolution.kernels_generation import OFFSPRING, PARTS, measure_all, random_population
 from island_worker.evolution.setting import Setting
 from island_worker.evolution.structures import Lists, empty_lists
 
@@ -101,25 +100,13 @@ class Island:
         """Draw the first population and its predictors at epoch 0; measure what immigrated later on."""
         setting, scratch = self._setting, self._setting.scratch
         if self.epoch == 0:
-            for p in range(len(self._fitness)):
-                random_list(self._lists, p, setting.space, self._stream)
+            random_population(self._lists, setting.space, self._stream)
             if setting.coevolving.enabled:
                 begin_coevolution(
                     self._lists, self._coevolution, setting.every, setting.fit, scratch, self._stream, self._counters
                 )
             setting.gather(self._coevolution)
-            for p in range(len(self._fitness)):
-                self._fitness[p] = develop(
-                    self._lists,
-                    p,
-                    setting.rows,
-                    setting.fit,
-                    scratch.tape,
-                    scratch.near,
-                    scratch.result,
-                    self._counters,
-                    OFFSPRING,
-                )
+            measure_all(self._lists, self._fitness, setting.rows, setting.fit, scratch, self._counters, OFFSPRING)
         else:
             use_best_predictor(
                 self._lists, self._fitness, self._coevolution, setting.every, setting.rows, setting.fit, scratch,

@@ -294,6 +294,7 @@ def fit(
     fitted = choose_fitted(tape, count, number, room if steps > 0 else _ZERO, work)
     measure_tape(tape, count, rows, is_linear, False, work, scale, result)
     evaluations = rows.length
+    work.settled[0] = True
     if fitted == 0 or not np.isfinite(result[1]):
         return evaluations
     return evaluations + _descend(tape, count, fitted, rows, is_linear, steps, work, scale, result)
@@ -308,8 +309,10 @@ def _descend(
     damping = _FIRST_DAMPING
     is_fresh = True
     evaluations = _ZERO
+    work.settled[0] = False
     for _ in range(steps):
         if result[1] <= _EXACT * rows.facts[1]:
+            work.settled[0] = True
             break
         if is_fresh:
             _normal_equations(tape, count, fitted, is_linear, rows, scale, work)
@@ -331,6 +334,7 @@ def _descend(
             result[0] = work.trial[0]
             result[1] = work.trial[1]
             if gain < _STALLED:
+                work.settled[0] = True
                 break
         else:
             damping *= 10.0
