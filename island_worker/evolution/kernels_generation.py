@@ -45,30 +45,23 @@ def residual_of_list(lists: Lists, p: Int, rows: Rows, options: Fit, tape: Tape,
 
 
 @inlined
-def _develop(
-    lists: Lists, p: Int, rows: Rows, options: Fit, tape: Tape, work: Work, result: Floats, counters: Ints, part: Int
-) -> float:
-    """See `develop`, which is apart so that it is compiled once for calls from outside."""
+def develop(
+    lists: Lists, p: Int, rows: Rows, options: Fit, ceiling: float, tape: Tape, work: Work, result: Floats,
+    counters: Ints, part: Int,
+) -> float:  # fmt: skip
+    """Fit the constants of individual `p` to `rows`, write them back, count; return its loss there.
+
+    The first value at each row is counted under `part`, the rest as constant fitting. `work.settled` tells whether
+    further steps would be of no use; see `fit` for `ceiling`.
+    """
     count = compile_tape(lists, p, tape)
-    used = fit(tape, count, rows, options, rows.length // 4, options.steps, work, lists.scale[p], result)
+    used = fit(tape, count, rows, options, rows.length // 4, options.steps, ceiling, work, lists.scale[p], result)
     counters[part] += rows.length
     counters[FITTING] += used - rows.length
     for i in range(count if used > rows.length else 0):
         if tape.code[i] == CONSTANT:
             lists.constants[p, tape.origin[i]] = tape.constants[i]
     return result[options.loss]
-
-
-@kernel
-def develop(
-    lists: Lists, p: Int, rows: Rows, options: Fit, tape: Tape, work: Work, result: Floats, counters: Ints, part: Int
-) -> float:
-    """Fit the constants of individual `p` to `rows`, write them back, count; return its loss there.
-
-    The first value at each row is counted under `part`, the rest as constant fitting. `work.settled` tells whether
-    further steps would be of no use.
-    """
-    return _develop(lists, p, rows, options, tape, work, result, counters, part)
 
 
 @kernel
@@ -81,7 +74,9 @@ def measure_all(
     whose constants suit the old ones: a change would be a purge.
     """
     for p in range(fitness.shape[0]):
-        fitness[p] = _develop(lists, p, rows, options, scratch.tape, scratch.near, scratch.result, counters, part)
+        fitness[p] = develop(
+            lists, p, rows, options, INFINITY, scratch.tape, scratch.near, scratch.result, counters, part
+        )
         scratch.settled[p] = scratch.near.settled[0]
 
 
@@ -151,7 +146,8 @@ def generation(
     """Advance the population by one generation on the current predictor's `rows`.
 
     A child that computes what one of its parents does is not measured again (and not counted), unless its constants
-    can still be fitted better.
+    can still be fitted better. Steps for constants are spent on the few children that are much better than their worse
+    parent already without them (ADR 0014).
     """
     order, children, settled = scratch.order, scratch.children, scratch.settled
     loss = scratch.child_loss
@@ -164,6 +160,7 @@ def generation(
         for q in range(2):
             mutate(children, q, space, stream)
         is_straight = _sign_families(lists, first, second, scratch)
+        ceiling = options.gate * max(fitness[first], fitness[second])
         for q in range(2):
             is_settled = True
             if _inherits(lists, first, children, q, scratch, _ZERO):
@@ -171,8 +168,8 @@ def generation(
             elif _inherits(lists, second, children, q, scratch, _ONE):
                 loss[q] = fitness[second]
             else:
-                loss[q] = _develop(
-                    children, q, rows, options, scratch.tape, scratch.near, scratch.result, counters, OFFSPRING
+                loss[q] = develop(
+                    children, q, rows, options, ceiling, scratch.tape, scratch.near, scratch.result, counters, OFFSPRING
                 )
                 is_settled = scratch.near.settled[0]
             scratch.child_settled[q] = is_settled

@@ -60,6 +60,8 @@ class Fit(NamedTuple):
     """Inner constants that may be fitted however few rows there are."""
     loss: int
     """0: mean absolute error, 1: mean squared error."""
+    gate: float
+    """A child takes steps only when its loss is at most this share of its worse parent's."""
 
 
 class Rows(NamedTuple):
