@@ -194,6 +194,7 @@ class Job:
             epochs=budget.max_epochs_of.get(target.variable, budget.max_epochs),
             stagnation=budget.stagnation,
             generations=config.migration.generations,
+            stride=config.evolution.refit_interval,
         )
         return Archipelago(
             self.id, target.variable, limits, measure_of(target), lambda data: check_program(data, inputs)

@@ -39,6 +39,7 @@ from common.wire.messages import (
     Reports,
     Sent,
     Submit,
+    Tally,
     Trouble,
     Upload,
     Uploaded,
@@ -55,18 +56,18 @@ REPORT = EpochReport(
     islands=(
         IslandReport(
             island=1,
-            generations=100,
+            generations=7,
             hit=HitStatement(generation=7, error=1e-10),
             additions=(Addition(complexity=3, error=0.1, mse=0.02, generation=5, program=b"\x01"),),
-            evaluations={"offspring": 12},
+            tallies=(Tally(generation=7, evaluations={"offspring": 12}),),
             best_error=0.1,
             digest=DIGEST,
         ),
     ),
 )
 MIGRANTS = Migrants(**AT, epoch=0, blocks=(Block(source=0, destination=1, data=b"\x00\xff"),))
-FINISHED = Finished(**AT, epoch=0, generation=0, island=2)
-PLACEMENT = Placement(incarnation=1, **AT, workers=("w0", "w1"), epochs=10, interval=16)
+FINISHED = Finished(**AT, epoch=0, generation=10, island=2)
+PLACEMENT = Placement(incarnation=1, **AT, workers=("w0", "w1"), epochs=10, interval=16, stride=10)
 STATUS = WorkerStatus(
     instance="i",
     incarnation=1,

@@ -48,10 +48,12 @@ def join(membership: Membership, name: str) -> None:
 
 
 def archipelago(*workers: str, islands: int = 4) -> Archipelago:
-    limits = Limits(islands=islands, epochs=10, stagnation=5, generations=100)
+    limits = Limits(islands=islands, epochs=10, stagnation=5, generations=100, stride=10)
     made = Archipelago("job", "x", limits, lambda front: 0.0, lambda program: None)
     if workers:
-        placement = Placement(incarnation=1, term=1, job="job", variable="x", workers=workers, epochs=10, interval=16)
+        placement = Placement(
+            incarnation=1, term=1, job="job", variable="x", workers=workers, epochs=10, interval=16, stride=10
+        )
         made.place(placement, 0.0)
     return made
 
