@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from common.errors import RemoteProtocolError
-from common.slices import Position
+from common.slices import Course, Position
 from island_worker.events import Abandoned, Broken, Computed, Outcome, Rejected, ShareKey, Task, TaskKey
 
 
@@ -70,9 +70,9 @@ class Agenda:
         self._open[task.key] = _Open(task)
         return self._settle([task.key])
 
-    def stop_at(self, share: ShareKey, hit: Position) -> list[Outcome]:
+    def stop_at(self, share: ShareKey, hit: Position, course: Course) -> list[Outcome]:
         """Note that the target was met; return what came of the tasks of which no more is needed."""
-        self._hits[share] = min(hit, self._hits.get(share, hit))
+        self._hits[share] = min(hit, self._hits.get(share, hit), key=course.rank)
         return self._settle([key for key in self._open if key.share == share])
 
     def turn(self) -> list[Outcome]:
@@ -90,7 +90,7 @@ class Agenda:
         if outcome is None:
             return self._settle([key])
         del self._open[key]
-        return [outcome, *self._stop_others(outcome)]
+        return [outcome, *self._stop_others(outcome, opened.task.course)]
 
     def discard(self, share: ShareKey) -> None:
         """Forget the tasks of an archipelago's term."""
@@ -102,20 +102,22 @@ class Agenda:
         """Forget what a job was charged."""
         self._charged.pop(job, None)
 
-    def _rank(self, key: TaskKey) -> tuple[float, int, int, str, str, int]:
-        generation = self._open[key].generation
-        return (self._charged.get(key.job, 0.0), key.epoch, generation, key.job, key.variable, key.island)
+    def _rank(self, key: TaskKey) -> tuple[float, int, int, int, str, str, int]:
+        opened = self._open[key]
+        at = Position(key.epoch, opened.generation, key.island)
+        epoch, group, generation, island = opened.task.course.rank(at)
+        return (self._charged.get(key.job, 0.0), epoch, group, generation, key.job, key.variable, island)
 
     def _advance(self, opened: _Open) -> Outcome | None:
         if opened.work is None:
             opened.work = self._begin(opened.task)
         return opened.work.computed() if opened.work.advance() else None
 
-    def _stop_others(self, outcome: Outcome) -> list[Outcome]:
+    def _stop_others(self, outcome: Outcome, course: Course) -> list[Outcome]:
         if not isinstance(outcome, Computed) or outcome.report.hit is None:
             return []
         key = outcome.key
-        return self.stop_at(key.share, Position(key.epoch, outcome.report.hit.generation, key.island))
+        return self.stop_at(key.share, Position(key.epoch, outcome.report.hit.generation, key.island), course)
 
     def _settle(self, keys: Iterable[TaskKey]) -> list[Outcome]:
         """Close those of these tasks of which no more is needed, and return what came of them."""
@@ -133,7 +135,7 @@ class Agenda:
         key = opened.task.key
         if key.epoch != hit.epoch:
             return key.epoch < hit.epoch
-        return opened.generation < hit.needed(key.island, opened.task.stride)
+        return opened.generation < opened.task.course.needed(hit, key.island)
 
 
 def brief(error: BaseException) -> str:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from common.config import JobConfig
-from common.slices import Position
+from common.slices import Course, Position
 from island_worker.agenda import Agenda, brief
 from island_worker.engine import Engine
 from island_worker.events import JobReady, Outcome, ShareKey, Task, Unloadable
@@ -71,7 +71,7 @@ class Compute(Protocol):
         Several tasks take turns.
         """
 
-    def stop_at(self, share: ShareKey, hit: Position) -> None:
+    def stop_at(self, share: ShareKey, hit: Position, course: Course) -> None:
         """Compute nothing of this archipelago that is not needed when the target was met there."""
 
     def discard(self, share: ShareKey) -> None:
@@ -124,9 +124,9 @@ class IslandCompute:
         """See `Compute.advance`."""
         self._commands.put(lambda: self._say(self._agenda.add(task)))
 
-    def stop_at(self, share: ShareKey, hit: Position) -> None:
+    def stop_at(self, share: ShareKey, hit: Position, course: Course) -> None:
         """See `Compute.stop_at`."""
-        self._commands.put(lambda: self._say(self._agenda.stop_at(share, hit)))
+        self._commands.put(lambda: self._say(self._agenda.stop_at(share, hit, course)))
 
     def discard(self, share: ShareKey) -> None:
         """See `Compute.discard`."""

@@ -70,7 +70,8 @@ class Epoch:
 
     def advance(self) -> bool:
         """See `Work.advance`."""
-        left = self._task.stride - self._island.generation % self._task.stride
+        stride = self._task.course.stride
+        left = stride - self._island.generation % stride
         self._is_over = self._island.advance(min(_MOST, left))
         return self._is_over
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from common.slices import Position
+from common.slices import Course, Position
 from common.wire.messages import (
     Close,
     Commit,
@@ -50,13 +50,13 @@ class TaskKey:
 class Task:
     """Begin epoch `key.epoch` (with the immigrants `blocks` by source island; None at epoch 0) and finish it.
 
-    Emigrants are wanted unless the epoch `is_last`; `stride` generations are a slice.
+    Emigrants are wanted unless the epoch `is_last`; by the `course` its slices count before or after others.
     """
 
     key: TaskKey
     blocks: Mapping[int, bytes] | None
     is_last: bool
-    stride: int
+    course: Course
 
 
 # ------------------------------------------------------------------------------------------------ events
@@ -223,6 +223,7 @@ class StopAt:
 
     share: ShareKey
     hit: Position
+    course: Course
 
 
 @dataclass(frozen=True, slots=True)

@@ -356,7 +356,7 @@ class Worker:
             case ComputeTask():
                 self._compute.advance(action.task)
             case StopAt():
-                self._compute.stop_at(action.share, action.hit)
+                self._compute.stop_at(action.share, action.hit, action.course)
             case Discard():
                 self._compute.discard(action.share)
             case DiscardJob():

@@ -253,7 +253,11 @@ class Session:
 
     def _stop_from(self, share: Share, before: Position | None) -> list[Action]:
         """Have the compute thread stop where the target was met, when that is not where it was before."""
-        return [] if share.stop is None or share.stop == before else [StopAt(share.key, share.stop)]
+        return (
+            []
+            if share.stop is None or share.stop == before
+            else [StopAt(share.key, share.stop, share.placement.course)]
+        )
 
     def _share_computing(self, key: TaskKey) -> Share | None:
         """Return the share of a task that the compute thread is done with, unless the share is gone.

@@ -89,7 +89,8 @@ class Share:
     @property
     def stop(self) -> Position | None:
         """Where the target was met, as far as known here; nothing after it is needed."""
-        return min((Position(hit.epoch, hit.generation, hit.island) for hit in self.hits.values()), default=None)
+        hits = (Position(hit.epoch, hit.generation, hit.island) for hit in self.hits.values())
+        return min(hits, key=self.placement.course.rank, default=None)
 
     @property
     def stop_epoch(self) -> int:
@@ -121,7 +122,7 @@ class Share:
         if local.epoch > 0:
             filed = self._inbox[local.epoch - 1, island]
             blocks = {source: filed[source] for source in sorted(local.needs)}
-        return Task(self._key(local), blocks, local.epoch + 1 >= self.placement.epochs, self.placement.stride)
+        return Task(self._key(local), blocks, local.epoch + 1 >= self.placement.epochs, self.placement.course)
 
     def computed(self, done: Computed) -> list[Send | SendReport]:
         """File what an island computed: report it, and send emigrants or the statement of a hit."""
@@ -316,7 +317,7 @@ class Share:
         stop = self.stop
         if stop is None or local.epoch < stop.epoch:
             return True
-        return local.epoch == stop.epoch and stop.needed(local.index, self.placement.stride) > 0
+        return local.epoch == stop.epoch and self.placement.course.needed(stop, local.index) > 0
 
     def _is_settled(self, epoch: int) -> bool:
         return all(each.index in self._reports[epoch] or each.state == "stopped" for each in self.islands.values())

@@ -13,6 +13,7 @@ from typing import Annotated, Final, Literal
 from pydantic import ConfigDict, Field
 
 from common.config import JobConfig, Model
+from common.slices import Course
 from common.wire.views import JobView, WorkerState, WorkerView
 
 CHUNK_SIZE: Final = 4 * 1024 * 1024
@@ -115,8 +116,8 @@ class JobAnnouncement(Model):
 class Placement(Model):
     """Who computes which island of one archipelago: `workers[k]` has island k. Every term begins at epoch 0.
 
-    No island begins epoch `epochs` or later, nor an epoch more than twice `interval` after the last commit. `stride`
-    generations are a slice (`common.slices`).
+    No island begins epoch `epochs` or later, nor an epoch more than twice `interval` after the last commit. `course`
+    says what counts when the target is met.
     """
 
     incarnation: Count
@@ -126,7 +127,7 @@ class Placement(Model):
     workers: Annotated[tuple[Id, ...], Field(min_length=1, max_length=1024)]
     epochs: Annotated[int, Field(ge=1)]
     interval: Annotated[int, Field(ge=1)]
-    stride: Annotated[int, Field(ge=1)]
+    course: Course
 
     def islands_of(self, worker: str) -> tuple[int, ...]:
         """Return the islands that `worker` computes."""

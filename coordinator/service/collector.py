@@ -13,7 +13,7 @@ from typing import Final
 
 from common.errors import AtollError, RemoteProtocolError
 from common.pareto import FrontEntry, merge
-from common.slices import Position, slice_ends
+from common.slices import Course, Position
 from common.wire.messages import IslandReport
 from coordinator.service.cut import Cut, Why, stored
 
@@ -30,16 +30,12 @@ class DivergedError(AtollError):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """When an archipelago ends by itself: epochs at most, epochs without improvement.
-
-    An epoch has `generations`, a slice `stride` of them (`common.slices`).
-    """
+    """When an archipelago ends by itself: epochs at most, epochs without improvement; and what counts at a hit."""
 
     islands: int
     epochs: int
     stagnation: int
-    generations: int
-    stride: int
+    course: Course
 
 
 @dataclass(slots=True)
@@ -150,10 +146,10 @@ class Collector:
 
     def _is_whole(self, report: IslandReport) -> bool:
         """Tell whether a report has the counters of just those slices that it must have finished."""
-        reached, limits = report.generations, self.limits
-        ends = slice_ends(reached, limits.stride, limits.generations)
+        reached, course = report.generations, self.limits.course
+        ends = course.ends(reached)
         at_end = report.hit is None or (report.hit.generation == reached and reached in ends)
-        return reached <= limits.generations and at_end and tuple(each.generation for each in report.tallies) == ends
+        return reached <= course.generations and at_end and tuple(each.generation for each in report.tallies) == ends
 
     def _is_complete(self, epoch: int) -> bool:
         """Tell whether every island has reported as much of an epoch as counts, by the hits that are known."""
@@ -168,11 +164,11 @@ class Collector:
         """Return where, by the reports that are there, the target was first met in an epoch that is not taken in."""
         reports = (self._filed[key].report for key in self._keys(epoch))
         hits = (Position(epoch, each.hit.generation, each.island) for each in reports if each and each.hit)
-        return min(hits, default=None)
+        return min(hits, key=self.limits.course.rank, default=None)
 
     def _needed(self, hit: Position | None, island: int) -> int:
         """Return how many generations of an epoch count when the target was first met there."""
-        return self.limits.generations if hit is None else hit.needed(island, self.limits.stride)
+        return self.limits.course.generations if hit is None else self.limits.course.needed(hit, island)
 
     def _keys(self, epoch: int) -> list[tuple[int, int]]:
         """Return the keys of the reports of an epoch that are there, by island."""
@@ -213,7 +209,7 @@ class Collector:
 
     def _consider_end(self, epoch: int, hit: Position | None) -> None:
         if hit is not None:
-            self._end("target", epoch * self.limits.generations + hit.generation)
+            self._end("target", epoch * self.limits.course.generations + hit.generation)
         elif epoch - self.progress.improved_at >= self.limits.stagnation:
             self._end("stagnation")
         elif epoch + 1 >= self.limits.epochs:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from common.config import JobConfig
 from common.errors import RemoteProtocolError
 from common.seeding import Stream, stream_key
-from common.slices import Position, slice_ends
+from common.slices import Course, Position
 from common.wire.messages import Addition, HitStatement, IslandReport, Tally
 from common.wire.simulated_bus import SimulatedNetwork
 from island_worker.agenda import Agenda, Work
@@ -70,7 +70,7 @@ def hits_of(config: JobConfig, variable: str) -> frozenset[Position]:
     if stream.below(4) == 0:
         return frozenset()
     epoch, hitters = stream.below(HIT_EPOCHS), 1 + stream.below(3)
-    ends = slice_ends(GENERATIONS, STRIDE, GENERATIONS)
+    ends = range(STRIDE, GENERATIONS + 1, STRIDE)
     return frozenset(
         Position(epoch, ends[stream.below(len(ends))], stream.below(config.evolution.islands)) for _ in range(hitters)
     )
@@ -161,8 +161,8 @@ class StubCompute:
         self._say_all(self._agenda.add(task))
         self._go_on()
 
-    def stop_at(self, share: ShareKey, hit: Position) -> None:
-        self._say_all(self._agenda.stop_at(share, hit))
+    def stop_at(self, share: ShareKey, hit: Position, course: Course) -> None:
+        self._say_all(self._agenda.stop_at(share, hit, course))
 
     def discard(self, share: ShareKey) -> None:
         self._agenda.discard(share)

@@ -12,13 +12,14 @@ import pytest
 from common.config import JobConfig
 from common.dataset import Dataset, Target
 from common.errors import RemoteProtocolError
-from common.slices import Position
+from common.slices import Course, Position
 from common.wire.codec import dataset_to_bytes
 from common.wire.messages import Tally
 from island_worker.compute import IslandCompute, WarmedUp, WarmUpFailed, WarmUpNote
 from island_worker.events import Abandoned, Broken, Computed, JobReady, Rejected, Task, TaskKey, Unloadable
 
 LIMIT_S = 20.0
+COURSE = Course(generations=100, stride=10, joining=8)
 
 
 class FakeOutcome:
@@ -91,7 +92,7 @@ def key(island: int, epoch: int = 0, term: int = 1) -> TaskKey:
 
 
 def task(of: TaskKey, blocks: Mapping[int, bytes] | None = None, is_last: bool = False) -> Task:
-    return Task(of, blocks, is_last, stride=10)
+    return Task(of, blocks, is_last, course=COURSE)
 
 
 def test_an_epoch_is_computed_and_reported(compute: IslandCompute, words: "queue.Queue[object]") -> None:
@@ -142,7 +143,7 @@ def test_what_is_discarded_is_given_up_without_a_word(compute: IslandCompute, wo
 
 def test_an_island_stops_where_the_target_was_met(compute: IslandCompute, words: "queue.Queue[object]") -> None:
     compute.advance(task(key(7)))
-    compute.stop_at(key(7).share, Position(0, 500, 7))
+    compute.stop_at(key(7).share, Position(0, 500, 7), COURSE)
     word = words.get(timeout=LIMIT_S)
     assert isinstance(word, Computed)
     assert (word.report.generations, word.emigrants) == (500, {})

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 
 from common.errors import LocalProtocolError, RemoteProtocolError
-from common.slices import Position
+from common.slices import Course, Position
 from common.wire.messages import (
     Addition,
     Block,
@@ -71,7 +71,7 @@ def placed(*workers: str, term: int = 1, job: str = "job", variable: str = "x", 
             workers=workers,
             epochs=epochs,
             interval=2,
-            stride=10,
+            course=Course(generations=100, stride=10, joining=8),
         )
     )
 

@@ -4,6 +4,7 @@ import pytest
 
 from common.config import JobConfig
 from common.errors import RemoteProtocolError
+from common.slices import Course
 from common.wire.codec import decode, encode
 from common.wire.messages import (
     CHUNK_SIZE,
@@ -67,7 +68,14 @@ REPORT = EpochReport(
 )
 MIGRANTS = Migrants(**AT, epoch=0, blocks=(Block(source=0, destination=1, data=b"\x00\xff"),))
 FINISHED = Finished(**AT, epoch=0, generation=10, island=2)
-PLACEMENT = Placement(incarnation=1, **AT, workers=("w0", "w1"), epochs=10, interval=16, stride=10)
+PLACEMENT = Placement(
+    incarnation=1,
+    **AT,
+    workers=("w0", "w1"),
+    epochs=10,
+    interval=16,
+    course=Course(generations=100, stride=10, joining=4),
+)
 STATUS = WorkerStatus(
     instance="i",
     incarnation=1,

@@ -10,12 +10,14 @@ from hypothesis import strategies as st
 
 from common.errors import RemoteProtocolError
 from common.pareto import FrontEntry, merge
+from common.slices import Course
 from common.wire.messages import Addition, HitStatement, IslandReport, Tally
 from coordinator.service.collector import Collector, DivergedError, Limits, additions_of
 
-LIMITS = Limits(islands=2, epochs=50, stagnation=5, generations=100, stride=10)
+COURSE = Course(generations=100, stride=10, joining=8)
+LIMITS = Limits(islands=2, epochs=50, stagnation=5, course=COURSE)
 
-LIMITS_OF_3 = Limits(islands=3, epochs=50, stagnation=5, generations=100, stride=10)
+LIMITS_OF_3 = Limits(islands=3, epochs=50, stagnation=5, course=COURSE)
 
 
 def best_error(front: tuple[FrontEntry, ...]) -> float:
@@ -161,6 +163,16 @@ def test_an_island_after_the_hit_counts_to_the_slice_before_and_need_not_have_be
     assert (collector.cut.generation, collector.cut.evaluations["offspring"]) == (110, 110 + 300)
 
 
+def test_in_the_first_epoch_groups_of_islands_count_one_after_the_other() -> None:
+    limits = Limits(3, 50, 5, COURSE.model_copy(update={"joining": 1}))
+    collector = Collector("x", limits, best_error)
+    collector.receive("w", 0, [report(1, hit=20)], 1.0)
+    assert collector.cut is None
+    collector.receive("w", 0, [report(0)], 2.0)
+    assert collector.cut is not None
+    assert collector.cut.evaluations["offspring"] == 10 + 2
+
+
 def test_a_report_given_up_at_a_hit_waits_for_the_report_of_that_hit(collector: Collector) -> None:
     assert not collector.receive("w0", 0, [report(0, generations=20)], 1.0)
     assert collector.progress.epochs == 0
@@ -233,7 +245,7 @@ def test_a_search_that_finds_nothing_at_all_stagnates(collector: Collector) -> N
 
 
 def test_the_last_epoch_ends_the_search() -> None:
-    collector = Collector("x", Limits(islands=1, epochs=2, stagnation=100, generations=100, stride=10), best_error)
+    collector = Collector("x", Limits(islands=1, epochs=2, stagnation=100, course=COURSE), best_error)
     fill(collector, 0, report(0))
     fill(collector, 1, report(0))
     assert collector.cut is not None
@@ -242,7 +254,7 @@ def test_the_last_epoch_ends_the_search() -> None:
 
 def test_the_target_comes_before_stagnation_and_stagnation_before_the_last_epoch() -> None:
     for hit, why in ((70, "target"), (None, "stagnation")):
-        collector = Collector("x", Limits(islands=1, epochs=2, stagnation=1, generations=100, stride=10), best_error)
+        collector = Collector("x", Limits(islands=1, epochs=2, stagnation=1, course=COURSE), best_error)
         fill(collector, 0, report(0))
         fill(collector, 1, report(0, hit=hit))
         assert collector.cut is not None
@@ -276,7 +288,7 @@ def test_cancelling_does_not_wait(collector: Collector) -> None:
 @given(st.permutations(list(itertools.product(range(4), range(2)))), st.lists(st.integers(0, 7), max_size=5))
 def test_the_order_of_arrival_and_repetitions_do_not_matter(order: list[tuple[int, int]], repeated: list[int]) -> None:
     def cut_of(keys: list[tuple[int, int]]) -> object:
-        collector = Collector("x", Limits(islands=2, epochs=4, stagnation=9, generations=100, stride=10), best_error)
+        collector = Collector("x", Limits(islands=2, epochs=4, stagnation=9, course=COURSE), best_error)
         for epoch, island in keys:
             error = 1.0 / (1 + epoch + 3 * island)
             collector.receive("w", epoch, [report(island, error=error, count=epoch + island)], 1.0)

@@ -9,7 +9,16 @@ from common.errors import LocalProtocolError, RemoteProtocolError
 from common.wire.messages import Addition, EpochReport, Holding, IslandReport, Placement, Tally
 from common.wire.views import FINAL_STATES
 from coordinator.service.cut import Cut
-from coordinator.service.job import JOB_TRANSITIONS, Conclude, Job, KeepCut, Prepared, TellCommit, check_program
+from coordinator.service.job import (
+    JOB_TRANSITIONS,
+    Conclude,
+    Job,
+    KeepCut,
+    Prepared,
+    TellCommit,
+    check_program,
+    course_of,
+)
 
 VALUES = np.linspace(0.0, 1.0, 30)
 DATASET = Dataset(
@@ -40,7 +49,7 @@ def running(**budget: object) -> Job:
                 workers=("w0", "w1"),
                 epochs=archipelago.collector.limits.epochs,
                 interval=16,
-                stride=10,
+                course=course_of(job.config),
             ),
             0.0,
         )
