@@ -17,12 +17,12 @@ from tests.simulation.stub import Shuffle, StubIsland, StubWork, hits_of, parse_
 from tests.simulation.world import World
 
 SEEDS = range(10)
-EPOCHS = 5
+EPOCHS = 4
 
 
 @pytest.fixture(autouse=True)
 def early_hits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tests.simulation.stub.HIT_EPOCHS", EPOCHS)
+    monkeypatch.setattr("tests.simulation.stub.HIT_EPOCHS", EPOCHS - 1)
 
 
 def config(seed: int, joining: int | None, islands: int = 5) -> JobConfig:
