@@ -173,6 +173,13 @@ def test_in_the_first_epoch_groups_of_islands_count_one_after_the_other() -> Non
     assert collector.cut.evaluations["offspring"] == 10 + 2
 
 
+def test_an_island_of_which_nothing_counts_keeps_its_former_counters(collector: Collector) -> None:
+    fill(collector, 0, report(0, count=100), report(1, count=300))
+    fill(collector, 1, report(0, hit=10, count=1100), report(1, count=400))
+    assert collector.cut is not None
+    assert collector.cut.evaluations["offspring"] == 110 + 300
+
+
 def test_a_report_given_up_at_a_hit_waits_for_the_report_of_that_hit(collector: Collector) -> None:
     assert not collector.receive("w0", 0, [report(0, generations=20)], 1.0)
     assert collector.progress.epochs == 0
