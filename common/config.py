@@ -84,6 +84,7 @@ class MigrationConfig(Model):
     """When solutions are reshuffled over the islands of a variable."""
 
     generations: Annotated[int, Field(ge=1, le=10_000)] = 100
+    joining: PositiveInt | None = Field(4, description="islands that begin the first epoch at a time; None: all")
 
 
 class BudgetConfig(Model):
@@ -114,6 +115,7 @@ PAPER = JobConfig(
     space=SpaceConfig(terminals=7),
     evolution=EvolutionConfig(constant_fit_steps=0, linear_terms=0, scaled_constants=False),
     predictors=PredictorConfig(rows=16),
+    migration=MigrationConfig(joining=None),
     budget=BudgetConfig(max_epochs=5000, stagnation=500),
 )
 """Table II of the paper, nothing added."""

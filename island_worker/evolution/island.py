@@ -36,11 +36,12 @@ class Hit:
 
 @dataclass(frozen=True)
 class EpochOutcome:
-    """What one island has to say of one finished epoch.
+    """What one island has to say of one epoch, as far as it has come with it.
 
     `additions` are the entries that improved the island's own front in this epoch, in the order found; `evaluations`
-    are *cumulative* point evaluations by part since epoch 0; `best_error` is the smallest normalized error on all rows
-    so far (None: none finite yet); `digest` is the hex digest of the state.
+    are *cumulative* point evaluations by part since epoch 0, `tallies` the same at the end of each slice of this epoch,
+    by generation; `best_error` is the smallest normalized error on all rows so far (None: none finite yet); `digest` is
+    the hex digest of the state.
     """
 
     epoch: int
@@ -48,6 +49,7 @@ class EpochOutcome:
     hit: Hit | None
     additions: tuple[FrontEntry, ...]
     evaluations: Mapping[str, int]
+    tallies: Mapping[int, Mapping[str, int]]
     best_error: float | None
     digest: str
 
@@ -56,8 +58,8 @@ class Island:
     """One island of one variable between epochs. Mutable, but only through `advance` and `immigrate`, in turn.
 
     The life of an island: ``Island(...)`` (epoch 0, random population), then for every epoch: `advance` until it
-    returns True, `outcome`, and, unless the archipelago ended, `emigrants` to send and `immigrate` with all that is due
-    here (own ones included), which begins the next epoch.
+    returns True or no more is needed, `outcome`, and, unless the archipelago ended, `emigrants` to send and `immigrate`
+    with all that is due here (own ones included), which begins the next epoch.
 
     Raises:
         LocalProtocolError: a field of `config` that must be resolved is not, or a method is called out of turn.
@@ -74,11 +76,17 @@ class Island:
         self.epoch = 0
         self._start_epoch()
 
+    @property
+    def generation(self) -> int:
+        """Generations of the current epoch that have passed."""
+        return self._generation
+
     def _start_epoch(self) -> None:
         self._generation = 0
         self._hit: Hit | None = None
         self._begun = False
         self._additions: list[FrontEntry] = []
+        self._tallies: dict[int, dict[str, int]] = {}
         setting = self._setting
         key = stream_key(setting.config.seed, setting.variable, setting.island, self.epoch, "generations")
         self._stream = np.array([key], np.uint64)
@@ -94,6 +102,7 @@ class Island:
             self._evolve(step)
             if self._generation % interval == 0 or self._generation == last:
                 self._offer()
+                self._tallies[self._generation] = self._evaluations()
         return self._hit is not None or self._generation == last
 
     def _begin(self) -> None:
@@ -138,17 +147,21 @@ class Island:
         return math.inf if error is None else error / self._setting.deviation
 
     def outcome(self) -> EpochOutcome:
-        """Return the report of the finished epoch."""
+        """Return the report of the epoch, finished or not."""
         best = self._normalized(self._front.least_error())
         return EpochOutcome(
             self.epoch,
             self._generation,
             self._hit,
             tuple(self._additions),
-            dict(zip(PARTS, self._counters.tolist(), strict=True)),
+            self._evaluations(),
+            dict(self._tallies),
             best if math.isfinite(best) else None,
             self._digest(),
         )
+
+    def _evaluations(self) -> dict[str, int]:
+        return dict(zip(PARTS, self._counters.tolist(), strict=True))
 
     def _digest(self) -> str:
         digest = hashlib.blake2b(digest_size=16)
