@@ -26,7 +26,7 @@ from coordinator.data.prepare import prepare
 from coordinator.data.readers import read_table
 from island_worker.evolution.island import Island
 from island_worker.evolution.kernels_random import below
-from island_worker.evolution.kernels_variation import cross, mutate
+from island_worker.evolution.kernels_variation import copy_list, cross, mutate
 from island_worker.evolution.setting import Setting
 from island_worker.evolution.structures import Lists, Space, empty_lists
 
@@ -61,11 +61,10 @@ class Corpus:
     def lists_of(self, file: int) -> Lists:
         """Return the lists that come from one file, unscaled."""
         chosen = self.origin == file
-        lists = empty_lists(int(chosen.sum()), self.code.shape[1])
         parts = (self.code, self.left, self.right, self.constants)
-        for column, values in zip(lists[: len(parts)], parts, strict=True):
-            column[...] = values[chosen]
-        return lists
+        code, left, right, constants = (np.ascontiguousarray(part[chosen]) for part in parts)
+        scale = empty_lists(len(code), self.code.shape[1]).scale
+        return Lists(code, left, right, constants, scale)
 
 
 def load_corpus(path: Path = CORPUS) -> Corpus:
@@ -121,7 +120,7 @@ def _configured(seed: int) -> JobConfig:
 
 def _spaced(problem: Problem) -> npt.NDArray[np.int64]:
     """Return the indices of LANES rows, evenly spaced over all."""
-    rows = problem.inputs.shape[1]
+    rows: int = problem.inputs.shape[1]
     return np.arange(LANES, dtype=np.int64) * rows // LANES
 
 
@@ -145,8 +144,7 @@ def _breed_into(children: Lists, child: int, parents: Lists, space: Space, strea
     second = (first + 1 + int(below(stream, population - 1))) % population
     cross(pair, parents, first, second, space, stream)
     mutate(pair, 0, space, stream)
-    for column, values in zip(children, pair, strict=True):
-        column[child] = values[0]
+    copy_list(children, child, pair, 0)
 
 
 def _populations(problem: Problem, config: JobConfig) -> Iterator[tuple[int, Lists]]:
