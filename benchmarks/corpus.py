@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,7 @@ import numpy.typing as npt
 from benchmarks.strogatz import LABEL, PUBLISHED
 from common.config import PRESETS, JobConfig
 from common.dataset import Problem
-from common.errors import DataError
+from common.errors import DataError, UsageError
 from common.expression.kernels import LANES
 from common.seeding import stream_key
 from common.wire.codec import decode_arrays
@@ -70,17 +71,21 @@ class Corpus:
 def load_corpus(path: Path = CORPUS) -> Corpus:
     """Return the corpus in `path`; raises DataError when there is none."""
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             return Corpus(**{field.name: arrays[field.name] for field in fields(Corpus)})
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, KeyError, TypeError, ValueError, EOFError, BadZipFile) as error:
         raise DataError(f"{path} is not a corpus of operation lists ({error}); check out the file anew") from error
 
 
 def save_corpus(corpus: Corpus, path: Path) -> None:
-    """Write `corpus`, compressed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write `corpus`, compressed; raises UsageError when that is not possible."""
     arrays: dict[str, Any] = {field.name: getattr(corpus, field.name) for field in fields(Corpus)}
-    np.savez_compressed(path, **arrays)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written ({error.strerror}); name another file with --corpus") from error
 
 
 def make_corpus(folder: Path, seed: int = 0, size: int = SIZE, names: Sequence[str] = tuple(PUBLISHED)) -> Corpus:

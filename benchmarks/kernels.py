@@ -21,6 +21,7 @@ from typing import Final
 
 from benchmarks.corpus import CORPUS, load_corpus, make_corpus, save_corpus
 from benchmarks.figures import write_figures
+from benchmarks.options import whole
 from benchmarks.reporting import load, plain_errors
 from benchmarks.speeds import OperatorSpeed, Peak, Speed, operator_speed, parts_of, peak, speed, wrong
 from common.errors import UsageError
@@ -151,7 +152,7 @@ def _parser() -> argparse.ArgumentParser:
     default = ",".join(map(str, ROWS))
     parser.add_argument("--rows", type=_rows, default=list(ROWS), help=f"besides {LANES}, such as 64,1024 ({default})")
     parser.add_argument("--operator", choices=BY_NAME, action="append", help="repeat for several; default: all")
-    parser.add_argument("--repetitions", type=int, default=7, help="the fastest counts (%(default)s)")
+    parser.add_argument("--repetitions", type=whole, default=7, help="the fastest counts (%(default)s)")
     parser.add_argument("--corpus", type=Path, default=CORPUS, help="file of operation lists (the committed one)")
     parser.add_argument("--make-corpus", action="store_true", help="write that file anew, from searches in --data")
     parser.add_argument("--data", type=Path, help="folder of the Strogatz label files, for --make-corpus")

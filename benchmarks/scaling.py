@@ -24,6 +24,7 @@ from typing import Any, Final
 
 from benchmarks.derivatives import table_of
 from benchmarks.figures import write_figures
+from benchmarks.options import positive, whole
 from benchmarks.reporting import load, plain_errors, seeds
 from benchmarks.services import Searches, searching
 from benchmarks.systems import TABLE_III, trajectories
@@ -97,17 +98,26 @@ class Bench:
         )
 
     def round(self, both: Searches, singles: Sequence[Searches], seed: int) -> Round:
-        """Search with two workers; then twice at once with one worker each."""
-        together = self._solved(both, seed)["search_seconds"]
+        """Search with two workers, and twice at once with one worker each; with odd seeds the other way round."""
+        if seed % 2:
+            apart = self._apart(singles, seed)
+            its = Round(seed, self._together(both, seed), apart)
+        else:
+            its = Round(seed, self._together(both, seed), self._apart(singles, seed))
+        note(f"  seed {seed}: {its.together:.2f} s beside {its.apart[0]:.2f}, {its.apart[1]:.2f}: {its.efficiency:.1%}")
+        return its
+
+    def _together(self, both: Searches, seed: int) -> float:
+        return float(self._solved(both, seed)["search_seconds"])
+
+    def _apart(self, singles: Sequence[Searches], seed: int) -> tuple[float, float]:
         pool = ThreadPoolExecutor(len(singles))
         try:
             results = list(pool.map(lambda its: self._solved(its, seed), singles))
         finally:
             pool.shutdown(wait=False, cancel_futures=True)  # after an interrupt, the processes end and the threads too
-        one, two = (result["search_seconds"] for result in results)
-        its = Round(seed, together, (one, two))
-        note(f"  seed {seed}: together {together:.2f} s, apart {one:.2f} and {two:.2f} s: {its.efficiency:.1%}")
-        return its
+        one, two = (float(result["search_seconds"]) for result in results)
+        return one, two
 
     def counted(self, searches: Searches, workers: int, seed: int) -> Load:
         """Search for a few epochs and count what goes over the bus meanwhile."""
@@ -254,12 +264,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--only", metavar="VARIABLE", action="append", help="repeat for several; default: all, as many archipelagos"
     )
-    parser.add_argument("--step", type=float, default=0.1, help="sampling step (%(default)s)")
+    parser.add_argument("--step", type=positive, default=0.1, help="sampling step (%(default)s)")
     parser.add_argument("--preset", choices=PRESETS, default="default")
-    parser.add_argument("--epochs", type=int, default=20, help="length of each search (%(default)s)")
+    parser.add_argument("--epochs", type=whole, default=20, help="length of each search (%(default)s)")
     parser.add_argument("--seeds", type=seeds, default=seeds("0-4"), help="such as 0-4 (0-4); one round each")
     parser.add_argument(
-        "--max-time", type=float, default=600.0, metavar="SECONDS", help="limit of a search (%(default)g)"
+        "--max-time", type=positive, default=600.0, metavar="SECONDS", help="limit of a search (%(default)g)"
     )
     parser.add_argument("--no-efficiency", action="store_true", help="leave out the two services side by side")
     parser.add_argument("--out", type=Path, help="file for all figures as JSON")

@@ -23,6 +23,7 @@ import numpy as np
 
 from benchmarks.derivatives import table_of
 from benchmarks.judging import Question, Verdict, judged, miss
+from benchmarks.options import positive
 from benchmarks.reporting import Report, add_common, plain_errors
 from benchmarks.services import Searches, searching
 from benchmarks.strogatz import PUBLISHED
@@ -252,7 +253,7 @@ def _parser() -> argparse.ArgumentParser:
         "--derivatives", choices=COLUMNS, action="append", help="given exactly, or estimated; default: both, in turn"
     )
     parser.add_argument("--preset", choices=PRESETS, default="default")
-    parser.add_argument("--target-error", type=float, help="normalized error at which a search ends")
+    parser.add_argument("--target-error", type=positive, help="normalized error at which a search ends")
     parser.add_argument("--to-the-end", action="store_true", help="use all of --max-time, also without progress")
     add_common(parser, "0-4", 120.0)
     return parser

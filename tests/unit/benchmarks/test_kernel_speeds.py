@@ -8,10 +8,11 @@ import pytest
 
 from benchmarks import kernels, speeds
 from benchmarks.corpus import CORPUS, EPOCHS, SIZE, load_corpus, make_corpus, save_corpus
+from benchmarks.figures import write_figures
 from benchmarks.loops import differentiate_into, fitness_by_numpy, gradient_repeatedly, operator_tape, room_for
 from benchmarks.speeds import OperatorSpeed, Peak, Speed, parts_of, wrong
 from benchmarks.strogatz import PUBLISHED
-from common.errors import DataError
+from common.errors import DataError, UsageError
 from common.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, SIN, VARIABLE
 from island_worker.evolution.structures import empty_lists, padded_rows
 
@@ -69,6 +70,17 @@ def test_what_is_no_corpus_is_said(tmp_path):
     (tmp_path / "some.npz").write_text("text")
     with pytest.raises(DataError, match="not a corpus"):
         load_corpus(tmp_path / "some.npz")
+    (tmp_path / "part.npz").write_bytes(CORPUS.read_bytes()[:5000])
+    with pytest.raises(DataError, match="not a corpus"):
+        load_corpus(tmp_path / "part.npz")
+
+
+def test_a_place_that_cannot_be_written_is_said(corpus, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match="name another file with --corpus"):
+        save_corpus(corpus, tmp_path / "file" / "corpus.npz")
+    with pytest.raises(UsageError, match="name another file with --out"):
+        write_figures(tmp_path / "file" / "figures.json", "kernels", [], {})
 
 
 @pytest.fixture

@@ -152,7 +152,9 @@ def test_numbers_of_workers(text, numbers):
     assert _parser().parse_args(["--workers", text]).workers == numbers
 
 
-@pytest.mark.parametrize("words", [["--workers", "0"], ["--workers", "two"], ["--system", "none"]])
+@pytest.mark.parametrize(
+    "words", [["--workers", "0"], ["--workers", "two"], ["--system", "none"], ["--epochs", "0"], ["--step", "nan"]]
+)
 def test_other_options_are_refused(words, capsys):
     with pytest.raises(SystemExit) as ended:
         main(words)
