@@ -44,10 +44,13 @@ check: $(STAMP)
 
 bench: $(STAMP)
 	@$(BIN)/python -m benchmarks.elementary
+	@$(BIN)/python -m benchmarks.kernels --rows 128 --repetitions 3
 	@$(BIN)/python -m benchmarks.derivatives
+	@$(BIN)/python -m benchmarks.table3 --derivatives given --seeds 0 --max-time 60
 	@$(BIN)/python -m benchmarks.seven --seeds 0
 	@$(BIN)/python -m benchmarks.seven --extras --seeds 0
 	@$(BIN)/python -m benchmarks.digests
+	@$(BIN)/python -m benchmarks.scaling --system lotka_volterra --epochs 4 --seeds 0
 	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.strogatz --data "$(STROGATZ)" --seeds 0
 
 clean:
