@@ -50,12 +50,14 @@ _END_LIMIT_S: Final = 30.0
 class Run:
     """How a search came out.
 
-    `seconds` is the time to the target, None when it was not met; `elapsed` that to the end. `error` is the one of the
-    last best model, None when it had none that is finite everywhere.
+    `seconds` is the time to the target, None when it was not met; `elapsed` that to the end; `processor_seconds` what
+    all threads used until then, which other programs on the machine hardly change. `error` is the one of the last best
+    model, None when it had none that is finite everywhere.
     """
 
     seconds: float | None
     elapsed: float
+    processor_seconds: float
     error: float | None
     generations: int
     evaluations: int
@@ -70,6 +72,7 @@ class _Watch:
     target_error: float
     limit: float
     begun: float = field(default_factory=time.perf_counter)
+    begun_processor: float = field(default_factory=time.process_time)
     error: float | None = None
     met: float | None = None
 
@@ -210,6 +213,7 @@ def search(inputs: FloatArray, label: FloatArray, seed: int, target_error: float
     return Run(
         seconds=watch.met,
         elapsed=time.perf_counter() - watch.begun,
+        processor_seconds=time.process_time() - watch.begun_processor,
         error=watch.error,
         generations=int(parts.search.Generation),
         evaluations=int(parts.evaluator.CallCount),

@@ -39,6 +39,7 @@ class Race:
     peers_error: float | None
     peers_expression: str
     peers_evaluations: int
+    peers_processor_seconds: float
     load: float
 
 
@@ -81,6 +82,7 @@ def race(key: tuple[str, int], result: Mapping[str, Any], rows: Table, peer: ope
         peers_error=peer.error,
         peers_expression=peer.expression,
         peers_evaluations=peer.evaluations,
+        peers_processor_seconds=peer.processor_seconds,
         load=load(),
     )
 
@@ -112,11 +114,12 @@ def totals(races: Sequence[Race], limit: float) -> str:
     worst = max(races, key=lambda each: counted(each.ours, limit))
     ours = f"{its['met']} of {len(races)} met the target, geometric mean {its['mean_s']:.3f} s"
     peers = f"{its['peers_met']} of {len(races)} met the target, geometric mean {its['peers_mean_s']:.3f} s"
+    worst_error = error_text(its["largest_error"])
     lines = (
         f"ours:   {ours}, slowest {its['slowest_s']:.2f} s ({worst.file} seed {worst.seed})",
         f"Operon: {peers}, slowest {its['peers_slowest_s']:.2f} s",
         f"ratio of the geometric means {its['ratio']:.3f}, geometric mean of the files' ratios {its['file_ratio']:.3f}",
-        f"largest error of ours that met it {error_text(its['largest_error'])}; load {its['load']:.1f}; limit {limit:g} s",
+        f"largest error of ours that met it {worst_error}; load {its['load']:.1f}; limit {limit:g} s",
     )
     return "\n".join(lines)
 
