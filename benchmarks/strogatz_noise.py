@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+import numpy as np
+
 from benchmarks.forms import compare
 from benchmarks.records import Records
 from benchmarks.services import Searches
@@ -14,7 +16,6 @@ from benchmarks.srbench import STRICT, assess
 from benchmarks.strogatz_files import Split, rows_of, split
 from common.config import JobConfig
 from coordinator.cli.output import count, note, say, table
-from coordinator.data.prepare import prepare
 
 PUBLISHED: Final = {
     0.0: ("85.7 (PySR, 8 h)", 85.7, "20.0", "11.4"),
@@ -69,7 +70,7 @@ def run(
                 rows = split(rows_of(options.data, name), name, seed, level)
                 title = f"{name} noise {level:g} seed {seed}"
                 result = searches.solve(title, rows.training, configs[seed])
-                outcomes.append(outcome(result, rows, (name, seed, level), known[name], configs[seed]))
+                outcomes.append(outcome(result, rows, (name, seed, level), known[name]))
                 records.add(outcomes[-1])
                 note(_line(title, outcomes[-1]))
     records.write(
@@ -80,13 +81,11 @@ def run(
     return 0 if all(_is_ahead([each for each in outcomes if each.level == level]) for level in options.noise) else 1
 
 
-def outcome(
-    result: Mapping[str, Any], rows: Split, key: tuple[str, int, float], truth: str, config: JobConfig
-) -> Outcome:
+def outcome(result: Mapping[str, Any], rows: Split, key: tuple[str, int, float], truth: str) -> Outcome:
     """Judge the equation in `result` (the contents of a result.json) of the search `key`: file, seed and level."""
     (equation,) = result["equations"]
     file, seed, level = key
-    deviation = prepare(rows.training, config).targets[0].deviation
+    deviation = float(np.std(rows.labels))
     text = equation["expression"]
     found = assess(text, truth, rows.columns, rows.labels) if text else None
     form = compare(text, truth, rows.columns, deviation, STRICT) if text else None

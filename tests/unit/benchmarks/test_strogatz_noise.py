@@ -49,7 +49,7 @@ def result(expression, *others):
 
 
 def judged(folder, answer):
-    return outcome(answer, split(rows_of(folder, "lv2"), "lv2", 0, 0.01), ("lv2", 0, 0.01), TRUTH, CONFIG)
+    return outcome(answer, split(rows_of(folder, "lv2"), "lv2", 0, 0.01), ("lv2", 0, 0.01), TRUTH)
 
 
 def test_an_equation_is_judged_by_both_rules(folder):
