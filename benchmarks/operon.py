@@ -89,9 +89,10 @@ def scaled_error(values: FloatArray, label: FloatArray) -> float | None:
     """Return the mean of |a f + b - label| over label's deviation, a and b by least squares; None if not finite."""
     if not np.isfinite(values).all():
         return None
-    design = np.column_stack((values, np.ones_like(values)))
-    (factor, summand), *_ = np.linalg.lstsq(design, label, rcond=None)
-    return float(np.mean(np.abs(factor * values + summand - label)) / np.std(label))
+    around, sought = values - np.mean(values), label - np.mean(label)
+    spread = float(np.mean(around**2))
+    factor = float(np.mean(around * sought)) / spread if spread > 0.0 else 0.0
+    return float(np.mean(np.abs(factor * around - sought)) / np.std(label))
 
 
 class _Parts:

@@ -24,6 +24,7 @@ def test_the_error_is_that_of_the_scaled_model():
     assert scaled_error(values, 5.0 - 2.0 * values) == pytest.approx(0.0, abs=1e-12)
     label = np.array([1.0, -1.0, -1.0, 1.0])
     assert scaled_error(values, label) == pytest.approx(1.0)
+    assert scaled_error(np.ones(4), label) == 1.0
     assert scaled_error(np.array([1.0, np.nan, 1.0, 2.0]), label) is None
 
 
