@@ -51,7 +51,9 @@ bench: $(STAMP)
 	@$(BIN)/python -m benchmarks.seven --extras --seeds 0
 	@$(BIN)/python -m benchmarks.digests
 	@$(BIN)/python -m benchmarks.scaling --system lotka_volterra --epochs 4 --seeds 0
+	@$(BIN)/python -m benchmarks.srbench --file lv2 --file vdp2
 	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.strogatz --data "$(STROGATZ)" --seeds 0
+	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.strogatz --data "$(STROGATZ)" --seeds 0 --noise 0.001 --max-time 5
 
 clean:
 	@rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
