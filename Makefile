@@ -47,6 +47,8 @@ bench: $(STAMP)
 	@$(BIN)/python -m benchmarks.derivatives
 	@$(BIN)/python -m benchmarks.seven --seeds 0
 	@$(BIN)/python -m benchmarks.seven --extras --seeds 0
+	@$(BIN)/python -m benchmarks.table1 --seeds 0-4 || test $$? = 1
+	@$(BIN)/python -m benchmarks.figure1 --runs 4 --targets 20 --generations 1000
 	@$(BIN)/python -m benchmarks.digests
 	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.strogatz --data "$(STROGATZ)" --seeds 0
 

@@ -16,6 +16,7 @@ from common.wire.codec import decode_arrays
 from island_worker.evolution.island import Island
 
 IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 _ARITY = np.array(ARITY)
 
 
@@ -28,8 +29,8 @@ class Population:
     right: IntArray
     constants: FloatArray
 
-    def sizes(self) -> IntArray:
-        """Return the number of live nodes of each list: those that its output depends on, duplicates included."""
+    def live(self) -> BoolArray:
+        """Return which nodes (P, L) the output of their list depends on."""
         live = np.zeros(self.code.shape, np.bool_)
         live[:, -1] = True
         for node in range(self.code.shape[1] - 1, -1, -1):
@@ -37,30 +38,39 @@ class Population:
             for least, argument in ((1, self.left), (2, self.right)):
                 users = np.flatnonzero(live[:, node] & (arity >= least))
                 live[users, argument[users, node]] = True
-        return live.sum(axis=1)
+        return live
+
+    def sizes(self) -> IntArray:
+        """Return the number of live nodes of each list, duplicates included."""
+        sizes: IntArray = self.live().sum(axis=1)
+        return sizes
 
     def values(self, x: FloatArray) -> FloatArray:
         """Return the outputs (P, R) at `x` (R,)."""
         lists, nodes = self.code.shape
         values = np.empty((nodes, lists, len(x)))
+        live = self.live()
         with np.errstate(all="ignore"):
             for node in range(nodes):
-                for code in np.unique(self.code[:, node]).tolist():
-                    which = np.flatnonzero(self.code[:, node] == code)
+                for code in np.unique(self.code[live[:, node], node]).tolist():
+                    which = np.flatnonzero((self.code[:, node] == code) & live[:, node])
                     if code == VARIABLE:
                         values[node, which] = x
                     elif code == CONSTANT:
                         values[node, which] = self.constants[which, node, np.newaxis]
                     else:
                         left = values[self.left[which, node], which]
-                        values[node, which] = OPERATIONS[code](left, values[self.right[which, node], which])
-        return values[-1]
+                        right = values[self.right[which, node], which] if ARITY[code] > 1 else left
+                        values[node, which] = OPERATIONS[code](left, right)
+        outputs: FloatArray = values[-1]
+        return outputs
 
     def losses(self, x: FloatArray, target: FloatArray) -> FloatArray:
         """Return the mean absolute errors (P,) at `x`, inf where one is not finite."""
         with np.errstate(all="ignore"):
-            losses = np.abs(self.values(x) - target).mean(axis=1)
-        return np.where(np.isfinite(losses), losses, np.inf)
+            losses: FloatArray = np.abs(self.values(x) - target).mean(axis=1)
+        losses[~np.isfinite(losses)] = np.inf
+        return losses
 
     def program(self, index: int) -> Program:
         """Return one list, dead nodes included."""

@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.archipelago import Archipelago, configured, problem_of
-from benchmarks.evaluation import evaluate
+from benchmarks.evaluation import evaluate, node_values
 from benchmarks.published import FRESH, LARGEST_ERROR, ROWS, USUAL, Row
 from benchmarks.reporting import plain_errors
 from benchmarks.runs import Figures, add_options, canvas, in_parallel, positive, save
@@ -93,13 +93,9 @@ def largest_error(program: Program, x: FloatArray, values: FloatArray) -> float:
 
 def is_shifted(program: Program, x: FloatArray) -> bool:
     """Whether there is a sine of an angle that is 2x or -2x but for a constant: a cosine of 2x by its phase."""
+    values = node_values(program, [x])
     nodes = zip(program.operators.tolist(), program.left.tolist(), strict=True)
-    return any(code == SIN and _turns_twice(_values_of(program, left, x), x) for code, left in nodes)
-
-
-def _values_of(program: Program, node: int, x: FloatArray) -> FloatArray:
-    columns = (program.operators, program.left, program.right, program.constants)
-    return evaluate(Program(*(column[: node + 1] for column in columns)), [x])
+    return any(code == SIN and _turns_twice(values[left], x) for code, left in nodes)
 
 
 def _turns_twice(angle: FloatArray, x: FloatArray) -> bool:
