@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.archipelago import SAMPLE
 from benchmarks.growth import ARMS, FUNCTION, Arm, Mean, Run, Task, bloats, by_size, curves, difference, pairs, run
 from benchmarks.reporting import plain_errors
 from benchmarks.runs import Figures, add_options, canvas, in_parallel, positive, save
@@ -124,7 +125,10 @@ def _shown(its: Mean) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run both arms, print the numbers, draw the panels; return 0."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if options.rows <= 2 * SAMPLE:
+        parser.error(f"--rows {options.rows} is too few for predictors of {SAMPLE}: give more than {2 * SAMPLE}")
     figures = Figures("figure1", sys.argv[1:] if arguments is None else arguments, options.out)
     asked = tasks(options)
     runs: list[Run] = []

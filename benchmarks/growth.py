@@ -115,9 +115,9 @@ def _config(task: Task) -> JobConfig:
 
 
 def looks_until(generations: int, is_early: bool) -> list[int]:
-    """Return the generations at which a run is looked at: ends of epochs, and more often at first if `is_early`."""
+    """Return the generations at which a run is looked at: ends of epochs and its own, at first more often if `is_early`."""
     early = range(EARLY, min(SOON, generations) + 1, EARLY) if is_early else ()
-    return sorted({*early, *range(EPOCH, generations + 1, EPOCH)})
+    return sorted({*early, *range(EPOCH, generations, EPOCH), generations})
 
 
 def _advance(island: Island, generation: int) -> None:

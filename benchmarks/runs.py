@@ -30,7 +30,7 @@ Run = TypeVar("Run")
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that benchmarks of many runs have in common."""
     cores, _ = usable_cores(os.environ)
-    parser.add_argument("--seeds", type=seeds, help="such as 0-9 instead of the row's own number of runs")
+    parser.add_argument("--seeds", type=seeds, help="such as 0-9, instead of as many runs as in the paper")
     parser.add_argument("--workers", type=positive, default=cores, help="processes (%(default)s: all cores)")
     parser.add_argument("--out", type=Path, help="file for all figures as JSON")
     parser.add_argument("--picture", type=Path, help="file for the picture, such as figure.png")

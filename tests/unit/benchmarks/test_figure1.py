@@ -93,7 +93,7 @@ def test_targets_have_no_constants():
 def test_a_run_is_looked_at_more_often_at_first_where_it_may_end():
     assert looks_until(400, False) == [100, 200, 300, 400]
     assert looks_until(400, True) == [*range(20, 201, 20), 300, 400]
-    assert looks_until(50, True) == [20, 40]
+    assert looks_until(50, True) == [20, 40, 50]
 
 
 def test_the_arms_differ_only_in_what_measures_their_solutions():
@@ -161,3 +161,10 @@ def test_one_run_of_each_arm_is_shown_without_an_error_of_the_mean(monkeypatch, 
     monkeypatch.setattr(figure1, "in_parallel", lambda *_: list(runs))
     assert figure1.main([]) == 0
     assert "nan" not in capsys.readouterr().out
+
+
+def test_too_few_rows_for_predictors_are_refused(capsys):
+    with pytest.raises(SystemExit) as ended_with:
+        figure1.main(["--rows", "32"])
+    assert ended_with.value.code == 2
+    assert "give more than 32" in capsys.readouterr().err
