@@ -115,7 +115,7 @@ def _config(task: Task) -> JobConfig:
 
 
 def looks_until(generations: int, is_early: bool) -> list[int]:
-    """Return the generations at which a run is looked at: ends of epochs and its own, at first more often if `is_early`."""
+    """Return the generations at which a run is looked at: ends of epochs, its own, and at first more if `is_early`."""
     early = range(EARLY, min(SOON, generations) + 1, EARLY) if is_early else ()
     return sorted({*early, *range(EPOCH, generations, EPOCH), generations})
 
