@@ -78,7 +78,8 @@ def run(task: Task) -> Run:
     """Evolve one island and look at its best solution from time to time. Pure: the task decides everything."""
     truth = from_infix(FUNCTION, ("x",)) if task.target is None else _targets(task.targets)[task.target]
     x, fresh = _points(task, "points", task.rows), _points(task, "fresh points", FRESH)
-    values, fresh_values = evaluate(truth, [x]), evaluate(truth, [fresh])
+    with np.errstate(all="ignore"):
+        values, fresh_values = evaluate(truth, [x]), evaluate(truth, [fresh])
     island = Island(problem_of(x, values), _config(task), 0)
     looks, sizes, converged, found = [], [], None, None
     for generation in looks_until(task.generations, task.target is not None):

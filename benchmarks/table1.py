@@ -93,7 +93,8 @@ def largest_error(program: Program, x: FloatArray, values: FloatArray) -> float:
 
 def is_shifted(program: Program, x: FloatArray) -> bool:
     """Whether there is a sine of an angle that is 2x or -2x but for a constant: a cosine of 2x by its phase."""
-    values = node_values(program, [x])
+    with np.errstate(all="ignore"):
+        values = node_values(program, [x])
     nodes = zip(program.operators.tolist(), program.left.tolist(), strict=True)
     return any(code == SIN and _turns_twice(values[left], x) for code, left in nodes)
 

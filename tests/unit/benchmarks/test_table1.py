@@ -69,6 +69,7 @@ def test_the_error_is_the_largest_one_and_infinite_where_there_is_none():
         ("1 - 2*sin(x)**2", False),
         ("sin(x)*sin(x + 1.5707963267948966)", False),
         ("sin(2*x**2)", False),
+        ("1/exp(100*exp(x))", False),
     ],
 )
 def test_a_sine_of_twice_the_angle_is_told_from_the_identity(text, shifted):
