@@ -49,6 +49,8 @@ bench: $(STAMP)
 	@$(BIN)/python -m benchmarks.table3 --derivatives given --seeds 0 --max-time 60
 	@$(BIN)/python -m benchmarks.seven --seeds 0
 	@$(BIN)/python -m benchmarks.seven --extras --seeds 0
+	@$(BIN)/python -m benchmarks.table1 --seeds 0-4 || test $$? = 1
+	@$(BIN)/python -m benchmarks.figure1 --runs 4 --targets 20 --generations 1000
 	@$(BIN)/python -m benchmarks.digests
 	@$(BIN)/python -m benchmarks.scaling --system lotka_volterra --epochs 4 --seeds 0
 	@$(BIN)/python -m benchmarks.srbench --file lv2 --file vdp2
