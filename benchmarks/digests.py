@@ -26,7 +26,7 @@ from common.errors import AtollError
 from coordinator.cli.output import note, say, table
 from coordinator.cli.signals import raising_interrupts
 
-UNREACHABLE: Final = "1e-300"
+UNREACHABLE: Final = 1e-300
 """A target that is never met, so that all of the search is compared."""
 
 
@@ -78,18 +78,18 @@ def optional_features() -> list[str]:
     return [name for name in numpy.__cpu_dispatch__ if numpy.__cpu_features__[name]]
 
 
-def searched(way: Way, data: Path, seed: int, epochs: int, folder: Path) -> dict[str, object]:
-    """Search `data` in one way and return the result; raises AtollError."""
+def searched(way: Way, data: Path, options: argparse.Namespace, folder: Path) -> dict[str, object]:
+    """Search `data` in one way, with the seed and within the budget of `options`; raises AtollError."""
     environment = {**os.environ, **dict(way.environment)}
-    options = [
-        str(data), "--trajectory", "trajectory", "--seed", str(seed), "--islands", str(way.islands),
-        "--max-epochs", str(epochs), "--target-error", UNREACHABLE, "--json",
+    words = [
+        str(data), "--trajectory", "trajectory", "--seed", str(options.seed), "--islands", str(way.islands),
+        "--max-epochs", str(options.epochs), "--target-error", str(options.target_error), "--json",
     ]  # fmt: skip
     if way.through == "submit":
         with searching(way.workers, environment) as searches:
-            return _command(["submit", *options, "--connect", searches.address], environment)
+            return _command(["submit", *words, "--connect", searches.address], environment)
     with raising_interrupts():
-        return _command(["run", *options, "--workers", str(way.workers), "--out", str(folder)], environment)
+        return _command(["run", *words, "--workers", str(way.workers), "--out", str(folder)], environment)
 
 
 def _command(words: Sequence[str], environment: dict[str, str]) -> dict[str, object]:
@@ -145,7 +145,7 @@ def _outcomes(system: str, options: argparse.Namespace, folder: Path) -> list[Ou
     numbers = itertools.count()
 
     def search(way: Way) -> dict[str, object]:
-        return searched(way, data, options.seed, options.epochs, folder / f"{system}-{next(numbers)}")
+        return searched(way, data, options, folder / f"{system}-{next(numbers)}")
 
     return compared(system, ways(folder / "kernels"), search)
 
@@ -188,6 +188,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--noise", type=float, default=0.0, help="share of each state's deviation (%(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of data and search (%(default)s)")
     parser.add_argument("--epochs", type=int, default=4, help="length of each search (%(default)s)")
+    parser.add_argument("--target-error", type=float, default=UNREACHABLE, help="where a search ends (never)")
     parser.add_argument("--out", type=Path, help="file for all figures as JSON")
     return parser
 

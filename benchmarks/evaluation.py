@@ -51,6 +51,11 @@ OPERATIONS: Final[dict[int, Callable[[Any, Any], Any]]] = {
 
 def evaluate(program: Program, columns: Sequence[FloatArray]) -> FloatArray:
     """Return the values of `program` on rows given by column, by numpy's functions."""
+    return node_values(program, columns)[-1]
+
+
+def node_values(program: Program, columns: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return the values of every node of `program`, the last being its output."""
     values: list[FloatArray] = []
     parts = (program.operators, program.left, program.right, program.constants)
     for code, left, right, value in zip(*(part.tolist() for part in parts), strict=True):
@@ -60,4 +65,4 @@ def evaluate(program: Program, columns: Sequence[FloatArray]) -> FloatArray:
             values.append(np.full(len(columns[0]), value))
         else:
             values.append(OPERATIONS[code](values[left], values[right]))
-    return values[-1]
+    return values

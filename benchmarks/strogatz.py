@@ -4,28 +4,33 @@
 name of `PUBLISHED`, and ``truth.json``, which maps each name to the true expression. A file counts as solved when the
 normalized error is below `SOLVED`, whether or not the form is exact; both are printed.
 
+``--noise 0.001,0.01,0.1 --max-time 12`` is SRBench's protocol (`benchmarks.strogatz_noise`), ``--versus operon`` the
+time to a normalized error of 1e-4 beside Operon's (`benchmarks.strogatz_versus`; it needs the extra ``bench``).
+
 ``--preset paper --to-the-end --max-time 300 --target-error 1e-3`` is the algorithm of Table II with nothing added: its
 constants are only drawn and mutated, so that how far it gets depends on what counts as found.
 """
 
 import argparse
 import itertools
-import json
+import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from benchmarks import strogatz_noise, strogatz_versus
 from benchmarks.judging import Question, Verdict, judged
+from benchmarks.operon import require
+from benchmarks.records import Records
 from benchmarks.reporting import Report, add_common, plain_errors
 from benchmarks.services import Searches, searching
+from benchmarks.strogatz_files import LABEL, rows_of, truths
 from common.config import PRESETS, JobConfig
-from common.errors import DataError
 from common.wire.views import JobView
 from coordinator.cli.output import error_text, say, table
 from coordinator.data.prepare import prepare
-from coordinator.data.readers import read_table
 
 SOLVED: Final = 1e-4
 NEVER: Final = 10**9
@@ -33,8 +38,6 @@ NEVER: Final = 10**9
 
 LEVELS: Final = (1e-2, 1e-3, 1e-4)
 """Normalized errors at whose first passing seconds and point evaluations are taken."""
-
-LABEL: Final = "label"
 
 PUBLISHED: Final = {
     "glider1": (10.2, 1.03e9),
@@ -85,21 +88,12 @@ class Passings:
 
 def search(searches: Searches, name: str, truth: str, config: JobConfig, folder: Path) -> tuple[Verdict, Passings]:
     """Search the equation of one file and return the verdict on it."""
-    measured = read_table([folder / f"{name}.csv"], config.data)
+    measured = rows_of(folder, name)
     passings = Passings()
     result = searches.solve(f"{name} seed {config.seed}", measured, config, passings.look)
     question = Question(name, config.seed, {LABEL: truth}, prepare(measured, config))
     (verdict,) = judged(question, result)
     return verdict, passings
-
-
-def truths(folder: Path) -> dict[str, str]:
-    """Return the true expressions by name; raises DataError when they, or a file of data, are not there."""
-    missing = [each for each in ("truth.json", *(f"{name}.csv" for name in PUBLISHED)) if not (folder / each).is_file()]
-    if missing:
-        raise DataError(f"{folder} has no {missing[0]}; name the folder of the Strogatz files with --data")
-    read: dict[str, str] = json.loads((folder / "truth.json").read_text("utf-8"))
-    return read
 
 
 def is_solved(verdict: Verdict) -> bool:
@@ -134,22 +128,53 @@ def _row(verdict: Verdict, passings: Passings) -> tuple[str, ...]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Search all files, print the tables; return 0 when all are solved (or, with a target error, converged)."""
+    """Search all files, print the tables; return 0 when all came out as the mode of the benchmark would have it."""
     options = _parser().parse_args(arguments)
-    report = Report("strogatz", sys.argv[1:] if arguments is None else arguments, options.out)
-    searched: list[tuple[Verdict, Passings]] = []
+    words = sys.argv[1:] if arguments is None else list(arguments)
     with plain_errors("benchmarks.strogatz"):
         known = truths(options.data)
-        with searching(options.workers) as searches:
-            for name, seed in itertools.product(options.file or PUBLISHED, options.seeds):
-                searched.append(search(searches, name, known[name], configured(options, seed), options.data))
-                report.add([searched[-1][0]], passings={f"{name} seed {seed}": searched[-1][1].passed})
+        if options.versus:
+            require()
+            return _compared(strogatz_versus.run, options, known, words)
+        if options.noise:
+            return _compared(strogatz_noise.run, options, known, words)
+        return _solved(options, known, words)
+
+
+def _compared(run: Callable[..., int], options: argparse.Namespace, known: Mapping[str, str], words: list[str]) -> int:
+    """Let `run` search with the configuration of each seed."""
+    if options.versus and options.target_error is None:
+        options.target_error = SOLVED
+    configs = {seed: configured(options, seed) for seed in options.seeds}
+    with searching(options.workers) as searches:
+        return run(searches, options, configs, known, Records("strogatz", words, options.out))
+
+
+def _solved(options: argparse.Namespace, known: Mapping[str, str], words: list[str]) -> int:
+    """Search without noise; return 0 when all are solved (or, with a target error, converged)."""
+    report = Report("strogatz", words, options.out)
+    searched: list[tuple[Verdict, Passings]] = []
+    with searching(options.workers) as searches:
+        for name, seed in itertools.product(options.file or PUBLISHED, options.seeds):
+            searched.append(search(searches, name, known[name], configured(options, seed), options.data))
+            report.add([searched[-1][0]], passings={f"{name} seed {seed}": searched[-1][1].passed})
     report.show()
     say("\n" + beside_the_paper(searched))
     good = sum((is_solved(each) if options.target_error is None else each.converged) for each in report.verdicts)
     limit = f"error below {SOLVED:g}" if options.target_error is None else f"error at most {options.target_error:g}"
     say(f"\n{limit}: {good} of {len(report.verdicts)}")
     return 0 if good == len(report.verdicts) else 1
+
+
+def levels(text: str) -> list[float]:
+    """Return the noise levels of ``0,0.001,0.1``."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = [math.nan]
+    if not all(0.0 <= number < 1e3 for number in numbers):
+        raise argparse.ArgumentTypeError(f"levels such as 0.001,0.1 were expected, but {text!r} was given")
+    return list(dict.fromkeys(numbers))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -159,6 +184,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--preset", choices=PRESETS, default="default")
     parser.add_argument("--target-error", type=float, help="normalized error at which a search ends")
     parser.add_argument("--to-the-end", action="store_true", help="use all of --max-time, also without progress")
+    modes = parser.add_mutually_exclusive_group()
+    modes.add_argument(
+        "--noise",
+        type=levels,
+        metavar="LEVEL[,LEVEL...]",
+        help="learn from 300 rows whose labels have Gaussian noise of LEVEL times their root mean square",
+    )
+    modes.add_argument("--versus", choices=["operon"], help="race to a normalized error of 1e-4")
     add_common(parser, "0-2", 60.0)
     return parser
 

@@ -61,7 +61,10 @@ class EvolutionConfig(Model):
     mutation: Probability = Field(0.05, description="per node")
     loss: Loss = "mae"
     constant_fit_steps: Annotated[int, Field(ge=0, le=100)] = Field(4, description="Levenberg-Marquardt steps a child")
-    linear_terms: Annotated[int, Field(ge=0, le=4)] = Field(3, description="top-level terms fitted linearly; 0: none")
+    constant_fit_gate: Annotated[float, Field(gt=0.0)] = Field(
+        0.25, description="steps are taken when a child's loss is at most this share of its worse parent's"
+    )
+    linear_terms: Annotated[int, Field(ge=0, le=4)] = Field(4, description="top-level terms fitted linearly; 0: none")
     scaled_constants: bool = Field(True, description="draw constants over the data's scales, not from [-10, 10]")
     refit_interval: Annotated[int, Field(ge=1)] = Field(10, description="generations between offers to the front")
 
@@ -81,6 +84,7 @@ class MigrationConfig(Model):
     """When solutions are reshuffled over the islands of a variable."""
 
     generations: Annotated[int, Field(ge=1, le=10_000)] = 100
+    joining: PositiveInt | None = Field(4, description="islands that begin the first epoch at a time; None: all")
 
 
 class BudgetConfig(Model):
@@ -111,6 +115,7 @@ PAPER = JobConfig(
     space=SpaceConfig(terminals=7),
     evolution=EvolutionConfig(constant_fit_steps=0, linear_terms=0, scaled_constants=False),
     predictors=PredictorConfig(rows=16),
+    migration=MigrationConfig(joining=None),
     budget=BudgetConfig(max_epochs=5000, stagnation=500),
 )
 """Table II of the paper, nothing added."""

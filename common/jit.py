@@ -59,9 +59,23 @@ intrinsic: Callable[[Callable[..., Any]], Any] = numba.extending.intrinsic
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+_STRICT = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": False}
+_BARE = {**_STRICT, "_nrt": False}
+"""Without numba's run-time counting of references: kernels make no arrays, and the count of an array handed on, an
+atomic instruction, took more time than the work."""
+
+
 def kernel(function: F) -> F:
-    """Compile `function` on first call: strict arithmetic, numpy's division rules, GIL released, cached on disk."""
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False)(function))
+    """Compile `function` on first call: strict arithmetic, numpy's division rules, GIL released, cached on disk.
+
+    It must not make arrays: what it needs is handed to it.
+    """
+    return cast(F, numba.njit(**_BARE)(function))
+
+
+def allocating_kernel(function: F) -> F:
+    """Compile `function` as `kernel` does; it may make arrays."""
+    return cast(F, numba.njit(**_STRICT)(function))
 
 
 def callback(signature: str, function: F) -> Any:
@@ -71,4 +85,4 @@ def callback(signature: str, function: F) -> Any:
 
 def inlined(function: F) -> F:
     """Compile `function` into its callers, whatever its size: loops over it can then be vectorised."""
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False, forceinline=True)(function))
+    return cast(F, numba.njit(**_BARE, forceinline=True)(function))

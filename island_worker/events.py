@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
+from common.slices import Course, Position
 from common.wire.messages import (
     Close,
     Commit,
@@ -21,6 +22,14 @@ from common.wire.messages import (
 )
 
 
+class ShareKey(NamedTuple):
+    """One archipelago under one term."""
+
+    job: str
+    variable: str
+    term: int
+
+
 @dataclass(frozen=True, slots=True)
 class TaskKey:
     """One island's one epoch, under one term."""
@@ -31,17 +40,23 @@ class TaskKey:
     island: int
     epoch: int
 
+    @property
+    def share(self) -> ShareKey:
+        """The archipelago and its term."""
+        return ShareKey(self.job, self.variable, self.term)
+
 
 @dataclass(frozen=True, slots=True)
 class Task:
     """Begin epoch `key.epoch` (with the immigrants `blocks` by source island; None at epoch 0) and finish it.
 
-    Emigrants are wanted unless the epoch `is_last`.
+    Emigrants are wanted unless the epoch `is_last`; by the `course` its slices count before or after others.
     """
 
     key: TaskKey
     blocks: Mapping[int, bytes] | None
     is_last: bool
+    course: Course
 
 
 # ------------------------------------------------------------------------------------------------ events
@@ -109,17 +124,16 @@ class PullAnswered:
 
 @dataclass(frozen=True, slots=True)
 class Computed:
-    """An island finished an epoch.
+    """An island finished an epoch, or came as far with it as is needed.
 
-    `emigrants`: blocks by destination island, its own included (empty after a hit or the last epoch); `senders`: the
-    other islands whose blocks it needs to begin the next epoch; `seconds` of computing, for fairness between jobs.
+    `emigrants`: blocks by destination island, its own included (only after a whole epoch that is not the last);
+    `senders`: the other islands whose blocks it needs to begin the next epoch.
     """
 
     key: TaskKey
     report: IslandReport
     emigrants: Mapping[int, bytes]
     senders: frozenset[int]
-    seconds: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,9 +154,13 @@ class Broken:
 
 @dataclass(frozen=True, slots=True)
 class Abandoned:
-    """A task was given up because its archipelago had been discarded."""
+    """Nothing of a task is needed, because the target was met before."""
 
     key: TaskKey
+
+
+Outcome = Computed | Rejected | Broken | Abandoned
+"""What can come of a task."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,12 +218,19 @@ class Compute:
 
 
 @dataclass(frozen=True, slots=True)
-class Discard:
-    """Forget the islands of one archipelago under one term, also if one is being computed."""
+class StopAt:
+    """Compute nothing of the share that is not needed when the target was met at `hit`."""
 
-    job: str
-    variable: str
-    term: int
+    share: ShareKey
+    hit: Position
+    course: Course
+
+
+@dataclass(frozen=True, slots=True)
+class Discard:
+    """Forget the islands of one archipelago under one term, also those that are being computed."""
+
+    share: ShareKey
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,4 +271,7 @@ class Respond:
     body: Sent | Reports | NotYet | NewerTerm
 
 
-Action = FetchJob | FetchPlacements | Compute | Discard | DiscardJob | Send | SendReport | AskPeer | Respond
+Saying = Send | SendReport | AskPeer | Respond | FetchJob | FetchPlacements
+"""What goes out on the bus."""
+
+Action = Compute | StopAt | Discard | DiscardJob | Saying

@@ -51,9 +51,11 @@ from island_worker.events import (
     Rejected,
     Reset,
     Respond,
+    Saying,
     Send,
     SendReport,
     SessionEvent,
+    StopAt,
     Tick,
     Unloadable,
 )
@@ -350,10 +352,21 @@ class Worker:
             self._act(action)
 
     def _act(self, action: Action) -> None:
-        realm = self._joining.realm
         match action:
             case ComputeTask():
                 self._compute.advance(action.task)
+            case StopAt():
+                self._compute.stop_at(action.share, action.hit, action.course)
+            case Discard():
+                self._compute.discard(action.share)
+            case DiscardJob():
+                self._forget_job(action.job)
+            case _:
+                self._say(action)
+
+    def _say(self, action: Saying) -> None:
+        realm = self._joining.realm
+        match action:
             case Send():
                 self._bus.put(topics.mail(realm, self.name, action.peer), encode(Mail(body=action.body)))
             case SendReport():
@@ -367,10 +380,6 @@ class Worker:
                 self._datasets.fetch(action.job)
             case FetchPlacements():
                 self._get(topics.placement(realm, action.job), b"", PULL_TIMEOUT_S, _Asked("placement", action.job))
-            case Discard():
-                self._compute.discard(action.job, action.variable, action.term)
-            case DiscardJob():
-                self._forget_job(action.job)
 
 
 def run_worker(connect: str, name: str, wait_s: float) -> int:

@@ -9,6 +9,7 @@ from functools import singledispatchmethod
 from typing import Final, Literal
 
 from common.errors import LocalProtocolError, RemoteProtocolError
+from common.slices import Position
 from common.wire.messages import Finished, Holding, Migrants, NewerTerm, PullReports, Sent, Trouble
 from common.wire.views import WorkerState
 from island_worker.events import (
@@ -33,6 +34,7 @@ from island_worker.events import (
     Reset,
     Respond,
     SessionEvent,
+    StopAt,
     TaskKey,
     Tick,
     Unloadable,
@@ -63,24 +65,22 @@ class Session:
         self._shares: dict[Archipelago, Share] = {}
         self._jobs: dict[str, JobState] = {}
         self._terms: dict[Archipelago, int] = {}
-        self._computing: TaskKey | None = None
-        self._charged: dict[str, float] = {}
         self._early: list[Mailed] = []
         self._troubles: list[Trouble] = []
 
     def handle(self, event: SessionEvent) -> list[Action]:
-        """Take in one event and return what is to be done, the next computation first.
+        """Take in one event and return what is to be done, computations first.
 
         Raises:
             RemoteProtocolError: A peer's message cannot be; nothing has changed.
             LocalProtocolError: This side broke its own rules.
         """
         actions = self._on(event)
-        return self._next_computation() + actions
+        return self._computations() + actions
 
     def state(self) -> WorkerState:
         """Return what the heartbeat says of this worker once its kernels are ready."""
-        if self._computing is not None:
+        if any(share.is_computing() for share in self._shares.values()):
             return "computing"
         return "waiting" if any(share.is_waiting() for share in self._shares.values()) else "ready"
 
@@ -100,11 +100,6 @@ class Session:
         """Check the invariants; raises LocalProtocolError."""
         for (job, variable), share in self._shares.items():
             share.validate()
-            busy = [each.index for each in share.islands.values() if each.state == "computing"]
-            ours = self._computing
-            expected = [ours.island] if ours and self._share_of(ours) is share else []
-            if busy != expected:
-                raise LocalProtocolError(f"islands {busy} of {job}/{variable} compute, expected {expected}")
             if self._terms[job, variable] != share.placement.term:
                 raise LocalProtocolError(f"the share of {job}/{variable} is not of the newest term")
 
@@ -125,13 +120,11 @@ class Session:
         if self.worker not in placement.workers:
             return actions
         self._shares[key] = Share(placement, self.worker)
-        if placement.job not in self._charged:
-            self._charged[placement.job] = min(self._charged.values(), default=0.0)
         if self._jobs.get(placement.job, "unknown") == "unknown":
             actions.append(FetchJob(placement.job))
         self._step_job(placement.job, "placed")
         self._deliver_early(key)
-        return actions
+        return actions + self._stop_from(self._shares[key], None)
 
     @_on.register
     def _job_ready(self, event: JobReady) -> list[Action]:
@@ -163,8 +156,6 @@ class Session:
         if variable is None and self._jobs.get(job, "unknown") != "unknown":
             self._step_job(job, "close")
             actions.append(DiscardJob(job))
-        if not self.wants(job):
-            self._charged.pop(job, None)
         return actions
 
     @_on.register
@@ -173,7 +164,6 @@ class Session:
         actions += [DiscardJob(job) for job, state in self._jobs.items() if state != "unknown"]
         self._jobs.clear()
         self._terms.clear()
-        self._charged.clear()
         self._early.clear()
         return actions
 
@@ -186,9 +176,11 @@ class Session:
         if event.body.term > term:
             return self._keep_early(event)
         share = self._shares.get(key)
-        if share is not None and event.body.term == term:
-            share.receive(event.sender, event.body)
-        return []
+        if share is None or event.body.term < term:
+            return []
+        before = share.stop
+        share.receive(event.sender, event.body)
+        return self._stop_from(share, before) + list(share.due_reports())
 
     @_on.register
     def _pull_asked(self, event: PullAsked) -> list[Action]:
@@ -222,56 +214,62 @@ class Session:
 
     @_on.register
     def _computed(self, event: Computed) -> list[Action]:
-        share = self._release(event.key)
-        if event.key.job in self._charged:
-            self._charged[event.key.job] += event.seconds
-        return list(share.computed(event)) if share else []
+        share = self._share_computing(event.key)
+        return [*share.computed(event), *share.due_reports()] if share else []
 
     @_on.register
     def _rejected(self, event: Rejected) -> list[Action]:
-        share = self._release(event.key)
+        share = self._share_computing(event.key)
         if share is not None and not share.rejected(event.key.island):
             self._note_trouble(share, event.key, event.sentence)
-        return []
+        return list(share.due_reports()) if share else []
 
     @_on.register
     def _broken(self, event: Broken) -> list[Action]:
-        share = self._release(event.key)
+        share = self._share_computing(event.key)
         if share is not None:
             self._note_trouble(share, event.key, event.sentence)
         return []
 
     @_on.register
     def _abandoned(self, event: Abandoned) -> list[Action]:
-        self._release(event.key)
-        return []
+        share = self._share_computing(event.key)
+        if share is None:
+            return []
+        share.abandoned(event.key.island)
+        return list(share.due_reports())
 
     # ----------------------------------------------------------------------------------------- private
 
-    def _next_computation(self) -> list[Action]:
-        """Begin the runnable island of the job charged least, then of lowest epoch, then of lowest name and index."""
-        if self._computing is not None:
-            return []
-        order = (
-            (self._charged[job], local.epoch, job, variable, local.index)
-            for (job, variable), share in self._shares.items()
+    def _computations(self) -> list[Action]:
+        """Begin every island that can begin; in what order they take turns is for the compute thread to say."""
+        runnable = [
+            (share, local.index)
+            for (job, _), share in self._shares.items()
             if self._jobs.get(job) == "loaded"
             for local in share.runnable()
-        )
-        chosen = min(order, default=None)
-        if chosen is None:
-            return []
-        _, _, job, variable, island = chosen
-        task = self._shares[job, variable].begin(island)
-        self._computing = task.key
-        return [Compute(task)]
+        ]
+        return [Compute(share.begin(island)) for share, island in runnable]
 
-    def _release(self, key: TaskKey) -> Share | None:
-        """Note that the compute thread is free again; return the share concerned unless it is gone."""
-        if key != self._computing:
-            raise LocalProtocolError(f"{key} was computed, but the session waits for {self._computing}")
-        self._computing = None
-        return self._share_of(key)
+    def _stop_from(self, share: Share, before: Position | None) -> list[Action]:
+        """Have the compute thread stop where the target was met, when that is not where it was before."""
+        return (
+            []
+            if share.stop is None or share.stop == before
+            else [StopAt(share.key, share.stop, share.placement.course)]
+        )
+
+    def _share_computing(self, key: TaskKey) -> Share | None:
+        """Return the share of a task that the compute thread is done with, unless the share is gone.
+
+        Raises LocalProtocolError when it was not computed for that share.
+        """
+        share = self._share_of(key)
+        if share is not None:
+            local = share.islands.get(key.island)
+            if local is None or (local.state, local.epoch) != ("computing", key.epoch):
+                raise LocalProtocolError(f"{key} was computed, but nobody asked for it")
+        return share
 
     def _share_of(self, key: TaskKey) -> Share | None:
         share = self._shares.get((key.job, key.variable))
@@ -289,7 +287,7 @@ class Session:
     def _drop(self, key: Archipelago) -> list[Action]:
         share = self._shares.pop(key, None)
         self._troubles = [each for each in self._troubles if (each.job, each.variable) != key]
-        return [Discard(*key, share.placement.term)] if share is not None else []
+        return [Discard(share.key)] if share is not None else []
 
     def _step_job(self, job: str, step: JobStep) -> None:
         self._jobs[job] = JOB_TRANSITIONS[self._jobs.get(job, "unknown")][step]

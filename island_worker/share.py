@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from common.errors import LocalProtocolError, RemoteProtocolError
+from common.slices import Position
 from common.wire.messages import (
     Block,
     EpochReport,
@@ -23,7 +24,7 @@ from common.wire.messages import (
     Reports,
     Sent,
 )
-from island_worker.events import Computed, Send, SendReport, Task, TaskKey
+from island_worker.events import Computed, Send, SendReport, ShareKey, Task, TaskKey
 
 IslandState = Literal["ready", "computing", "waiting", "stopped"]
 IslandStep = Literal["begin", "emigrate", "complete", "end", "reject"]
@@ -34,7 +35,8 @@ ISLAND_TRANSITIONS: Final[Mapping[IslandState, Mapping[IslandStep, IslandState]]
     "waiting": {"complete": "ready", "end": "stopped"},
     "stopped": {},
 }
-"""State of one island -> what happens -> its next state. `end`: a hit here or elsewhere, or the last epoch."""
+"""State of one island -> what happens -> its next state. `computing`: it is on the agenda. `end`: a hit here or
+elsewhere, or the last epoch."""
 
 PULL_AFTER_S: Final = 1.0
 """An island that has waited this long asks the senders; the pause doubles with every question."""
@@ -80,9 +82,20 @@ class Share:
         self._others = tuple(dict.fromkeys(name for name in placement.workers if name != worker))
 
     @property
+    def key(self) -> ShareKey:
+        """Archipelago and term."""
+        return ShareKey(self.placement.job, self.placement.variable, self.placement.term)
+
+    @property
+    def stop(self) -> Position | None:
+        """Where the target was met, as far as known here; nothing after it is needed."""
+        hits = (Position(hit.epoch, hit.generation, hit.island) for hit in self.hits.values())
+        return min(hits, key=self.placement.course.rank, default=None)
+
+    @property
     def stop_epoch(self) -> int:
-        """The last epoch that anybody needs to compute, as far as known here."""
-        return min((hit.epoch for hit in self.hits.values()), default=self.placement.epochs - 1)
+        """The last epoch of which anything is needed, as far as known here."""
+        return self.placement.epochs - 1 if self.stop is None else self.stop.epoch
 
     def holding(self) -> Holding:
         """Return what the heartbeat says of this share."""
@@ -109,15 +122,29 @@ class Share:
         if local.epoch > 0:
             filed = self._inbox[local.epoch - 1, island]
             blocks = {source: filed[source] for source in sorted(local.needs)}
-        return Task(self._key(local), blocks, local.epoch + 1 >= self.placement.epochs)
+        return Task(self._key(local), blocks, local.epoch + 1 >= self.placement.epochs, self.placement.course)
 
     def computed(self, done: Computed) -> list[Send | SendReport]:
-        """File a finished epoch: report it, and send emigrants or the statement of a hit."""
+        """File what an island computed: report it, and send emigrants or the statement of a hit."""
         local = self.islands[done.key.island]
         self._inbox.pop((done.key.epoch - 1, local.index), None)
         actions = self._depart(local, done)
         self._end_late_islands()
-        return actions + self._file_report(done)
+        if done.key.epoch <= self.stop_epoch:
+            self._reports.setdefault(done.key.epoch, {})[local.index] = done.report
+        return actions
+
+    def abandoned(self, island: int) -> None:
+        """File that nothing of an island's epoch is needed."""
+        self.islands[island].step("end")
+
+    def due_reports(self) -> list[SendReport]:
+        """Return the reports of the epochs of which no island here has any more to say, in order, each once."""
+        due = []
+        while self.reported in self._reports and self._is_settled(self.reported):
+            due.append(SendReport(self._report(self.reported)))
+            self.reported += 1
+        return due
 
     def rejected(self, island: int) -> bool:
         """File that an island refused its immigrants: forget the foreign blocks, so that they are pulled again.
@@ -131,6 +158,7 @@ class Share:
         self._inbox[local.epoch - 1, island] = {k: v for k, v in filed.items() if k in self.islands}
         local.step("reject")
         local.ask_at = None
+        self._end_late_islands()
         return True
 
     def receive(self, sender: str, body: Migrants | Finished) -> None:
@@ -175,7 +203,7 @@ class Share:
             for source in pull.sources
             if (data := self._sent.get((pull.epoch, source), {}).get(pull.destination)) is not None
         ]
-        finished = tuple(hit for source in pull.sources if (hit := self.hits.get(source)) and hit.epoch <= pull.epoch)
+        finished = tuple(hit for hit in self.hits.values() if hit.island in self.islands and hit.epoch <= pull.epoch)
         if not blocks and not finished:
             return NotYet()
         return Sent(migrants=self._migrants(pull.epoch, blocks) if blocks else None, finished=finished)
@@ -202,6 +230,10 @@ class Share:
         """Tell whether any island here still has something to do or to wait for."""
         return any(local.state != "stopped" for local in self.islands.values())
 
+    def is_computing(self) -> bool:
+        """Tell whether any island here is on the agenda."""
+        return any(local.state == "computing" for local in self.islands.values())
+
     def validate(self) -> None:
         """Check the invariants; raises LocalProtocolError."""
         for local in self.islands.values():
@@ -222,7 +254,7 @@ class Share:
         """Take an island out of `computing`."""
         if done.report.hit is not None:
             return self._state_hit(local, done.report.hit.generation)
-        if local.epoch + 1 >= self.placement.epochs:
+        if local.epoch >= self.stop_epoch:
             local.step("end")
             return []
         local.step("emigrate")
@@ -276,21 +308,19 @@ class Share:
             local.step("complete")
 
     def _end_late_islands(self) -> None:
-        """Stop the islands whose next epoch nobody needs."""
+        """Stop the islands of whose next epoch nothing is needed."""
         for local in self.islands.values():
-            if local.state in ("ready", "waiting") and local.epoch > self.stop_epoch:
+            if local.state in ("ready", "waiting") and not self._is_needed(local):
                 local.step("end")
 
-    def _file_report(self, done: Computed) -> list[Send | SendReport]:
-        epoch = done.key.epoch
-        if epoch > self.stop_epoch:
-            return []
-        filed = self._reports.setdefault(epoch, {})
-        filed[done.key.island] = done.report
-        if len(filed) < len(self.islands):
-            return []
-        self.reported = epoch + 1
-        return [SendReport(self._report(epoch))]
+    def _is_needed(self, local: LocalIsland) -> bool:
+        stop = self.stop
+        if stop is None or local.epoch < stop.epoch:
+            return True
+        return local.epoch == stop.epoch and self.placement.course.needed(stop, local.index) > 0
+
+    def _is_settled(self, epoch: int) -> bool:
+        return all(each.index in self._reports[epoch] or each.state == "stopped" for each in self.islands.values())
 
     def _report(self, epoch: int) -> EpochReport:
         placed = self.placement

@@ -5,7 +5,7 @@ VARIABLE, `left` is the input's index), `constants` (N,) float64. Rows are handl
 registers (`common.expression.kernels_lanes`); arrays of rows are padded to a multiple of it.
 """
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -65,6 +65,31 @@ def padded(rows: int) -> int:
 
 
 @inlined
+def apply_operator(op: Int, out: Any, a: Any, b: Any, functions: Int) -> None:
+    """Write operator `op` of the numbers at places `a` and `b` to place `out`."""
+    if op == ADD:
+        add(out, a, b)
+    elif op == SUBTRACT:
+        subtract(out, a, b)
+    elif op == MULTIPLY:
+        multiply(out, a, b)
+    elif op == DIVIDE:
+        divide(out, a, b)
+    elif op == SQUARE:
+        multiply(out, a, a)
+    elif op == INVERSE:
+        invert(out, a)
+    elif op == NEGATE:
+        negate(out, a)
+    elif op == SQRT:
+        root(out, a)
+    elif op == ABS:
+        magnitude(out, a)
+    else:
+        apply_function(functions, op, out, a, b)
+
+
+@inlined
 def forward_block(
     count: Int,
     code: Ints,
@@ -94,30 +119,10 @@ def forward_block(
         if op == CONSTANT:
             fill(out, constants[i])
             continue
-        a = place(values, left[i], start)
-        b = place(values, right[i], start)
-        if op == ADD:
-            add(out, a, b)
-        elif op == SUBTRACT:
-            subtract(out, a, b)
-        elif op == MULTIPLY:
-            multiply(out, a, b)
-        elif op == DIVIDE:
-            divide(out, a, b)
-        elif op == SQUARE:
-            multiply(out, a, a)
-        elif op == INVERSE:
-            invert(out, a)
-        elif op == NEGATE:
-            negate(out, a)
-        elif op == SQRT:
-            root(out, a)
-        elif op == ABS:
-            magnitude(out, a)
-        elif op <= COS and waves.shape[0] > 0 and code[left[i]] == VARIABLE:
+        if (op == SIN or op == COS) and waves.shape[0] > 0 and code[left[i]] == VARIABLE:
             copy(out, place(waves, 2 * left[left[i]] + (op - SIN), start))
-        else:
-            apply_function(functions, op, out, a, b)
+            continue
+        apply_operator(op, out, place(values, left[i], start), place(values, right[i], start), functions)
 
 
 @inlined

@@ -13,6 +13,7 @@ from typing import Annotated, Final, Literal
 from pydantic import ConfigDict, Field
 
 from common.config import JobConfig, Model
+from common.slices import Course
 from common.wire.views import JobView, WorkerState, WorkerView
 
 CHUNK_SIZE: Final = 4 * 1024 * 1024
@@ -115,7 +116,8 @@ class JobAnnouncement(Model):
 class Placement(Model):
     """Who computes which island of one archipelago: `workers[k]` has island k. Every term begins at epoch 0.
 
-    No island begins epoch `epochs` or later, nor an epoch more than twice `interval` after the last commit.
+    No island begins epoch `epochs` or later, nor an epoch more than twice `interval` after the last commit. `course`
+    says what counts when the target is met.
     """
 
     incarnation: Count
@@ -125,6 +127,7 @@ class Placement(Model):
     workers: Annotated[tuple[Id, ...], Field(min_length=1, max_length=1024)]
     epochs: Annotated[int, Field(ge=1)]
     interval: Annotated[int, Field(ge=1)]
+    course: Course
 
     def islands_of(self, worker: str) -> tuple[int, ...]:
         """Return the islands that `worker` computes."""
@@ -221,7 +224,7 @@ class WorkerStatus(Model):
 
 
 class HitStatement(Model):
-    """The target was met at `generation` (1-based within the epoch, 0: in the initial population)."""
+    """The target was met at `generation` (1-based within the epoch), the end of a slice."""
 
     generation: Count
     error: float
@@ -237,20 +240,31 @@ class Addition(Model):
     program: Annotated[bytes, Field(max_length=8192)]
 
 
+class Tally(Model):
+    """Point evaluations of an island by part, cumulative since epoch 0, at the end of the slice at `generation`."""
+
+    generation: Count
+    evaluations: dict[Annotated[str, Field(max_length=64)], Count]
+
+
 class IslandReport(Model):
-    """What one island says of one finished epoch (`island_worker.evolution.island.EpochOutcome`)."""
+    """What one island says of one epoch, finished or given up (`island_worker.evolution.island.EpochOutcome`).
+
+    `generations` is how far it got: to the epoch's end, to its own hit, or, when another island met the target, at
+    least as far as is needed then. `tallies` are those of all slices that it finished; `digest` is that of its state.
+    """
 
     island: IslandIndex
     generations: Count
     hit: HitStatement | None
     additions: tuple[Addition, ...]
-    evaluations: dict[Annotated[str, Field(max_length=64)], Count]
+    tallies: tuple[Tally, ...]
     best_error: float | None
     digest: Annotated[str, Field(pattern=r"^[0-9a-f]{16,128}$")]
 
 
 class EpochReport(Model):
-    """One worker's islands of one archipelago, one epoch."""
+    """One worker's islands of one archipelago, one epoch: all but those that the cut spares the whole epoch."""
 
     kind: Literal["report"] = "report"
     job: Id
@@ -283,7 +297,7 @@ class Migrants(Model):
 
 
 class Finished(Model):
-    """In place of emigrants: `island` met the target in `epoch`, so none will ever come."""
+    """In place of emigrants: `island` met the target at `generation` of `epoch`; nothing after that is needed."""
 
     kind: Literal["finished"] = "finished"
     job: Id

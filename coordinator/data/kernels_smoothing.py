@@ -8,7 +8,7 @@ ascend strictly. Oracles written from the definitions stand in ``tests/oracles/s
 import numpy as np
 
 from common.dataset import FloatArray
-from common.jit import inlined, kernel
+from common.jit import allocating_kernel, inlined
 
 HALF_WIDTHS = 7
 """Largest half width of an interpolation stencil: 15 rows, error of order step**14."""
@@ -67,7 +67,7 @@ def stencil_row(row: int, place: int, rows: int) -> int:
     return row - beyond if row - beyond >= 0 else -1
 
 
-@kernel
+@allocating_kernel
 def differences_into(
     slopes: FloatArray, gains: FloatArray, times: FloatArray, values: FloatArray, derivative: int
 ) -> None:
@@ -101,7 +101,7 @@ def differences_into(
                 gains[row, place // 2 - 1] = np.sqrt(gain) * unit
 
 
-@kernel
+@allocating_kernel
 def left_out_into(errors: FloatArray, gains: FloatArray, times: FloatArray, values: FloatArray) -> None:
     """Fill `errors` (R, H) with value minus its prediction from 2, 4, … neighbours, `gains` (R, H) with their gain.
 
@@ -131,7 +131,7 @@ def left_out_into(errors: FloatArray, gains: FloatArray, times: FloatArray, valu
                 gains[row, place // 2] = np.sqrt(gain)
 
 
-@kernel
+@allocating_kernel
 def best_stencil_into(
     slope: FloatArray, uncertainty: FloatArray, slopes: FloatArray, gains: FloatArray, noise: FloatArray
 ) -> None:
@@ -204,7 +204,7 @@ def next_polynomial(
         at_zero[0, derivative] = new
 
 
-@kernel
+@allocating_kernel
 def validate_into(sums: FloatArray, times: FloatArray, values: FloatArray, span: int, every: int) -> None:
     """Add to `sums` (3, D), for loess of degrees 0 to 4 at every `every`-th row, what cross-validation needs.
 
@@ -246,7 +246,7 @@ def validate_into(sums: FloatArray, times: FloatArray, values: FloatArray, span:
             norm_before = norm
 
 
-@kernel
+@allocating_kernel
 def loess_into(
     fits: FloatArray, gains: FloatArray, times: FloatArray, values: FloatArray, span: int, degrees: int
 ) -> None:
@@ -296,7 +296,7 @@ def loess_into(
             unit /= bandwidth
 
 
-@kernel
+@allocating_kernel
 def moments(values: FloatArray) -> tuple[float, float]:
     """Return mean and standard deviation (population) of finite values, summed in order, in two passes."""
     total = 0.0

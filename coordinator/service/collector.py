@@ -1,16 +1,19 @@
 """Collects the reports of one archipelago, merges its front and finds its end. Pure: no clock, no I/O.
 
-Decisions go by epoch number, never by arrival time: epochs are taken in order, each once, when the reports of all
-islands are there. Hence the outcome depends on what was reported and on nothing else.
+Decisions go by epoch number, never by arrival time: epochs are taken in order, each once, when every island has
+reported as much of it as counts. Hence the outcome depends on what was reported and on nothing else: not even on how
+far an island got beyond the cut.
 """
 
+import itertools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
 from common.errors import AtollError, RemoteProtocolError
 from common.pareto import FrontEntry, merge
+from common.slices import Course, Position
 from common.wire.messages import IslandReport
 from coordinator.service.cut import Cut, Why, stored
 
@@ -22,26 +25,35 @@ Measure = Callable[[tuple[FrontEntry, ...]], float]
 
 
 class DivergedError(AtollError):
-    """Raised when two workers report different states of the same island and epoch, which purity rules out."""
+    """Raised when two workers report different states of the same island and generation, which purity rules out."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """When an archipelago ends by itself: epochs at most, epochs without improvement; generations per epoch."""
+    """When an archipelago ends by itself: epochs at most, epochs without improvement; and what counts at a hit."""
 
     islands: int
     epochs: int
     stagnation: int
-    generations: int
+    course: Course
 
 
 @dataclass(slots=True)
 class _Filed:
-    """What is kept of one report: who sent it first, its digest, and, until its epoch is complete, all of it."""
+    """What is kept of one report: who sent it first, how far it goes, and, until its epoch is complete, all of it."""
 
     worker: str
+    generations: int
+    is_hit: bool
     digest: str
     report: IslandReport | None
+
+    def contradicts(self, report: IslandReport) -> bool:
+        """Tell whether another report of the same island and epoch cannot be true if this one is."""
+        if self.generations == report.generations:
+            return (self.is_hit, self.digest) != (report.hit is not None, report.digest)
+        # an island that meets the target stops there, so the one that got less far cannot have met it
+        return self.is_hit if self.generations < report.generations else report.hit is not None
 
 
 @dataclass(slots=True)
@@ -66,6 +78,7 @@ class Collector:
         self.cut: Cut | None = None
         self._measure = measure
         self._filed: dict[tuple[int, int], _Filed] = {}
+        self._counted: dict[int, dict[str, int]] = {}
         self._pending: Why | None = None
 
     def receive(self, worker: str, epoch: int, reports: Iterable[IslandReport], seconds: float) -> bool:
@@ -87,7 +100,8 @@ class Collector:
         for report in reports:
             self._check(worker, epoch, report)
         for report in reports:
-            self._filed.setdefault((epoch, report.island), _Filed(worker, report.digest, report))
+            filed = _Filed(worker, report.generations, report.hit is not None, report.digest, report)
+            self._filed.setdefault((epoch, report.island), filed)
         before = self.progress.epochs
         while self.cut is None and self._is_complete(self.progress.epochs):
             self._take_in(self.progress.epochs, seconds)
@@ -121,33 +135,67 @@ class Collector:
     def _check(self, worker: str, epoch: int, report: IslandReport) -> None:
         if epoch >= self.limits.epochs or report.island >= self.limits.islands:
             raise RemoteProtocolError(f"a report of island {report.island} in epoch {epoch} came; there is none such")
+        if not self._is_whole(report):
+            raise RemoteProtocolError(f"a report of island {report.island} in epoch {epoch} came with slices missing")
         filed = self._filed.get((epoch, report.island))
-        if filed is not None and filed.digest != report.digest:
+        if filed is not None and filed.contradicts(report):
             raise DivergedError(
                 f"workers {filed.worker} and {worker} computed different states of island {report.island} of "
                 f"{self.variable} in epoch {epoch}, which must not happen; one of these machines computes wrongly"
             )
 
+    def _is_whole(self, report: IslandReport) -> bool:
+        """Tell whether a report has the counters of just those slices that it must have finished."""
+        reached, course = report.generations, self.limits.course
+        ends = course.ends(reached)
+        at_end = report.hit is None or (report.hit.generation == reached and reached in ends)
+        return reached <= course.generations and at_end and tuple(each.generation for each in report.tallies) == ends
+
     def _is_complete(self, epoch: int) -> bool:
-        return all((epoch, island) in self._filed for island in range(self.limits.islands))
+        """Tell whether every island has reported as much of an epoch as counts, by the hits that are known."""
+        hit = self._hit(epoch)
+        for island in range(self.limits.islands):
+            filed = self._filed.get((epoch, island))
+            if (filed.generations if filed is not None else 0) < self._needed(hit, island):
+                return False
+        return True
+
+    def _hit(self, epoch: int) -> Position | None:
+        """Return where, by the reports that are there, the target was first met in an epoch that is not taken in."""
+        reports = (self._filed[key].report for key in self._keys(epoch))
+        hits = (Position(epoch, each.hit.generation, each.island) for each in reports if each and each.hit)
+        return min(hits, key=self.limits.course.rank, default=None)
+
+    def _needed(self, hit: Position | None, island: int) -> int:
+        """Return how many generations of an epoch count when the target was first met there."""
+        return self.limits.course.generations if hit is None else self.limits.course.needed(hit, island)
+
+    def _keys(self, epoch: int) -> list[tuple[int, int]]:
+        """Return the keys of the reports of an epoch that are there, by island."""
+        return [(epoch, island) for island in range(self.limits.islands) if (epoch, island) in self._filed]
 
     def _take_in(self, epoch: int, seconds: float) -> None:
-        """Merge one complete epoch, then ask the rules of ending in their order."""
-        reports = self._release(epoch)
+        """Merge one complete epoch as far as it counts, then ask the rules of ending in their order."""
+        hit = self._hit(epoch)
+        counted = [(report, self._needed(hit, report.island)) for report in self._release(epoch)]
         progress = self.progress
-        front = merge(progress.front, additions_of(epoch, reports))
+        front = merge(progress.front, itertools.chain(*(additions_of(epoch, *each) for each in counted)))
         if front != progress.front:
             progress.front = front
             self._note_improvement(epoch)
+        for report, end in counted:
+            if end > 0:
+                self._counted[report.island] = evaluations_at(report, end)
         progress.epochs = epoch + 1
         progress.seconds = seconds
-        progress.evaluations = total_evaluations(reports)
-        self._consider_end(epoch, reports)
+        progress.evaluations = total_evaluations(self._counted.values())
+        self._consider_end(epoch, hit)
 
     def _release(self, epoch: int) -> list[IslandReport]:
+        """Return the reports of an epoch, by island, and keep no more of them than is needed to compare."""
         reports = []
-        for island in range(self.limits.islands):
-            filed = self._filed[epoch, island]
+        for key in self._keys(epoch):
+            filed = self._filed[key]
             assert filed.report is not None
             reports.append(filed.report)
             filed.report = None
@@ -159,10 +207,9 @@ class Collector:
             self.progress.best_length = length
             self.progress.improved_at = epoch
 
-    def _consider_end(self, epoch: int, reports: list[IslandReport]) -> None:
-        hits = [(report.hit.generation, report.island) for report in reports if report.hit is not None]
-        if hits:
-            self._end("target", epoch * self.limits.generations + min(hits)[0])
+    def _consider_end(self, epoch: int, hit: Position | None) -> None:
+        if hit is not None:
+            self._end("target", epoch * self.limits.course.generations + hit.generation)
         elif epoch - self.progress.improved_at >= self.limits.stagnation:
             self._end("stagnation")
         elif epoch + 1 >= self.limits.epochs:
@@ -183,19 +230,24 @@ class Collector:
         )
 
 
-def additions_of(epoch: int, reports: Iterable[IslandReport]) -> list[FrontEntry]:
-    """Return the additions of one epoch, tagged with epoch, generation and island."""
+def additions_of(epoch: int, report: IslandReport, end: int) -> list[FrontEntry]:
+    """Return what an island added to the front of one epoch up to generation `end`, tagged with where it was found."""
     return [
         FrontEntry(each.complexity, each.error, each.mse, epoch, each.generation, report.island, each.program)
-        for report in reports
         for each in report.additions
+        if each.generation <= end
     ]
 
 
-def total_evaluations(reports: Iterable[IslandReport]) -> dict[str, int]:
-    """Return the islands' cumulative point evaluations, summed by part, parts in alphabetical order."""
+def evaluations_at(report: IslandReport, end: int) -> dict[str, int]:
+    """Return the cumulative point evaluations by part of an island at generation `end`, the end of a slice."""
+    return next(dict(tally.evaluations) for tally in report.tallies if tally.generation == end)
+
+
+def total_evaluations(islands: Iterable[Mapping[str, int]]) -> dict[str, int]:
+    """Return the islands' point evaluations, summed by part, parts in alphabetical order."""
     totals: dict[str, int] = {}
-    for report in reports:
-        for part, count in report.evaluations.items():
+    for evaluations in islands:
+        for part, count in evaluations.items():
             totals[part] = totals.get(part, 0) + count
     return dict(sorted(totals.items()))

@@ -237,6 +237,7 @@ class Conductor:
             workers=workers,
             epochs=archipelago.collector.limits.epochs,
             interval=INTERVAL_EPOCHS,
+            course=archipelago.collector.limits.course,
         )
         self._store.commit_placement(job.id, archipelago.variable, encode(placement))
         archipelago.place(placement, now)

@@ -26,8 +26,9 @@ class Cut(Model):
     """The end of one archipelago.
 
     `epochs` are counted, so the last one is `epochs` - 1; `generation`, counted from the start of the search, is the
-    one that met the target (None: it was not met); `evaluations` are point evaluations by part of all islands up to
-    the cut; `seconds` run from the first epoch's start to the last one's end.
+    one that met the target (None: it was not met, and the last epoch counts to its end); `evaluations` are point
+    evaluations by part of all islands up to the cut; `seconds` run from the first epoch's start to the end of the last
+    slice that counts.
     """
 
     variable: str

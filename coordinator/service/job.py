@@ -9,6 +9,7 @@ from common.dataset import Dataset, Target
 from common.errors import LocalProtocolError, RemoteProtocolError
 from common.expression.program import Program
 from common.pareto import FrontEntry
+from common.slices import Course
 from common.wire.messages import Commit, EpochReport, JobAnnouncement, chunk_count
 from common.wire.views import FINAL_STATES, JobState
 from coordinator.model.select import count_constants, description_length
@@ -193,7 +194,7 @@ class Job:
             islands=config.evolution.islands,
             epochs=budget.max_epochs_of.get(target.variable, budget.max_epochs),
             stagnation=budget.stagnation,
-            generations=config.migration.generations,
+            course=course_of(config),
         )
         return Archipelago(
             self.id, target.variable, limits, measure_of(target), lambda data: check_program(data, inputs)
@@ -216,6 +217,15 @@ class Job:
             return []
         self._step("searched")
         return [Conclude()]
+
+
+def course_of(config: JobConfig) -> Course:
+    """Return how the slices of this job's archipelagos follow each other."""
+    return Course(
+        generations=config.migration.generations,
+        stride=config.evolution.refit_interval,
+        joining=config.migration.joining or config.evolution.islands,
+    )
 
 
 def measure_of(target: Target) -> Measure:

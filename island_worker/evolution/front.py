@@ -90,7 +90,7 @@ class Offering:
         self.offered_loss = np.full(sizes, math.inf)
         self._scale = np.zeros(1 + MOST_TERMS)
         self._result = np.zeros(2)
-        self._unscaled = Fit(setting.fit.steps, 0, MOST_FITTED, setting.fit.loss)
+        self._unscaled = Fit(setting.fit.steps, 0, MOST_FITTED, setting.fit.loss, math.inf)
         self._largest = setting.config.space.max_size or MOST_NODES
         self._sample = _spread(setting.every)
 

@@ -21,8 +21,7 @@ from common.wire.codec import decode_arrays, encode_arrays
 from island_worker.evolution import migration
 from island_worker.evolution.front import Front, Offering
 from island_worker.evolution.kernels_coevolution import begin_coevolution, evolve, train, use_best_predictor
-from island_worker.evolution.kernels_generation import OFFSPRING, PARTS, develop
-from island_worker.evolution.kernels_variation import random_list
+from island_worker.evolution.kernels_generation import OFFSPRING, PARTS, measure_all, random_population
 from island_worker.evolution.setting import Setting
 from island_worker.evolution.structures import Lists, empty_lists
 
@@ -37,11 +36,12 @@ class Hit:
 
 @dataclass(frozen=True)
 class EpochOutcome:
-    """What one island has to say of one finished epoch.
+    """What one island has to say of one epoch, as far as it has come with it.
 
     `additions` are the entries that improved the island's own front in this epoch, in the order found; `evaluations`
-    are *cumulative* point evaluations by part since epoch 0; `best_error` is the smallest normalized error on all rows
-    so far (None: none finite yet); `digest` is the hex digest of the state.
+    are *cumulative* point evaluations by part since epoch 0, `tallies` the same at the end of each slice of this epoch,
+    by generation; `best_error` is the smallest normalized error on all rows so far (None: none finite yet); `digest` is
+    the hex digest of the state.
     """
 
     epoch: int
@@ -49,6 +49,7 @@ class EpochOutcome:
     hit: Hit | None
     additions: tuple[FrontEntry, ...]
     evaluations: Mapping[str, int]
+    tallies: Mapping[int, Mapping[str, int]]
     best_error: float | None
     digest: str
 
@@ -57,8 +58,8 @@ class Island:
     """One island of one variable between epochs. Mutable, but only through `advance` and `immigrate`, in turn.
 
     The life of an island: ``Island(...)`` (epoch 0, random population), then for every epoch: `advance` until it
-    returns True, `outcome`, and, unless the archipelago ended, `emigrants` to send and `immigrate` with all that is due
-    here (own ones included), which begins the next epoch.
+    returns True or no more is needed, `outcome`, and, unless the archipelago ended, `emigrants` to send and `immigrate`
+    with all that is due here (own ones included), which begins the next epoch.
 
     Raises:
         LocalProtocolError: a field of `config` that must be resolved is not, or a method is called out of turn.
@@ -75,11 +76,17 @@ class Island:
         self.epoch = 0
         self._start_epoch()
 
+    @property
+    def generation(self) -> int:
+        """Generations of the current epoch that have passed."""
+        return self._generation
+
     def _start_epoch(self) -> None:
         self._generation = 0
         self._hit: Hit | None = None
         self._begun = False
         self._additions: list[FrontEntry] = []
+        self._tallies: dict[int, dict[str, int]] = {}
         setting = self._setting
         key = stream_key(setting.config.seed, setting.variable, setting.island, self.epoch, "generations")
         self._stream = np.array([key], np.uint64)
@@ -95,31 +102,20 @@ class Island:
             self._evolve(step)
             if self._generation % interval == 0 or self._generation == last:
                 self._offer()
+                self._tallies[self._generation] = self._evaluations()
         return self._hit is not None or self._generation == last
 
     def _begin(self) -> None:
         """Draw the first population and its predictors at epoch 0; measure what immigrated later on."""
         setting, scratch = self._setting, self._setting.scratch
         if self.epoch == 0:
-            for p in range(len(self._fitness)):
-                random_list(self._lists, p, setting.space, self._stream)
+            random_population(self._lists, setting.space, self._stream)
             if setting.coevolving.enabled:
                 begin_coevolution(
                     self._lists, self._coevolution, setting.every, setting.fit, scratch, self._stream, self._counters
                 )
             setting.gather(self._coevolution)
-            for p in range(len(self._fitness)):
-                self._fitness[p] = develop(
-                    self._lists,
-                    p,
-                    setting.rows,
-                    setting.fit,
-                    scratch.tape,
-                    scratch.near,
-                    scratch.result,
-                    self._counters,
-                    OFFSPRING,
-                )
+            measure_all(self._lists, self._fitness, setting.rows, setting.fit, scratch, self._counters, OFFSPRING)
         else:
             use_best_predictor(
                 self._lists, self._fitness, self._coevolution, setting.every, setting.rows, setting.fit, scratch,
@@ -151,17 +147,21 @@ class Island:
         return math.inf if error is None else error / self._setting.deviation
 
     def outcome(self) -> EpochOutcome:
-        """Return the report of the finished epoch."""
+        """Return the report of the epoch, finished or not."""
         best = self._normalized(self._front.least_error())
         return EpochOutcome(
             self.epoch,
             self._generation,
             self._hit,
             tuple(self._additions),
-            dict(zip(PARTS, self._counters.tolist(), strict=True)),
+            self._evaluations(),
+            dict(self._tallies),
             best if math.isfinite(best) else None,
             self._digest(),
         )
+
+    def _evaluations(self) -> dict[str, int]:
+        return dict(zip(PARTS, self._counters.tolist(), strict=True))
 
     def _digest(self) -> str:
         digest = hashlib.blake2b(digest_size=16)

@@ -7,7 +7,14 @@ trainers. The losses of trainers at every row are kept, so that judging a predic
 import numpy as np
 
 from common.jit import inlined, kernel
-from island_worker.evolution.kernels_generation import COEVOLUTION, INFINITY, generation, remeasure, residual_of_list
+from island_worker.evolution.kernels_generation import (
+    COEVOLUTION,
+    INFINITY,
+    REEVALUATION,
+    generation,
+    measure_all,
+    residual_of_list,
+)
 from island_worker.evolution.kernels_random import Stream, below, uniform
 from island_worker.evolution.kernels_rows import gather
 from island_worker.evolution.kernels_variation import copy_list
@@ -201,7 +208,7 @@ def use_best_predictor(
     """Gather the best predictor's rows (all rows while predictors are off) and measure the population on them."""
     if rows.length < every.length:
         gather(rows, every, coevolution.predictors[coevolution.best[0]], scratch.near.functions)
-    remeasure(lists, fitness, rows, options, scratch.tape, scratch.near, scratch.result, counters)
+    measure_all(lists, fitness, rows, options, scratch, counters, REEVALUATION)
 
 
 @kernel

@@ -289,10 +289,11 @@ def _solve(size: Int, damping: float, work: Work) -> bool:
     return True
 
 
-@kernel
+@inlined
 def fit(
-    tape: Tape, count: Int, rows: Rows, options: Fit, most: Int, steps: Int, work: Work, scale: Floats, result: Floats
-) -> Int:
+    tape: Tape, count: Int, rows: Rows, options: Fit, most: Int, steps: Int, ceiling: float, work: Work,
+    scale: Floats, result: Floats,
+) -> Int:  # fmt: skip
     """Fit terms and inner constants of the tape to `rows`, in place; set the errors; return point evaluations.
 
     A value at a row counts 1; the reverse sweep that makes it a gradient counts 2 more.
@@ -300,6 +301,7 @@ def fit(
     Args:
         most: constants fitted at most, the terms' included.
         steps: Levenberg-Marquardt steps at most; ends earlier when exact or stalled.
+        ceiling: loss above which, terms fitted, no step is taken.
         scale: out: b, a_1, ...  result: (2,) out: mean absolute and mean squared error on `rows`.
     """
     number = collect_terms(tape, count, options.terms, work.terms)
@@ -310,7 +312,8 @@ def fit(
     fitted = choose_fitted(tape, count, number, room if steps > 0 else _ZERO, work)
     measure_tape(tape, count, rows, is_linear, False, work, scale, result)
     evaluations = rows.length
-    if fitted == 0 or not np.isfinite(result[1]):
+    work.settled[0] = fitted == 0 or not np.isfinite(result[1])
+    if work.settled[0] or result[options.loss] > ceiling:
         return evaluations
     return evaluations + _descend(tape, count, fitted, rows, is_linear, steps, work, scale, result)
 
@@ -326,6 +329,7 @@ def _descend(
     evaluations = _ZERO
     for _ in range(steps):
         if result[1] <= _EXACT * rows.facts[1]:
+            work.settled[0] = True
             break
         if is_fresh:
             _normal_equations(tape, count, fitted, is_linear, rows, scale, work)
@@ -347,6 +351,7 @@ def _descend(
             result[0] = work.trial[0]
             result[1] = work.trial[1]
             if gain < _STALLED:
+                work.settled[0] = True
                 break
         else:
             damping *= 10.0

@@ -14,7 +14,7 @@ from common.jit import inlined, kernel
 from island_worker.evolution.kernels_fit import collect_terms, fit, residual_of
 from island_worker.evolution.kernels_random import Stream, below
 from island_worker.evolution.kernels_tape import compile_tape, sign
-from island_worker.evolution.kernels_variation import copy_list, cross, distance, mutate
+from island_worker.evolution.kernels_variation import copy_list, cross, distance, mutate, random_list
 from island_worker.evolution.structures import Fit, Floats, Ints, Lists, Rows, Scratch, Space, Tape, Work
 
 OFFSPRING: Final = np.int64(0)  # a plain integer would be a type of its own to the compiler, as an argument
@@ -26,6 +26,8 @@ PARTS: Final = ("offspring", "reevaluation", "constant_fitting", "refitting", "c
 """Names of the counters, in the order of their array."""
 
 INFINITY = np.inf
+_ZERO: Final = np.int64(0)
+_ONE: Final = np.int64(1)
 
 
 @kernel
@@ -43,12 +45,17 @@ def residual_of_list(lists: Lists, p: Int, rows: Rows, options: Fit, tape: Tape,
 
 
 @inlined
-def _develop(
-    lists: Lists, p: Int, rows: Rows, options: Fit, tape: Tape, work: Work, result: Floats, counters: Ints, part: Int
-) -> float:
-    """See `develop`, which is apart so that it is compiled once for calls from outside."""
+def develop(
+    lists: Lists, p: Int, rows: Rows, options: Fit, ceiling: float, tape: Tape, work: Work, result: Floats,
+    counters: Ints, part: Int,
+) -> float:  # fmt: skip
+    """Fit the constants of individual `p` to `rows`, write them back, count; return its loss there.
+
+    The first value at each row is counted under `part`, the rest as constant fitting. `work.settled` tells whether
+    further steps would be of no use; see `fit` for `ceiling`.
+    """
     count = compile_tape(lists, p, tape)
-    used = fit(tape, count, rows, options, rows.length // 4, options.steps, work, lists.scale[p], result)
+    used = fit(tape, count, rows, options, rows.length // 4, options.steps, ceiling, work, lists.scale[p], result)
     counters[part] += rows.length
     counters[FITTING] += used - rows.length
     for i in range(count if used > rows.length else 0):
@@ -58,27 +65,26 @@ def _develop(
 
 
 @kernel
-def develop(
-    lists: Lists, p: Int, rows: Rows, options: Fit, tape: Tape, work: Work, result: Floats, counters: Ints, part: Int
-) -> float:
-    """Fit the constants of individual `p` to `rows`, write them back, count; return its loss there.
+def measure_all(
+    lists: Lists, fitness: Floats, rows: Rows, options: Fit, scratch: Scratch, counters: Ints, part: Int
+) -> None:
+    """Measure the whole population on `rows`, constants fitted there as a child's are, and count it.
 
-    The first value at each row is counted under `part`, the rest as constant fitting.
+    After a change of predictor a child whose constants suit the new rows would otherwise displace a better parent
+    whose constants suit the old ones: a change would be a purge.
     """
-    return _develop(lists, p, rows, options, tape, work, result, counters, part)
+    for p in range(fitness.shape[0]):
+        fitness[p] = develop(
+            lists, p, rows, options, INFINITY, scratch.tape, scratch.near, scratch.result, counters, part
+        )
+        scratch.settled[p] = scratch.near.settled[0]
 
 
 @kernel
-def remeasure(
-    lists: Lists, fitness: Floats, rows: Rows, options: Fit, tape: Tape, work: Work, result: Floats, counters: Ints
-) -> None:
-    """Measure the whole population on new predictor rows, constants fitted there as a child's are, and count it.
-
-    Without the fit, a child whose constants suit the new rows would displace a better parent whose constants suit the
-    old ones: a change of predictor would be a purge.
-    """
-    for p in range(fitness.shape[0]):
-        fitness[p] = _develop(lists, p, rows, options, tape, work, result, counters, REEVALUATION)
+def random_population(lists: Lists, space: Space, stream: Stream) -> None:
+    """Draw every list at random."""
+    for p in range(lists.code.shape[0]):
+        random_list(lists, p, space, stream)
 
 
 @inlined
@@ -105,6 +111,27 @@ def _sign_families(parents: Lists, first: Int, second: Int, scratch: Scratch) ->
     return straight <= distance(signature, 0, 3) + distance(signature, 1, 2)
 
 
+@inlined
+def _is_same(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints, i: Int) -> bool:
+    """Return whether child `q` computes just what individual `p` does, whose signature is in row `i`."""
+    if distance(signature, i, 2 + q) > 0:
+        return False
+    for k in range(signature.shape[1]):
+        if signature[i, k] == CONSTANT + 1 and lists.constants[p, k] != children.constants[q, k]:
+            return False
+    return True
+
+
+@inlined
+def _inherits(lists: Lists, p: Int, children: Lists, q: Int, scratch: Scratch, i: Int) -> bool:
+    """Return whether child `q` has its loss and scaling from parent `p`, which no fit would change; take it over."""
+    if not (scratch.settled[p] and _is_same(lists, p, children, q, scratch.signature, i)):
+        return False
+    for j in range(lists.scale.shape[1]):
+        children.scale[q, j] = lists.scale[p, j]
+    return True
+
+
 @kernel
 def generation(
     lists: Lists,
@@ -116,8 +143,14 @@ def generation(
     stream: Stream,
     counters: Ints,
 ) -> None:
-    """Advance the population by one generation on the current predictor's `rows`."""
-    order, children = scratch.order, scratch.children
+    """Advance the population by one generation on the current predictor's `rows`.
+
+    A child that computes what one of its parents does is not measured again (and not counted), unless its constants
+    can still be fitted better. Steps for constants are spent on the few children that are much better than their worse
+    parent already without them (ADR 0014).
+    """
+    order, children, settled = scratch.order, scratch.children, scratch.settled
+    loss = scratch.child_loss
     for p in range(order.shape[0]):
         order[p] = p
     _shuffle(order, stream)
@@ -127,9 +160,22 @@ def generation(
         for q in range(2):
             mutate(children, q, space, stream)
         is_straight = _sign_families(lists, first, second, scratch)
+        ceiling = options.gate * max(fitness[first], fitness[second])
         for q in range(2):
-            loss = _develop(children, q, rows, options, scratch.tape, scratch.near, scratch.result, counters, OFFSPRING)
+            is_settled = True
+            if _inherits(lists, first, children, q, scratch, _ZERO):
+                loss[q] = fitness[first]
+            elif _inherits(lists, second, children, q, scratch, _ONE):
+                loss[q] = fitness[second]
+            else:
+                loss[q] = develop(
+                    children, q, rows, options, ceiling, scratch.tape, scratch.near, scratch.result, counters, OFFSPRING
+                )
+                is_settled = scratch.near.settled[0]
+            scratch.child_settled[q] = is_settled
+        for q in range(2):
             p = first if (q == 0) == is_straight else second
-            if loss <= fitness[p]:
+            if loss[q] <= fitness[p]:
                 copy_list(lists, p, children, q)
-                fitness[p] = loss
+                fitness[p] = loss[q]
+                settled[p] = scratch.child_settled[q]

@@ -85,7 +85,7 @@ def refit(
     counters: Ints,
 ) -> None:
     """Fit the program on `tape` to `rows`, in place; its terms are left in `work`; counted."""
-    counters[REFITTING] += fit(tape, count, rows, options, rows.length // 4, steps, work, scale, result)
+    counters[REFITTING] += fit(tape, count, rows, options, rows.length // 4, steps, INFINITY, work, scale, result)
 
 
 @inlined
@@ -140,7 +140,7 @@ def refit_offers(
     for c in range(chosen):
         size = canonical(lists, scratch.chosen[c], scratch)
         scale = book.scale[count]
-        counters[REFITTING] += fit(tape, size, rows, options, rows.length // 4, steps, work, scale, scratch.result)
+        counters[REFITTING] += fit(tape, size, rows, options, rows.length // 4, steps, INFINITY, work, scale, scratch.result)
         loss = loss_of(scratch.result, options)
         if not loss < least[size]:
             continue

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from common.expression.kernels import Int, forward_block
-from common.expression.kernels_lanes import highest_bit, lowest_bit
+from common.expression.kernels import Int, apply_operator
+from common.expression.kernels_lanes import fill, get, highest_bit, lowest_bit, place
 from common.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, SQUARE
 from common.jit import inlined, kernel
 from island_worker.evolution.structures import Hashes, Ints, Lists, Tape, Work
@@ -138,17 +138,11 @@ def canonical_tape(source: Tape, length: int, work: Work, tape: Tape) -> int:
 @kernel
 def _folded(op: int, a: float, b: float, work: Work) -> float:
     """Return the value of an operator on two constants, by the very kernel that measures programs."""
-    code = np.array([CONSTANT, CONSTANT, op])
-    left = np.array([0, 0, 0])
-    right = np.array([0, 0, 1])
-    constants = np.array([a, b, 0.0])
-    wanted = np.ones(3, np.bool_)
-    nothing = np.zeros((0, 1))
-    zero = np.int64(0)
-    forward_block(
-        np.int64(3), code, left, right, constants, wanted, nothing, nothing, zero, work.values, work.functions
-    )
-    return work.values[2, 0]
+    left, right, out = place(work.values, 0, 0), place(work.values, 1, 0), place(work.values, 2, 0)
+    fill(left, a)
+    fill(right, b)
+    apply_operator(op, out, left, right, work.functions)
+    return get(out, 0)
 
 
 @kernel

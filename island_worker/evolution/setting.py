@@ -53,7 +53,10 @@ class Setting:
             int(predictors.enabled and rows > 2 * sample), predictors.effort, predictors.renewal
         )
         self.sample = sample if self.coevolving.enabled else rows
-        self.fit = Fit(evolution.constant_fit_steps, evolution.linear_terms, LEAST_INNER, int(evolution.loss != "mae"))
+        self.fit = Fit(
+            evolution.constant_fit_steps, evolution.linear_terms, LEAST_INNER, int(evolution.loss != "mae"),
+            evolution.constant_fit_gate,
+        )  # fmt: skip
         variables = problem.inputs.shape[0]
         self.rows = self.every
         if self.coevolving.enabled:

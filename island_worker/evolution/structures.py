@@ -60,6 +60,8 @@ class Fit(NamedTuple):
     """Inner constants that may be fitted however few rows there are."""
     loss: int
     """0: mean absolute error, 1: mean squared error."""
+    gate: float
+    """A child takes steps only when its loss is at most this share of its worse parent's."""
 
 
 class Rows(NamedTuple):
@@ -131,6 +133,8 @@ class Work(NamedTuple):
     kept: Floats
     kept_scale: Floats
     trial: Floats
+    settled: Booleans
+    """(1,) whether further steps of the last fit would be of no use."""
     functions: int
     """Address of the compiled functions, see `common.expression.kernels_functions`."""
 
@@ -186,8 +190,11 @@ class Scratch(NamedTuple):
     """Everything a generation needs besides the island's own state."""
 
     order: Ints
+    settled: Booleans
+    """(P,) of the island under way: no further step would change the individual's constants."""
     children: Lists
-    child_fitness: Floats
+    child_loss: Floats
+    child_settled: Booleans
     signature: Ints
     """(4, L) signatures of the two parents and the two children."""
     tape: Tape
@@ -251,6 +258,7 @@ def empty_work(nodes: int, rows: int) -> Work:
         kept=np.zeros(MOST_FITTED),
         kept_scale=np.zeros(1 + MOST_TERMS),
         trial=np.zeros(2),
+        settled=np.zeros(1, np.bool_),
         functions=functions_address(),
     )
 
@@ -260,8 +268,10 @@ def empty_scratch(population: int, nodes: int, variables: int, sample: int, rows
     space = nodes + 4 + 3 * MOST_TERMS
     return Scratch(
         order=np.zeros(population, np.int64),
+        settled=np.zeros(population, np.bool_),
         children=empty_lists(2, nodes),
-        child_fitness=np.zeros(2),
+        child_loss=np.zeros(2),
+        child_settled=np.zeros(2, np.bool_),
         signature=np.zeros((4, nodes), np.int64),
         tape=empty_tape(space),
         canonical=empty_tape(space),

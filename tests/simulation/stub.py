@@ -1,23 +1,31 @@
 """A stub of the compute port: islands that only hash, so that any loss, disorder or double changes the digest.
 
-The state of an island is the hash of (state, immigrants by slot, epoch); evaluations are counted; the target is met at
-a seeded (epoch, generation) of a seeded island. Time passes as drawn from a stream of the worker's own.
+The agenda is the real one. The state of an island is the hash of (state, immigrants by slot, epoch, slice); evaluations
+are counted; the target is met at seeded (epoch, generation) of some islands. Time passes as drawn from a stream of the
+worker's own.
 """
 
 import hashlib
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from common.config import JobConfig
+from common.errors import RemoteProtocolError
 from common.seeding import Stream, stream_key
-from common.wire.messages import Addition, HitStatement, IslandReport
+from common.slices import Course, Position
+from common.wire.messages import Addition, HitStatement, IslandReport, Tally
 from common.wire.simulated_bus import SimulatedNetwork
+from island_worker.agenda import Agenda, Work
 from island_worker.compute import WarmedUp, WarmUpNote
-from island_worker.events import Abandoned, Broken, Computed, JobReady, Rejected, Task
+from island_worker.events import Computed, JobReady, ShareKey, Task
 
 SLOTS = 4
 """Solutions per island."""
+
+GENERATIONS = 100
+STRIDE = 10
+HIT_EPOCHS = 20
 
 
 @dataclass
@@ -26,6 +34,9 @@ class StubIsland:
 
     state: bytes
     evaluations: int = 0
+
+    def stir(self, *parts: bytes) -> None:
+        self.state = hashlib.sha256(self.state + b"".join(parts)).digest()
 
 
 @dataclass(frozen=True)
@@ -53,12 +64,59 @@ class Shuffle:
         return frozenset(source for (to, _), (source, _) in self.sources.items() if to == island) - {island}
 
 
-def hit_of(config: JobConfig, variable: str) -> tuple[int, int, int] | None:
-    """Return (epoch, generation, island) at which the target is met; for one variable in four it never is."""
+def hits_of(config: JobConfig, variable: str) -> frozenset[Position]:
+    """Return where the target is met: by one island or more of one epoch; for one variable in four it never is."""
     stream = Stream(stream_key(config.seed, variable, -1, 0, "stub-hit"))
     if stream.below(4) == 0:
-        return None
-    return 1 + stream.below(20), 1 + stream.below(100), stream.below(config.evolution.islands)
+        return frozenset()
+    epoch, hitters = stream.below(HIT_EPOCHS), 1 + stream.below(3)
+    ends = range(STRIDE, GENERATIONS + 1, STRIDE)
+    return frozenset(
+        Position(epoch, ends[stream.below(len(ends))], stream.below(config.evolution.islands)) for _ in range(hitters)
+    )
+
+
+class StubWork:
+    """One island's epoch under way."""
+
+    def __init__(self, task: Task, island: StubIsland, config: JobConfig) -> None:
+        self.generation = 0
+        self._task = task
+        self._island = island
+        self._config = config
+        self._hits = hits_of(config, task.key.variable)
+        self._additions: list[Addition] = []
+        self._tallies: list[Tally] = []
+        self._hit: HitStatement | None = None
+
+    def advance(self) -> bool:
+        key, island = self._task.key, self._island
+        self.generation += STRIDE
+        island.stir(struct.pack("<qq", key.epoch, self.generation))
+        island.evaluations += 10 + island.state[0] % 16
+        evaluations = {"offspring": island.evaluations, "trainers": key.epoch * GENERATIONS + self.generation}
+        self._tallies.append(Tally(generation=self.generation, evaluations=evaluations))
+        if island.state[5] < 80:
+            self._additions.append(addition_of(key.epoch, self.generation, island.state))
+        if Position(key.epoch, self.generation, key.island) in self._hits:
+            self._hit = HitStatement(generation=self.generation, error=1e-12)
+        return self._hit is not None or self.generation >= GENERATIONS
+
+    def computed(self) -> Computed:
+        key, state = self._task.key, self._island.state
+        report = IslandReport(
+            island=key.island,
+            generations=self.generation,
+            hit=self._hit,
+            additions=tuple(self._additions),
+            tallies=tuple(self._tallies),
+            best_error=state[1] / 256.0,
+            digest=state.hex(),
+        )
+        if self._hit is not None or self.generation < GENERATIONS or self._task.is_last:
+            return Computed(key, report, {}, frozenset())
+        shuffle = Shuffle.of(self._config, key.variable, key.epoch)
+        return Computed(key, report, shuffle.blocks_from(key.island, state), shuffle.senders_to(key.island))
 
 
 @dataclass
@@ -75,13 +133,17 @@ class StubCompute:
     progress: int = 0
     fingerprint: str = "stub"
     rejected: int = 0
+    turns: int = 0
     _jobs: dict[str, JobConfig] = field(default_factory=dict)
-    _islands: dict[tuple[str, str, int, int], StubIsland] = field(default_factory=dict)
+    _islands: dict[ShareKey, dict[int, StubIsland]] = field(default_factory=dict)
     _post: Callable[[object], None] | None = None
     _dead: bool = False
+    _is_at_work: bool = False
+    _worked_s: float = 0.0
 
     def __post_init__(self) -> None:
         self._stream = Stream(stream_key(self.seed, self.worker, -1, 0, "stub-speed"))
+        self._agenda = Agenda(self.begin, lambda: self._worked_s)
 
     def attach(self, post: Callable[[object], None]) -> None:
         self._post = post
@@ -96,65 +158,69 @@ class StubCompute:
         self._later(0.01, JobReady(job))
 
     def advance(self, task: Task) -> None:
-        seconds = self.slowness * (0.005 + 0.03 * self._stream.uniform())
-        self.network.at(self.network.now + seconds, lambda: self._finish(task, seconds))
+        self._say_all(self._agenda.add(task))
+        self._go_on()
 
-    def discard(self, job: str, variable: str, term: int) -> None:
-        for key in [key for key in self._islands if key[:3] == (job, variable, term)]:
-            del self._islands[key]
+    def stop_at(self, share: ShareKey, hit: Position, course: Course) -> None:
+        self._say_all(self._agenda.stop_at(share, hit, course))
+
+    def discard(self, share: ShareKey) -> None:
+        self._agenda.discard(share)
+        self._islands.pop(share, None)
 
     def discard_job(self, job: str) -> None:
+        self._agenda.discard_job(job)
         self._jobs.pop(job, None)
 
     def close(self) -> None:
         self._dead = True
 
-    def _later(self, delay_s: float, word: object) -> None:
-        self.network.at(self.network.now + delay_s, lambda: self._say(word))
-
-    def _say(self, word: object) -> None:
-        if self._post is not None and not self._dead:
-            self._post(word)
-
-    def _finish(self, task: Task, seconds: float) -> None:
-        self.progress += 1
+    def begin(self, task: Task) -> Work:
+        """Begin an island's epoch."""
         key = task.key
-        config = self._jobs.get(key.job)
-        place = (key.job, key.variable, key.term, key.island)
-        if config is None or (task.blocks is not None and place not in self._islands):
-            self._say(Abandoned(key))
-        elif (key.island, key.epoch) == self.broken:
-            self._say(Broken(key, "the stub broke as it was told to"))
-        else:
-            self._say(self._advance(task, config, place, seconds))
-
-    def _advance(
-        self, task: Task, config: JobConfig, place: tuple[str, str, int, int], seconds: float
-    ) -> Computed | Rejected:
-        key = task.key
+        if (key.island, key.epoch) == self.broken:
+            raise ZeroDivisionError("the stub broke as it was told to")
+        config = self._jobs[key.job]
+        islands = self._islands.setdefault(key.share, {})
         if task.blocks is None:
             seed = f"{config.seed}/{key.variable}/{key.island}".encode()
-            self._islands[place] = StubIsland(hashlib.sha256(seed).digest())
-        island = self._islands[place]
-        if task.blocks is not None:
+            islands[key.island] = StubIsland(hashlib.sha256(seed).digest())
+        else:
             slots = parse_slots(task.blocks)
             if sorted(slots) != list(range(SLOTS)):
                 self.rejected += 1
-                return Rejected(key, f"slots {sorted(slots)} came")
-            island.state = hashlib.sha256(island.state + b"".join(slots[slot] for slot in sorted(slots))).digest()
-        island.state = hashlib.sha256(island.state + struct.pack("<q", key.epoch)).digest()
+                raise RemoteProtocolError(f"slots {sorted(slots)} came")
+            islands[key.island].stir(*(slots[slot] for slot in sorted(slots)))
         if self.corrupt and key.epoch == 3:
-            island.state = hashlib.sha256(island.state).digest()
-        island.evaluations += 100 + island.state[0]
-        hit = hit_of(config, key.variable)
-        met = hit is not None and (key.epoch, key.island) == (hit[0], hit[2])
-        report = report_of(key.island, key.epoch, island, hit[1] if met and hit else None)
-        if met or task.is_last:
-            return Computed(key, report, {}, frozenset(), seconds)
-        shuffle = Shuffle.of(config, key.variable, key.epoch)
-        return Computed(
-            key, report, shuffle.blocks_from(key.island, island.state), shuffle.senders_to(key.island), seconds
-        )
+            islands[key.island].stir()
+        return StubWork(task, islands[key.island], config)
+
+    def _go_on(self) -> None:
+        """Take a turn, if there is one to take, at the end of the time that it takes."""
+        if self._is_at_work or self._agenda.is_idle or self._dead:
+            return
+        self._is_at_work = True
+        seconds = self.slowness * (0.0005 + 0.003 * self._stream.uniform())
+        self.network.at(self.network.now + seconds, lambda: self._turn(seconds))
+
+    def _turn(self, seconds: float) -> None:
+        self._is_at_work = False
+        if self._dead or self._agenda.is_idle:
+            return
+        self.progress += 1
+        self.turns += 1
+        words = self._agenda.turn()
+        self._worked_s += seconds
+        self._say_all(words)
+        self._go_on()
+
+    def _later(self, delay_s: float, word: object) -> None:
+        self.network.at(self.network.now + delay_s, lambda: self._say_all([word]))
+
+    def _say_all(self, words: Iterable[object]) -> None:
+        for word in words:
+            if self._post is not None and not self._dead:
+                self._post(word)
 
 
 def parse_slots(blocks: Mapping[int, bytes]) -> dict[int, bytes]:
@@ -163,23 +229,8 @@ def parse_slots(blocks: Mapping[int, bytes]) -> dict[int, bytes]:
     return {joined[place]: joined[place + 1 : place + 9] for place in range(0, len(joined), 9)}
 
 
-def report_of(island: int, epoch: int, state: StubIsland, hit: int | None) -> IslandReport:
-    """Return a report whose every field depends on the state."""
-    error = (1 + state.state[1]) / (256.0 * (epoch + 1))
+def addition_of(epoch: int, generation: int, state: bytes) -> Addition:
+    """Return an addition whose every field depends on the state."""
+    error = (1 + state[1]) / (256.0 * (epoch + generation / GENERATIONS))
     program = bytes([1, 1]) + bytes(4) + struct.pack("<d", error)
-    addition = Addition(
-        complexity=1 + state.state[2] % 6,
-        error=error,
-        mse=error * error,
-        generation=state.state[3] % 100,
-        program=program,
-    )
-    return IslandReport(
-        island=island,
-        generations=hit if hit is not None else 100,
-        hit=None if hit is None else HitStatement(generation=hit, error=1e-12),
-        additions=(addition,),
-        evaluations={"offspring": state.evaluations, "trainers": state.state[4]},
-        best_error=error,
-        digest=state.state.hex(),
-    )
+    return Addition(complexity=1 + state[2] % 6, error=error, mse=error * error, generation=generation, program=program)

@@ -7,8 +7,9 @@ import numpy as np
 from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from common.dataset import Dataset, Target
 from common.wire.faults import Plan
-from island_worker.compute import Engine
-from island_worker.events import Task
+from island_worker.agenda import Work
+from island_worker.engine import Engine
+from island_worker.events import ShareKey, Task
 from tests.simulation.stub import StubCompute
 from tests.simulation.world import World, comparable
 
@@ -39,15 +40,16 @@ class RealCompute(StubCompute):
     def load(self, job: str, config: JobConfig, dataset: bytes) -> None:
         self._later(0.01, self.engine.load(job, config, dataset))
 
-    def discard(self, job: str, variable: str, term: int) -> None:
-        self.engine.forget((job, variable, term))
+    def discard(self, share: ShareKey) -> None:
+        super().discard(share)
+        self.engine.forget(share)
 
     def discard_job(self, job: str) -> None:
+        super().discard_job(job)
         self.engine.forget_job(job)
 
-    def _finish(self, task: Task, seconds: float) -> None:
-        self.progress += 1
-        self._say(self.engine.advance(task, lambda: True))
+    def begin(self, task: Task) -> Work:
+        return self.engine.begin(task)
 
 
 def answer(workers: int, seed: int, plan: Plan | None = None, crash_at_s: float | None = None) -> str:

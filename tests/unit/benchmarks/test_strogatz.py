@@ -1,34 +1,13 @@
 """The Strogatz label files: what must be there, and the table beside the paper's."""
 
+import argparse
 import dataclasses
 
 import pytest
 
-from benchmarks.strogatz import PUBLISHED, Passings, _parser, beside_the_paper, configured, is_solved, main, truths
-from common.errors import DataError
+from benchmarks.strogatz import PUBLISHED, Passings, _parser, beside_the_paper, configured, is_solved, levels, main
 from common.wire.views import JobView, VariableView
 from tests.unit.benchmarks.verdicts import VERDICT
-
-FILES = [f"{name}.csv" for name in PUBLISHED]
-
-
-@pytest.fixture
-def folder(tmp_path):
-    for name in FILES:
-        (tmp_path / name).write_text("label,x,y\n1,2,3\n")
-    (tmp_path / "truth.json").write_text('{"glider1": "x"}')
-    return tmp_path
-
-
-def test_the_truths_are_read(folder):
-    assert truths(folder) == {"glider1": "x"}
-
-
-@pytest.mark.parametrize("missing", ["truth.json", "vdp2.csv"])
-def test_a_missing_file_is_named(folder, missing):
-    (folder / missing).unlink()
-    with pytest.raises(DataError, match=missing):
-        truths(folder)
 
 
 def test_without_the_files_there_is_one_sentence_and_exit_code_2(tmp_path, capsys):
@@ -78,3 +57,19 @@ def test_evaluations_stand_beside_the_papers():
     assert row.split()[:5] == ["lv2", "0", "yes", "1.0e-10", "1.10e+07"]
     assert row.split()[5:] == ["0.25", "5.00e+06", "-", "-", "-", "-", "1.1", "1.10e+08"]
     assert heads.index("paper s") == row.index("1.1 ", 50)
+
+
+def test_levels_of_noise_are_numbers():
+    assert levels("0,0.001,0.1,0.1") == [0.0, 0.001, 0.1]
+
+
+@pytest.mark.parametrize("text", ["", "-1", "0.1,", "a", "nan", "inf"])
+def test_other_levels_are_refused(text):
+    with pytest.raises(argparse.ArgumentTypeError, match="levels such as"):
+        levels(text)
+
+
+def test_noise_and_a_race_exclude_each_other(capsys):
+    with pytest.raises(SystemExit):
+        _parser().parse_args(["--data", "d", "--noise", "0.1", "--versus", "operon"])
+    assert "not allowed with" in capsys.readouterr().err

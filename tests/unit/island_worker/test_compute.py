@@ -12,40 +12,47 @@ import pytest
 from common.config import JobConfig
 from common.dataset import Dataset, Target
 from common.errors import RemoteProtocolError
+from common.slices import Course, Position
 from common.wire.codec import dataset_to_bytes
+from common.wire.messages import Tally
 from island_worker.compute import IslandCompute, WarmedUp, WarmUpFailed, WarmUpNote
 from island_worker.events import Abandoned, Broken, Computed, JobReady, Rejected, Task, TaskKey, Unloadable
 
 LIMIT_S = 20.0
+COURSE = Course(generations=100, stride=10, joining=8)
 
 
 class FakeOutcome:
-    generations = 100
     hit = None
     additions = ()
     best_error = None
     digest = "ab" * 16
 
-    def __init__(self, evaluations: int) -> None:
-        self.evaluations = {"offspring": evaluations}
+    def __init__(self, generations: int, evaluations: int) -> None:
+        self.generations = generations
+        self.tallies = {generations: {"offspring": evaluations}}
 
 
 class FakeIsland:
-    """Advances in ten strides; island 7 never ends, island 8 breaks."""
+    """Its epochs have ten slices; island 7 never ends, island 8 breaks."""
 
     def __init__(self, problem: Any, config: JobConfig, island: int) -> None:
         self.island = island
-        self.strides = 0
+        self.slices = 0
         self.immigrants: dict[int, bytes] = {}
+
+    @property
+    def generation(self) -> int:
+        return 10 * (self.slices if self.island == 7 else (self.slices - 1) % 10 + 1 if self.slices else 0)
 
     def advance(self, generations: int) -> bool:
         if self.island == 8:
             raise ZeroDivisionError("as it was told")
-        self.strides += 1
-        return self.island != 7 and self.strides % 10 == 0
+        self.slices += 1
+        return self.island != 7 and self.slices % 10 == 0
 
     def outcome(self) -> FakeOutcome:
-        return FakeOutcome(self.strides)
+        return FakeOutcome(self.generation, self.slices)
 
     def emigrants(self) -> dict[int, bytes]:
         return {self.island: b"own", 1: b"other"}
@@ -84,48 +91,64 @@ def key(island: int, epoch: int = 0, term: int = 1) -> TaskKey:
     return TaskKey("job", "x", term, island, epoch)
 
 
+def task(of: TaskKey, blocks: Mapping[int, bytes] | None = None, is_last: bool = False) -> Task:
+    return Task(of, blocks, is_last, course=COURSE)
+
+
 def test_an_epoch_is_computed_and_reported(compute: IslandCompute, words: "queue.Queue[object]") -> None:
     before = compute.progress
-    compute.advance(Task(key(0), None, is_last=False))
+    compute.advance(task(key(0)))
     word = words.get(timeout=LIMIT_S)
     assert isinstance(word, Computed)
     assert (word.key, word.emigrants, word.senders) == (key(0), {0: b"own", 1: b"other"}, frozenset({1, 2}))
-    assert word.report.evaluations == {"offspring": 10}
+    assert word.report.tallies == (Tally(generation=100, evaluations={"offspring": 10}),)
     assert compute.progress > before
 
 
 def test_the_next_epoch_begins_with_the_immigrants(compute: IslandCompute, words: "queue.Queue[object]") -> None:
-    compute.advance(Task(key(0), None, is_last=False))
+    compute.advance(task(key(0)))
     words.get(timeout=LIMIT_S)
-    compute.advance(Task(key(0, 1), {1: b"one"}, is_last=True))
+    compute.advance(task(key(0, 1), {1: b"one"}, is_last=True))
     word = words.get(timeout=LIMIT_S)
     assert isinstance(word, Computed)
-    assert (word.report.evaluations, word.emigrants) == ({"offspring": 20}, {})
+    assert word.report.tallies[-1].evaluations == {"offspring": 20}
+    assert word.emigrants == {}
 
 
 def test_refused_immigrants_are_said(compute: IslandCompute, words: "queue.Queue[object]") -> None:
-    compute.advance(Task(key(0), None, is_last=False))
+    compute.advance(task(key(0)))
     words.get(timeout=LIMIT_S)
-    compute.advance(Task(key(0, 1), {1: b"bad"}, is_last=False))
+    compute.advance(task(key(0, 1), {1: b"bad"}))
     assert words.get(timeout=LIMIT_S) == Rejected(key(0, 1), "a block is malformed")
 
 
 def test_what_breaks_is_said_and_the_thread_goes_on(compute: IslandCompute, words: "queue.Queue[object]") -> None:
-    compute.advance(Task(key(8), None, is_last=False))
+    compute.advance(task(key(8)))
     word = words.get(timeout=LIMIT_S)
     assert isinstance(word, Broken)
     assert "island 8 of x broke in epoch 0" in word.sentence
     assert "as it was told" in word.sentence
-    compute.advance(Task(key(0), None, is_last=False))
+    compute.advance(task(key(0)))
     assert isinstance(words.get(timeout=LIMIT_S), Computed)
 
 
-def test_discarding_gives_up_the_island_under_way(compute: IslandCompute, words: "queue.Queue[object]") -> None:
-    compute.advance(Task(key(7), None, is_last=False))
-    compute.discard("job", "x", 1)
-    assert words.get(timeout=LIMIT_S) == Abandoned(key(7))
-    compute.advance(Task(key(0, term=2), None, is_last=False))
-    assert isinstance(words.get(timeout=LIMIT_S), Computed)
+def test_what_is_discarded_is_given_up_without_a_word(compute: IslandCompute, words: "queue.Queue[object]") -> None:
+    compute.advance(task(key(7)))
+    compute.discard(key(7).share)
+    compute.advance(task(key(0, term=2)))
+    word = words.get(timeout=LIMIT_S)
+    assert isinstance(word, Computed)
+    assert word.key == key(0, term=2)
+
+
+def test_an_island_stops_where_the_target_was_met(compute: IslandCompute, words: "queue.Queue[object]") -> None:
+    compute.advance(task(key(7)))
+    compute.stop_at(key(7).share, Position(0, 500, 7), COURSE)
+    word = words.get(timeout=LIMIT_S)
+    assert isinstance(word, Computed)
+    assert (word.report.generations, word.emigrants) == (500, {})
+    compute.advance(task(key(0, 1), {1: b"one"}))
+    assert words.get(timeout=LIMIT_S) == Abandoned(key(0, 1))
 
 
 def test_an_unreadable_dataset_is_said(compute: IslandCompute, words: "queue.Queue[object]") -> None:
@@ -161,7 +184,7 @@ def test_a_warm_up_that_fails_says_why(words: "queue.Queue[object]", monkeypatch
 
 
 def test_closing_ends_the_thread_even_under_way(compute: IslandCompute) -> None:
-    compute.advance(Task(key(7), None, is_last=False))
+    compute.advance(task(key(7)))
     compute.close()
     assert not compute._thread.is_alive()
     compute.close()

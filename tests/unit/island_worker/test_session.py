@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import pytest
 
 from common.errors import LocalProtocolError, RemoteProtocolError
+from common.slices import Course, Position
 from common.wire.messages import (
     Addition,
     Block,
@@ -44,6 +45,8 @@ from island_worker.events import (
     Respond,
     Send,
     SendReport,
+    ShareKey,
+    StopAt,
     TaskKey,
     Tick,
     Unloadable,
@@ -60,7 +63,16 @@ def session() -> Iterator[Session]:
 
 def placed(*workers: str, term: int = 1, job: str = "job", variable: str = "x", epochs: int = 100) -> Placed:
     return Placed(
-        Placement(incarnation=1, term=term, job=job, variable=variable, workers=workers, epochs=epochs, interval=2)
+        Placement(
+            incarnation=1,
+            term=term,
+            job=job,
+            variable=variable,
+            workers=workers,
+            epochs=epochs,
+            interval=2,
+            course=Course(generations=100, stride=10, joining=8),
+        )
     )
 
 
@@ -68,20 +80,24 @@ def key(island: int, epoch: int, term: int = 1, job: str = "job", variable: str 
     return TaskKey(job, variable, term, island, epoch)
 
 
-def report(island: int, hit: int | None = None, digest: str = "ab" * 16) -> IslandReport:
+def report(island: int, hit: int | None = None, generations: int = 100) -> IslandReport:
     return IslandReport(
         island=island,
-        generations=100,
+        generations=hit or generations,
         hit=None if hit is None else HitStatement(generation=hit, error=0.0),
         additions=(),
-        evaluations={},
+        tallies=(),
         best_error=None,
-        digest=digest,
+        digest="ab" * 16,
     )
 
 
 def computed(task: TaskKey, emigrants: dict[int, bytes], *senders: int, hit: int | None = None) -> Computed:
-    return Computed(task, report(task.island, hit), emigrants, frozenset(senders), 0.1)
+    return Computed(task, report(task.island, hit), emigrants, frozenset(senders))
+
+
+def stopped(task: TaskKey, generations: int) -> Computed:
+    return Computed(task, report(task.island, generations=generations), {}, frozenset())
 
 
 def mail(epoch: int, *blocks: tuple[int, int, bytes], term: int = 1, sender: str = "peer") -> Mailed:
@@ -89,13 +105,22 @@ def mail(epoch: int, *blocks: tuple[int, int, bytes], term: int = 1, sender: str
     return Mailed(sender, Migrants(job="job", variable="x", term=term, epoch=epoch, blocks=made))
 
 
-def finished(island: int, epoch: int, term: int = 1) -> Finished:
-    return Finished(job="job", variable="x", term=term, epoch=epoch, generation=7, island=island)
+def finished(island: int, epoch: int, term: int = 1, generation: int = 20) -> Finished:
+    return Finished(job="job", variable="x", term=term, epoch=epoch, generation=generation, island=island)
 
 
 def begun(session: Session, *workers: str, **fields: int) -> list[object]:
     session.handle(placed(*workers, **fields))  # type: ignore[arg-type]
     return list(session.handle(JobReady("job")))
+
+
+def stops(actions: list[object]) -> list[Position]:
+    return [action.hit for action in actions if isinstance(action, StopAt)]
+
+
+def reported(actions: list[object]) -> list[tuple[int, list[int]]]:
+    reports = [action.report for action in actions if isinstance(action, SendReport)]
+    return [(each.epoch, [island.island for island in each.islands]) for each in reports]
 
 
 def tasks(actions: list[object]) -> list[TaskKey]:
@@ -133,33 +158,36 @@ def test_the_same_or_an_older_placement_changes_nothing(session: Session) -> Non
 
 def test_a_higher_term_discards_what_was_computed_and_begins_anew(session: Session) -> None:
     begun(session, "me", "peer")
-    assert session.handle(placed("me", "peer", term=2)) == [Discard("job", "x", 1)]
-    actions = session.handle(Abandoned(key(0, 0)))
+    actions = session.handle(placed("me", "peer", term=2))
     assert tasks(actions) == [key(0, 0, term=2)]
+    assert actions[1:] == [Discard(ShareKey("job", "x", 1))]
 
 
 def test_what_was_computed_under_a_former_term_is_dropped(session: Session) -> None:
     begun(session, "me", "peer")
     session.handle(placed("me", "peer", term=2))
-    actions = session.handle(computed(key(0, 0), {1: b"a"}, 1))
-    assert tasks(actions) == [key(0, 0, term=2)]
-    assert len(actions) == 1
+    assert session.handle(computed(key(0, 0), {1: b"a"}, 1)) == []
 
 
 # -------------------------------------------------------------------------------------------- an epoch
 
 
-def test_a_finished_epoch_is_reported_and_its_emigrants_are_sent_the_next_computation_first(session: Session) -> None:
+def test_every_island_that_can_begin_is_on_the_agenda(session: Session) -> None:
+    session.handle(placed("me", "me", variable="y"))
+    session.handle(placed("me", "peer", variable="x"))
+    begun = tasks(list(session.handle(JobReady("job"))))
+    assert begun == [key(0, 0, variable="y"), key(1, 0, variable="y"), key(0, 0)]
+
+
+def test_a_finished_epoch_is_reported_and_its_emigrants_are_sent(session: Session) -> None:
     begun(session, "me", "me", "peer")
     actions = session.handle(computed(key(0, 0), {0: b"own", 1: b"near", 2: b"far"}, 1, 2))
-    assert tasks(actions[:1]) == [key(1, 0)]
     (sent,) = [action for action in actions if isinstance(action, Send)]
     assert isinstance(sent.body, Migrants)
     assert (sent.peer, sent.body.blocks) == ("peer", (Block(source=0, destination=2, data=b"far"),))
     assert not [action for action in actions if isinstance(action, SendReport)]
     actions = session.handle(computed(key(1, 0), {0: b"back"}, 2))
-    (reported,) = [action for action in actions if isinstance(action, SendReport)]
-    assert [each.island for each in reported.report.islands] == [0, 1]
+    assert reported(actions) == [(0, [0, 1])]
 
 
 def test_an_island_waits_for_exactly_the_senders_it_was_told(session: Session) -> None:
@@ -186,25 +214,6 @@ def test_mail_may_come_before_the_island_is_ready_for_it_and_twice(session: Sess
     assert action.task.blocks == {1: b"next"}
 
 
-def test_the_lowest_epoch_is_computed_first_then_the_lowest_name(session: Session) -> None:
-    session.handle(placed("me", variable="y"))
-    session.handle(placed("me", variable="x"))
-    order = tasks(list(session.handle(JobReady("job"))))
-    for _ in range(3):
-        order += tasks(list(session.handle(computed(order[-1], {0: b"own"}))))
-    assert [(each.variable, each.epoch) for each in order] == [("x", 0), ("y", 0), ("x", 1), ("y", 1)]
-
-
-def test_the_job_that_was_computed_least_comes_first(session: Session) -> None:
-    session.handle(placed("me", job="a"))
-    session.handle(JobReady("a"))
-    session.handle(computed(key(0, 0, job="a"), {0: b"own"}))
-    session.handle(placed("me", job="b"))
-    session.handle(JobReady("b"))
-    done = computed(key(0, 1, job="a"), {0: b"own"})
-    assert tasks(list(session.handle(done))) == [key(0, 0, job="b")]
-
-
 def test_no_island_runs_ahead_of_the_commit_by_more_than_two_intervals(session: Session) -> None:
     begun(session, "me")
     epoch = 0
@@ -226,8 +235,7 @@ def test_the_last_epoch_is_marked_and_ends_the_island(session: Session) -> None:
     (action,) = actions
     assert isinstance(action, Compute)
     assert action.task.is_last
-    (reported,) = session.handle(computed(key(0, 0), {}))
-    assert isinstance(reported, SendReport)
+    assert reported(list(session.handle(computed(key(0, 0), {})))) == [(0, [0])]
     assert session.state() == "ready"
 
 
@@ -236,22 +244,55 @@ def test_the_last_epoch_is_marked_and_ends_the_island(session: Session) -> None:
 
 def test_a_hit_is_stated_to_every_other_worker_in_place_of_emigrants(session: Session) -> None:
     begun(session, "me", "peer", "other", "peer")
-    actions = session.handle(computed(key(0, 0), {}, hit=7))
+    actions = session.handle(computed(key(0, 0), {}, hit=20))
     assert [action for action in actions if isinstance(action, Send)] == [
         Send("peer", finished(0, 0)),
         Send("other", finished(0, 0)),
     ]
 
 
-def test_after_a_hit_elsewhere_its_epoch_is_finished_and_no_more(session: Session) -> None:
+def test_a_hit_elsewhere_stops_what_is_computed_here(session: Session) -> None:
+    begun(session, "me", "peer", "peer")
+    assert stops(list(session.handle(Mailed("peer", finished(2, 0, generation=70))))) == [Position(0, 70, 2)]
+    assert stops(list(session.handle(Mailed("peer", finished(1, 0, generation=80))))) == []
+    actions = session.handle(stopped(key(0, 0), 70))
+    assert reported(actions) == [(0, [0])]
+    assert tasks(actions) == []
+    assert session.state() == "ready"
+
+
+def test_epochs_before_a_hit_are_finished_and_go_on(session: Session) -> None:
     begun(session, "me", "me", "peer")
     session.handle(computed(key(0, 0), {}, 2))
     session.handle(Mailed("peer", finished(2, 1)))
     session.handle(mail(0, (2, 0, b"a"), (2, 1, b"b")))
-    assert tasks(list(session.handle(computed(key(1, 0), {}, 2)))) == [key(0, 1)]
-    assert tasks(list(session.handle(computed(key(0, 1), {}, 1)))) == [key(1, 1)]
-    assert tasks(list(session.handle(computed(key(1, 1), {0: b"c"}, 0)))) == []
+    assert tasks(list(session.handle(computed(key(1, 0), {}, 2)))) == [key(1, 1)]
+    assert reported(list(session.handle(stopped(key(0, 1), 20)))) == []
+    assert reported(list(session.handle(stopped(key(1, 1), 30)))) == [(1, [0, 1])]
     assert session.state() == "ready"
+
+
+def test_what_comes_after_the_first_slice_that_met_the_target_is_not_begun_or_waited_for(session: Session) -> None:
+    begun(session, "me", "peer", "me")
+    session.handle(computed(key(0, 0), {}, 1))
+    session.handle(computed(key(2, 0), {}, 1))
+    session.handle(Mailed("peer", finished(1, 1, generation=10)))
+    assert [local.state for local in session._shares["job", "x"].islands.values()] == ["waiting", "stopped"]
+    assert tasks(list(session.handle(mail(0, (1, 0, b"a"))))) == [key(0, 1)]
+    assert reported(list(session.handle(stopped(key(0, 1), 10)))) == [(1, [0])]
+
+
+def test_a_task_that_is_not_needed_ends_its_island_and_lets_the_others_report(session: Session) -> None:
+    begun(session, "me", "peer", "me")
+    session.handle(Mailed("peer", finished(1, 0, generation=10)))
+    assert reported(list(session.handle(stopped(key(0, 0), 10)))) == []
+    assert reported(list(session.handle(Abandoned(key(2, 0))))) == [(0, [0])]
+    assert session.holdings()[0].reported == 1
+
+
+def test_a_hit_that_comes_before_its_placement_counts(session: Session) -> None:
+    session.handle(Mailed("peer", finished(1, 0)))
+    assert stops(list(session.handle(placed("me", "peer")))) == [Position(0, 20, 1)]
 
 
 def test_an_island_beyond_an_earlier_hit_stops_and_reports_no_more(session: Session) -> None:
@@ -259,8 +300,7 @@ def test_an_island_beyond_an_earlier_hit_stops_and_reports_no_more(session: Sess
     session.handle(mail(0, (1, 0, b"a")))
     session.handle(computed(key(0, 0), {}, 1))
     session.handle(Mailed("peer", finished(1, 0)))
-    actions = session.handle(computed(key(0, 1), {}, 1))
-    assert not [action for action in actions if isinstance(action, SendReport)]
+    assert reported(list(session.handle(Abandoned(key(0, 1))))) == []
     assert session.state() == "ready"
 
 
@@ -291,10 +331,11 @@ def test_a_pull_is_answered_with_what_was_sent(session: Session) -> None:
     )
 
 
-def test_a_pull_is_answered_with_a_hit_even_of_another_worker(session: Session) -> None:
-    begun(session, "me", "peer")
-    session.handle(computed(key(0, 0), {}, hit=7))
-    question = PullMigrants(job="job", variable="x", term=1, epoch=0, destination=1, sources=(0,))
+def test_a_pull_is_answered_with_any_hit_of_ours(session: Session) -> None:
+    begun(session, "me", "peer", "me", "peer")
+    session.handle(Mailed("peer", finished(3, 0, generation=90)))
+    session.handle(computed(key(0, 0), {}, hit=20))
+    question = PullMigrants(job="job", variable="x", term=1, epoch=0, destination=1, sources=(2,))
     (answer,) = session.handle(PullAsked("handle", question))
     assert answer == Respond("handle", Sent(migrants=None, finished=(finished(0, 0),)))
 
@@ -331,7 +372,7 @@ def test_an_answer_with_reports_is_no_larger_than_a_message_may_be(
     addition = Addition(complexity=1, error=0.1, mse=0.1, generation=1, program=b"")
     for epoch in range(3):
         full = report(0).model_copy(update={"additions": (addition,)})
-        session.handle(Computed(key(0, epoch), full, {0: b"own"}, frozenset(), 0.1))
+        session.handle(Computed(key(0, epoch), full, {0: b"own"}, frozenset()))
     (answer,) = session.handle(PullAsked("h", PullReports(job="job", variable="x", term=1, first=1, last=3)))
     assert isinstance(answer, Respond)
     assert isinstance(answer.body, Reports)
@@ -436,8 +477,9 @@ def test_a_dataset_that_cannot_be_read_is_trouble(session: Session) -> None:
 
 
 def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
-    with pytest.raises(LocalProtocolError, match="waits for"):
-        session.handle(computed(key(0, 0), {}))
+    begun(session, "me", "peer")
+    with pytest.raises(LocalProtocolError, match="nobody asked"):
+        session.handle(computed(key(0, 1), {}))
 
 
 # ----------------------------------------------------------------------------------------------- ending
@@ -446,14 +488,14 @@ def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
 def test_closing_one_variable_keeps_the_others(session: Session) -> None:
     begun(session, "me")
     session.handle(placed("me", variable="y"))
-    assert session.handle(Closed(Close(job="job", variable="x"))) == [Discard("job", "x", 1)]
+    assert session.handle(Closed(Close(job="job", variable="x"))) == [Discard(ShareKey("job", "x", 1))]
     assert [each.variable for each in session.holdings()] == ["y"]
     assert session.wants("job")
 
 
 def test_closing_a_job_forgets_all_of_it(session: Session) -> None:
     begun(session, "me")
-    assert session.handle(Closed(Close(job="job"))) == [Discard("job", "x", 1), DiscardJob("job")]
+    assert session.handle(Closed(Close(job="job"))) == [Discard(ShareKey("job", "x", 1)), DiscardJob("job")]
     assert not session.wants("job")
     assert session.handle(Closed(Close(job="job"))) == []
     assert session.handle(placed("me")) == []
@@ -462,6 +504,6 @@ def test_closing_a_job_forgets_all_of_it(session: Session) -> None:
 
 def test_a_reset_forgets_everything_also_the_terms(session: Session) -> None:
     begun(session, "me", "peer", term=5)
-    assert session.handle(Reset()) == [Discard("job", "x", 5), DiscardJob("job")]
+    assert session.handle(Reset()) == [Discard(ShareKey("job", "x", 5)), DiscardJob("job")]
     session.handle(Abandoned(key(0, 0, term=5)))
     assert tasks(begun(session, "me", "peer", term=2)) == [key(0, 0, term=2)]

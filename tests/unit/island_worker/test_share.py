@@ -3,8 +3,11 @@
 import pytest
 
 from common.errors import LocalProtocolError
+from common.slices import Course
 from common.wire.messages import Placement
 from island_worker.share import ISLAND_TRANSITIONS, LocalIsland, Share
+
+COURSE = Course(generations=100, stride=10, joining=8)
 
 STEPS = ("begin", "emigrate", "complete", "end", "reject")
 
@@ -23,7 +26,9 @@ def test_an_island_takes_the_steps_of_the_table_and_no_others(state: str, step: 
 
 
 def test_a_share_has_the_islands_that_the_placement_gives_its_worker() -> None:
-    placement = Placement(incarnation=1, term=2, job="j", variable="θ", workers=("a", "b", "a"), epochs=5, interval=16)
+    placement = Placement(
+        incarnation=1, term=2, job="j", variable="θ", workers=("a", "b", "a"), epochs=5, interval=16, course=COURSE
+    )
     share = Share(placement, "a")
     assert list(share.islands) == [0, 2]
     assert share.stop_epoch == 4
@@ -32,7 +37,9 @@ def test_a_share_has_the_islands_that_the_placement_gives_its_worker() -> None:
 
 
 def test_an_inconsistent_share_is_noticed() -> None:
-    placement = Placement(incarnation=1, term=1, job="j", variable="x", workers=("a",), epochs=5, interval=16)
+    placement = Placement(
+        incarnation=1, term=1, job="j", variable="x", workers=("a",), epochs=5, interval=16, course=COURSE
+    )
     share = Share(placement, "a")
     share.islands[0].epoch = 3
     share.islands[0].needs = frozenset({0})

@@ -4,6 +4,7 @@ import pytest
 
 from common.config import JobConfig
 from common.errors import RemoteProtocolError
+from common.slices import Course
 from common.wire.codec import decode, encode
 from common.wire.messages import (
     CHUNK_SIZE,
@@ -39,6 +40,7 @@ from common.wire.messages import (
     Reports,
     Sent,
     Submit,
+    Tally,
     Trouble,
     Upload,
     Uploaded,
@@ -55,18 +57,25 @@ REPORT = EpochReport(
     islands=(
         IslandReport(
             island=1,
-            generations=100,
+            generations=7,
             hit=HitStatement(generation=7, error=1e-10),
             additions=(Addition(complexity=3, error=0.1, mse=0.02, generation=5, program=b"\x01"),),
-            evaluations={"offspring": 12},
+            tallies=(Tally(generation=7, evaluations={"offspring": 12}),),
             best_error=0.1,
             digest=DIGEST,
         ),
     ),
 )
 MIGRANTS = Migrants(**AT, epoch=0, blocks=(Block(source=0, destination=1, data=b"\x00\xff"),))
-FINISHED = Finished(**AT, epoch=0, generation=0, island=2)
-PLACEMENT = Placement(incarnation=1, **AT, workers=("w0", "w1"), epochs=10, interval=16)
+FINISHED = Finished(**AT, epoch=0, generation=10, island=2)
+PLACEMENT = Placement(
+    incarnation=1,
+    **AT,
+    workers=("w0", "w1"),
+    epochs=10,
+    interval=16,
+    course=Course(generations=100, stride=10, joining=4),
+)
 STATUS = WorkerStatus(
     instance="i",
     incarnation=1,

@@ -10,10 +10,14 @@ from hypothesis import strategies as st
 
 from common.errors import RemoteProtocolError
 from common.pareto import FrontEntry, merge
-from common.wire.messages import Addition, HitStatement, IslandReport
+from common.slices import Course
+from common.wire.messages import Addition, HitStatement, IslandReport, Tally
 from coordinator.service.collector import Collector, DivergedError, Limits, additions_of
 
-LIMITS = Limits(islands=2, epochs=50, stagnation=5, generations=100)
+COURSE = Course(generations=100, stride=10, joining=8)
+LIMITS = Limits(islands=2, epochs=50, stagnation=5, course=COURSE)
+
+LIMITS_OF_3 = Limits(islands=3, epochs=50, stagnation=5, course=COURSE)
 
 
 def best_error(front: tuple[FrontEntry, ...]) -> float:
@@ -28,15 +32,29 @@ def collector() -> Iterator[Collector]:
 
 
 def report(
-    island: int, error: float = 1.0, hit: int | None = None, digest: str = "ab" * 16, count: int = 10
+    island: int,
+    error: float = 1.0,
+    hit: int | None = None,
+    digest: str = "ab" * 16,
+    count: int = 10,
+    generations: int = 100,
+    found_at: tuple[int, ...] = (4,),
 ) -> IslandReport:
-    addition = Addition(complexity=3, error=error, mse=error, generation=4, program=b"p")
+    """Return a report of an island that counts `count` / 10 evaluations a slice, those of earlier epochs apart."""
+    reached = hit or generations
+    ends = range(10, reached + 1, 10)
     return IslandReport(
         island=island,
-        generations=100,
+        generations=reached,
         hit=None if hit is None else HitStatement(generation=hit, error=0.0),
-        additions=(addition,),
-        evaluations={"offspring": count, "fit": 2 * count},
+        additions=tuple(
+            Addition(complexity=3 + order, error=error / (1 + order), mse=error, generation=at, program=b"p")
+            for order, at in enumerate(found_at)
+        ),
+        tallies=tuple(
+            Tally(generation=end, evaluations={"offspring": count * end // 100, "fit": 2 * count * end // 100})
+            for end in ends
+        ),
         best_error=error,
         digest=digest,
     )
@@ -93,7 +111,7 @@ def test_errors_that_are_not_finite_never_enter_the_front() -> None:
             "additions": (Addition.model_construct(complexity=1, error=math.inf, mse=0.0, generation=1, program=b""),)
         }
     )
-    assert merge((), additions_of(0, [wild])) == ()
+    assert merge((), additions_of(0, wild, 100)) == ()
 
 
 # ------------------------------------------------------------------------------------------------- ends
@@ -106,9 +124,104 @@ def test_the_target_ends_the_search_with_the_least_generation_and_island(collect
     assert (collector.cut.why, collector.cut.epochs, collector.cut.generation) == ("target", 2, 120)
 
 
+def test_islands_count_up_to_the_slice_that_met_the_target_and_no_further() -> None:
+    """The islands before the hit, and itself, count up to its generation; the one after it, to the slice before."""
+    collector = Collector("x", LIMITS_OF_3, best_error)
+    found = (10, 20, 30)
+    reports = [
+        report(0, error=3.0, found_at=found),
+        report(1, error=1.5, found_at=found[:2], hit=20),
+        report(2, found_at=found),
+    ]
+    fill(collector, 0, *reports)
+    assert collector.cut is not None
+    assert collector.cut.evaluations == {"fit": 2 * (2 + 2 + 1), "offspring": 2 + 2 + 1}
+    kept = {(entry.island, entry.generation) for entry in collector.cut.entries()}
+    assert kept == {(2, 10), (1, 20)}
+
+
+def test_what_an_island_did_beyond_the_hit_does_not_matter() -> None:
+    cuts = []
+    for other in (20, 30, 100):
+        collector = Collector("x", LIMITS, best_error)
+        fill(collector, 0, report(0, generations=other, found_at=(10, 20, 30)[: other // 10]), report(1, hit=20))
+        cuts.append(collector.cut)
+    assert cuts[0] is not None
+    assert cuts == [cuts[0]] * 3
+
+
+def test_an_island_before_the_hit_must_have_come_as_far(collector: Collector) -> None:
+    assert not collector.receive("w", 0, [report(1, hit=20)], 1.0)
+    assert not collector.receive("w", 0, [report(0, generations=10)], 1.0)
+    assert collector.cut is None
+
+
+def test_an_island_after_the_hit_counts_to_the_slice_before_and_need_not_have_begun(collector: Collector) -> None:
+    fill(collector, 0, report(0, count=100), report(1, count=300))
+    assert collector.receive("w", 1, [report(0, hit=10, count=1100)], 2.0)
+    assert collector.cut is not None
+    assert (collector.cut.generation, collector.cut.evaluations["offspring"]) == (110, 110 + 300)
+
+
+def test_in_the_first_epoch_groups_of_islands_count_one_after_the_other() -> None:
+    limits = Limits(3, 50, 5, COURSE.model_copy(update={"joining": 1}))
+    collector = Collector("x", limits, best_error)
+    collector.receive("w", 0, [report(1, hit=20)], 1.0)
+    assert collector.cut is None
+    collector.receive("w", 0, [report(0)], 2.0)
+    assert collector.cut is not None
+    assert collector.cut.evaluations["offspring"] == 10 + 2
+
+
+def test_an_island_of_which_nothing_counts_keeps_its_former_counters(collector: Collector) -> None:
+    fill(collector, 0, report(0, count=100), report(1, count=300))
+    fill(collector, 1, report(0, hit=10, count=1100), report(1, count=400))
+    assert collector.cut is not None
+    assert collector.cut.evaluations["offspring"] == 110 + 300
+
+
+def test_a_report_given_up_at_a_hit_waits_for_the_report_of_that_hit(collector: Collector) -> None:
+    assert not collector.receive("w0", 0, [report(0, generations=20)], 1.0)
+    assert collector.progress.epochs == 0
+    assert collector.receive("w1", 0, [report(1, hit=20)], 2.0)
+    assert collector.cut is not None
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [(report(0, hit=20), report(0, generations=50)), (report(0, generations=50), report(0, hit=20))],
+)
+def test_who_went_beyond_a_hit_contradicts_who_met_it(
+    collector: Collector, first: IslandReport, second: IslandReport
+) -> None:
+    collector.receive("first", 0, [first], 1.0)
+    with pytest.raises(DivergedError, match=r"first and second"):
+        collector.receive("second", 0, [second], 2.0)
+
+
+def test_states_of_different_generations_are_not_compared(collector: Collector) -> None:
+    collector.receive("first", 0, [report(0, generations=40)], 1.0)
+    collector.receive("second", 0, [report(0, generations=60, digest="cd" * 16)], 2.0)
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        report(0, generations=40).model_copy(update={"generations": 50}),
+        report(0).model_copy(update={"tallies": ()}),
+        report(0, hit=20).model_copy(update={"hit": HitStatement(generation=10, error=0.0)}),
+        report(0, hit=20).model_copy(update={"hit": HitStatement(generation=17, error=0.0), "generations": 17}),
+        report(0, generations=110),
+    ],
+)
+def test_a_report_without_the_counters_of_its_slices_is_refused(collector: Collector, broken: IslandReport) -> None:
+    with pytest.raises(RemoteProtocolError, match="slices missing"):
+        collector.receive("w", 0, [broken], 1.0)
+
+
 def test_a_later_epoch_is_not_looked_at_once_there_is_a_cut(collector: Collector) -> None:
     fill(collector, 1, report(0, error=0.1), report(1))
-    fill(collector, 0, report(0, hit=5), report(1))
+    fill(collector, 0, report(0, hit=50), report(1))
     assert collector.cut is not None
     assert collector.cut.epochs == 1
     assert [entry.error for entry in collector.cut.entries()] == [1.0]
@@ -139,7 +252,7 @@ def test_a_search_that_finds_nothing_at_all_stagnates(collector: Collector) -> N
 
 
 def test_the_last_epoch_ends_the_search() -> None:
-    collector = Collector("x", Limits(islands=1, epochs=2, stagnation=100, generations=100), best_error)
+    collector = Collector("x", Limits(islands=1, epochs=2, stagnation=100, course=COURSE), best_error)
     fill(collector, 0, report(0))
     fill(collector, 1, report(0))
     assert collector.cut is not None
@@ -147,8 +260,8 @@ def test_the_last_epoch_ends_the_search() -> None:
 
 
 def test_the_target_comes_before_stagnation_and_stagnation_before_the_last_epoch() -> None:
-    for hit, why in ((7, "target"), (None, "stagnation")):
-        collector = Collector("x", Limits(islands=1, epochs=2, stagnation=1, generations=100), best_error)
+    for hit, why in ((70, "target"), (None, "stagnation")):
+        collector = Collector("x", Limits(islands=1, epochs=2, stagnation=1, course=COURSE), best_error)
         fill(collector, 0, report(0))
         fill(collector, 1, report(0, hit=hit))
         assert collector.cut is not None
@@ -182,7 +295,7 @@ def test_cancelling_does_not_wait(collector: Collector) -> None:
 @given(st.permutations(list(itertools.product(range(4), range(2)))), st.lists(st.integers(0, 7), max_size=5))
 def test_the_order_of_arrival_and_repetitions_do_not_matter(order: list[tuple[int, int]], repeated: list[int]) -> None:
     def cut_of(keys: list[tuple[int, int]]) -> object:
-        collector = Collector("x", Limits(islands=2, epochs=4, stagnation=9, generations=100), best_error)
+        collector = Collector("x", Limits(islands=2, epochs=4, stagnation=9, course=COURSE), best_error)
         for epoch, island in keys:
             error = 1.0 / (1 + epoch + 3 * island)
             collector.receive("w", epoch, [report(island, error=error, count=epoch + island)], 1.0)

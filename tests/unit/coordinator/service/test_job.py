@@ -6,10 +6,19 @@ import pytest
 from common.config import BudgetConfig, EvolutionConfig, JobConfig
 from common.dataset import Dataset, Target
 from common.errors import LocalProtocolError, RemoteProtocolError
-from common.wire.messages import Addition, EpochReport, Holding, IslandReport, Placement
+from common.wire.messages import Addition, EpochReport, Holding, IslandReport, Placement, Tally
 from common.wire.views import FINAL_STATES
 from coordinator.service.cut import Cut
-from coordinator.service.job import JOB_TRANSITIONS, Conclude, Job, KeepCut, Prepared, TellCommit, check_program
+from coordinator.service.job import (
+    JOB_TRANSITIONS,
+    Conclude,
+    Job,
+    KeepCut,
+    Prepared,
+    TellCommit,
+    check_program,
+    course_of,
+)
 
 VALUES = np.linspace(0.0, 1.0, 30)
 DATASET = Dataset(
@@ -40,6 +49,7 @@ def running(**budget: object) -> Job:
                 workers=("w0", "w1"),
                 epochs=archipelago.collector.limits.epochs,
                 interval=16,
+                course=course_of(job.config),
             ),
             0.0,
         )
@@ -55,7 +65,7 @@ def report(island: int, epoch: int, variable: str = "x", term: int = 2, program:
         generations=100,
         hit=None,
         additions=(addition,),
-        evaluations={"offspring": 10},
+        tallies=tuple(Tally(generation=end, evaluations={"offspring": 10}) for end in range(10, 101, 10)),
         best_error=0.5,
         digest=f"{epoch:032x}",
     )

@@ -4,11 +4,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from common.slices import Course
 from common.wire.messages import Hello, Placement, WorkerStatus
 from coordinator.service.archipelago import Archipelago
 from coordinator.service.collector import Limits
 from coordinator.service.membership import ABSENCE_S, Membership
 from coordinator.service.placement import EXPECT_S, REPLACE_WITHIN_S, Placer, spread
+
+COURSE = Course(generations=100, stride=10, joining=8)
 
 NAMES = st.lists(st.text("abc", min_size=1), min_size=1, unique=True)
 
@@ -48,10 +51,12 @@ def join(membership: Membership, name: str) -> None:
 
 
 def archipelago(*workers: str, islands: int = 4) -> Archipelago:
-    limits = Limits(islands=islands, epochs=10, stagnation=5, generations=100)
+    limits = Limits(islands=islands, epochs=10, stagnation=5, course=COURSE)
     made = Archipelago("job", "x", limits, lambda front: 0.0, lambda program: None)
     if workers:
-        placement = Placement(incarnation=1, term=1, job="job", variable="x", workers=workers, epochs=10, interval=16)
+        placement = Placement(
+            incarnation=1, term=1, job="job", variable="x", workers=workers, epochs=10, interval=16, course=COURSE
+        )
         made.place(placement, 0.0)
     return made
 

@@ -205,6 +205,28 @@ def test_evaluations_are_cumulative_and_the_coevolution_s_share_stays_small():
     assert 0 < spent["coevolution"] <= 0.05 * sum(spent.values()) + one_renewal
 
 
+def test_tallies_are_the_evaluations_at_the_end_of_every_slice():
+    config = config_of(generations=25)
+    island = Island(problem_of(), config, 0)
+    spent = {}
+    for _ in range(3):
+        island.advance(10)
+        spent[island.generation] = dict(island.outcome().evaluations)
+    assert island.outcome().tallies == spent
+    assert list(spent) == [10, 20, 25]
+    assert sum(spent[10].values()) < sum(spent[20].values()) < sum(spent[25].values())
+
+
+def test_an_epoch_that_is_given_up_can_be_reported():
+    whole, part = (Island(problem_of(), config_of(), 0) for _ in range(2))
+    advance(whole)
+    part.advance(10)
+    given_up, outcome = part.outcome(), whole.outcome()
+    assert (given_up.generations, given_up.hit) == (10, None)
+    assert given_up.additions == tuple(entry for entry in outcome.additions if entry.generation <= 10)
+    assert given_up.tallies[10] == outcome.tallies[10]
+
+
 def test_few_rows_switch_predictors_off():
     outcome = run(problem=problem_of(rows=16)).outcomes[0]
     assert outcome.evaluations["coevolution"] == 0

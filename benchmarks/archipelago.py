@@ -1,0 +1,94 @@
+"""All islands of one equation in this process, advanced in small strides: for benchmarks that count every evaluation.
+
+No bus and no coordinator; what is found is the same function of the seed as in a service, since an island does not
+know who advances it.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from common.config import PRESETS, JobConfig, Preset
+from common.dataset import FloatArray, Problem, Target
+from common.pareto import FrontEntry
+from island_worker.evolution.island import Island, senders
+
+TERMINALS: Final = 7
+SAMPLE: Final = 16
+"""Rows of a predictor for targets without noise, as a coordinator resolves it."""
+
+VARIABLE: Final = "x"
+TARGET: Final = "y"
+
+
+def problem_of(x: FloatArray, values: FloatArray) -> Problem:
+    """Return the regression problem of `values` (R,) on the one variable `x` (R,), exact to the last digit."""
+    target = Target(TARGET, TARGET, np.ascontiguousarray(values), 0.0, float(values.std()) or 1.0)
+    return Problem((VARIABLE,), np.ascontiguousarray(x[np.newaxis, :]), target)
+
+
+def configured(preset: Preset, seed: int, operators: Sequence[str], target_error: float, **evolution: Any) -> JobConfig:
+    """Return a preset for one variable without noise, resolved; `evolution` replaces fields of its evolution."""
+    config = PRESETS[preset]
+    changes: dict[str, Mapping[str, Any]] = {
+        "space": {"operators": tuple(operators), "terminals": config.space.terminals or TERMINALS},
+        "predictors": {"rows": config.predictors.rows or SAMPLE},
+        "budget": {"target_error": target_error},
+        "evolution": evolution,
+    }
+    update = {name: getattr(config, name).model_copy(update=fields) for name, fields in changes.items()}
+    return config.model_copy(update={"seed": seed, **update})
+
+
+@dataclass(frozen=True)
+class Stride:
+    """What came of advancing one island a little.
+
+    `evaluations` are the point evaluations of all islands so far, `generations` those of the island that advanced,
+    `additions` what has improved its front since its last stride.
+    """
+
+    evaluations: int
+    generations: int
+    additions: tuple[FrontEntry, ...]
+
+
+class Archipelago:
+    """The islands of one equation, which take turns."""
+
+    def __init__(self, problem: Problem, config: JobConfig) -> None:
+        self.islands = [Island(problem, config, number) for number in range(config.evolution.islands)]
+        self._config = config
+        self._variable = problem.target.variable
+        self._evaluations = [0] * len(self.islands)
+        self._past = 0
+
+    def strides(self, generations: int) -> Iterator[Stride]:
+        """Advance every island in turn by `generations`, without end, and yield after each turn.
+
+        After an epoch the solutions are reshuffled. An island that met the target waits for the end of the epoch.
+        """
+        while True:
+            yield from self._epoch(generations)
+            self._reshuffle()
+
+    def _epoch(self, generations: int) -> Iterator[Stride]:
+        seen = [0] * len(self.islands)
+        busy = list(range(len(self.islands)))
+        while busy:
+            for number in tuple(busy):
+                if self.islands[number].advance(generations):
+                    busy.remove(number)
+                outcome = self.islands[number].outcome()
+                self._evaluations[number] = sum(outcome.evaluations.values())
+                additions, seen[number] = outcome.additions[seen[number] :], len(outcome.additions)
+                yield Stride(sum(self._evaluations), self._past + outcome.generations, additions)
+        self._past += self._config.migration.generations
+
+    def _reshuffle(self) -> None:
+        sent = [island.emigrants() for island in self.islands]
+        for number, island in enumerate(self.islands):
+            sources = senders(self._config, self._variable, island.epoch, number) | {number}
+            island.immigrate({source: sent[source][number] for source in sources if number in sent[source]})

@@ -1,0 +1,143 @@
+"""What is under way on a worker, slice by slice: the compute thread's order of work. Pure; time comes from a clock.
+
+Islands take turns of one slice: first the job charged least, then the slice that counts first (`common.slices`). When
+the target is met, what is no longer needed is given up at once, and what has come far enough is reported.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Protocol
+
+from common.errors import RemoteProtocolError
+from common.slices import Course, Position
+from island_worker.events import Abandoned, Broken, Computed, Outcome, Rejected, ShareKey, Task, TaskKey
+
+
+class Work(Protocol):
+    """One island's epoch under way."""
+
+    @property
+    def generation(self) -> int:
+        """Generations of the epoch that have passed."""
+
+    def advance(self) -> bool:
+        """Compute one slice, or part of a long one; return True when the epoch is over or the target was met.
+
+        Nothing was met before the end of a slice.
+        """
+
+    def computed(self) -> Computed:
+        """Return what came of it so far."""
+
+
+Begin = Callable[[Task], Work]
+"""Begins an island's epoch; raises RemoteProtocolError when the immigrants are malformed."""
+
+
+@dataclass(slots=True)
+class _Open:
+    """A task; `work` is None before its first turn."""
+
+    task: Task
+    work: Work | None = None
+
+    @property
+    def generation(self) -> int:
+        return self.work.generation if self.work is not None else 0
+
+
+class Agenda:
+    """The tasks of one worker that are not done yet."""
+
+    def __init__(self, begin: Begin, clock: Callable[[], float]) -> None:
+        """`clock` gives seconds, by which jobs are charged for their turns."""
+        self._begin = begin
+        self._clock = clock
+        self._open: dict[TaskKey, _Open] = {}
+        self._hits: dict[ShareKey, Position] = {}
+        self._charged: dict[str, float] = {}
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether there is nothing to compute."""
+        return not self._open
+
+    def add(self, task: Task) -> list[Outcome]:
+        """Take in a task; return that it is given up when it is not needed."""
+        job = task.key.job
+        if job not in self._charged:
+            self._charged[job] = min(self._charged.values(), default=0.0)
+        self._open[task.key] = _Open(task)
+        return self._settle([task.key])
+
+    def stop_at(self, share: ShareKey, hit: Position, course: Course) -> list[Outcome]:
+        """Note that the target was met; return what came of the tasks of which no more is needed."""
+        self._hits[share] = min(hit, self._hits.get(share, hit), key=course.rank)
+        return self._settle([key for key in self._open if key.share == share])
+
+    def turn(self) -> list[Outcome]:
+        """Compute one slice of the task whose turn it is; return what came of the tasks that are done by it."""
+        key = min(self._open, key=self._rank)
+        opened = self._open[key]
+        began = self._clock()
+        try:
+            outcome = self._advance(opened)
+        except RemoteProtocolError as error:
+            outcome = Rejected(key, str(error))
+        except Exception as error:  # it is the job that fails, not the worker
+            outcome = Broken(key, f"island {key.island} of {key.variable} broke in epoch {key.epoch}: {brief(error)}")
+        self._charged[key.job] += self._clock() - began
+        if outcome is None:
+            return self._settle([key])
+        del self._open[key]
+        return [outcome, *self._stop_others(outcome, opened.task.course)]
+
+    def discard(self, share: ShareKey) -> None:
+        """Forget the tasks of an archipelago's term."""
+        self._hits.pop(share, None)
+        for key in [key for key in self._open if key.share == share]:
+            del self._open[key]
+
+    def discard_job(self, job: str) -> None:
+        """Forget what a job was charged."""
+        self._charged.pop(job, None)
+
+    def _rank(self, key: TaskKey) -> tuple[float, int, int, int, str, str, int]:
+        opened = self._open[key]
+        at = Position(key.epoch, opened.generation, key.island)
+        epoch, group, generation, island = opened.task.course.rank(at)
+        return (self._charged.get(key.job, 0.0), epoch, group, generation, key.job, key.variable, island)
+
+    def _advance(self, opened: _Open) -> Outcome | None:
+        if opened.work is None:
+            opened.work = self._begin(opened.task)
+        return opened.work.computed() if opened.work.advance() else None
+
+    def _stop_others(self, outcome: Outcome, course: Course) -> list[Outcome]:
+        if not isinstance(outcome, Computed) or outcome.report.hit is None:
+            return []
+        key = outcome.key
+        return self.stop_at(key.share, Position(key.epoch, outcome.report.hit.generation, key.island), course)
+
+    def _settle(self, keys: Iterable[TaskKey]) -> list[Outcome]:
+        """Close those of these tasks of which no more is needed, and return what came of them."""
+        outcomes: list[Outcome] = []
+        for key in keys:
+            opened, hit = self._open[key], self._hits.get(key.share)
+            if hit is None or self._is_needed(opened, hit):
+                continue
+            del self._open[key]
+            has_begun = opened.work is not None and key.epoch == hit.epoch
+            outcomes.append(opened.work.computed() if has_begun and opened.work else Abandoned(key))
+        return outcomes
+
+    def _is_needed(self, opened: _Open, hit: Position) -> bool:
+        key = opened.task.key
+        if key.epoch != hit.epoch:
+            return key.epoch < hit.epoch
+        return opened.generation < opened.task.course.needed(hit, key.island)
+
+
+def brief(error: BaseException) -> str:
+    """Return an error's kind and words, of a length that can be shown."""
+    return f"{type(error).__name__}: {error}"[:500]

@@ -1,0 +1,132 @@
+"""The cut against its definition: all islands computed in full, and then picked out what counts."""
+
+import hashlib
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from common.pareto import FrontEntry, merge
+from common.slices import Course, Position
+from common.wire.faults import Plan
+from common.wire.messages import IslandReport
+from coordinator.service.job import course_of
+from island_worker.events import Task, TaskKey
+from tests.simulation.stub import Shuffle, StubIsland, StubWork, hits_of, parse_slots
+from tests.simulation.world import World
+
+SEEDS = range(10)
+EPOCHS = 4
+
+
+@pytest.fixture(autouse=True)
+def early_hits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.simulation.stub.HIT_EPOCHS", EPOCHS - 1)
+
+
+def config(seed: int, joining: int | None, islands: int = 5) -> JobConfig:
+    return JobConfig(
+        seed=seed,
+        evolution=EvolutionConfig(islands=islands),
+        migration=MigrationConfig(joining=joining),
+        budget=BudgetConfig(max_epochs=EPOCHS, stagnation=1000),
+    )
+
+
+def reports_of(config: JobConfig, variable: str, epochs: int) -> Iterator[list[IslandReport]]:
+    """Yield for each epoch the reports of all islands, every one computed to the epoch's end or to its hit."""
+    course, islands = course_of(config), config.evolution.islands
+    seeds = (f"{config.seed}/{variable}/{island}".encode() for island in range(islands))
+    states = [StubIsland(hashlib.sha256(seed).digest()) for seed in seeds]
+    for epoch in range(epochs):
+        works = [
+            StubWork(Task(TaskKey("job", variable, 1, island, epoch), None, False, course), state, config)
+            for island, state in enumerate(states)
+        ]
+        for work in works:
+            while not work.advance():
+                pass
+        yield [work.computed().report for work in works]
+        shuffle = Shuffle.of(config, variable, epoch)
+        sent = [shuffle.blocks_from(island, state.state) for island, state in enumerate(states)]
+        for island, state in enumerate(states):
+            slots = parse_slots({source: blocks[island] for source, blocks in enumerate(sent) if island in blocks})
+            state.stir(*(slots[slot] for slot in sorted(slots)))
+
+
+def first_hit(config: JobConfig, variable: str) -> Position | None:
+    reachable = (hit for hit in hits_of(config, variable) if hit.epoch < EPOCHS)
+    return min(reachable, key=course_of(config).rank, default=None)
+
+
+def counted(course: Course, at: Position, hit: Position | None) -> bool:
+    return hit is None or course.rank(at) <= course.rank(hit)
+
+
+def definition(config: JobConfig, variable: str) -> dict[str, Any]:
+    """Return what the result must say of one equation."""
+    hit, course = first_hit(config, variable), course_of(config)
+    epochs = EPOCHS if hit is None else hit.epoch + 1
+    evaluations: dict[int, dict[str, int]] = {}
+    found: list[FrontEntry] = []
+    for epoch, reports in enumerate(reports_of(config, variable, epochs)):
+        for each in reports:
+            for tally in each.tallies:
+                if counted(course, Position(epoch, tally.generation, each.island), hit):
+                    evaluations[each.island] = dict(tally.evaluations)
+            found += [
+                FrontEntry(one.complexity, one.error, one.mse, epoch, one.generation, each.island, one.program)
+                for one in each.additions
+                if counted(course, Position(epoch, one.generation, each.island), hit)
+            ]
+    return {
+        "epoch": epochs,
+        "generation": None if hit is None else 100 * hit.epoch + hit.generation,
+        "points": sum(sum(each.values()) for each in evaluations.values()),
+        "errors": [entry.error for entry in merge((), found)],
+    }
+
+
+def answered(result: dict[str, Any], variable: str) -> dict[str, Any]:
+    (equation,) = (each for each in result["equations"] if each["variable"] == variable)
+    return {
+        "epoch": equation["epoch"],
+        "generation": equation["generation"] if equation["why"] == "target" else None,
+        "points": equation["point_evaluations"],
+        "errors": [member["error"] for member in equation["front"]],
+    }
+
+
+@pytest.mark.parametrize("joining", [None, 2])
+def test_the_answer_is_what_the_definition_says(joining: int | None) -> None:
+    for seed in SEEDS:
+        ours = config(seed, joining)
+        worlds = [World(workers=1, seed=seed), World(workers=3, seed=seed, plan=Plan(drop=0.05, late=0.1))]
+        answers = [world.run(ours) for world in worlds]
+        for variable in ("x", "y"):
+            expected = definition(ours, variable)
+            assert [answered(each, variable) for each in answers] == [expected] * 2, (seed, variable)
+        assert answers[0]["digest"] == answers[1]["digest"]
+
+
+def test_one_worker_computes_nothing_beyond_the_cut() -> None:
+    for seed in SEEDS:
+        world, ours = World(workers=1, seed=seed), config(seed, 2)
+        world.run(ours, "x")
+        hit, course = first_hit(ours, "x"), course_of(ours)
+        ends = [
+            Position(epoch, tally.generation, each.island)
+            for epoch, reports in enumerate(reports_of(ours, "x", EPOCHS if hit is None else hit.epoch + 1))
+            for each in reports
+            for tally in each.tallies
+        ]
+        assert world.computes["w0"].turns == sum(counted(course, at, hit) for at in ends)
+
+
+def test_hits_come_early_late_several_at_once_and_never() -> None:
+    """The seeds above tell something."""
+    hits = [hits_of(config(seed, None), variable) for seed in SEEDS for variable in ("x", "y")]
+    assert any(not each for each in hits)
+    assert any(len(each) > 1 for each in hits)
+    assert {0, 1} <= {min(at.epoch for at in each) for each in hits if each}
