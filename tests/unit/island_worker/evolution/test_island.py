@@ -72,6 +72,16 @@ def test_it_does_not_matter_in_how_many_steps_an_epoch_is_done(stride):
     assert run(stride=stride) == run(stride=10)
 
 
+@pytest.mark.parametrize("stride", [1, 10])
+def test_islands_that_take_turns_within_an_epoch_know_nothing_of_each_other(stride):
+    """They share scratch arrays, in which nothing may be left that another's next generations depend on."""
+    islands = [Island(PROBLEM, CONFIG, number) for number in range(2)]
+    waiting = list(islands)
+    while waiting:
+        waiting = [island for island in waiting if not island.advance(stride)]
+    assert [island.outcome() for island in islands] == list(run(epochs=1).outcomes)
+
+
 @pytest.mark.parametrize("generations", [10, 25, 33])
 def test_offers_are_made_at_intervals_and_at_the_epoch_s_end(generations):
     outcome = run(config_of(generations=generations)).outcomes[0]
