@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from common.expression.kernels import functions_address
 from island_worker.evolution.kernels_coevolution import (
     begin_coevolution,
     evolve,
@@ -20,14 +21,14 @@ from island_worker.evolution.kernels_coevolution import (
     use_best_predictor,
 )
 from island_worker.evolution.kernels_generation import COEVOLUTION, PARTS
+from island_worker.evolution.kernels_rows import padded_rows
 from island_worker.evolution.structures import (
     Coevolution,
     Coevolving,
     Fit,
-    Rows,
     empty_lists,
+    empty_rows,
     empty_scratch,
-    padded_rows,
 )
 from tests.oracles import coevolution as oracle
 from tests.oracles import variation
@@ -46,7 +47,7 @@ class Arena:
         random = np.random.default_rng(seed)
         self.options, self.random = options, random
         self.every = padded_rows(random.uniform(-1.0, 1.0, (2, rows)), random.normal(size=rows))
-        self.rows = Rows(np.zeros((2, 16)), np.zeros(16), SAMPLE)
+        self.rows = empty_rows(2, SAMPLE, 0)
         self.lists = random_lists(POPULATION, SPACE, seed)
         self.fitness = np.full(POPULATION, np.inf)
         self.scratch = empty_scratch(POPULATION, SPACE.nodes, 2, SAMPLE, rows)
@@ -189,10 +190,10 @@ def test_renewal_replaces_the_oldest_trainer_in_turn_with_its_whole_scaling():
 def test_gathered_rows_are_those_named_and_the_last_pads():
     arena = Arena()
     index = np.array([5, 69, 5, 0, 1, 2, 3, 4])
-    gather(arena.rows, arena.every, index)
+    gather(arena.rows, arena.every, index, functions_address())
     padded = np.append(index, np.full(8, 4))
     np.testing.assert_array_equal(arena.rows.inputs, arena.every.inputs[:, padded])
-    np.testing.assert_array_equal(arena.rows.target, arena.every.target[padded])
+    np.testing.assert_array_equal(arena.rows.target, arena.every.target[:, padded])
 
 
 @pytest.mark.parametrize("options", [PLAIN, FITTED])

@@ -12,11 +12,12 @@ from island_worker.evolution.kernels_generation import (
     REEVALUATION,
     develop,
     generation,
-    output_of,
     remeasure,
+    residual_of_list,
 )
+from island_worker.evolution.kernels_rows import padded_rows
 from island_worker.evolution.kernels_variation import cross, mutate
-from island_worker.evolution.structures import Fit, empty_lists, empty_scratch, padded_rows
+from island_worker.evolution.structures import Fit, empty_lists, empty_scratch
 from tests.oracles import fitting
 from tests.oracles import variation as oracle
 from tests.oracles.spaces import random_lists, space_of, stream_of
@@ -53,8 +54,8 @@ class Arena:
         generation(self.lists, self.fitness, SPACE, self.options, self.rows, self.scratch, self.stream, self.counters)
 
     def output(self, p):
-        output_of(self.lists, p, self.rows, self.options, self.scratch.tape, self.scratch.work)
-        return self.scratch.work.output[:ROWS].copy()
+        residual_of_list(self.lists, p, self.rows, self.options, self.scratch.tape, self.scratch.work)
+        return self.rows.target[0, :ROWS] - self.scratch.work.residual[0, :ROWS]
 
     def members(self):
         return [oracle.Member(oracle.nodes_of(self.lists, p), float(self.fitness[p])) for p in range(POPULATION)]
@@ -67,14 +68,14 @@ def test_fitness_is_the_error_of_the_individual_as_it_stands(options):
     for _ in range(5):
         arena.generation()
     for p in np.flatnonzero(np.isfinite(arena.fitness)):
-        expected = fitting.errors(arena.output(p), arena.rows.target[:ROWS])[0]
+        expected = fitting.errors(arena.output(p), arena.rows.target[0, :ROWS])[0]
         assert arena.fitness[p] == pytest.approx(expected, rel=1e-12)
 
 
 def test_squared_errors_are_the_fitness_where_that_is_the_loss():
     arena = Arena(Fit(4, 3, 2, 1))
     for p in np.flatnonzero(np.isfinite(arena.fitness)):
-        expected = fitting.errors(arena.output(p), arena.rows.target[:ROWS])[1]
+        expected = fitting.errors(arena.output(p), arena.rows.target[0, :ROWS])[1]
         assert arena.fitness[p] == pytest.approx(expected, rel=1e-11)
 
 
