@@ -63,7 +63,7 @@ def run_small_epochs() -> None:
             **{name: getattr(preset, name) for name in JobConfig.model_fields},
             "space": preset.space.model_copy(update={"terminals": 7}),
             "evolution": preset.evolution.model_copy(update={"islands": 1, "population": 16}),
-            "predictors": preset.predictors.model_copy(update={"rows": 16}),
+            "predictors": preset.predictors.model_copy(update={"rows": 16, "renewal": 2, "effort": 0.5}),
             "migration": MigrationConfig(generations=20),
             "budget": BudgetConfig(target_error=1e-300),
         }

@@ -310,54 +310,40 @@ def fit(
     reset_scale(scale)
     room = max(most - (number if is_linear else _ZERO) - 1, options.least)
     fitted = choose_fitted(tape, count, number, room if steps > 0 else _ZERO, work)
-    measure_tape(tape, count, rows, is_linear, False, work, scale, result)
-    evaluations = rows.length
-    work.settled[0] = fitted == 0 or not np.isfinite(result[1])
-    if work.settled[0] or result[options.loss] > ceiling:
-        return evaluations
-    return evaluations + _descend(tape, count, fitted, rows, is_linear, steps, work, scale, result)
-
-
-@inlined
-def _descend(
-    tape: Tape, count: Int, fitted: Int, rows: Rows, is_linear: bool, steps: Int, work: Work, scale: Floats,
-    result: Floats,
-) -> Int:  # fmt: skip
-    """Take at most `steps` steps from where `fit` has measured the tape; return point evaluations."""
-    damping = _FIRST_DAMPING
-    is_fresh = True
     evaluations = _ZERO
-    for _ in range(steps):
-        if result[1] <= _EXACT * rows.facts[1]:
-            work.settled[0] = True
-            break
-        if is_fresh:
-            _normal_equations(tape, count, fitted, is_linear, rows, scale, work)
-            evaluations += 2 * rows.length
-        if not _solve(fitted, damping, work):
-            is_fresh = False
-            damping *= 10.0
-            continue
-        for j in range(fitted):
-            work.kept[j] = tape.constants[work.fitted[j]]
-            tape.constants[work.fitted[j]] += work.step[j]
-        _keep_into(work.kept_scale, scale)
-        measure_tape(tape, count, rows, is_linear, True, work, scale, work.trial)
+    damping = _FIRST_DAMPING
+    left = steps
+    partly = False
+    while True:
+        measure_tape(tape, count, rows, is_linear, partly, work, scale, work.trial)
         evaluations += rows.length
-        is_fresh = work.trial[1] < result[1]
-        if is_fresh:
-            gain = 1.0 - work.trial[1] / result[1]
-            damping *= 0.1
+        if not partly or work.trial[1] < result[1]:
+            is_stalled = partly and 1.0 - work.trial[1] / result[1] < _STALLED
             result[0] = work.trial[0]
             result[1] = work.trial[1]
-            if gain < _STALLED:
-                work.settled[0] = True
+            _keep_into(work.kept_scale, scale)
+            is_exact = result[1] <= _EXACT * rows.facts[1]
+            work.settled[0] = fitted == 0 or is_exact or is_stalled or not np.isfinite(result[1])
+            if work.settled[0] or left == 0 or (not partly and result[options.loss] > ceiling):
                 break
+            _normal_equations(tape, count, fitted, is_linear, rows, scale, work)
+            evaluations += 2 * rows.length
+            damping *= 0.1 if partly else 1.0
         else:
-            damping *= 10.0
             _keep_into(scale, work.kept_scale)
             for j in range(fitted):
                 tape.constants[work.fitted[j]] = work.kept[j]
+            damping *= 10.0
+        while left > 0 and not _solve(fitted, damping, work):
+            damping *= 10.0
+            left -= 1
+        if left == 0:
+            break
+        left -= 1
+        partly = True
+        for j in range(fitted):
+            work.kept[j] = tape.constants[work.fitted[j]]
+            tape.constants[work.fitted[j]] += work.step[j]
     return evaluations
 
 

@@ -86,6 +86,7 @@ class Setting:
             born=np.zeros(trainers, np.int64),
             best=np.zeros(1, np.int64),
             clock=np.zeros(1, np.int64),
+            due=np.zeros(2, np.bool_),
         )
 
 

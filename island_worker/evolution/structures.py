@@ -157,6 +157,8 @@ class Coevolution(NamedTuple):
     """(1,) index of the predictor that measures the solutions now."""
     clock: Ints
     """(1,) predictor generations so far."""
+    due: Booleans
+    """(2,) whether a trainer is to be renewed now, and whether the best predictor has changed."""
 
 
 class Coevolving(NamedTuple):
