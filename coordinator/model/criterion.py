@@ -1,6 +1,6 @@
 """What a model costs: the nats it takes to say the data with it, and to say the model (Rissanen 1978).
 
-    misfit + size ln 8 + length of each constant
+    misfit + size ln 8 + 1 for each further use of a node + length of each constant
 
 The misfit is minus the log-likelihood of independent Gaussian errors, up to a constant: their variance is fitted, but
 never taken below the square of the target's uncertainty. With v = max(MSE, floor^2): n/2 (ln v + MSE/v - 1).
@@ -13,15 +13,24 @@ from typing import Final
 import numpy as np
 
 from common.dataset import FloatArray, Target
+from common.expression.operators import ARITY
+from common.expression.program import Program
 from coordinator.model.numbers import fitted_length
 from coordinator.model.polish import Fitted
 from coordinator.model.rewrite import constant_places
 from coordinator.model.select import SMALLEST_FLOOR
 
 NODE_NATS: Final = math.log(8.0)
+USE_NATS: Final = 1.0
 _TINY: Final = 1e-290
 _RIDGE: Final = 1e-14
 _FLAT: Final = 1e-100
+
+
+def program_length(program: Program) -> float:
+    """Return the nats of a program without the values of its constants."""
+    uses = sum(ARITY[code] for code in program.operators.tolist())
+    return NODE_NATS * len(program) + USE_NATS * (uses + 1 - len(program))
 
 
 @dataclass(frozen=True)
@@ -48,8 +57,8 @@ class Criterion:
         variance = self.variance(mse)
         return 0.5 * self.rows * (math.log(variance) + mse / variance - 1.0)
 
-    def enough(self, misfit: float) -> float:
-        """Return the mean squared error of a misfit, at least the limit; the inverse of `misfit` above the limit."""
+    def mse_of(self, misfit: float) -> float:
+        """Return the mean squared error of a misfit, the inverse of `misfit`; not below twice the limit."""
         return max(math.exp(min(2.0 * misfit / self.rows, 700.0)), 2.0 * self.limit)
 
     def covariance(self, fitted: Fitted) -> FloatArray:
@@ -71,4 +80,4 @@ class Criterion:
             return math.inf
         values = fitted.program.constants[constant_places(fitted.program)].tolist()
         numbers = sum(map(fitted_length, values, self.errors(fitted)))
-        return misfit + NODE_NATS * len(fitted.program) + numbers
+        return misfit + program_length(fitted.program) + numbers

@@ -16,6 +16,9 @@ from coordinator.model.derivative import gradient_of, node_values, values_of
 from coordinator.model.rewrite import constant_places, with_constants
 
 MOST_STEPS: Final = 40
+OVERHEAD: Final = 500
+"""Rows whose evaluation takes as long as a program takes beside them."""
+
 _FIRST_DAMPING: Final = 1e-3
 _SMALLEST_DAMPING: Final = 1e-12
 _LARGEST_DAMPING: Final = 1e8
@@ -37,7 +40,7 @@ class Fitted:
 
 
 class Polisher:
-    """Fits programs to the rows of one problem and counts the point evaluations that takes."""
+    """Fits programs to the rows of one problem; `evaluations` counts the point evaluations, overhead included."""
 
     def __init__(self, problem: Problem) -> None:
         self._inputs = problem.inputs
@@ -46,17 +49,8 @@ class Polisher:
 
     def mse(self, program: Program) -> float:
         """Return the mean squared error of `program`."""
-        self.evaluations += len(self._target)
+        self.evaluations += len(self._target) + OVERHEAD
         return _mse(values_of(program, self._inputs) - self._target)
-
-    def errors(self, program: Program) -> FloatArray:
-        """Return model minus target, (R,)."""
-        self.evaluations += len(self._target)
-        return values_of(program, self._inputs) - self._target
-
-    def normal(self, program: Program) -> FloatArray:
-        """Return the matrix of the normal equations of all constants of `program`."""
-        return self._equations(program, constant_places(program), np.inf)[2]
 
     def fit(
         self, program: Program, fixed: Sequence[int] = (), enough: float = 0.0, steps: int = MOST_STEPS
@@ -96,7 +90,7 @@ class Polisher:
         values = node_values(program, self._inputs)
         with np.errstate(all="ignore"):
             errors = values[-1] - self._target
-        self.evaluations += len(errors)
+        self.evaluations += len(errors) + OVERHEAD
         mse = _mse(errors)
         if not mse <= limit or math.isinf(mse):
             return mse, np.zeros(0), np.zeros((0, 0))

@@ -1,99 +1,134 @@
-"""After the search: the front's members polished, reduced and snapped; the shortest model is the equation."""
+"""After the search: the equation that is shown, made of the front by the shortest description (ADR 0012).
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+The front stays as the search found it. What is made of it is a program with simple constants where the data cannot
+tell the difference, its errors on all rows, and the standard errors of its constants.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
-from common.dataset import Problem
+import numpy as np
+
+from common.config import JobConfig, Loss
+from common.dataset import Dataset, Problem
+from common.expression.operators import BY_NAME
 from common.expression.program import Program
-from coordinator.model.criterion import NODE_NATS, Criterion
-from coordinator.model.polish import Fitted, Polisher
-from coordinator.model.neighbours import neighbours
-from coordinator.model.rewrite import reductions, structure, tidied
-from coordinator.model.snap import Model, snapped
+from common.expression.text import PRINTABLE_SIZE, tree_size
+from common.pareto import FrontEntry
+from coordinator.model.criterion import Criterion
+from coordinator.model.derivative import values_of
+from coordinator.model.polish import Polisher
+from coordinator.model.rewrite import constant_places
+from coordinator.model.select import threshold
+from coordinator.model.shorten import Candidate, Shortening
+from coordinator.model.snap import snapped
 
-MARGIN: Final = 40.0
-MOST_MEMBERS: Final = 10
-NEARLY: Final = 6.0
-AROUND: Final = 12
+COMPARED_ROWS: Final = 2_000
+"""Structures are compared on at most so many rows, spread evenly; constants are then decided on more."""
+
+DECIDING_ROWS: Final = 100_000
+
+_ATTEMPTS: Final = 4
 
 
-class Refiner:
-    def __init__(self, problem: Problem, operators: Sequence[int] = (2, 3, 4, 5, 6, 7)) -> None:
-        self._operators = operators
-        self._variables = len(problem.names)
-        self.criterion = Criterion.of(problem.target)
-        self.polisher = Polisher(problem)
-        self._known: dict[bytes, tuple[Fitted, float]] = {}
-        self._reduced: dict[bytes, Fitted] = {}
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """The equation of one variable as it is shown; before refinement, a member of the front as it stands.
 
-    def polished(self, program: Program, enough: float = 0.0) -> Fitted:
-        key = structure(program)
-        fit, asked = self._known.get(key, (None, 0.0))
-        if fit is None or (asked > 0.0 and fit.mse > asked and not 0.0 < enough <= asked):
-            fit = self.polisher.fit(program, enough=enough, steps=25 if enough else 40)
-            self._known[key] = (fit, enough)
-        return fit
+    `member` is the index of the front member it came from; `error` is the job's loss and `mse` the mean squared error
+    on all rows; `fitted` and `std_errors` have one number for each constant of `program`, in node order: its value by
+    least squares, and the standard error of that. They are empty before refinement.
+    """
 
-    def candidates(self, programs: Sequence[Program]) -> list[Fitted]:
-        fits = {structure(p): self.polished(p) for p in map(tidied, programs)}
-        lengths = {key: self.criterion.length(fit) for key, fit in fits.items()}
-        order = sorted(fits, key=lambda key: (lengths[key], key))
-        least = lengths[order[0]]
-        return [fits[key] for key in order[:MOST_MEMBERS] if lengths[key] <= least + MARGIN]
+    member: int
+    program: Program
+    error: float
+    mse: float
+    fitted: tuple[float, ...] = ()
+    std_errors: tuple[float, ...] = ()
 
-    def reduced(self, fitted: Fitted) -> Fitted:
-        """Follow the best reduction until none is shorter."""
-        path = []
-        while True:
-            key = structure(fitted.program)
-            if key in self._reduced:
-                fitted = self._reduced[key]
-                break
-            path.append(key)
-            following = self._step(fitted)
-            if following is None:
-                break
-            fitted = following
-        for key in path:
-            self._reduced[key] = fitted
-        return fitted
 
-    def _step(self, fitted: Fitted) -> Fitted | None:
-        length = self.criterion.length(fitted)
-        best = None
-        for program in reductions(fitted.program):
-            enough = self.criterion.enough(length - NODE_NATS * len(program))
-            fit = self.polished(program, enough)
-            its = self.criterion.length(fit)
-            if its < length:
-                best, length = fit, its
-        return best
+Fronts = Mapping[str, Sequence[FrontEntry]]
+"""The front of each variable."""
 
-    def refine(self, programs: Sequence[Program], climb: bool = True) -> list[Model]:
-        ends = {structure(fit.program): fit for fit in map(self.reduced, self.candidates(programs))}
-        models = {key: snapped(fit, self.criterion, self.polisher) for key, fit in ends.items()}
-        best = min(models, key=lambda key: models[key].length)
-        while climb and ends[best].mse > self.criterion.limit:
-            for fit in self._around(ends[best]):
-                key = structure(fit.program)
-                if key not in models:
-                    ends[key] = fit
-                    models[key] = snapped(fit, self.criterion, self.polisher)
-            following = min(models, key=lambda key: models[key].length)
-            if following == best:
-                break
-            best = following
-        return sorted(models.values(), key=lambda m: m.length)
 
-    def _around(self, fitted: Fitted) -> list[Fitted]:
-        length = self.criterion.length(fitted) + NEARLY
-        found: dict[str, tuple[float, Fitted]] = {}
-        for program in neighbours(fitted.program, self._variables, self._operators):
-            fit = self.polished(program, self.criterion.enough(length - NODE_NATS * len(program)))
-            its = self.criterion.length(fit)
-            key = f"{fit.mse:.6g}"
-            if its < length and its < found.get(key, (length, fit))[0]:
-                found[key] = (its, fit)
-        best = sorted(found.values(), key=lambda each: (each[0], structure(each[1].program)))[:AROUND]
-        return list({structure(end.program): end for end in (self.reduced(fit) for _, fit in best)}.values())
+def refine_all(dataset: Dataset, config: JobConfig, fronts: Fronts) -> dict[str, Refined]:
+    """Return the refined equation of each variable; those are missing of which the front has nothing better."""
+    found = {name: refine(dataset.problem(name), config, front) for name, front in fronts.items()}
+    return {name: refined for name, refined in found.items() if refined is not None}
+
+
+def refine(problem: Problem, config: JobConfig, front: Sequence[FrontEntry]) -> Refined | None:
+    """Return the shortest model that can be made of `front`; None when that must stay as it is.
+
+    That is so when the front is empty, and when a member meets the error at which the equation counts as found, but
+    nothing shorter does. Pure. Takes about a second for a few hundred noisy rows, less for exact ones.
+    """
+    programs = [Program.from_bytes(entry.program, len(problem.names)) for entry in front]
+    enough = threshold(problem.target, config.budget.target_error) * problem.target.deviation
+    if any(entry.error <= enough for entry in front):
+        kept = [index for index, entry in enumerate(front) if entry.error <= enough]
+    else:
+        kept, enough = [*range(len(front))], math.inf
+    operators = frozenset(BY_NAME[name].code for name in config.space.operators)
+    shortening = Shortening(_spread(problem, COMPARED_ROWS), operators)
+    largest = config.space.max_size or math.inf
+    for candidate in shortening.candidates([programs[index] for index in kept])[:_ATTEMPTS]:
+        refined = _finished(problem, candidate, kept[candidate.member], config)
+        if refined.error <= enough and _may_be_shown(refined.program, largest):
+            return _as_found(refined, front, programs)
+    return None
+
+
+def _may_be_shown(program: Program, largest: float) -> bool:
+    return len(program) <= largest and tree_size(program) <= PRINTABLE_SIZE
+
+
+def _finished(problem: Problem, candidate: Candidate, member: int, config: JobConfig) -> Refined:
+    """Decide the constants on more rows where there are more; measure errors and standard errors."""
+    program = candidate.model.program
+    decisive = _spread(problem, DECIDING_ROWS)
+    criterion, polisher = Criterion.of(decisive.target), Polisher(decisive)
+    if len(problem.target.values) > COMPARED_ROWS:
+        program = snapped(polisher.fit(candidate.fitted.program), criterion, polisher).program
+    error, mse = _errors(problem, program, config.evolution.loss)
+    fitted = polisher.fit(program).program
+    std_errors = criterion.errors(polisher.fit(program, steps=0))
+    return Refined(
+        member, program, error, mse, tuple(fitted.constants[constant_places(fitted)].tolist()), tuple(std_errors)
+    )
+
+
+def _errors(problem: Problem, program: Program, loss: Loss) -> tuple[float, float]:
+    """Return loss and mean squared error on all rows, in parts that need little memory."""
+    rows = len(problem.target.values)
+    total, square = 0.0, 0.0
+    for start in range(0, rows, DECIDING_ROWS):
+        part = slice(start, start + DECIDING_ROWS)
+        errors = values_of(program, problem.inputs[:, part]) - problem.target.values[part]
+        total += float(np.sum(np.abs(errors)))
+        square += float(errors @ errors)
+    mse = square / rows
+    if not math.isfinite(mse):
+        return math.inf, math.inf
+    return (total / rows if loss == "mae" else math.sqrt(mse)), mse
+
+
+def _as_found(refined: Refined, front: Sequence[FrontEntry], programs: Sequence[Program]) -> Refined:
+    """Return `refined` with the errors that the search measured when the front has the very same program."""
+    for index, (entry, program) in enumerate(zip(front, programs, strict=True)):
+        if program == refined.program:
+            return replace(refined, member=index, error=entry.error, mse=entry.mse)
+    return refined
+
+
+def _spread(problem: Problem, most: int) -> Problem:
+    """Return the problem on at most so many rows, spread evenly over all."""
+    rows = len(problem.target.values)
+    if rows <= most:
+        return problem
+    index = np.arange(most) * rows // most
+    target = replace(problem.target, values=problem.target.values[index])
+    return Problem(problem.names, np.ascontiguousarray(problem.inputs[:, index]), target)

@@ -60,9 +60,14 @@ def reductions(program: Program) -> Iterator[Program]:
     for index in range(len(nodes) - 1, -1, -1):
         for made in _reduced_at(nodes, index):
             reduced = rebuilt(nodes, index, made)
-            if len(reduced) < len(program) and structure(reduced) not in known:
+            if _weight(reduced) < _weight(program) and structure(reduced) not in known:
                 known.add(structure(reduced))
                 yield reduced
+
+
+def _weight(program: Program) -> tuple[int, int]:
+    """Return the number of nodes and that of their uses."""
+    return len(program), sum(ARITY[code] for code in program.operators.tolist())
 
 
 def _reduced_at(nodes: list[Node], index: int) -> Iterator[list[Node]]:
@@ -79,9 +84,23 @@ def _reduced_at(nodes: list[Node], index: int) -> Iterator[list[Node]]:
         yield [(NEGATE, right, 0, 0.0)]
     if code in (ADD, SUBTRACT):
         yield from _factored(nodes, index)
-    if code == COS and nodes[left][0] == MULTIPLY:
-        for argument in nodes[left][1:3]:
-            yield [(COS, argument, 0, 0.0), (MULTIPLY, index + 1, index + 1, 0.0)]
+    if code in (SIN, COS) and ARITY[nodes[left][0]] == 2:
+        yield from _turned(code, index, nodes[left])
+
+
+def _turned(code: int, index: int, argument: Node) -> Iterator[list[Node]]:
+    """Yield what the sine or cosine of a sum or a product may be: its cofunction, its negative, or a square.
+
+    For sin(u + pi/2) = cos u, sin(u + pi) = -sin u, and cos 2u = 2 cos^2 u - 1.
+    """
+    kind, *parts, _ = argument
+    for part in parts:
+        if kind in (ADD, SUBTRACT):
+            for its in (SIN, COS):
+                yield [(its, part, 0, 0.0)]
+                yield [(its, part, 0, 0.0), (NEGATE, index + 1, 0, 0.0)]
+        elif kind == MULTIPLY and code == COS:
+            yield [(COS, part, 0, 0.0), (MULTIPLY, index + 1, index + 1, 0.0)]
 
 
 def _factored(nodes: list[Node], index: int) -> Iterator[list[Node]]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from common.dataset import FloatArray
 from common.expression.program import Program
-from coordinator.model.criterion import NODE_NATS, Criterion
+from coordinator.model.criterion import Criterion, program_length
 from coordinator.model.numbers import fitted_length, simple_numbers
 from coordinator.model.polish import Fitted, Polisher
 from coordinator.model.rewrite import constant_places, tidied, with_constants
@@ -112,13 +112,13 @@ def _measured(
 ) -> Model:
     """Return the model of a decision, its open constants fitted and its neutral ones gone."""
     values = {places[index]: number for index, number in decision.numbers}
+    prices = {number: min(simple_numbers(number, 0.0).values(), default=0.0) for number in values.values()}
     values |= {places[index]: float(mean) for index, mean in zip(decision.open, decision.means, strict=True)}
-    fixed = [places[index] for index, _ in decision.numbers]
-    refitted = polisher.fit(with_constants(program, values), fixed)
+    refitted = polisher.fit(with_constants(program, values), [places[index] for index, _ in decision.numbers])
+    opened = refitted.program.constants[[places[index] for index in decision.open]].tolist()
+    prices |= dict(zip(opened, map(fitted_length, opened, criterion.errors(refitted)), strict=True))
     shown = tidied(refitted.program)
-    numbers = sum(min(simple_numbers(number, 0.0).values(), default=0.0) for _, number in decision.numbers)
-    errors = criterion.errors(refitted) if decision.open else []
-    opened = [float(refitted.program.constants[places[index]]) for index in decision.open]
-    numbers += sum(map(fitted_length, opened, errors))
     mse = polisher.mse(shown)
-    return Model(shown, criterion.misfit(mse) + NODE_NATS * len(shown) + numbers, mse)
+    remaining = set(np.abs(shown.constants[constant_places(shown)]).tolist())
+    numbers = sum(price for number, price in prices.items() if abs(number) in remaining)
+    return Model(shown, criterion.misfit(mse) + program_length(shown) + numbers, mse)
