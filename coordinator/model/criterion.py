@@ -29,7 +29,8 @@ _FLAT: Final = 1e-100
 
 def program_length(program: Program) -> float:
     """Return the nats of a program without the values of its constants."""
-    uses = sum(ARITY[code] for code in program.operators.tolist())
+    codes: list[int] = program.operators.tolist()
+    uses = sum(ARITY[code] for code in codes)
     return NODE_NATS * len(program) + USE_NATS * (uses + 1 - len(program))
 
 
@@ -71,7 +72,8 @@ class Criterion:
 
     def errors(self, fitted: Fitted) -> list[float]:
         """Return the standard errors of the constants that were fitted, all of the program's in node order."""
-        return np.sqrt(np.maximum(np.diag(self.covariance(fitted)), 0.0)).tolist()
+        variances: list[float] = np.diag(self.covariance(fitted)).tolist()
+        return [math.sqrt(max(variance, 0.0)) for variance in variances]
 
     def length(self, fitted: Fitted) -> float:
         """Return the nats of a model all of whose constants were fitted."""

@@ -52,9 +52,7 @@ class Polisher:
         self.evaluations += len(self._target) + OVERHEAD
         return _mse(values_of(program, self._inputs) - self._target)
 
-    def fit(
-        self, program: Program, fixed: Sequence[int] = (), enough: float = 0.0, steps: int = MOST_STEPS
-    ) -> Fitted:
+    def fit(self, program: Program, fixed: Sequence[int] = (), enough: float = 0.0, steps: int = MOST_STEPS) -> Fitted:
         """Return `program` with its constants fitted.
 
         Args:

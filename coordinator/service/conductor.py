@@ -130,9 +130,7 @@ class Conductor:
         self._carry_out(job, actions, now)
         self.place(now)
 
-    def refined(
-        self, job_id: str, refined: Mapping[str, Refined], now: float, warnings: tuple[str, ...] = ()
-    ) -> None:
+    def refined(self, job_id: str, refined: Mapping[str, Refined], now: float, warnings: tuple[str, ...] = ()) -> None:
         """Take in the equations made of a job's fronts: it is done. Sentences say what could not be made."""
         job = self.jobs.get(job_id)
         if job is not None:

@@ -38,9 +38,7 @@ def result_text(result: dict[str, Any]) -> str:
 
 def outcomes_of(job: Job) -> list[VariableOutcome]:
     """Return how the searches of a job stand or ended, with what refinement has made of them."""
-    return [
-        replace(outcome_of(each), refined=job.refined.get(each.variable)) for each in job.archipelagos.values()
-    ]
+    return [replace(outcome_of(each), refined=job.refined.get(each.variable)) for each in job.archipelagos.values()]
 
 
 def outcome_of(archipelago: Archipelago) -> VariableOutcome:

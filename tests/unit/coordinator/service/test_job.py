@@ -216,7 +216,7 @@ def test_cuts_that_were_committed_before_a_restart_stand() -> None:
     other = job_with()
     other.prepare()
     both = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
-    assert other.begin(Prepared(DATASET, job.config, BLOB, 100), both) == [Conclude()]
+    assert other.begin(Prepared(DATASET, job.config, BLOB, 100), both) == [Refine({"x": (), "y": ()})]
 
 
 def test_impossible_steps_are_our_bug() -> None:
