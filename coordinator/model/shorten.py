@@ -26,7 +26,7 @@ NEARLY: Final = 6.0
 
 MOST_MEMBERS: Final = 10
 MOST_NEIGHBOURS: Final = 12
-MOST_EVALUATIONS: Final = 20_000_000
+MOST_EVALUATIONS: Final = 12_000_000
 """Point evaluations after which no new program is tried; those of a fit count with what it costs beside them."""
 
 _STEPS: Final = 40
