@@ -5,7 +5,7 @@ from typing import Final
 
 from common.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
 from common.expression.program import Program
-from coordinator.model.rewrite import FRESH, Node, nodes_of, rebuilt, structure
+from coordinator.model.rewrite import FRESH, Node, nodes_of, rebuilt, structure, turned
 
 _NEAR_ONE: Final = 1.001
 _NEAR_ZERO: Final = 0.001
@@ -43,6 +43,8 @@ def _exchanged(nodes: list[Node], index: int, variables: int) -> Iterator[list[N
         yield [(_EXCHANGED[code], left, right, 0.0)]
     if code in (SUBTRACT, DIVIDE):
         yield [(code, right, left, 0.0)]
+    if code in (SIN, COS) and ARITY[nodes[left][0]] == 2:
+        yield from turned(code, index, nodes[left])
 
 
 def _joined(index: int, variables: int) -> Iterator[list[Node]]:

@@ -85,10 +85,10 @@ def _reduced_at(nodes: list[Node], index: int) -> Iterator[list[Node]]:
     if code in (ADD, SUBTRACT):
         yield from _factored(nodes, index)
     if code in (SIN, COS) and ARITY[nodes[left][0]] == 2:
-        yield from _turned(code, index, nodes[left])
+        yield from turned(code, index, nodes[left])
 
 
-def _turned(code: int, index: int, argument: Node) -> Iterator[list[Node]]:
+def turned(code: int, index: int, argument: Node) -> Iterator[list[Node]]:
     """Yield what the sine or cosine of a sum or a product may be: its cofunction, its negative, or a square.
 
     For sin(u + pi/2) = cos u, sin(u + pi) = -sin u, and cos 2u = 2 cos^2 u - 1.
@@ -99,7 +99,7 @@ def _turned(code: int, index: int, argument: Node) -> Iterator[list[Node]]:
             for its in (SIN, COS):
                 yield [(its, part, 0, 0.0)]
                 yield [(its, part, 0, 0.0), (NEGATE, index + 1, 0, 0.0)]
-        elif kind == MULTIPLY and code == COS:
+        if code == COS:
             yield [(COS, part, 0, 0.0), (MULTIPLY, index + 1, index + 1, 0.0)]
 
 
@@ -234,6 +234,8 @@ class _Draft:
             return left
         if self._is(left, 0.0):
             return self._negative(right)
+        if self._nodes[left][0] == NEGATE:
+            return self._negative(self._sum(self._nodes[left][1], right))
         positive = self._opposite(right)
         return self._sum(left, positive) if positive is not None else self._add(SUBTRACT, left, right)
 

@@ -10,6 +10,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from common.dataset import Problem
 from common.expression.program import Program
 from coordinator.model.criterion import Criterion, program_length
@@ -132,15 +134,18 @@ class Shortening:
     def _around(self, best: Candidate) -> list[Fitted]:
         """Return the most promising programs one step from `best`, each also reduced.
 
-        Of those with equal errors, which say the same in other words, the shortest is taken.
+        Of those with equal errors, which say the same in other words, the shortest is taken; but of those that say the
+        same as `best`, the shortest for each collection of operators, since their constants may be simpler.
         """
         most = self.criterion.length(best.fitted) + NEARLY
-        found: dict[str, tuple[float, Fitted]] = {}
+        found: dict[tuple[str, bytes], tuple[float, Fitted]] = {}
         for program in neighbours(best.fitted.program, self._variables, self._operators):
             if self._is_exhausted():
                 break
             length, fitted = self._tried(program, most)
-            meaning = f"{fitted.mse:.6g}"
+            meaning = (f"{fitted.mse:.6g}", b"")
+            if meaning[0] == f"{best.fitted.mse:.6g}":
+                meaning = (meaning[0], np.sort(fitted.program.operators).tobytes())
             if length < most and (meaning not in found or length < found[meaning][0]):
                 found[meaning] = (length, fitted)
         nearest = sorted(found.values(), key=lambda each: (each[0], structure(each[1].program)))[:MOST_NEIGHBOURS]

@@ -20,6 +20,7 @@ ALL = frozenset(range(2, 17))
         ("x/1.0 - 0.0", "x"),
         ("(-1.0)*x + y", "y - x"),
         ("(-x)*(-y)", "x*y"),
+        ("cos(-x - y)", "cos(x + y)"),
         ("(-x)/y + 0.0/x", "-(x/y)"),
         ("x - x", "0.0"),
         ("x/x + y", "1.0 + y"),
@@ -62,6 +63,7 @@ def test_a_shared_factor_is_taken_out():
 def test_phases_and_double_angles_are_tried_away():
     assert "cos(x)" in reduced_to("sin(x + 1.5708)")
     assert "cos(y)**2" in reduced_to("cos(2.0*y)")
+    assert "1.5*cos(y)**2" in neighbours_of("1.5*cos(y + y)")
 
 
 def test_reductions_are_smaller_and_told_once():
