@@ -2,7 +2,8 @@
 
 The search compares individuals by their error on some rows; here whole descriptions are compared, on all rows. Members
 far from the shortest are left out. Each of the others, and what its reductions lead to, is snapped. Then the programs
-one step from the shortest model are tried as long as that makes it shorter; not when its errors are at the limit, where
+one step from the smallest of the nearly shortest models are tried (a larger one may have begun to describe the noise),
+and those one step from the shortest as long as that makes it shorter; not when its errors are at the limit, where
 nothing but its size could be better. The work is bounded by a number of point evaluations, never by the clock.
 """
 
@@ -25,6 +26,9 @@ MARGIN: Final = 40.0
 
 NEARLY: Final = 6.0
 """Neighbours are snapped whose description, their constants as fitted, is longer than the best by at most so much."""
+
+NEAR: Final = 20.0
+"""The smallest model that is at most so many nats longer than the shortest has its neighbours tried, too."""
 
 MOST_MEMBERS: Final = 10
 MOST_NEIGHBOURS: Final = 12
@@ -69,13 +73,25 @@ class Shortening:
         if not found:
             return []
         best = min(found.values(), key=lambda each: each.rank)
-        while best.fitted.mse > self.criterion.limit and not self._is_exhausted():
+        simple = min(found.values(), key=lambda each: self._simplicity(each, best))
+        if simple is not best and not self._is_exact(best):
+            self._take_in(found, simple.member, self._around(simple))
+            best = min(found.values(), key=lambda each: each.rank)
+        while not self._is_exact(best) and not self._is_exhausted():
             self._take_in(found, best.member, self._around(best))
             following = min(found.values(), key=lambda each: each.rank)
             if following is best:
                 break
             best = following
         return sorted(found.values(), key=lambda each: each.rank)
+
+    def _is_exact(self, candidate: Candidate) -> bool:
+        return candidate.fitted.mse <= self.criterion.limit
+
+    def _simplicity(self, candidate: Candidate, best: Candidate) -> tuple[bool, int, tuple[float, int, bytes]]:
+        """Return what the smallest program has the least of whose model is nearly as short as the best."""
+        is_far = candidate.model.length > best.model.length + NEAR
+        return is_far, len(candidate.model.program), candidate.rank
 
     def _members(self, front: Sequence[Program]) -> list[tuple[int, Fitted]]:
         """Return the members worth the effort, polished, by rising length; of equal structures the first."""
