@@ -1,7 +1,7 @@
 """Programs rewritten as real algebra allows: neutral constants gone, signs gathered, parts left out.
 
 Unlike `common.expression.algebra`, which keeps every bit, this is meant for models that are fitted and measured again:
-``1*x`` is ``x`` here, and ``x - (-y)`` is ``x + y``.
+``1*x`` is ``x`` here, ``x - (-y)`` is ``x + y``, and ``x/4`` is ``0.25*x``.
 """
 
 import math
@@ -264,6 +264,9 @@ class _Draft:
             return self._negative(left)
         if left == right:
             return self._add(CONSTANT, value=1.0)
+        divisor = self._nodes[right][3] if self._nodes[right][0] == CONSTANT else 0.0
+        if divisor != 0.0 and math.isfinite(1.0 / divisor):  # 0.075*x is as simple as a number can be, x/13.3333 not
+            return self._product(self._add(CONSTANT, value=1.0 / divisor), left)
         return self._signed(DIVIDE, left, right)
 
     def _periodic(self, code: int, argument: int) -> int:
