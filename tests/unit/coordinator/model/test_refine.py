@@ -94,7 +94,7 @@ def test_a_double_angle_and_a_shared_factor_become_the_shorter_form():
 
 
 def test_standard_errors_are_those_of_the_fit_and_the_fitted_values_stay_known():
-    its = problem(lambda x, y: 3.0 * x - 0.7 * y, noise=0.1)
+    its = problem(lambda x, y: 3.0 * x - 0.7 * y, noise=0.01)
     refined = refine(its, CONFIG, [entry("2.8*x - 0.9*y", its)])
     assert refined is not None
     expected, *_ = np.linalg.lstsq(its.inputs.T, its.target.values, rcond=None)
