@@ -15,7 +15,7 @@ import numpy as np
 from common.expression.kernels import Int, forward, reverse_block
 from common.expression.kernels_lanes import LANES, add_scaled, copy, fill, place, total_magnitude
 from common.expression.operators import ADD, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SUBTRACT, VARIABLE
-from common.jit import inlined, kernel
+from common.jit import inlined
 from island_worker.evolution.kernels_rows import centre_into, product
 from island_worker.evolution.kernels_tape import ARITY_OF
 from island_worker.evolution.kernels_variation import reset_scale

@@ -52,6 +52,11 @@ def distance(one: Sequence[Node], two: Sequence[Node]) -> int:
     return sum(a != b for a, b in zip(seen(one), seen(two), strict=True))
 
 
+def is_same(one: Sequence[Node], two: Sequence[Node]) -> bool:
+    """Return whether two lists compute the same: the same live nodes, with the same constants."""
+    return distance(one, two) == 0 and all(one[i][3] == two[i][3] for i in live_of(one) if one[i][0] == CONSTANT)
+
+
 def meaning(node: Node) -> tuple[int, ...]:
     """Return operator and arguments of a node, the value of a constant left out."""
     code, left, right, _ = node

@@ -36,7 +36,7 @@ from tests.oracles.spaces import random_lists, space_of, stream_of
 
 POPULATION, ROWS, SAMPLE, PREDICTORS, TRAINERS = 16, 70, 8, 6, 5
 SPACE = space_of(("+", "-", "*"))
-PLAIN, FITTED = Fit(0, 0, 2, 0), Fit(3, 3, 2, 0)
+PLAIN, FITTED = Fit(0, 0, 2, 0, math.inf), Fit(3, 3, 2, 0, 0.25)
 QUICK = settings(max_examples=60, deadline=None, derandomize=True, database=None)
 
 
@@ -88,7 +88,7 @@ class Arena:
 
 @pytest.mark.parametrize("loss", [0, 1])
 def test_a_trainer_is_measured_at_every_row(loss):
-    arena = Arena(Fit(0, 0, 2, loss)).begin()
+    arena = Arena(Fit(0, 0, 2, loss, math.inf)).begin()
     for t in range(TRAINERS):
         train(arena.coevolution, t, arena.every, arena.options, arena.scratch, arena.counters)
         expected = oracle.losses(arena.coevolution.trainers, t, arena.every, arena.options)

@@ -39,7 +39,7 @@ from tests.property.programs import NAMES, programs
 
 X, Y = (VARIABLE, 0), (VARIABLE, 1)
 QUICK = settings(max_examples=200, deadline=None, derandomize=True, database=None)
-SCALED, AS_IT_STANDS = Fit(4, 3, 2, 0), Fit(4, 0, 2, 0)
+SCALED, AS_IT_STANDS = Fit(4, 3, 2, 0, math.inf), Fit(4, 0, 2, 0, math.inf)
 
 
 def fitted(program, inputs, target, options=SCALED, steps=20, most=100):
@@ -47,7 +47,7 @@ def fitted(program, inputs, target, options=SCALED, steps=20, most=100):
     tape, count = tape_of(program)
     rows = rows_of(inputs, target)
     scale, result = np.zeros(1 + MOST_TERMS), np.zeros(2)
-    used = fit(tape, count, rows, options, most, steps, empty_work(SPACE, rows.length), scale, result)
+    used = fit(tape, count, rows, options, most, steps, math.inf, empty_work(SPACE, rows.length), scale, result)
     return program_on(tape, count), scale, float(result[0]), float(result[1]), used
 
 
@@ -275,7 +275,7 @@ def jacobian_of(program, inputs, target, options):
     tape, count = tape_of(program)
     rows, work = rows_of(inputs, target), empty_work(SPACE, len(target))
     scale, result = np.zeros(1 + MOST_TERMS), np.zeros(2)
-    fit(tape, count, rows, options, 100, 1, work, scale, result)
+    fit(tape, count, rows, options, 100, 1, math.inf, work, scale, result)
     fitted_nodes = [int(i) for i in np.flatnonzero(program.operators == CONSTANT) if i in work.fitted.tolist()]
     size = len(fitted_nodes)
     assert (work.columns[:size, len(target) :] == 0.0).all()
@@ -370,7 +370,7 @@ def test_padding_never_counts(length, options):
             rows.inputs[:, length:], rows.target[:, length:] = beyond, 1e3 * beyond
         tape, count = tape_of(program_of(nodes))
         work, scale, result = empty_work(SPACE, length), np.zeros(1 + MOST_TERMS), np.zeros(2)
-        used = fit(tape, count, rows, options, 100, 6, work, scale, result)
+        used = fit(tape, count, rows, options, 100, 6, math.inf, work, scale, result)
         found.append((used, tape.constants[:count].tolist(), scale.tolist(), result.tolist()))
     assert found[0] == found[1] == found[2]
 
@@ -383,6 +383,37 @@ def test_the_count_of_point_evaluations_is_the_documented_one():
     assert fitted(line, inputs, 2.0 * inputs[0], AS_IT_STANDS, steps=1)[4] == 30 + 60 + 30
     assert fitted(line, inputs, 2.0 * inputs[0], SCALED, steps=9)[4] == 30  # nothing lies inside the term
     assert fitted(program_of([X, (SIN, 0)]), inputs, inputs[1], SCALED, steps=9)[4] == 30
+
+
+def settled_after(nodes, target, options=SCALED, steps=20, ceiling=math.inf):
+    """Return whether a fit is settled, its losses and its point evaluations for each of the 40 rows."""
+    inputs = random_inputs(17)
+    tape, count = tape_of(program_of(nodes))
+    rows, work, result = rows_of(inputs, target(*inputs)), empty_work(SPACE, 40), np.zeros(2)
+    used = fit(tape, count, rows, options, 100, steps, ceiling, work, np.zeros(1 + MOST_TERMS), result)
+    return bool(work.settled[0]), result.tolist(), used // 40
+
+
+def test_a_fit_is_settled_when_no_further_step_would_change_it():
+    wave = [X, 1.1, (MULTIPLY, 0, 1), (SIN, 2)]
+    assert settled_after([X, (SIN, 0)], lambda x, y: y)[0]  # there is nothing to fit
+    assert settled_after([X, -9.0, (ADD, 0, 1), (SQRT, 2)], lambda x, y: y)[0]  # not finite
+    assert settled_after(wave, lambda x, y: np.sin(1.2 * x))[0]  # exact
+    assert settled_after(wave, lambda x, y: np.sin(1.2 * x) + y)[0]  # as good as it gets
+    assert not settled_after(wave, lambda x, y: np.sin(1.2 * x), steps=1)[0]  # still on its way
+
+
+def test_no_step_is_taken_for_a_loss_above_the_ceiling():
+    wave = [X, 1.1, (MULTIPLY, 0, 1), (SIN, 2)]
+    for options, part in ((SCALED, 0), (SCALED._replace(loss=1), 1)):
+        _, result, used = settled_after(wave, lambda x, y: np.sin(1.2 * x), options, steps=0)
+        assert used == 1
+        above, at = (
+            settled_after(wave, lambda x, y: np.sin(1.2 * x), options, ceiling=factor * result[part])
+            for factor in (0.999, 1.0)
+        )
+        assert above == (False, result, 1)
+        assert at[1][part] < 1e-9 * result[part]
 
 
 def test_no_more_constants_are_fitted_than_the_rows_bear():

@@ -20,7 +20,7 @@ from tests.oracles.tapes import list_of, node_values
 
 POPULATION = 60
 SPACE = space_of(("+", "-", "*", "sin"))
-FITTED = Fit(4, 3, 2, 0)
+FITTED = Fit(4, 3, 2, 0, math.inf)
 
 
 class Arena:
@@ -96,7 +96,7 @@ def test_refits_are_counted_and_leave_a_quarter_of_the_rows_for_each_constant():
     rows, counters = padded_rows(inputs, inputs[0]), np.zeros(len(PARTS), np.int64)
     scale, result = np.zeros(1 + MOST_TERMS), np.zeros(2)
     count = canonical(arena.lists, 0, arena.scratch)
-    refit(count, rows, Fit(4, 3, 2, 0), 0, arena.scratch.canonical, arena.scratch.work, scale, result, counters)
+    refit(count, rows, FITTED, 0, arena.scratch.canonical, arena.scratch.work, scale, result, counters)
     assert counters[REFITTING] == 40
     assert counters.sum() == 40
 
@@ -189,7 +189,7 @@ def test_coefficients_next_to_one_are_also_measured_as_one():
 
 
 def test_without_terms_offers_are_measured_as_they_stand():
-    offers = Offers(Fit(0, 0, 2, 0))
+    offers = Offers(Fit(0, 0, 2, 0, math.inf))
     count = offers.refit()
     assert count > 0
     for k in range(count):
