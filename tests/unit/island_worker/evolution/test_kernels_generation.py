@@ -12,20 +12,23 @@ from island_worker.evolution.kernels_generation import (
     OFFSPRING,
     PARTS,
     REEVALUATION,
+    advance,
     develop,
-    generation,
     measure_all,
     residual_of_list,
 )
 from island_worker.evolution.kernels_rows import padded_rows
 from island_worker.evolution.kernels_variation import cross, mutate
-from island_worker.evolution.structures import Fit, empty_lists, empty_scratch
+from island_worker.evolution.structures import Coevolving, Fit, empty_lists, empty_scratch
 from tests.oracles import fitting
 from tests.oracles import variation as oracle
-from tests.oracles.spaces import random_lists, space_of, stream_of
+from tests.oracles.spaces import empty_coevolution, random_lists, space_of, stream_of
 
 POPULATION, ROWS = 16, 24
 SPACE = space_of(variables=2)
+ALONE = Coevolving(0, 0.0, 1)
+"""No predictors."""
+
 FITTED, GATED, PLAIN = Fit(4, 3, 2, 0, math.inf), Fit(4, 3, 2, 0, 0.25), Fit(0, 0, 2, 0, 0.25)
 
 
@@ -55,8 +58,11 @@ class Arena:
             lists, p, self.rows, self.options, ceiling, s.tape, s.near, s.result, self.counters, np.int64(OFFSPRING)
         )
 
-    def generation(self):
-        generation(self.lists, self.fitness, SPACE, self.options, self.rows, self.scratch, self.stream, self.counters)
+    def generation(self, generations=1):
+        return advance(
+            generations, self.lists, self.fitness, empty_coevolution(SPACE), SPACE, self.options, ALONE, ROWS,
+            self.rows, self.scratch, self.stream, self.counters,
+        )  # fmt: skip
 
     def output(self, p):
         residual_of_list(self.lists, p, self.rows, self.options, self.scratch.tape, self.scratch.work)
