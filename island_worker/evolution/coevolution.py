@@ -59,7 +59,8 @@ def renew_trainer(
     if chosen < 0:
         return False
     oldest = int(np.argmin(coevolution.born))
-    for column, values in zip(coevolution.trainers, lists, strict=True):
+    solutions = lists._asdict().values()
+    for column, values in zip(coevolution.trainers._asdict().values(), solutions, strict=True):
         column[oldest] = values[chosen]
     coevolution.born[oldest] = coevolution.clock[0]
     train(coevolution, oldest, every, options, scratch.tape, scratch.work, counters)

@@ -19,8 +19,8 @@ from common.pareto import FrontEntry
 from common.seeding import stream_key
 from common.wire.codec import decode_arrays, encode_arrays
 from island_worker.evolution import migration
-from island_worker.evolution.front import Front, Offering
 from island_worker.evolution.coevolution import begin_coevolution, evolve, use_best_predictor
+from island_worker.evolution.front import Front, Offering
 from island_worker.evolution.kernels_coevolution import train
 from island_worker.evolution.kernels_generation import OFFSPRING, PARTS, measure_all, random_population
 from island_worker.evolution.setting import Setting

@@ -175,20 +175,16 @@ def advance(
 
     A child that computes what one of its parents does is not measured again (and not counted), unless its constants
     can still be fitted better. Steps for constants are spent on the few children that are much better than their worse
-    parent already without them (ADR 0014). Return after so many generations, or sooner when a trainer is to be renewed or the best predictor has changed:
-    `coevolution.due` tells which.
+    parent already without them (ADR 0014). Return after so many generations, or sooner when a trainer is to be renewed
+    or the best predictor has changed: `coevolution.due` tells which.
 
     Returns:
         The generations done.
     """
     order, due = scratch.order, coevolution.due
     children, tape, near, result = scratch.children, scratch.tape, scratch.near, scratch.result
-    signature, loss, child_settled, settled = (
-        scratch.signature,
-        scratch.child_loss,
-        scratch.child_settled,
-        scratch.settled,
-    )
+    signature, loss = scratch.signature, scratch.child_loss
+    child_settled, settled = scratch.child_settled, scratch.settled
     due[0] = due[1] = False
     for done in range(generations):
         for p in range(order.shape[0]):

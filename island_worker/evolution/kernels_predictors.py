@@ -6,6 +6,7 @@ trainers. The losses of trainers at every row are kept, so that judging a predic
 
 import numpy as np
 
+from common.expression.kernels import Int
 from common.jit import inlined, kernel
 from island_worker.evolution.kernels_random import Stream, below, uniform
 from island_worker.evolution.structures import Coevolution, Ints
@@ -39,7 +40,7 @@ def judge_all(coevolution: Coevolution) -> bool:
     for k in range(coevolution.quality.shape[0]):
         if coevolution.quality[k] < coevolution.quality[best]:
             best = k
-    changed = best != coevolution.best[0]
+    changed = bool(best != coevolution.best[0])
     coevolution.best[0] = best
     return changed
 
@@ -54,7 +55,7 @@ def _shared(one: Ints, two: Ints) -> int:
 
 
 @inlined
-def predictor_generation(coevolution: Coevolution, rows: int, children: Ints, stream: Stream) -> bool:
+def predictor_generation(coevolution: Coevolution, rows: Int, children: Ints, stream: Stream) -> bool:
     """Cross and mutate two predictors; each child replaces the more similar parent if no worse.
 
     Return True when the rows that measure the solutions changed.

@@ -8,31 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.expression.kernels import functions_address
-from island_worker.evolution.kernels_coevolution import (
-    begin_coevolution,
-    evolve,
-    gather,
-    judge,
-    judge_all,
-    most_disputed,
-    predictor_generation,
-    renew_trainer,
-    train,
-    use_best_predictor,
-)
+from island_worker.evolution.coevolution import begin_coevolution, evolve, renew_trainer, use_best_predictor
+from island_worker.evolution.kernels_coevolution import most_disputed, train
 from island_worker.evolution.kernels_generation import COEVOLUTION, PARTS
-from island_worker.evolution.kernels_rows import padded_rows
-from island_worker.evolution.structures import (
-    Coevolution,
-    Coevolving,
-    Fit,
-    empty_lists,
-    empty_rows,
-    empty_scratch,
-)
+from island_worker.evolution.kernels_predictors import judge, judge_all, predictor_generation
+from island_worker.evolution.kernels_rows import gather, padded_rows
+from island_worker.evolution.structures import Coevolving, Fit, empty_rows, empty_scratch
 from tests.oracles import coevolution as oracle
 from tests.oracles import variation
-from tests.oracles.spaces import random_lists, space_of, stream_of
+from tests.oracles.spaces import empty_coevolution, random_lists, space_of, stream_of
 
 POPULATION, ROWS, SAMPLE, PREDICTORS, TRAINERS = 16, 70, 8, 6, 5
 SPACE = space_of(("+", "-", "*"))
@@ -53,10 +37,7 @@ class Arena:
         self.scratch = empty_scratch(POPULATION, SPACE.nodes, 2, SAMPLE, rows)
         self.counters = np.zeros(len(PARTS), np.int64)
         self.stream = stream_of(seed)
-        self.coevolution = Coevolution(
-            np.zeros((PREDICTORS, SAMPLE), np.int64), np.zeros(PREDICTORS), empty_lists(TRAINERS, SPACE.nodes),
-            np.zeros(TRAINERS), np.zeros((TRAINERS, rows)), *(np.zeros(size, np.int64) for size in (TRAINERS, 1, 1)),
-        )  # fmt: skip
+        self.coevolution = empty_coevolution(SPACE, PREDICTORS, SAMPLE, TRAINERS, rows)
 
     def begin(self):
         begin_coevolution(
@@ -72,9 +53,7 @@ class Arena:
         return predictor_generation(self.coevolution, self.every.length, children, self.stream)
 
     def renew(self):
-        return renew_trainer(
-            self.lists, POPULATION, self.coevolution, self.every, self.options, self.scratch, self.counters
-        )
+        return renew_trainer(self.lists, self.coevolution, self.every, self.options, self.scratch, self.counters)
 
     def evolve(self, generations, effort, renewal=50):
         evolve(
@@ -90,7 +69,7 @@ class Arena:
 def test_a_trainer_is_measured_at_every_row(loss):
     arena = Arena(Fit(0, 0, 2, loss, math.inf)).begin()
     for t in range(TRAINERS):
-        train(arena.coevolution, t, arena.every, arena.options, arena.scratch, arena.counters)
+        train(arena.coevolution, t, arena.every, arena.options, arena.scratch.tape, arena.scratch.work, arena.counters)
         expected = oracle.losses(arena.coevolution.trainers, t, arena.every, arena.options)
         np.testing.assert_allclose(arena.coevolution.losses[t], expected, rtol=1e-12)
         assert arena.coevolution.exact[t] == pytest.approx(expected.mean(), rel=1e-12)
@@ -152,7 +131,7 @@ def test_predictors_only_get_better_and_a_change_of_the_measuring_rows_is_told(s
 def test_the_most_disputed_individual_is_the_one_predictors_disagree_on():
     arena = Arena().begin()
     found = most_disputed(
-        arena.lists, POPULATION, arena.coevolution, arena.every, arena.scratch.spare, PLAIN, arena.scratch,
+        arena.lists, arena.coevolution, arena.every, arena.scratch.spare, PLAIN, arena.scratch,
         arena.counters,
     )  # fmt: skip
     spread = [

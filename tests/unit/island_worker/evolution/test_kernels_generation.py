@@ -12,30 +12,34 @@ from island_worker.evolution.kernels_generation import (
     OFFSPRING,
     PARTS,
     REEVALUATION,
+    advance,
     develop,
-    generation,
     measure_all,
     residual_of_list,
 )
 from island_worker.evolution.kernels_rows import padded_rows
 from island_worker.evolution.kernels_variation import cross, mutate
-from island_worker.evolution.structures import Fit, empty_lists, empty_scratch
+from island_worker.evolution.structures import Coevolving, Fit, empty_lists, empty_scratch
 from tests.oracles import fitting
 from tests.oracles import variation as oracle
-from tests.oracles.spaces import random_lists, space_of, stream_of
+from tests.oracles.spaces import empty_coevolution, random_lists, space_of, stream_of
 
 POPULATION, ROWS = 16, 24
 SPACE = space_of(variables=2)
+ALONE = Coevolving(0, 0.0, 1)
+"""No predictors."""
+
+TERMS = Fit(0, 3, 2, 0, 0.25)
 FITTED, GATED, PLAIN = Fit(4, 3, 2, 0, math.inf), Fit(4, 3, 2, 0, 0.25), Fit(0, 0, 2, 0, 0.25)
 
 
 class Arena:
     """A population on some rows, with all that a generation needs."""
 
-    def __init__(self, options=FITTED, seed=1):
+    def __init__(self, options=FITTED, seed=1, **variation):
         random = np.random.default_rng(seed)
         inputs = random.uniform(0.5, 3.0, (2, ROWS))
-        self.options = options
+        self.options, self.space = options, SPACE._replace(**variation)
         self.rows = padded_rows(inputs, inputs[0] * inputs[1] + np.sin(inputs[0]) + 0.1 * random.normal(size=ROWS))
         self.lists = random_lists(POPULATION, SPACE, seed)
         self.fitness = np.full(POPULATION, np.inf)
@@ -55,8 +59,11 @@ class Arena:
             lists, p, self.rows, self.options, ceiling, s.tape, s.near, s.result, self.counters, np.int64(OFFSPRING)
         )
 
-    def generation(self):
-        generation(self.lists, self.fitness, SPACE, self.options, self.rows, self.scratch, self.stream, self.counters)
+    def generation(self, generations=1):
+        return advance(
+            generations, self.lists, self.fitness, empty_coevolution(SPACE), self.space, self.options, ALONE, ROWS,
+            self.rows, self.scratch, self.stream, self.counters,
+        )  # fmt: skip
 
     def output(self, p):
         residual_of_list(self.lists, p, self.rows, self.options, self.scratch.tape, self.scratch.work)
@@ -156,6 +163,55 @@ def test_a_generation_is_that_of_the_definition(options):
         np.testing.assert_array_equal(arena.scratch.settled, settled)
         np.testing.assert_array_equal(arena.counters, reference.counters)
     assert inherited > 0
+
+
+@pytest.mark.parametrize("options", [PLAIN, TERMS])
+def test_inheriting_a_loss_saves_evaluations_and_changes_nothing_else(options):
+    """Without steps for constants, as in preset paper, a child's loss is its parent's when it computes the same."""
+    heirs, measured = Arena(options), Arena(options)
+    for _ in range(10):
+        measured.scratch.settled[:] = False  # nobody is inherited from
+        heirs.generation()
+        measured.generation()
+        for mine, theirs in zip(heirs.lists, measured.lists, strict=True):
+            assert mine.tobytes() == theirs.tobytes()
+        assert heirs.fitness.tobytes() == measured.fitness.tobytes()
+    assert heirs.counters[OFFSPRING] < measured.counters[OFFSPRING] == 10 * POPULATION * ROWS
+
+
+def test_who_can_still_be_fitted_better_hands_no_loss_on():
+    """A child with the parent's very constants then takes more steps from there, and is counted."""
+    arena = Arena(FITTED, crossover=0.0, mutation=0.0)
+    arena.scratch.settled[:] = False
+    spent = arena.counters[OFFSPRING]
+    arena.generation()
+    assert arena.counters[OFFSPRING] == spent + POPULATION * ROWS
+    arena.scratch.settled[:] = True
+    arena.generation()
+    assert arena.counters[OFFSPRING] == spent + POPULATION * ROWS
+
+
+def test_the_gate_lets_few_children_take_steps():
+    """Of the same children fewer are fitted the lower the gate; all of them are measured."""
+    spent = []
+    for gate in (1e-9, 0.25, 1.0, math.inf):
+        arena = Arena(FITTED._replace(gate=gate))
+        before = arena.counters.copy()
+        arena.scratch.settled[:] = False
+        arena.generation()
+        assert arena.counters[OFFSPRING] - before[OFFSPRING] == POPULATION * ROWS
+        spent.append(int(arena.counters[FITTING] - before[FITTING]))
+    assert spent == sorted(spent)
+    assert spent[0] < spent[2] < spent[3]
+
+
+def test_many_generations_at_once_are_those_one_by_one():
+    once, singly = Arena(), Arena()
+    assert once.generation(7) == 7
+    assert sum(singly.generation() for _ in range(7)) == 7
+    assert once.members() == singly.members()
+    np.testing.assert_array_equal(once.counters, singly.counters)
+    np.testing.assert_array_equal(once.stream, singly.stream)
 
 
 def test_nobody_s_place_is_ever_taken_by_someone_worse():
