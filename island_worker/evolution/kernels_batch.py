@@ -158,7 +158,7 @@ def _collect(lists: Lists, first: Int, number: Int, terminals: Int, batch: Batch
     shift = np.uint64(batch.shift)
     above = (_ONE << np.uint64(terminals)) - _ONE
     operators = ~above
-    root = (_ONE << np.uint64(lists.code.shape[1] - 1))
+    root = _ONE << np.uint64(lists.code.shape[1] - 1)
     leaves, count = _ZERO, _ZERO
     for q in range(0, number, 4):
         q0, q1 = np.uint64(q), np.uint64(min(q + 1, number - 1))
@@ -339,9 +339,7 @@ def _compare(number: Int, last: Int, rows: Rows, start: Int, batch: Batch) -> No
 
 
 @kernel
-def measure_lists(
-    losses: Floats, lists: Lists, terminals: Int, rows: Rows, loss: Int, batch: Batch
-) -> None:
+def measure_lists(losses: Floats, lists: Lists, terminals: Int, rows: Rows, loss: Int, batch: Batch) -> None:
     """Write the loss of each list on `rows`, unscaled: the mean absolute (`loss` 0) or squared (1) residual, or infinity.
 
     The first `terminals` nodes of every list are terminals, and no others are.
