@@ -54,7 +54,7 @@ IS_COMPILED = not numba.config.DISABLE_JIT
 
 types = numba.types
 cgutils = numba.core.cgutils
-intrinsic = numba.extending.intrinsic
+intrinsic: Callable[[Callable[..., Any]], Any] = numba.extending.intrinsic
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -79,7 +79,7 @@ def allocating_kernel(function: F) -> F:
 
 
 def callback(signature: str, function: F) -> Any:
-    """Compile `function` apart from its callers, which reach it by its ``address``: it is compiled once, not in each."""
+    """Compile `function` apart from its callers, which reach it by its ``address``: once, not in each of them."""
     return numba.cfunc(signature, cache=True, nopython=True, error_model="numpy", fastmath=False)(function)
 
 

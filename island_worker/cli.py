@@ -1,14 +1,15 @@
 """The entry of the ``island-worker`` program: options, help, exit codes. Light, because ``--help`` must be instant.
 
-One process is one worker. With more than one, this process only starts the others, each a fresh one, and ends with
-them; it never forks one that has a bus.
+One process is one worker. With more than one, this process loads what workers need, forks them, and ends with them;
+it has no bus itself, since that would not survive a fork.
 """
 
 import argparse
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final, NoReturn
 
 INTERRUPTED: Final = 130
@@ -34,7 +35,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     be closed has been closed by then, so the process ends without waiting for anything.
     """
     _check_product()
-    code = _guarded(sys.argv[1:] if argv is None else argv)
+    if argv is None:
+        from common.garbage import collect_rarely
+
+        collect_rarely()
+    words = sys.argv[1:] if argv is None else argv
+    code = _guarded(lambda: _dispatch(_parse(words)))
     if argv is None:
         sys.stdout.flush()
         sys.stderr.flush()
@@ -53,11 +59,12 @@ def _check_product() -> None:
         raise SystemExit(2)
 
 
-def _guarded(argv: Sequence[str]) -> int:
+def _guarded(work: Callable[[], int]) -> int:
+    """Do `work`; return its exit code, or the one of the error that it raised, which is said in one sentence."""
     from common.errors import AtollError
 
     try:
-        return _dispatch(_parse(argv))
+        return work()
     except AtollError as error:
         sys.stderr.write(f"island-worker: {error}\n")
         return error.exit_code
@@ -109,6 +116,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         help="how long the coordinator may be away, at the start or later (default: %(default)g)",
     )
     parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # end with this process
+    parser.add_argument("--leave", action="store_true", help=argparse.SUPPRESS)  # the workers to the parent, and end
     parser.add_argument("--version", action="version", version=f"atoll {VERSION}")
     return parser.parse_args(argv)
 
@@ -116,7 +124,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 def _dispatch(options: argparse.Namespace) -> int:
     from common.errors import UsageError
     from common.wire.addresses import parse_address
-    from island_worker.processes import choose_number, supervise, worker_command
+    from island_worker.processes import choose_number
 
     if not options.connect:
         raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
@@ -126,10 +134,35 @@ def _dispatch(options: argparse.Namespace) -> int:
     if number is None:
         number, reason = choose_number(os.environ)
         sys.stderr.write(f"island-worker: {number} {'process' if number == 1 else 'processes'}: {reason}\n")
-    if number == 1:
+    if number == 1 and not options.leave:
         return _work(connect, name, options.wait, options.parent)
     names = [f"{name[:58]}-{index}" for index in range(number)]
-    return supervise([worker_command(connect, each, options.wait) for each in names], options.parent)
+    return _work_together(connect, names, options)
+
+
+def _work_together(connect: str, names: Sequence[str], options: argparse.Namespace) -> int:
+    """Have one process for each name work; forked, where that can be, after all have been loaded once."""
+    from island_worker.forking import can_fork, leave, load_ahead
+    from island_worker.processes import ending_on_signals, hear_of_death, supervise, supervise_forks, worker_command
+
+    if not can_fork():
+        return supervise([worker_command(connect, each, options.wait) for each in names], options.parent)
+    with ending_on_signals():
+        if options.parent is not None:
+            hear_of_death()
+        load_ahead()
+        if options.parent not in (None, os.getppid()):
+            return 0
+    parent = options.parent if options.leave else os.getpid()
+    works = {name: partial(_work_guarded, connect, name, options.wait, parent) for name in names}
+    if not options.leave:
+        return supervise_forks(list(works.values()), options.parent)
+    leave(works)
+    return 0
+
+
+def _work_guarded(connect: str, name: str, wait_s: float, parent: int) -> int:
+    return _guarded(partial(_work, connect, name, wait_s, parent))
 
 
 def _work(connect: str, name: str, wait_s: float, parent: int | None) -> int:

@@ -1,8 +1,8 @@
 """Processes of workers: how many, starting them, and that none outlives what it belongs to.
 
-A child is a fresh interpreter (never a fork: a bus does not survive one) in a session of its own, so that a Ctrl-C on
-the terminal reaches the parent alone, which tells the children. Should the parent die without a word, the kernel (on
-Linux) and a watching thread end the child.
+A child is forked from this process, or a fresh interpreter where that cannot be, in a session of its own, so that a
+Ctrl-C on the terminal reaches the parent alone, which tells the children. Should the parent die without a word, the
+kernel (on Linux) and a watching thread end the child.
 """
 
 import contextlib
@@ -14,11 +14,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from types import FrameType
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from island_worker.cores import usable_cores
+from island_worker.forking import Forked, Work
 
 INTERRUPTED: Final = 130
 _STOP_LIMIT_S: Final = 5.0
@@ -38,13 +40,37 @@ def worker_command(connect: str, name: str, wait_s: float) -> Command:
     return [sys.executable, "-m", "island_worker", *options, "--parent", str(os.getpid())]
 
 
+class Child(Protocol):
+    """A process that was started here."""
+
+    pid: int
+
+    def wait(self) -> int:
+        """Wait for its end and return its exit code, negative for a signal."""
+
+    def terminate(self) -> None:
+        """Tell it to end."""
+
+    def kill(self) -> None:
+        """End it."""
+
+
 def supervise(commands: Sequence[Command], parent: int | None = None) -> int:
     """Run the commands as children until all have ended; return the worst exit code, or 130 after a Ctrl-C.
 
     SIGTERM and Ctrl-C are passed on as SIGTERM; who has not ended `_STOP_LIMIT_S` later, or at a second signal, is
     killed. `parent`: the process with which this one ends.
     """
-    return _Children().run(commands, parent)
+    return _Children().run([partial(_started, command) for command in commands], parent)
+
+
+def supervise_forks(works: Sequence[Work], parent: int | None = None) -> int:
+    """Do the same with children that are forked from this process, which must have no other thread."""
+    return _Children().run([partial(Forked, work) for work in works], parent)
+
+
+def _started(command: Command) -> Child:
+    return subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
 
 
 def worst(codes: Sequence[int]) -> int:
@@ -67,9 +93,14 @@ def ending_on_signals() -> Iterator[None]:
 
 def end_with_parent(parent: int) -> None:
     """End this process, by a SIGTERM to itself, as soon as `parent` is no longer its parent; if need be, forcibly."""
+    hear_of_death()
+    threading.Thread(target=_watch, args=(parent,), name="watching the parent", daemon=True).start()
+
+
+def hear_of_death() -> None:
+    """Have the system send this process a SIGTERM when its parent dies, at once; on Linux only, and not for sure."""
     if sys.platform == "linux":
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    threading.Thread(target=_watch, args=(parent,), name="watching the parent", daemon=True).start()
 
 
 def _watch(parent: int) -> None:
@@ -85,31 +116,32 @@ class _Children:
 
     def __init__(self) -> None:
         self._events: queue.SimpleQueue[tuple[str, int]] = queue.SimpleQueue()
-        self._children: list[subprocess.Popen[bytes]] = []
+        self._children: list[Child] = []
         self._deadline: float | None = None
         self._signals: list[int] = []
 
-    def run(self, commands: Sequence[Command], parent: int | None) -> int:
+    def run(self, starts: Sequence[Callable[[], Child]], parent: int | None) -> int:
         asked = dict.fromkeys((signal.SIGINT, *_ending_signals()), self._on_signal)
         with _handlers(asked):
-            if parent is not None:
-                end_with_parent(parent)
             try:
-                for command in commands:
-                    self._start(command)
-                codes = [self._next_code() for _ in commands]
+                for start in starts:
+                    self._children.append(start())
+                self._watch_over(parent)
+                codes = [self._next_code() for _ in starts]
             finally:
                 self._kill()
         if self._deadline is not None:  # who was told before it could listen has ended as it was told
             codes = [0 if code == -signal.SIGTERM else code for code in codes]
         return INTERRUPTED if signal.SIGINT in self._signals else worst(codes)
 
-    def _start(self, command: Command) -> None:
-        child = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
-        self._children.append(child)
-        threading.Thread(target=self._wait_for, args=(child,), daemon=True).start()
+    def _watch_over(self, parent: int | None) -> None:
+        """Start the threads that wait for events; not before the last child, which may be a fork."""
+        if parent is not None:
+            end_with_parent(parent)
+        for child in self._children:
+            threading.Thread(target=self._wait_for, args=(child,), daemon=True).start()
 
-    def _wait_for(self, child: subprocess.Popen[bytes]) -> None:
+    def _wait_for(self, child: Child) -> None:
         code = child.wait()
         if code < 0 and self._deadline is None:
             sys.stderr.write(f"island-worker: process {child.pid} was ended by signal {-code}; the others go on\n")

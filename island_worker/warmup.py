@@ -42,7 +42,7 @@ def warm_up(report: Report, exercise: Callable[[], None] | None = None) -> None:
     from common.jit import cache_directory
 
     directory = _made(cache_directory())
-    marker = directory / f"ready-{_machine()}"
+    marker = _marker(directory)
     if not marker.exists():
         with _locked(directory / "lock", report):
             if not marker.exists():
@@ -51,6 +51,13 @@ def warm_up(report: Report, exercise: Callable[[], None] | None = None) -> None:
                 marker.touch()
                 return
     run()
+
+
+def is_compiled() -> bool:
+    """Say whether the kernels have been compiled on this machine, and so need only be loaded."""
+    from common.jit import cache_directory
+
+    return _marker(cache_directory()).exists()
 
 
 def run_small_epochs() -> None:
@@ -63,7 +70,7 @@ def run_small_epochs() -> None:
             **{name: getattr(preset, name) for name in JobConfig.model_fields},
             "space": preset.space.model_copy(update={"terminals": 7}),
             "evolution": preset.evolution.model_copy(update={"islands": 1, "population": 16}),
-            "predictors": preset.predictors.model_copy(update={"rows": 16}),
+            "predictors": preset.predictors.model_copy(update={"rows": 16, "renewal": 2, "effort": 0.5}),
             "migration": MigrationConfig(generations=20),
             "budget": BudgetConfig(target_error=1e-300),
         }
@@ -86,6 +93,10 @@ def _small_problem() -> "Problem":
     inputs = np.stack([numbers * 37 % 41 / 8.0 + 0.5, numbers * 29 % 43 / 16.0 - 1.0])
     values = numbers * 31 % 47 / 4.0 - 5.0
     return Problem(("x", "y"), inputs, Target("x", "dx/dt", values, floor=0.0, deviation=3.4))
+
+
+def _marker(directory: Path) -> Path:
+    return directory / f"ready-{_machine()}"
 
 
 def _machine() -> str:

@@ -12,6 +12,8 @@ from common.expression.kernels_lanes import LANES, get, put
 from common.expression.operators import COS, EXP, LOG, POW, SIN, TANH
 from common.jit import IS_COMPILED, callback, inlined
 
+Int = int | np.int64
+
 _LANES: Final = np.int64(LANES)
 SIGN: Final = 32
 """-1, 0 or 1: the slope of the absolute value."""
@@ -20,7 +22,7 @@ POWER_SLOPE: Final = 33
 """b * a**(b - 1)."""
 
 
-def _apply(operator: int, count: int, out: Any, a: Any, b: Any) -> None:
+def _apply(operator: Int, count: Int, out: Any, a: Any, b: Any) -> None:
     """Write function `operator` of `count` numbers at place `a` (and `b`) to place `out`.
 
     `count` is always LANES, which the compiler must not know: it would write the loops out one number at a time.
@@ -58,12 +60,12 @@ if IS_COMPILED:
     _COMPILED: Final = callback("void(int64, int64, int64, int64, int64)", _apply)
 
     @inlined
-    def apply_function(address: int, operator: int, out: Any, a: Any, b: Any) -> None:
+    def apply_function(address: Int, operator: Int, out: Any, a: Any, b: Any) -> None:
         """Write function `operator` of the numbers at place `a` (and `b`) to place `out`."""
         call_at(address, operator, _LANES, out, a, b)
 else:
 
-    def apply_function(address: int, operator: int, out: Any, a: Any, b: Any) -> None:
+    def apply_function(address: Int, operator: Int, out: Any, a: Any, b: Any) -> None:
         """Interpreted: the function itself; `address` means nothing."""
         _apply(operator, LANES, out, a, b)
 

@@ -165,7 +165,7 @@ if IS_COMPILED:
         return result(*(_NUMBERS[kind] for kind in kinds))
 
     def _operation(kinds: str, result: Any, emit: Callable[[Any, tuple[Any, ...]], Any]) -> Any:
-        """Return the intrinsic with arguments of `kinds` (p: place, i: index, x: number) whose instructions `emit` writes."""
+        """Return the intrinsic that `emit` writes, its arguments of `kinds`: p for place, i for index, x for number."""
         signature = _signature(kinds, result)
 
         def generate(context: Any, builder: Any, _: Any, arguments: tuple[Any, ...]) -> Any:
@@ -181,7 +181,8 @@ if IS_COMPILED:
         def typed_4(typing: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
             return signature, generate
 
-        return intrinsic({2: typed_2, 3: typed_3, 4: typed_4}[len(kinds)])
+        typed: dict[int, Callable[..., Any]] = {2: typed_2, 3: typed_3, 4: typed_4}
+        return intrinsic(typed[len(kinds)])
 
     def _binary(name: str) -> Any:
         """Return out = a `name` b."""
@@ -256,7 +257,7 @@ if IS_COMPILED:
         return place
 
     @intrinsic
-    def place(typing: Any, array: Any, row: Any, start: Any) -> Any:  # noqa: D103  see `_place`
+    def place(typing: Any, array: Any, row: Any, start: Any) -> Any:  # see `_place`
         def generate(context: Any, builder: Any, signature: Any, arguments: tuple[Any, ...]) -> Any:
             strides = context.make_array(signature.args[0])(context, builder, arguments[0]).strides
             steps = [builder.extract_value(strides, 0), ir.Constant(_WORD, 8)]
@@ -266,7 +267,7 @@ if IS_COMPILED:
         return types.int64(array, types.int64, types.int64), generate
 
     @intrinsic
-    def place_in(typing: Any, array: Any, start: Any) -> Any:  # noqa: D103  see `_place_in`
+    def place_in(typing: Any, array: Any, start: Any) -> Any:  # see `_place_in`
         def generate(context: Any, builder: Any, signature: Any, arguments: tuple[Any, ...]) -> Any:
             offsets = [(arguments[1], ir.Constant(_WORD, 8))]
             return _address(context, builder, signature.args[0], arguments[0], offsets)
@@ -274,14 +275,14 @@ if IS_COMPILED:
         return types.int64(array, types.int64), generate
 
     @intrinsic
-    def lowest_bit(typing: Any, x: Any) -> Any:  # noqa: D103  see `_lowest_bit`
+    def lowest_bit(typing: Any, x: Any) -> Any:  # see `_lowest_bit`
         def generate(context: Any, builder: Any, signature: Any, arguments: tuple[Any, ...]) -> Any:
             return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
 
         return types.int64(types.uint64), generate
 
     @intrinsic
-    def highest_bit(typing: Any, x: Any) -> Any:  # noqa: D103  see `_highest_bit`
+    def highest_bit(typing: Any, x: Any) -> Any:  # see `_highest_bit`
         def generate(context: Any, builder: Any, signature: Any, arguments: tuple[Any, ...]) -> Any:
             zeros = builder.ctlz(arguments[0], ir.Constant(ir.IntType(1), 1))
             return builder.sub(ir.Constant(_WORD, 63), zeros)
@@ -289,7 +290,7 @@ if IS_COMPILED:
         return types.int64(types.uint64), generate
 
     @intrinsic
-    def call_at(typing: Any, address: Any, operator: Any, count: Any, out: Any, a: Any, b: Any) -> Any:  # noqa: D103
+    def call_at(typing: Any, address: Any, operator: Any, count: Any, out: Any, a: Any, b: Any) -> Any:
         """Call the compiled function at `address`, see `common.jit.callback`."""
 
         def generate(context: Any, builder: Any, _: Any, arguments: tuple[Any, ...]) -> Any:
@@ -300,7 +301,7 @@ if IS_COMPILED:
         return types.void(*[types.int64] * 6), generate
 
     @intrinsic
-    def move(typing: Any, out: Any, p: Any, source: Any, q: Any, first: Any, last: Any) -> Any:  # noqa: D103
+    def move(typing: Any, out: Any, p: Any, source: Any, q: Any, first: Any, last: Any) -> Any:
         """See `_move`."""
 
         def generate(context: Any, builder: Any, signature: Any, arguments: tuple[Any, ...]) -> Any:

@@ -1,7 +1,8 @@
 """Everything that ``run`` starts on this machine: router and coordinator in a thread, workers as processes.
 
-Workers start before the router listens, and connect as soon as it does; their log is one file. Whatever happens, the
-workers end: they are told to, then killed; and they watch this process themselves, should it be killed.
+Workers start before the router listens, and connect as soon as it does; their log is one file. Several of them are
+forked by one process that has loaded everything once, where the system allows it (see `adoption`). Whatever happens,
+the workers end: they are told to, then killed; and they watch this process themselves, should it be killed.
 """
 
 import contextlib
@@ -16,6 +17,7 @@ from typing import IO, Final, Self
 
 from common.errors import AtollError, UnreachableError
 from common.wire.addresses import bindable, parse_address
+from coordinator.cli.adoption import Adopted, Nursery, adopt_orphans
 
 _STOP_LIMIT_S: Final = 5.0
 _OPEN_LIMIT_S: Final = 20.0
@@ -42,14 +44,18 @@ class Workers:
         self.log = log
         self._endpoint = endpoint
         self.number = number
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._processes: dict[str, subprocess.Popen[bytes] | Adopted] = {}
+        self._nursery: Nursery | None = None
         self._file: IO[bytes] | None = None
 
     def __enter__(self) -> Self:
         self._file = self.log.open("ab")
         try:
-            for index in range(self.number):
-                self._start(f"w{index}")
+            if self.number > 1 and adopt_orphans():
+                self._nursery = Nursery(nursery_command(self._endpoint, self.number), self._file)
+            else:
+                for index in range(self.number):
+                    self._start(f"w-{index}")
         except BaseException:
             self.stop()
             raise
@@ -64,17 +70,19 @@ class Workers:
 
     def check(self) -> list[str]:
         """Return a sentence for each worker that died since the last check; raise NoWorkerLeftError without any."""
-        sentences = []
+        sentences = self._take_in()
         for name, process in list(self._processes.items()):
-            if process.poll() is not None:
+            if (code := process.poll()) is not None:
                 del self._processes[name]
-                sentences.append(f"worker {name} ended with {_ending(process.returncode)}; its log is {self.log}")
-        if not self._processes:
+                sentences.append(f"worker {name} ended with {_ending(code)}; its log is {self.log}")
+        if not self._processes and self._nursery is None:
             raise NoWorkerLeftError(f"every worker has ended; the reason is in {self.log}{self._last_line()}")
         return sentences
 
     def dismiss(self) -> None:
         """Tell all workers to end, without waiting for it."""
+        if self._nursery is not None:
+            self._nursery.terminate()
         for process in self._processes.values():
             process.terminate()
 
@@ -82,6 +90,10 @@ class Workers:
         """End all workers, in three steps of rising force. An interrupt goes straight to the last."""
         try:
             self.dismiss()
+            if self._nursery is not None:
+                self._nursery.wait(_STOP_LIMIT_S)
+                self._take_in()
+                self.dismiss()
             for process in self._processes.values():
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     process.wait(_STOP_LIMIT_S)
@@ -93,7 +105,20 @@ class Workers:
             if self._file is not None:
                 self._file.close()
 
+    def _take_in(self) -> list[str]:
+        """Adopt the workers once all of them are there; return a sentence when there are fewer than there should be."""
+        if self._nursery is None or not self._nursery.is_left:
+            return []
+        self._processes.update(self._nursery.workers())
+        self._nursery = None
+        missing = self.number - len(self._processes)
+        return [f"{missing} of {self.number} workers could not be started; their log is {self.log}"] if missing else []
+
     def _kill(self) -> None:
+        if self._nursery is not None:
+            self._nursery.kill()
+            self._nursery.wait(_STOP_LIMIT_S)
+            self._take_in()
         for process in self._processes.values():
             process.kill()
 
@@ -113,7 +138,16 @@ class Workers:
 
 def worker_command(endpoint: str, name: str) -> Sequence[str]:
     """Return the command of one worker process, which ends when this process does."""
-    options = ["--connect", endpoint, "--processes", "1", "--name", name, "--wait", "30"]
+    return _command(endpoint, name, 1)
+
+
+def nursery_command(endpoint: str, number: int) -> Sequence[str]:
+    """Return the command of the process that forks so many workers, w-0, w-1 and so on, and leaves them to this one."""
+    return [*_command(endpoint, "w", number), "--leave"]
+
+
+def _command(endpoint: str, name: str, number: int) -> Sequence[str]:
+    options = ["--connect", endpoint, "--processes", str(number), "--name", name, "--wait", "30"]
     return [sys.executable, "-m", "island_worker", *options, "--parent", str(os.getpid())]
 
 

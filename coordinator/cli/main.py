@@ -19,7 +19,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     check_product()
     if argv is None:
+        from common.garbage import collect_rarely
+
         open_closed_streams()
+        collect_rarely()
     code = _guarded(sys.argv[1:] if argv is None else argv)
     if argv is None:
         _flush()

@@ -7,6 +7,7 @@ import math
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final
 
@@ -21,6 +22,7 @@ from common.expression.text import PRINTABLE_SIZE, to_infix, tree_size
 from common.pareto import FrontEntry
 from common.wire.views import JobState
 from coordinator.model.digest import result_digest
+from coordinator.model.refine import Refined
 from coordinator.model.select import select, threshold
 
 SCHEMA: Final = 1
@@ -35,7 +37,7 @@ class VariableOutcome:
     up to the cut (0: none yet); `generation` the one that met the target, counted from the search's beginning, or None
     when none did; `evaluations` the cumulative point evaluations by part, all islands together; `seconds` the time from
     the first epoch's start to the cut's end; `why` how the search ended (None: it has not), as in
-    `common.wire.views.VariableView`.
+    `common.wire.views.VariableView`; `refined` is the equation made of the front after the search (None: none yet).
     """
 
     variable: str
@@ -45,6 +47,7 @@ class VariableOutcome:
     evaluations: Mapping[str, int] = field(default_factory=dict)
     seconds: float = 0.0
     why: str | None = None
+    refined: Refined | None = None
 
 
 @dataclass(frozen=True)
@@ -110,37 +113,60 @@ def versions() -> dict[str, str | int]:
 
 def _equation(config: JobConfig, dataset: Dataset, outcome: VariableOutcome) -> dict[str, Any]:
     target = dataset.problem(outcome.variable).target
-    front = [entry for entry in outcome.front if _is_printable(entry, dataset)]
-    chosen = select(front, len(target.values), target, config.budget.target_error) if front else None
-    members = [_member(entry, dataset, target, index == chosen) for index, entry in enumerate(front)]
+    shown = equation_of(outcome, dataset, config)
+    printable = [(index, entry) for index, entry in enumerate(outcome.front) if _is_printable(entry, dataset)]
+    member = None if shown is None else shown.member
     return {
         "variable": target.variable,
         "lhs": target.lhs,
-        **_best(None if chosen is None else front[chosen], dataset, target, config),
-        **_course(None if chosen is None else front[chosen], outcome, config),
+        **_best(shown, dataset, target, config),
+        **_course(None if member is None else outcome.front[member], outcome, config),
         "derivative_floor": _finite(target.floor),
         "target_error": threshold(target, config.budget.target_error),
-        "front": members,
+        "front": [_member(entry, dataset, target, index == member) for index, entry in printable],
     }
 
 
+def equation_of(outcome: VariableOutcome, dataset: Dataset, config: JobConfig) -> Refined | None:
+    """Return the equation that is shown: the refined one, before that the selected member of the front as it stands.
+
+    None when there is no member that can be printed.
+    """
+    if outcome.refined is not None:
+        return outcome.refined
+    target = dataset.problem(outcome.variable).target
+    printable = [index for index, entry in enumerate(outcome.front) if _is_printable(entry, dataset)]
+    if not printable:
+        return None
+    front = [outcome.front[index] for index in printable]
+    member = printable[select(front, len(target.values), target, config.budget.target_error)]
+    entry = outcome.front[member]
+    return Refined(member, _program(entry, dataset), entry.error, entry.mse)
+
+
 def _is_printable(entry: FrontEntry, dataset: Dataset) -> bool:
-    return tree_size(_program(entry, dataset)) <= PRINTABLE_SIZE
+    return is_printable(entry.program, len(dataset.names))
 
 
-def _best(entry: FrontEntry | None, dataset: Dataset, target: Target, config: JobConfig) -> dict[str, Any]:
-    """Return what is said of the selected equation; all null when there is none."""
-    if entry is None:
+@lru_cache(maxsize=4096)
+def is_printable(program: bytes, inputs: int) -> bool:
+    """Tell whether an equation, written out, has a length that anybody could read."""
+    return tree_size(Program.from_bytes(program, inputs)) <= PRINTABLE_SIZE
+
+
+def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobConfig) -> dict[str, Any]:
+    """Return what is said of the equation; all null when there is none."""
+    if shown is None:
         unknown = dict.fromkeys(("expression", "complexity", "error", "normalized_error"))
         return {**unknown, "converged": False, "constants": []}
-    normalized = entry.error / target.deviation if target.deviation else math.inf
+    normalized = shown.error / target.deviation if target.deviation else math.inf
     return {
-        "expression": to_infix(_program(entry, dataset), dataset.names),
-        "complexity": entry.complexity,
-        "error": _finite(entry.error),
+        "expression": to_infix(shown.program, dataset.names),
+        "complexity": len(shown.program),
+        "error": _finite(shown.error),
         "normalized_error": _finite(normalized),
         "converged": normalized <= threshold(target, config.budget.target_error),
-        "constants": _constants(_program(entry, dataset)),
+        "constants": _constants(shown.program, shown.std_errors, shown.fitted),
     }
 
 
@@ -174,9 +200,16 @@ def _member(entry: FrontEntry, dataset: Dataset, target: Target, selected: bool)
     }
 
 
-def _constants(program: Program) -> list[dict[str, float | None]]:
+def _constants(
+    program: Program, std_errors: Sequence[float] = (), fitted: Sequence[float] = ()
+) -> list[dict[str, float | None]]:
+    """Return the constants in node order; `fitted` is what they were before they were made simple."""
     values = program.constants[program.operators == np.int8(CONSTANT)].tolist()
-    return [{"value": _finite(value), "std_error": None} for value in values]
+    unknown = [math.nan] * len(values)
+    return [
+        {"value": _finite(value), "std_error": _finite(error), "fitted": _finite(before)}
+        for value, error, before in zip(values, std_errors or unknown, fitted or unknown, strict=True)
+    ]
 
 
 def _program(entry: FrontEntry, dataset: Dataset) -> Program:

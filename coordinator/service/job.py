@@ -12,6 +12,7 @@ from common.pareto import FrontEntry
 from common.slices import Course
 from common.wire.messages import Commit, EpochReport, JobAnnouncement, chunk_count
 from common.wire.views import FINAL_STATES, JobState
+from coordinator.model.refine import Refined
 from coordinator.model.select import count_constants, description_length
 from coordinator.service.archipelago import Archipelago
 from coordinator.service.collector import DivergedError, Limits, Measure
@@ -23,7 +24,7 @@ Fault = Literal["data", "diverged", "internal"]
 JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
     "queued": {"prepare": "preparing", "fail": "failed", "cancel": "cancelled"},
     "preparing": {"prepared": "running", "fail": "failed", "cancel": "cancelled"},
-    "running": {"searched": "done", "fail": "failed", "cancel": "cancelled"},
+    "running": {"searched": "refining", "fail": "failed", "cancel": "cancelled"},
     "refining": {"refined": "done", "fail": "failed", "cancel": "cancelled"},
     "done": {},
     "failed": {},
@@ -47,11 +48,18 @@ class TellCommit:
 
 
 @dataclass(frozen=True, slots=True)
+class Refine:
+    """All is cut: have the equations made of these fronts, by variable; `Job.take_refined` follows."""
+
+    fronts: dict[str, tuple[FrontEntry, ...]]
+
+
+@dataclass(frozen=True, slots=True)
 class Conclude:
     """The job has ended: commit its result, then close it."""
 
 
-JobAction = KeepCut | TellCommit | Conclude
+JobAction = KeepCut | TellCommit | Refine | Conclude
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +89,8 @@ class Job:
         self.prepared: Prepared | None = None
         self.archipelagos: dict[str, Archipelago] = {}
         self.started_at: float | None = None
+        self.refined: Mapping[str, Refined] = {}
+        self.warnings: tuple[str, ...] = ()
 
     @property
     def has_ended(self) -> bool:
@@ -155,6 +165,14 @@ class Job:
             actions += self._cut_of(archipelago)
         return actions + (self._conclude_if_cut() if actions else [])
 
+    def take_refined(self, refined: Mapping[str, Refined], warnings: tuple[str, ...] = ()) -> list[JobAction]:
+        """Take in the equations made of the fronts, and end; without effect on a job that does not wait for them."""
+        if self.state != "refining":
+            return []
+        self.refined, self.warnings = refined, warnings
+        self._step("refined")
+        return [Conclude()]
+
     def cancel(self) -> list[JobAction]:
         """End it and keep what has been found; without effect on a job that has ended."""
         if self.has_ended:
@@ -216,7 +234,8 @@ class Job:
         if self.open_archipelagos:
             return []
         self._step("searched")
-        return [Conclude()]
+        cuts = {name: each.cut for name, each in self.archipelagos.items()}
+        return [Refine({name: cut.entries() for name, cut in cuts.items() if cut is not None})]
 
 
 def course_of(config: JobConfig) -> Course:

@@ -1,11 +1,12 @@
 """What the service needs from outside itself, beside the bus: a store, a place for slow work, the time of day."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
 from common.config import JobConfig
 from common.dataset import Dataset
+from coordinator.model.refine import Fronts, Refined, refine_all
 from coordinator.service.store import JobRecord
 
 
@@ -60,6 +61,9 @@ class StorePort(Protocol):
 Preparer = Callable[[bytes, JobConfig], Dataset]
 """Turns an uploaded table into regression problems; raises DataError or UsageError with a sentence for the user."""
 
+Refiner = Callable[[Dataset, JobConfig, Fronts], Mapping[str, Refined]]
+"""Makes the equations that are shown of the fronts, by variable; see `coordinator.model.refine.refine_all`."""
+
 Background = Callable[[Callable[[], None]], None]
 """Has a piece of work done elsewhere than on the caller's thread, and returns at once."""
 
@@ -71,3 +75,4 @@ class Ports:
     preparer: Preparer
     background: Background
     clock: Callable[[], str]
+    refiner: Refiner = refine_all

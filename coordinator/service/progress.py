@@ -1,14 +1,13 @@
 """What people are shown of a job: its view, and its result, also while it runs. Pure."""
 
 import json
-from functools import lru_cache
+from dataclasses import replace
 from typing import Any, cast
 
-from common.expression.program import Program
-from common.expression.text import PRINTABLE_SIZE, to_infix, tree_size
+from common.expression.text import to_infix
 from common.wire.views import JobState, JobView, VariableView
-from coordinator.model.result import Account, VariableOutcome, build_result
-from coordinator.model.select import select, threshold
+from coordinator.model.result import Account, VariableOutcome, build_result, equation_of
+from coordinator.model.select import threshold
 from coordinator.service.archipelago import Archipelago
 from coordinator.service.cut import Why
 from coordinator.service.job import Job, Prepared
@@ -21,12 +20,13 @@ def job_result(job: Job, now: float) -> dict[str, Any]:
     prepared = job.prepared
     if prepared is None:
         raise ValueError(f"job {job.id} has no dataset yet")
-    outcomes = [outcome_of(each) for each in job.archipelagos.values()]
+    outcomes = outcomes_of(job)
     account = Account(
         state=job.state,
         seconds=now - job.submitted_at,
         search_seconds=max((outcome.seconds for outcome in outcomes), default=0.0),
         reason=job.reason,
+        warnings=job.warnings,
     )
     return build_result(job.id, prepared.config, prepared.dataset, outcomes, account)
 
@@ -34,6 +34,11 @@ def job_result(job: Job, now: float) -> dict[str, Any]:
 def result_text(result: dict[str, Any]) -> str:
     """Return a result as JSON text."""
     return json.dumps(result, ensure_ascii=False, allow_nan=False)
+
+
+def outcomes_of(job: Job) -> list[VariableOutcome]:
+    """Return how the searches of a job stand or ended, with what refinement has made of them."""
+    return [replace(outcome_of(each), refined=job.refined.get(each.variable)) for each in job.archipelagos.values()]
 
 
 def outcome_of(archipelago: Archipelago) -> VariableOutcome:
@@ -51,7 +56,7 @@ def outcome_of(archipelago: Archipelago) -> VariableOutcome:
 
 def job_view(job: Job, membership: Membership, now: float) -> JobView:
     """Return what `jobs` and `status` show of a live job, or of one that ends now."""
-    outcomes = [outcome_of(each) for each in job.archipelagos.values()]
+    outcomes = outcomes_of(job)
     evaluations = sum(sum(outcome.evaluations.values()) for outcome in outcomes)
     seconds = job.search_seconds(now)
     variables = tuple(_variable_view(job.prepared, each) for each in outcomes) if job.prepared else ()
@@ -106,27 +111,19 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome) -> VariableView
         finished=outcome.why is not None,
         why=cast(Why | None, outcome.why),
     )
-    names = prepared.dataset.names
-    front = [entry for entry in outcome.front if is_printable(entry.program, len(names))]
-    if not front:
+    shown = equation_of(outcome, prepared.dataset, prepared.config)
+    if shown is None:
         return view
-    entry = front[select(front, len(target.values), target, target_error)]
-    normalized = entry.error / target.deviation if target.deviation else None
+    normalized = shown.error / target.deviation if target.deviation else None
     return view.model_copy(
         update={
-            "error": entry.error,
+            "error": shown.error,
             "normalized_error": normalized,
-            "complexity": entry.complexity,
-            "expression": to_infix(Program.from_bytes(entry.program, len(names)), names),
+            "complexity": len(shown.program),
+            "expression": to_infix(shown.program, prepared.dataset.names),
             "converged": normalized is not None and normalized <= threshold(target, target_error),
         }
     )
-
-
-@lru_cache(maxsize=4096)
-def is_printable(program: bytes, inputs: int) -> bool:
-    """Tell whether an equation, written out, has a length that anybody could read."""
-    return tree_size(Program.from_bytes(program, inputs)) <= PRINTABLE_SIZE
 
 
 def _stored_variable_view(equation: dict[str, Any]) -> VariableView:

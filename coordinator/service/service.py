@@ -6,6 +6,7 @@
 import hashlib
 import logging
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
@@ -36,6 +37,7 @@ from common.wire.messages import (
     WorkerStatus,
 )
 from common.wire.rejects import Rejects
+from coordinator.model.refine import Fronts, Refined
 from coordinator.service.conductor import Conductor, WorkerWord
 from coordinator.service.desk import Body, Desk
 from coordinator.service.job import Fault, Prepared
@@ -67,6 +69,15 @@ class _Unprepared:
     job: str
     fault: Fault
     sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Refined:
+    """Posted by the refining thread: the equations made of a job's fronts."""
+
+    job: str
+    equations: Mapping[str, Refined]
+    warnings: tuple[str, ...] = ()
 
 
 class Service:
@@ -158,6 +169,18 @@ class Service:
             _LOG.exception("preparing broke job=%s", job)
             return _Unprepared(job, "internal", f"preparing the data broke ({type(error).__name__}: {error})")
 
+    def refine(self, job: str, prepared: Prepared, fronts: Fronts) -> None:
+        """See `Outlet.refine`."""
+        self._ports.background(lambda: self._bus.post(self._refine(job, prepared, fronts)))
+
+    def _refine(self, job: str, prepared: Prepared, fronts: Fronts) -> _Refined:
+        """Make the equations; runs in the background. When that breaks, the selected members stay as they are."""
+        try:
+            return _Refined(job, self._ports.refiner(prepared.dataset, prepared.config, fronts))
+        except Exception as error:  # the job is done all the same
+            _LOG.exception("refining broke job=%s", job)
+            return _Refined(job, {}, (f"Refining broke ({type(error).__name__}: {error}); equations are as found.",))
+
     def _put(self, key: str, message: Control) -> None:
         self._bus.put(key, encode(message))
 
@@ -182,6 +205,8 @@ class Service:
                 self.conductor.prepared(item.job, item.prepared, now)
             case _Unprepared():
                 self.conductor.job_failed(item.job, item.fault, item.sentence, now)
+            case _Refined():
+                self.conductor.refined(item.job, item.equations, now, item.warnings)
 
     @_on.register
     def _on_link(self, event: Link) -> None:

@@ -123,7 +123,8 @@ class Offering:
     def _variants(self, formula: Formula, k: int, limit: float) -> list[Formula]:
         """Return the ways to write down the coefficients just fitted that leave the loss within `limit`.
 
-        With the shift or without it, those near 1 and -1 as they are or exact; and the formula as it stands.
+        With the shift or without it, those near 1 and -1 as they are or exact. Where sizes are limited all of these may
+        be too large, so that the formula as it stands is among them.
         """
         book = self._setting.scratch.book
         number = int(book.number[k])
@@ -132,11 +133,13 @@ class Offering:
         terms = book.terms[k, :number].tolist()
         shift, *coefficients = book.scale[k, : 1 + number].tolist()
         plain = [math.copysign(1.0, a) if abs(abs(a) - 1.0) < SIMPLE else a for a in coefficients]
-        variants = {}
+        variants: dict[Formula, None] = {}
         for index, loss in enumerate(book.variants[k].tolist()):
             if loss <= limit:
                 written = plain if index & 2 else coefficients
                 variants[combined(formula, terms, written, 0.0 if index & 1 else shift)] = None
+        if self._setting.config.space.max_size is not None:
+            variants[formula] = None
         return list(variants)
 
     def _measured(self, formula: Formula, counters: Counters, tag: Tag) -> FrontEntry | None:
@@ -153,9 +156,7 @@ class Offering:
 
     def _refit(self, size: int, rows: Rows, steps: int, counters: Counters) -> None:
         scratch = self._setting.scratch
-        refit(
-            size, rows, self._unscaled, steps, scratch.canonical, scratch.work, self._scale, self._result, counters
-        )
+        refit(size, rows, self._unscaled, steps, scratch.canonical, scratch.work, self._scale, self._result, counters)
 
     def _canonical(self, formula: Formula) -> int:
         """Put the canonical form of `formula` on the canonical tape; return its size."""

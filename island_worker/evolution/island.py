@@ -19,8 +19,9 @@ from common.pareto import FrontEntry
 from common.seeding import stream_key
 from common.wire.codec import decode_arrays, encode_arrays
 from island_worker.evolution import migration
+from island_worker.evolution.coevolution import begin_coevolution, evolve, use_best_predictor
 from island_worker.evolution.front import Front, Offering
-from island_worker.evolution.kernels_coevolution import begin_coevolution, evolve, train, use_best_predictor
+from island_worker.evolution.kernels_coevolution import train
 from island_worker.evolution.kernels_generation import OFFSPRING, PARTS, measure_all, random_population
 from island_worker.evolution.setting import Setting
 from island_worker.evolution.structures import Lists, empty_lists
@@ -249,10 +250,19 @@ class Island:
 
     def _retrain(self) -> None:
         """Bring back the trainers' losses by row, which follow from the trainers; not counted again."""
-        if self._setting.coevolving.enabled and self.epoch > 0:
+        setting = self._setting
+        if setting.coevolving.enabled and self.epoch > 0:
             for t in range(self._coevolution.exact.shape[0]):
                 uncounted = np.zeros(len(PARTS), np.int64)
-                train(self._coevolution, t, self._setting.every, self._setting.fit, self._setting.scratch, uncounted)
+                train(
+                    self._coevolution,
+                    t,
+                    setting.every,
+                    setting.fit,
+                    setting.scratch.tape,
+                    setting.scratch.work,
+                    uncounted,
+                )
 
 
 senders = migration.senders

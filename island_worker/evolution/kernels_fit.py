@@ -15,7 +15,7 @@ import numpy as np
 from common.expression.kernels import Int, forward, reverse_block
 from common.expression.kernels_lanes import LANES, add_scaled, copy, fill, place, total_magnitude
 from common.expression.operators import ADD, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SUBTRACT, VARIABLE
-from common.jit import inlined, kernel
+from common.jit import inlined
 from island_worker.evolution.kernels_rows import centre_into, product
 from island_worker.evolution.kernels_tape import ARITY_OF
 from island_worker.evolution.kernels_variation import reset_scale
@@ -27,6 +27,7 @@ _STALLED: Final = 1e-3
 _EXACT: Final = 1e-30
 _COLLINEAR: Final = 1e-10
 _NEGLIGIBLE: Final = 1e-28
+_SUPERFLUOUS: Final = 1e-20
 _ZERO: Final = np.int64(0)
 _ONE: Final = np.int64(1)
 
@@ -54,7 +55,7 @@ def collect_terms(tape: Tape, count: Int, most: Int, terms: Ints) -> Int:
     if most == 0:
         return _ONE
     code = tape.code
-    number = _ZERO if code[count - 1] == CONSTANT else _ONE
+    number: Int = _ZERO if code[count - 1] == CONSTANT else _ONE
     j = _ZERO
     while j < number:
         node = terms[j]
@@ -96,7 +97,7 @@ def choose_fitted(tape: Tape, count: Int, number: Int, most: Int, work: Work) ->
     fitted = _ZERO
     for i in range(count):
         op = tape.code[i]
-        depends = False
+        depends: bool | np.bool_ = False
         if feeds[i]:
             if op == CONSTANT:
                 depends = fitted < most and fitted < MOST_FITTED
@@ -202,9 +203,7 @@ def measure_tape(
 
 
 @inlined
-def _jacobian(
-    tape: Tape, count: Int, fitted: Int, is_linear: bool, rows: Rows, scale: Floats, work: Work
-) -> None:
+def _jacobian(tape: Tape, count: Int, fitted: Int, is_linear: bool, rows: Rows, scale: Floats, work: Work) -> None:
     """Fill `work.columns` with the derivatives of the output by the fitted constants, the a_j held."""
     adjoints = work.adjoints
     for start in range(_ZERO, rows.length, LANES):
@@ -218,9 +217,27 @@ def _jacobian(
         )
         for i in range(fitted):
             copy(place(work.columns, i, start), place(adjoints, work.fitted[i], _ZERO))
-    for i in range(fitted):
-        mean = product(work.columns, i, rows.mask, _ZERO, rows.length) / rows.length if is_linear else 0.0
-        centre_into(work.columns, i, work.columns, i, mean, rows)
+
+
+@inlined
+def _project(i: Int, rows: Rows, work: Work) -> None:
+    """Take out of column `i` what 1 and the terms can express; all of it where only rounding errors would be left.
+
+    Such a column belongs to a constant that the coefficients make superfluous, as c in a exp(x + c). A step along
+    rounding errors would be enormous, and would spoil the step of every other constant.
+    """
+    n = rows.length
+    columns = work.columns
+    mean = product(columns, i, rows.mask, _ZERO, n) / n
+    centre_into(columns, i, columns, i, mean, rows)
+    whole = product(columns, i, columns, i, n) + n * mean * mean
+    for j in range(work.number[0]):
+        if work.inverse[j] > 0.0:
+            ratio = product(work.basis, j, columns, i, n) * work.inverse[j]
+            _subtract_multiple(columns, i, ratio, work.basis, j, n)
+    if product(columns, i, columns, i, n) <= _SUPERFLUOUS * whole:
+        for start in range(_ZERO, n, LANES):
+            fill(place(columns, i, start), 0.0)
 
 
 @inlined
@@ -233,10 +250,9 @@ def _normal_equations(
     columns = work.columns
     for i in range(fitted):
         if is_linear:
-            for j in range(work.number[0]):
-                if work.inverse[j] > 0.0:
-                    ratio = product(work.basis, j, columns, i, n) * work.inverse[j]
-                    _subtract_multiple(columns, i, ratio, work.basis, j, n)
+            _project(i, rows, work)
+        else:
+            centre_into(columns, i, columns, i, 0.0, rows)
         work.gradient[i] = -product(columns, i, work.residual, _ZERO, n)
         for j in range(i + 1):
             work.matrix[i, j] = product(columns, i, columns, j, n)
@@ -277,7 +293,7 @@ def _solve(size: Int, damping: float, work: Work) -> bool:
 def fit(
     tape: Tape, count: Int, rows: Rows, options: Fit, most: Int, steps: Int, ceiling: float, work: Work,
     scale: Floats, result: Floats,
-) -> int:  # fmt: skip
+) -> Int:  # fmt: skip
     """Fit terms and inner constants of the tape to `rows`, in place; set the errors; return point evaluations.
 
     A value at a row counts 1; the reverse sweep that makes it a gradient counts 2 more.
@@ -294,54 +310,40 @@ def fit(
     reset_scale(scale)
     room = max(most - (number if is_linear else _ZERO) - 1, options.least)
     fitted = choose_fitted(tape, count, number, room if steps > 0 else _ZERO, work)
-    measure_tape(tape, count, rows, is_linear, False, work, scale, result)
-    evaluations = rows.length
-    work.settled[0] = fitted == 0 or not np.isfinite(result[1])
-    if work.settled[0] or result[options.loss] > ceiling:
-        return evaluations
-    return evaluations + _descend(tape, count, fitted, rows, is_linear, steps, work, scale, result)
-
-
-@inlined
-def _descend(
-    tape: Tape, count: Int, fitted: Int, rows: Rows, is_linear: bool, steps: Int, work: Work, scale: Floats,
-    result: Floats,
-) -> int:  # fmt: skip
-    """Take at most `steps` steps from where `fit` has measured the tape; return point evaluations."""
-    damping = _FIRST_DAMPING
-    is_fresh = True
     evaluations = _ZERO
-    for _ in range(steps):
-        if result[1] <= _EXACT * rows.facts[1]:
-            work.settled[0] = True
-            break
-        if is_fresh:
-            _normal_equations(tape, count, fitted, is_linear, rows, scale, work)
-            evaluations += 2 * rows.length
-        if not _solve(fitted, damping, work):
-            is_fresh = False
-            damping *= 10.0
-            continue
-        for j in range(fitted):
-            work.kept[j] = tape.constants[work.fitted[j]]
-            tape.constants[work.fitted[j]] += work.step[j]
-        _keep_into(work.kept_scale, scale)
-        measure_tape(tape, count, rows, is_linear, True, work, scale, work.trial)
+    damping = _FIRST_DAMPING
+    left = steps
+    partly = False
+    while True:
+        measure_tape(tape, count, rows, is_linear, partly, work, scale, work.trial)
         evaluations += rows.length
-        is_fresh = work.trial[1] < result[1]
-        if is_fresh:
-            gain = 1.0 - work.trial[1] / result[1]
-            damping *= 0.1
+        if not partly or work.trial[1] < result[1]:
+            is_stalled = partly and 1.0 - work.trial[1] / result[1] < _STALLED
             result[0] = work.trial[0]
             result[1] = work.trial[1]
-            if gain < _STALLED:
-                work.settled[0] = True
+            _keep_into(work.kept_scale, scale)
+            is_exact = result[1] <= _EXACT * rows.facts[1]
+            work.settled[0] = fitted == 0 or is_exact or is_stalled or not np.isfinite(result[1])
+            if work.settled[0] or left == 0 or (not partly and result[options.loss] > ceiling):
                 break
+            _normal_equations(tape, count, fitted, is_linear, rows, scale, work)
+            evaluations += 2 * rows.length
+            damping *= 0.1 if partly else 1.0
         else:
-            damping *= 10.0
             _keep_into(scale, work.kept_scale)
             for j in range(fitted):
                 tape.constants[work.fitted[j]] = work.kept[j]
+            damping *= 10.0
+        while left > 0 and not _solve(fitted, damping, work):
+            damping *= 10.0
+            left -= 1
+        if left == 0:
+            break
+        left -= 1
+        partly = True
+        for j in range(fitted):
+            work.kept[j] = tape.constants[work.fitted[j]]
+            tape.constants[work.fitted[j]] += work.step[j]
     return evaluations
 
 

@@ -12,10 +12,24 @@ from common.expression.kernels import Int, forward
 from common.expression.operators import CONSTANT
 from common.jit import inlined, kernel
 from island_worker.evolution.kernels_fit import collect_terms, fit, residual_of
+from island_worker.evolution.kernels_predictors import predictor_generation
 from island_worker.evolution.kernels_random import Stream, below
 from island_worker.evolution.kernels_tape import compile_tape, sign
 from island_worker.evolution.kernels_variation import copy_list, cross, distance, mutate, random_list
-from island_worker.evolution.structures import Fit, Floats, Ints, Lists, Rows, Scratch, Space, Tape, Work
+from island_worker.evolution.structures import (
+    Coevolution,
+    Coevolving,
+    Fit,
+    Floats,
+    Hashes,
+    Ints,
+    Lists,
+    Rows,
+    Scratch,
+    Space,
+    Tape,
+    Work,
+)
 
 OFFSPRING: Final = np.int64(0)  # a plain integer would be a type of its own to the compiler, as an argument
 REEVALUATION: Final = np.int64(1)
@@ -30,7 +44,7 @@ _ZERO: Final = np.int64(0)
 _ONE: Final = np.int64(1)
 
 
-@kernel
+@inlined
 def residual_of_list(lists: Lists, p: Int, rows: Rows, options: Fit, tape: Tape, work: Work) -> None:
     """Write the target less the output of individual `p`, as it stands, on `rows` into `work.residual`."""
     count = compile_tape(lists, p, tape)
@@ -81,6 +95,17 @@ def measure_all(
 
 
 @kernel
+def draw_coevolution(lists: Lists, coevolution: Coevolution, length: Int, stream: Stream) -> None:
+    """Draw random predictors of `length` rows and take random individuals as trainers, not yet measured."""
+    for k in range(coevolution.predictors.shape[0]):
+        for i in range(coevolution.predictors.shape[1]):
+            coevolution.predictors[k, i] = below(stream, length)
+    for t in range(coevolution.exact.shape[0]):
+        copy_list(coevolution.trainers, t, lists, below(stream, lists.code.shape[0]))
+        coevolution.born[t] = t - coevolution.exact.shape[0]
+
+
+@kernel
 def random_population(lists: Lists, space: Space, stream: Stream) -> None:
     """Draw every list at random."""
     for p in range(lists.code.shape[0]):
@@ -97,16 +122,15 @@ def _shuffle(order: Ints, stream: Stream) -> None:
 
 
 @inlined
-def _sign_families(parents: Lists, first: Int, second: Int, scratch: Scratch) -> bool:
+def _sign_families(parents: Lists, first: Int, second: Int, children: Lists, signature: Ints, bits: Hashes) -> bool:
     """Sign two parents and the two children; return whether the children face the parents they began as.
 
     Parents and children are matched by their distances; a tie goes uncrossed.
     """
-    signature, bits = scratch.signature, scratch.tape.bits
     sign(parents, first, bits, signature, 0)
     sign(parents, second, bits, signature, 1)
-    sign(scratch.children, 0, bits, signature, 2)
-    sign(scratch.children, 1, bits, signature, 3)
+    sign(children, 0, bits, signature, 2)
+    sign(children, 1, bits, signature, 3)
     straight = distance(signature, 0, 2) + distance(signature, 1, 3)
     return straight <= distance(signature, 0, 3) + distance(signature, 1, 2)
 
@@ -123,9 +147,9 @@ def _is_same(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints, i: 
 
 
 @inlined
-def _inherits(lists: Lists, p: Int, children: Lists, q: Int, scratch: Scratch, i: Int) -> bool:
-    """Return whether child `q` has its loss and scaling from parent `p`, which no fit would change; take it over."""
-    if not (scratch.settled[p] and _is_same(lists, p, children, q, scratch.signature, i)):
+def _inherits(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints, i: Int) -> bool:
+    """Return whether child `q` computes just what parent `p` does; its scaling is then the parent's."""
+    if not _is_same(lists, p, children, q, signature, i):
         return False
     for j in range(lists.scale.shape[1]):
         children.scale[q, j] = lists.scale[p, j]
@@ -133,49 +157,68 @@ def _inherits(lists: Lists, p: Int, children: Lists, q: Int, scratch: Scratch, i
 
 
 @kernel
-def generation(
+def advance(
+    generations: Int,
     lists: Lists,
     fitness: Floats,
+    coevolution: Coevolution,
     space: Space,
     options: Fit,
+    coevolving: Coevolving,
+    length: Int,
     rows: Rows,
     scratch: Scratch,
     stream: Stream,
     counters: Ints,
-) -> None:
-    """Advance the population by one generation on the current predictor's `rows`.
+) -> int:
+    """Advance the population on the current predictor's `rows`, and the predictors of the `length` rows in all.
 
     A child that computes what one of its parents does is not measured again (and not counted), unless its constants
     can still be fitted better. Steps for constants are spent on the few children that are much better than their worse
-    parent already without them (ADR 0014).
+    parent already without them (ADR 0014). Return after so many generations, or sooner when a trainer is to be renewed
+    or the best predictor has changed: `coevolution.due` tells which.
+
+    Returns:
+        The generations done.
     """
-    order, children, settled = scratch.order, scratch.children, scratch.settled
-    loss = scratch.child_loss
-    for p in range(order.shape[0]):
-        order[p] = p
-    _shuffle(order, stream)
-    for pair in range(0, order.shape[0], 2):
-        first, second = order[pair], order[pair + 1]
-        cross(children, lists, first, second, space, stream)
-        for q in range(2):
-            mutate(children, q, space, stream)
-        is_straight = _sign_families(lists, first, second, scratch)
-        ceiling = options.gate * max(fitness[first], fitness[second])
-        for q in range(2):
-            is_settled = True
-            if _inherits(lists, first, children, q, scratch, _ZERO):
-                loss[q] = fitness[first]
-            elif _inherits(lists, second, children, q, scratch, _ONE):
-                loss[q] = fitness[second]
-            else:
-                loss[q] = develop(
-                    children, q, rows, options, ceiling, scratch.tape, scratch.near, scratch.result, counters, OFFSPRING
-                )
-                is_settled = scratch.near.settled[0]
-            scratch.child_settled[q] = is_settled
-        for q in range(2):
-            p = first if (q == 0) == is_straight else second
-            if loss[q] <= fitness[p]:
-                copy_list(lists, p, children, q)
-                fitness[p] = loss[q]
-                settled[p] = scratch.child_settled[q]
+    order, due = scratch.order, coevolution.due
+    children, tape, near, result = scratch.children, scratch.tape, scratch.near, scratch.result
+    signature, loss = scratch.signature, scratch.child_loss
+    child_settled, settled = scratch.child_settled, scratch.settled
+    due[0] = due[1] = False
+    for done in range(generations):
+        for p in range(order.shape[0]):
+            order[p] = p
+        _shuffle(order, stream)
+        for pair in range(0, order.shape[0], 2):
+            first, second = order[pair], order[pair + 1]
+            cross(children, lists, first, second, space, stream)
+            for q in range(2):
+                mutate(children, q, space, stream)
+            is_straight = _sign_families(lists, first, second, children, signature, tape.bits)
+            ceiling = options.gate * max(fitness[first], fitness[second])
+            for q in range(2):
+                child_settled[q] = True
+                if settled[first] and _inherits(lists, first, children, q, signature, _ZERO):
+                    loss[q] = fitness[first]
+                elif settled[second] and _inherits(lists, second, children, q, signature, _ONE):
+                    loss[q] = fitness[second]
+                else:
+                    loss[q] = develop(children, q, rows, options, ceiling, tape, near, result, counters, OFFSPRING)
+                    child_settled[q] = near.settled[0]
+            for q in range(2):
+                p = first if (q == 0) == is_straight else second
+                if loss[q] <= fitness[p]:
+                    copy_list(lists, p, children, q)
+                    fitness[p] = loss[q]
+                    settled[p] = child_settled[q]
+        total = 0
+        for count in counters:
+            total += count
+        if coevolving.enabled == 0 or counters[COEVOLUTION] >= coevolving.effort * total:
+            continue
+        due[1] = predictor_generation(coevolution, length, scratch.predictor_children, stream)
+        due[0] = coevolution.clock[0] % coevolving.renewal == 0
+        if due[0] or due[1]:
+            return done + 1
+    return int(generations)

@@ -140,7 +140,9 @@ def refit_offers(
     for c in range(chosen):
         size = canonical(lists, scratch.chosen[c], scratch)
         scale = book.scale[count]
-        counters[REFITTING] += fit(tape, size, rows, options, rows.length // 4, steps, INFINITY, work, scale, scratch.result)
+        counters[REFITTING] += fit(
+            tape, size, rows, options, rows.length // 4, steps, INFINITY, work, scale, scratch.result
+        )
         loss = loss_of(scratch.result, options)
         if not loss < least[size]:
             continue

@@ -61,9 +61,11 @@ class Setting:
         self.rows = self.every
         if self.coevolving.enabled:
             self.rows = empty_rows(variables, sample, 2 * variables if keeps_waves else 0)
-        self.scratch = _shared_scratch(
+        shared = _shared_scratch(
             threading.get_ident(), evolution.population, self.space.nodes, variables, self.sample, rows
         )
+        # What stays known of the population from one call to the next is the island's own: islands take turns.
+        self.scratch = shared._replace(settled=np.zeros(evolution.population, np.bool_))
 
     def gather(self, coevolution: Coevolution) -> None:
         """Fill `rows` with those of the best predictor; nothing to do while predictors are off."""
@@ -84,6 +86,7 @@ class Setting:
             born=np.zeros(trainers, np.int64),
             best=np.zeros(1, np.int64),
             clock=np.zeros(1, np.int64),
+            due=np.zeros(2, np.bool_),
         )
 
 

@@ -70,7 +70,7 @@ class Rows(NamedTuple):
     inputs: Floats
     """(V, padded)."""
     waves: Floats
-    """(2 V, padded) sine and cosine of each input, or (0, padded): not kept, they are computed where they are needed."""
+    """(2 V, padded) sine and cosine of each input; (0, padded) when they are computed where they are needed."""
     target: Floats
     """(1, padded)."""
     mask: Floats
@@ -157,6 +157,8 @@ class Coevolution(NamedTuple):
     """(1,) index of the predictor that measures the solutions now."""
     clock: Ints
     """(1,) predictor generations so far."""
+    due: Booleans
+    """(2,) whether a trainer is to be renewed now, and whether the best predictor has changed."""
 
 
 class Coevolving(NamedTuple):
@@ -288,9 +290,9 @@ def empty_scratch(population: int, nodes: int, variables: int, sample: int, rows
 
 
 def _empty_book(nodes: int) -> Book:
-    ints = [np.zeros((nodes, nodes), np.int64) for _ in range(3)]
+    code, left, right = (np.zeros((nodes, nodes), np.int64) for _ in range(3))
     return Book(
-        np.zeros(nodes, np.int64), *ints, np.zeros((nodes, nodes)), np.zeros(nodes, np.int64),
+        np.zeros(nodes, np.int64), code, left, right, np.zeros((nodes, nodes)), np.zeros(nodes, np.int64),
         np.zeros((nodes, MOST_TERMS), np.int64), np.zeros((nodes, 1 + MOST_TERMS)), np.zeros(nodes),
         np.zeros((nodes, 4)),
     )  # fmt: skip

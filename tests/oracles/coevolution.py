@@ -15,9 +15,9 @@ from tests.oracles.tapes import node_values
 def losses(lists: Lists, p: int, rows: Rows, options: Fit) -> FloatArray:
     """Return the loss of individual `p`, taken as one term with its scaling (`options.terms` 0), at every row."""
     tape = empty_tape(lists.code.shape[1])
-    count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
+    count = compile_tape(lists, p, tape)
     values = node_values(to_program(from_tape(tape, count)), rows.inputs[:, : rows.length])
-    differences = np.abs(lists.scale[p, 0] + lists.scale[p, 1] * values[-1] - rows.target[: rows.length])
+    differences = np.abs(lists.scale[p, 0] + lists.scale[p, 1] * values[-1] - rows.target[0, : rows.length])
     return differences if options.loss == 0 else differences**2
 
 

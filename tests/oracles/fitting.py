@@ -3,8 +3,10 @@
 import math
 
 import numpy as np
+from scipy.optimize import least_squares as minimised
 
 from common.dataset import FloatArray
+from common.expression.operators import CONSTANT
 from common.expression.program import Program
 from tests.oracles.tapes import node_values
 
@@ -31,3 +33,31 @@ def combination(program: Program, inputs: FloatArray, terms: set[int]) -> tuple[
     """Return the output of `program`, and the combination of 1 and `terms` that comes nearest to it."""
     values = node_values(program, inputs)
     return values[-1], least_squares(values[sorted(terms)], values[-1])[1]
+
+
+def with_constant(program: Program, node: int, by: float) -> Program:
+    """Return `program` with the constant at `node` changed by `by`."""
+    constants = program.constants.copy()
+    constants[node] += by
+    return Program(program.operators, program.left, program.right, constants)
+
+
+def best(
+    program: Program, inputs: FloatArray, target: FloatArray, terms: list[int]
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return constants, b, a_1, ... and the mean squared error that scipy finds, all of them moved together."""
+    nodes = np.flatnonzero(program.operators == CONSTANT)
+    start = least_squares(node_values(program, inputs)[terms], target)[0]
+
+    def constants_of(parameters: FloatArray) -> FloatArray:
+        constants = program.constants.copy()
+        constants[nodes] = parameters[: len(nodes)]
+        return constants
+
+    def residual(parameters: FloatArray) -> FloatArray:
+        moved = Program(program.operators, program.left, program.right, constants_of(parameters))
+        scale = parameters[len(nodes) :]
+        return scale[0] + scale[1:] @ node_values(moved, inputs)[terms] - target
+
+    found = minimised(residual, np.append(program.constants[nodes], start), x_scale="jac", max_nfev=500)
+    return constants_of(found.x), found.x[len(nodes) :], 2.0 * float(found.cost) / len(target)

@@ -5,7 +5,7 @@ import numpy as np
 from common.expression.operators import BY_NAME
 from island_worker.evolution.kernels_random import Stream
 from island_worker.evolution.kernels_variation import random_list
-from island_worker.evolution.structures import Lists, Space, empty_lists
+from island_worker.evolution.structures import Coevolution, Lists, Space, empty_lists
 
 DEFAULT = ("+", "-", "*", "/", "sin", "cos")
 
@@ -35,3 +35,20 @@ def random_lists(count: int, space: Space, seed: int) -> Lists:
     for p in range(count):
         random_list(lists, p, space, stream)
     return lists
+
+
+def empty_coevolution(
+    space: Space, predictors: int = 1, sample: int = 1, trainers: int = 1, rows: int = 1
+) -> Coevolution:
+    """Return predictors of `sample` rows and trainers on `rows`, not yet drawn; by default of no use to anybody."""
+    return Coevolution(
+        predictors=np.zeros((predictors, sample), np.int64),
+        quality=np.zeros(predictors),
+        trainers=empty_lists(trainers, space.nodes),
+        exact=np.zeros(trainers),
+        losses=np.zeros((trainers, rows)),
+        born=np.zeros(trainers, np.int64),
+        best=np.zeros(1, np.int64),
+        clock=np.zeros(1, np.int64),
+        due=np.zeros(2, np.bool_),
+    )

@@ -8,7 +8,8 @@ from common.expression.kernels import Floats, forward
 from common.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SUBTRACT
 from common.expression.program import Program
 from island_worker.evolution.formula import from_program, from_tape, onto_tape, to_program
-from island_worker.evolution.structures import Lists, Rows, Tape, empty_lists, empty_tape, empty_work, padded_rows
+from island_worker.evolution.kernels_rows import padded_rows
+from island_worker.evolution.structures import Lists, Rows, Tape, Work, empty_lists, empty_tape, empty_work
 
 SPACE = 128
 
@@ -39,13 +40,22 @@ def rows_of(inputs: Sequence[Sequence[float]] | Floats, target: Sequence[float] 
     return padded_rows(np.array(inputs, dtype=np.float64), np.array(target, dtype=np.float64))
 
 
+def evaluate_tape(tape: Tape, count: int, rows: Rows, work: Work) -> None:
+    """Write the kernels' value of every node on `tape` at every row into `work.values`."""
+    tape.wanted[:count] = True
+    forward(
+        count, tape.code, tape.left, tape.right, tape.constants, tape.wanted, rows.inputs, rows.waves, rows.length,
+        work.values, work.functions,
+    )  # fmt: skip
+
+
 def node_values(program: Program, inputs: Sequence[Sequence[float]] | Floats) -> Floats:
     """Return the kernels' value of every node of `program` at every row of `inputs` (V, R); shape (nodes, R)."""
     rows = rows_of(inputs, np.zeros(len(inputs[0])))
     tape, count = tape_of(program)
-    values = empty_work(count, rows.length).values
-    forward(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, rows.length, values)
-    return values[:, : rows.length]
+    work = empty_work(count, rows.length)
+    evaluate_tape(tape, count, rows, work)
+    return work.values[:, : rows.length]
 
 
 def live_nodes(program: Program) -> list[int]:

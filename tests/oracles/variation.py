@@ -35,9 +35,10 @@ def live_of(nodes: Sequence[Node]) -> set[int]:
     live, waiting = set(), [len(nodes) - 1]
     while waiting:
         node = waiting.pop()
-        live.add(node)
-        code, left, right, _ = nodes[node]
-        waiting += [left, right][: ARITY[code]]
+        if node not in live:
+            live.add(node)
+            code, left, right, _ = nodes[node]
+            waiting += [left, right][: ARITY[code]]
     return live
 
 
@@ -46,12 +47,18 @@ def distance(one: Sequence[Node], two: Sequence[Node]) -> int:
 
     def seen(nodes: Sequence[Node]) -> list[tuple[int, ...] | None]:
         live = live_of(nodes)
-        return [_meaning(node) if i in live else None for i, node in enumerate(nodes)]
+        return [meaning(node) if i in live else None for i, node in enumerate(nodes)]
 
     return sum(a != b for a, b in zip(seen(one), seen(two), strict=True))
 
 
-def _meaning(node: Node) -> tuple[int, ...]:
+def is_same(one: Sequence[Node], two: Sequence[Node]) -> bool:
+    """Return whether two lists compute the same: the same live nodes, with the same constants."""
+    return distance(one, two) == 0 and all(one[i][3] == two[i][3] for i in live_of(one) if one[i][0] == CONSTANT)
+
+
+def meaning(node: Node) -> tuple[int, ...]:
+    """Return operator and arguments of a node, the value of a constant left out."""
     code, left, right, _ = node
     if code == CONSTANT:
         return (code,)

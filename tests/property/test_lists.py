@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from common.expression.operators import BY_NAME
+from common.expression.operators import BY_NAME, CONSTANT
 from common.seeding import Stream
 from island_worker.evolution.formula import from_tape, to_program
 from island_worker.evolution.kernels_random import below, next_bits, normal, uniform
-from island_worker.evolution.kernels_tape import compile_tape, mark_live
+from island_worker.evolution.kernels_tape import compile_tape, sign
 from island_worker.evolution.kernels_variation import cross, distance, mutate, random_constant
 from island_worker.evolution.structures import Space, empty_lists, empty_tape
 from tests.oracles import variation as oracle
@@ -33,7 +33,7 @@ def spaces(draw: st.DrawFn) -> Space:
     return space_of(
         tuple(names),
         terminals=draw(st.integers(1, 9)),
-        operators=draw(st.integers(1, 30)),
+        operators=draw(st.one_of(st.integers(1, 30), st.sampled_from([57, 64, 80, 140]))),
         variables=draw(st.integers(1, 4)),
         scales=draw(st.sampled_from([(), (1.0,), (1024.0, 2.0**-20)])),
         mutation=draw(st.sampled_from([0.0, 0.05, 1.0])),
@@ -45,7 +45,7 @@ def assert_sound(lists, space):
     for p in range(lists.code.shape[0]):
         assert not oracle.problems(lists, p, space)
         tape = empty_tape(space.nodes)
-        count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
+        count = compile_tape(lists, p, tape)
         program = to_program(from_tape(tape, count))
         program.validate(space.variables)
         assert node_values(program, np.ones((space.variables, 1))).shape == (count, 1)
@@ -90,10 +90,13 @@ def test_children_are_sound_and_those_of_the_definition(space, seed):
     np.testing.assert_array_equal(children.scale, parents.scale)
 
 
-def live_flags(lists, p):
-    live = np.zeros(lists.code.shape[1], np.int64)
-    mark_live(lists.code[p], lists.left[p], lists.right[p], live)
-    return live
+def distance_of(one, p, two, q):
+    """Return the distance of list `p` of `one` and list `q` of `two`, from their signatures."""
+    nodes = one.code.shape[1]
+    signature, bits = np.zeros((2, nodes), np.int64), empty_tape(nodes).bits
+    sign(one, p, bits, signature, 0)
+    sign(two, q, bits, signature, 1)
+    return distance(signature, 0, 1)
 
 
 @QUICK
@@ -103,9 +106,9 @@ def test_distance_is_that_of_the_definition(space, seed):
     other = empty_lists(2, space.nodes)
     cross(other, lists, 0, 1, space, stream_of(seed))
     for two, q in ((lists, 1), (other, 0), (other, 1), (lists, 0)):
-        found = distance(lists, 0, live_flags(lists, 0), two, q, live_flags(two, q))
+        found = distance_of(lists, 0, two, q)
         assert found == oracle.distance(oracle.nodes_of(lists, 0), oracle.nodes_of(two, q))
-        assert found == distance(two, q, live_flags(two, q), lists, 0, live_flags(lists, 0))
+        assert found == distance_of(two, q, lists, 0)
     assert found == 0
 
 
@@ -115,7 +118,7 @@ def test_the_value_of_a_constant_makes_no_distance(space, seed):
     lists = random_lists(2, space, seed)
     for name in ("code", "left", "right"):
         getattr(lists, name)[1] = getattr(lists, name)[0]
-    assert distance(lists, 0, live_flags(lists, 0), lists, 1, live_flags(lists, 1)) == 0
+    assert distance_of(lists, 0, lists, 1) == 0
 
 
 @QUICK
@@ -167,3 +170,54 @@ def test_nodes_change_about_as_often_as_asked(mutation):
         mutate(lists, p, space, stream)
     changed = np.any([old != new for old, new in zip(before[:4], lists[:4], strict=True)], axis=0)
     assert 0.8 * mutation < changed.mean() < 1.1 * mutation
+
+
+def mutants(lists, space, seed):
+    """Return copies of `lists`, each mutated once."""
+    after, stream = type(lists)(*(column.copy() for column in lists)), stream_of(seed)
+    for p in range(lists.code.shape[0]):
+        mutate(after, p, space, stream)
+    return after
+
+
+@pytest.mark.parametrize("nodes", [32, 33, 64, 65, 101])
+def test_every_place_of_a_list_changes_equally_often_and_on_its_own(nodes):
+    """Of 3000 lists; the draws that change nothing that can be seen are reckoned with."""
+    mutation, number = 0.3, 3000
+    space = space_of(operators=nodes - 7, mutation=mutation, variables=4)
+    lists = random_lists(number, space, 21)
+    after = mutants(lists, space, 22)
+    changed = np.any([old != new for old, new in zip(lists[:4], after[:4], strict=True)], axis=0)
+    place, operators = np.arange(7, nodes), len(space.operators)
+    unseen = (1.0 / operators + 2.0 / place) / 3.0
+    assert abs(changed[:, 7:].mean(axis=0) - mutation * (1.0 - unseen)).max() < 0.05
+    assert abs(changed[:, :7].mean() - mutation * (1.0 - 0.5 * 0.5 / 4)) < 0.02
+    seen = changed[:, 7:] - changed[:, 7:].mean(axis=0)
+    together = abs((seen[:, :-1] * seen[:, 1:]).mean(axis=0))
+    assert together.max() < 0.025
+
+
+@pytest.mark.parametrize("scales", [(), (1.0,)])
+def test_each_kind_of_change_is_as_likely_as_documented(scales):
+    """All nodes change: a third each of operator, left and right; half of the constants move, the rest are redrawn."""
+    space = space_of(mutation=1.0, variables=3, scales=scales)
+    lists = random_lists(2000, space, 23)
+    lists.constants[:, :7] = 1e6
+    after = mutants(lists, space, 24)
+    operators, place = len(space.operators), np.arange(7, space.nodes)
+    for name, unseen in (("code", 1.0 / operators), ("left", 1.0 / place), ("right", 1.0 / place)):
+        seen = getattr(lists, name)[:, 7:] != getattr(after, name)[:, 7:]
+        assert seen.mean() == pytest.approx(np.mean((1.0 - unseen) / 3.0), abs=0.01)
+    several = sum((getattr(lists, name) != getattr(after, name)).astype(int) for name in ("code", "left", "right"))
+    assert several[:, 7:].max() == 1
+    was_constant, is_constant = lists.code[:, :7] == CONSTANT, after.code[:, :7] == CONSTANT
+    assert is_constant[~was_constant].mean() == pytest.approx(0.5, abs=0.03)
+    moved = was_constant & is_constant & (abs(after.constants[:, :7]) > 100.0)
+    assert moved[was_constant].mean() == pytest.approx(0.5, abs=0.03)
+    assert is_constant[was_constant].mean() == pytest.approx(0.75, abs=0.03)
+    for variable in range(3):
+        assert (after.left[:, :7][~is_constant] == variable).mean() == pytest.approx(1 / 3, abs=0.03)
+    steps = after.constants[:, :7][moved] / 1e6 - 1.0 if scales else after.constants[:, :7][moved] - 1e6
+    deviation = 0.3 if scales else 1.0
+    assert abs(steps.mean()) < 0.05 * deviation
+    assert steps.std() == pytest.approx(deviation, rel=0.05)

@@ -18,7 +18,8 @@ from common.wire.faults import Plan
 from common.wire.simulated_bus import SimulatedBus, SimulatedNetwork
 from common.wire.views import FINAL_STATES, JobView
 from coordinator.client import Client
-from coordinator.service.ports import Ports, Preparer
+from coordinator.model.refine import refine_all
+from coordinator.service.ports import Ports, Preparer, Refiner
 from coordinator.service.service import Service
 from coordinator.service.store import Store
 from island_worker.runtime import Worker
@@ -47,12 +48,14 @@ class World:
         expected: int = 1,
         compute: type[StubCompute] = StubCompute,
         prepare: Preparer = prepare,
+        refiner: Refiner = refine_all,
         **options: Any,
     ) -> None:
         """`options` are those of the workers' `compute`."""
         self.seed = seed
         self.compute = compute
         self.prepare = prepare
+        self.refiner = refiner
         self.network = SimulatedNetwork(seed, plan)
         self.store = Store.open(None)
         self.expected = expected
@@ -66,9 +69,12 @@ class World:
     def close(self) -> None:
         self.store.close()
 
+    def clock(self) -> str:
+        return f"2026-01-01T00:00:{self.network.now:09.3f}"
+
     def start_service(self) -> Service:
         bus = self.network.bus("coordinator", is_router=True)
-        ports = Ports(self.prepare, lambda work: work(), lambda: f"2026-01-01T00:00:{self.network.now:09.3f}")
+        ports = Ports(self.prepare, lambda work: work(), self.clock, self.refiner)
         service = Service(bus, self.store, expected_workers=self.expected, ports=ports)
 
         def step(event: Event) -> None:

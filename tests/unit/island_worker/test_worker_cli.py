@@ -2,11 +2,12 @@
 
 import subprocess
 import sys
+from collections.abc import Callable, Sequence
 
 import pytest
 
 from common.errors import RefusedError, UnreachableError
-from island_worker import cli, processes, runtime
+from island_worker import cli, forking, processes, runtime
 
 
 @pytest.fixture(autouse=True)
@@ -63,15 +64,52 @@ def test_the_address_may_come_from_the_environment_and_the_name_from_host_and_pr
     assert worked == [("tcp/b:2", "lab-1-17", 10.0)]
 
 
-def test_several_processes_have_numbered_names_and_end_with_this_one(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def loads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What was loaded ahead."""
+    calls: list[str] = []
+    monkeypatch.setattr(forking, "load_ahead", lambda: calls.append("all"))
+    return calls
+
+
+def test_several_processes_are_forked_when_all_is_loaded_and_have_numbered_names(
+    monkeypatch: pytest.MonkeyPatch, loads: list[str], worked: list[tuple[str, str, float]]
+) -> None:
+    monkeypatch.setattr(forking, "can_fork", lambda: True)
+    monkeypatch.setattr(processes, "end_with_parent", lambda parent: None)
+
+    def supervise_forks(works: Sequence[Callable[[], int]], parent: int | None) -> int:
+        assert (loads, parent) == (["all"], None)
+        return max([work() for work in works]) or 3
+
+    monkeypatch.setattr(processes, "supervise_forks", supervise_forks)
+    assert cli.main(["--connect", "tcp/a:1", "--processes", "2", "--name", "n" * 64, "--wait", "2"]) == 3
+    assert worked == [("tcp/a:1", "n" * 58 + f"-{index}", 2.0) for index in range(2)]
+
+
+def test_where_a_fork_is_unsafe_several_processes_are_started_and_end_with_this_one(
+    monkeypatch: pytest.MonkeyPatch, loads: list[str]
+) -> None:
     started: list[list[str]] = []
+    monkeypatch.setattr(forking, "can_fork", lambda: False)
     monkeypatch.setattr(processes, "supervise", lambda commands, parent: started.extend(commands) or 3)
     assert cli.main(["--connect", "tcp/a:1", "--processes", "2", "--name", "n" * 64]) == 3
+    assert loads == []
     for index, command in enumerate(started):
         assert command[1:3] == ["-m", "island_worker"]
         assert command[command.index("--name") + 1] == "n" * 58 + f"-{index}"
         assert command[command.index("--processes") + 1] == "1"
         assert "--parent" in command
+
+
+def test_no_worker_is_forked_for_a_parent_that_died_while_loading(
+    monkeypatch: pytest.MonkeyPatch, loads: list[str]
+) -> None:
+    monkeypatch.setattr(forking, "can_fork", lambda: True)
+    monkeypatch.setattr(processes, "hear_of_death", lambda: None)
+    monkeypatch.setattr(forking, "leave", lambda works: pytest.fail("a worker was forked"))
+    assert cli.main(["--connect", "tcp/a:1", "--processes", "2", "--parent", str(1 << 30), "--leave"]) == 0
+    assert loads == ["all"]
 
 
 def test_the_automatic_number_of_processes_is_said_with_its_reason(

@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -19,6 +19,14 @@ import sys
 from island_worker import processes
 processes._STOP_LIMIT_S = float(sys.argv[1])
 sys.exit(processes.supervise([[sys.executable, "-c", sys.argv[2]]] * 2))
+"""
+FORKING_SUPERVISOR = """
+import sys
+from island_worker import processes
+from island_worker.cli import _guarded
+processes._STOP_LIMIT_S = float(sys.argv[1])
+code = compile(sys.argv[2], "child", "exec")
+sys.exit(processes.supervise_forks([lambda: _guarded(lambda: exec(code, {}) or 0)] * 2))
 """
 OBEDIENT = r"""
 import os, signal
@@ -56,8 +64,8 @@ def wait_until_gone(pids: list[int]) -> None:
 class Family:
     """A supervisor with two children."""
 
-    def __init__(self, child: str, stop_limit_s: float) -> None:
-        command = [sys.executable, "-c", SUPERVISOR, str(stop_limit_s), child]
+    def __init__(self, supervisor: str, child: str, stop_limit_s: float) -> None:
+        command = [sys.executable, "-c", supervisor, str(stop_limit_s), child]
         self.parent = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self.parent.stdout is not None
         self.children = [int(self.parent.stdout.readline()) for _ in range(2)]
@@ -68,10 +76,18 @@ class Family:
         return self.parent.wait(LIMIT_S)
 
 
-@pytest.fixture
-def families() -> Iterator[list[Family]]:
+FamilyOf = Callable[[str, float], Family]
+
+
+@pytest.fixture(params=[SUPERVISOR, FORKING_SUPERVISOR], ids=["started", "forked"])
+def family_of(request: pytest.FixtureRequest) -> Iterator[FamilyOf]:
     started: list[Family] = []
-    yield started
+
+    def start(child: str, stop_limit_s: float) -> Family:
+        started.append(Family(request.param, child, stop_limit_s))
+        return started[-1]
+
+    yield start
     for family in started:
         for pid in [family.parent.pid, *family.children]:
             if not is_gone(pid):
@@ -82,28 +98,28 @@ def families() -> Iterator[list[Family]]:
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 0), (signal.SIGINT, 130), (signal.SIGHUP, 0)])
-def test_a_signal_to_the_parent_ends_the_children_in_order(number: int, code: int, families: list[Family]) -> None:
-    families.append(Family(OBEDIENT, LIMIT_S))
-    assert families[0].end(number) == code
-    wait_until_gone(families[0].children)
+def test_a_signal_to_the_parent_ends_the_children_in_order(number: int, code: int, family_of: FamilyOf) -> None:
+    family = family_of(OBEDIENT, LIMIT_S)
+    assert family.end(number) == code
+    wait_until_gone(family.children)
 
 
-def test_who_does_not_listen_is_killed_after_the_limit(families: list[Family]) -> None:
-    families.append(Family(STUBBORN, 0.2))
-    assert families[0].end(signal.SIGTERM) == 1
-    wait_until_gone(families[0].children)
+def test_who_does_not_listen_is_killed_after_the_limit(family_of: FamilyOf) -> None:
+    family = family_of(STUBBORN, 0.2)
+    assert family.end(signal.SIGTERM) == 1
+    wait_until_gone(family.children)
 
 
-def test_a_second_signal_kills_at_once(families: list[Family]) -> None:
-    families.append(Family(STUBBORN, 10 * LIMIT_S))
-    assert families[0].end(signal.SIGINT, signal.SIGTERM) == 130
-    wait_until_gone(families[0].children)
+def test_a_second_signal_kills_at_once(family_of: FamilyOf) -> None:
+    family = family_of(STUBBORN, 10 * LIMIT_S)
+    assert family.end(signal.SIGINT, signal.SIGTERM) == 130
+    wait_until_gone(family.children)
 
 
-def test_children_end_when_the_parent_is_killed(families: list[Family]) -> None:
-    families.append(Family(OBEDIENT, LIMIT_S))
-    assert families[0].end(signal.SIGKILL) == -signal.SIGKILL
-    wait_until_gone(families[0].children)
+def test_children_end_when_the_parent_is_killed(family_of: FamilyOf) -> None:
+    family = family_of(OBEDIENT, LIMIT_S)
+    assert family.end(signal.SIGKILL) == -signal.SIGKILL
+    wait_until_gone(family.children)
 
 
 def test_a_child_whose_parent_died_before_it_looked_ends_too() -> None:
@@ -129,6 +145,22 @@ def test_the_worst_exit_code_is_ours(codes: list[str], expected: int) -> None:
 @pytest.mark.parametrize(("codes", "expected"), [([], 0), ([0, 0], 0), ([0, 3, 2], 3), ([-9, 0], 1), ([130, 1], 130)])
 def test_worst(codes: list[int], expected: int) -> None:
     assert worst(codes) == expected
+
+
+def test_a_fork_ends_with_the_code_of_its_work_and_never_returns() -> None:
+    script = """
+import os, sys
+from island_worker.processes import supervise_forks
+def broken():
+    raise ValueError("no such thing")
+def killed():
+    os.abort()
+print(supervise_forks([lambda: 0, lambda: 3]), supervise_forks([broken]), supervise_forks([killed]), flush=True)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    assert done.stdout == "3 1 1\n"
+    assert "ValueError: no such thing" in done.stderr
+    assert "was ended by signal 6; the others go on" in done.stderr
 
 
 def test_a_child_that_is_killed_is_mentioned(capfd: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from common.expression.kernels import LANES, forward, forward_block, lane_sum, padded, reverse_block
+from common.expression.kernels import LANES, forward_block, functions_address, padded, reverse_block
+from common.expression.kernels_elementary import strict_cos, strict_sin
 from common.expression.operators import (
     ADD,
     ARITY,
@@ -17,16 +18,19 @@ from common.expression.operators import (
     COS,
     DIVIDE,
     MULTIPLY,
+    NEGATE,
     POW,
     SIN,
     SQUARE,
     SUBTRACT,
     VARIABLE,
 )
+from island_worker.evolution.kernels_rows import padded_rows
+from island_worker.evolution.structures import empty_work
 from tests.oracles.evaluate import apply, evaluate
 from tests.oracles.gradient import derivative
 from tests.oracles.programs import program_of
-from tests.oracles.tapes import live_nodes, node_values, rows_of, tape_of
+from tests.oracles.tapes import evaluate_tape, live_nodes, node_values, rows_of, tape_of
 from tests.property.programs import NAMES, ROWS, programs
 
 X, Y = (VARIABLE, 0), (VARIABLE, 1)
@@ -42,21 +46,31 @@ def _quiet():
         yield
 
 
+def block(tape, count, inputs, waves, start, values):
+    """Do what `forward_block` does."""
+    forward_block(
+        count, tape.code, tape.left, tape.right, tape.constants, tape.wanted, inputs, waves, start, values,
+        functions_address(),
+    )  # fmt: skip
+
+
 def gradient(program, inputs):
     """Return d(output)/d(node) for every node that depends on a constant, at every row: (nodes, rows)."""
     rows = rows_of(inputs, np.zeros(len(inputs[0])))
     tape, count = tape_of(program)
-    values = np.zeros((count, padded(rows.length)))
-    forward(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, rows.length, values)
+    work = empty_work(count, rows.length)
+    evaluate_tape(tape, count, rows, work)
     for node in range(count):
         parts = (tape.left[node], tape.right[node])[: ARITY[tape.code[node]]]
         tape.depends[node] = tape.code[node] == CONSTANT or any(tape.depends[part] for part in parts)
     found = np.zeros((count, padded(rows.length)))
     for start in range(0, rows.length, LANES):
-        adjoints = np.zeros((count, LANES))
-        adjoints[count - 1] = 1.0
-        reverse_block(count, tape.code, tape.left, tape.right, tape.depends, values, start, adjoints)
-        found[:, start : start + LANES] = adjoints
+        work.adjoints[:] = 0.0
+        work.adjoints[count - 1] = 1.0
+        reverse_block(
+            count, tape.code, tape.left, tape.right, tape.depends, work.values, start, work.adjoints, work.functions
+        )
+        found[:, start : start + LANES] = work.adjoints[:count]
     return found[:, : rows.length]
 
 
@@ -93,10 +107,45 @@ def test_rows_do_not_touch_each_other():
 def test_a_block_leaves_other_rows_alone():
     tape, count = tape_of(program_of([X, (SQUARE, 0)]))
     inputs, values = np.arange(48.0)[None, :], np.full((count, 48), -1.0)
-    start = np.int64(16)
-    forward_block(np.int64(count), tape.code, tape.left, tape.right, tape.constants, inputs, start, values)
+    block(tape, count, inputs, np.zeros((0, 48)), 16, values)
     np.testing.assert_array_equal(values[1, 16:32], np.arange(16.0, 32.0) ** 2)
     assert (np.delete(values, np.s_[16:32], axis=1) == -1.0).all()
+
+
+def test_nodes_that_are_not_wanted_keep_what_they_hold():
+    tape, count = tape_of(program_of([X, (SQUARE, 0), (ADD, 0, 1), (MULTIPLY, 1, 2)]))
+    inputs, values = np.arange(16.0)[None, :], np.full((count, 16), -1.0)
+    tape.wanted[:count] = [True, True, False, True]
+    block(tape, count, inputs, np.zeros((0, 16)), 0, values)
+    assert (values[2] == -1.0).all()
+    np.testing.assert_array_equal(values[3], -(np.arange(16.0) ** 2))
+
+
+def test_kept_sines_and_cosines_are_taken_for_inputs_and_for_nothing_else():
+    """What is kept here is no sine, so that it can be told where it was taken from."""
+    nodes = [X, Y, (SIN, 0), (COS, 0), (SIN, 1), (COS, 1), (NEGATE, 1), (SIN, 6), (COS, 4)]
+    tape, count = tape_of(program_of(nodes))
+    inputs, waves, values = np.ones((2, 32)), np.arange(128.0).reshape(4, 32), np.zeros((count, 32))
+    block(tape, count, inputs, waves, 16, values)
+    np.testing.assert_array_equal(values[2:6, 16:], waves[:, 16:])
+    np.testing.assert_array_equal(values[7, 16:], np.full(16, strict_sin(-1.0)))
+    np.testing.assert_array_equal(values[8, 16:], [strict_cos(x) for x in waves[2, 16:]])
+
+
+@pytest.mark.parametrize("count", [1, 15, 16, 17, 40])
+def test_rows_have_the_same_bits_with_kept_sines_and_cosines_and_without(count):
+    program = program_of([X, Y, (SIN, 0), (COS, 1), (MULTIPLY, 2, 3), (COS, 0), (SUBTRACT, 4, 5), (SIN, 6)])
+    inputs = np.random.default_rng(2).uniform(-9.0, 9.0, (2, count))
+    inputs[0, 0] = 1.1e5
+    tape, nodes = tape_of(program)
+    found = []
+    for keeps_waves in (True, False):
+        rows = padded_rows(inputs, np.zeros(count), keeps_waves)
+        work = empty_work(nodes, count)
+        evaluate_tape(tape, nodes, rows, work)
+        found.append(work.values[:, :count])
+    assert np.isnan(found[0][-1, 0])
+    np.testing.assert_array_equal(*found)
 
 
 @pytest.mark.parametrize(("rows", "expected"), [(1, 16), (16, 16), (17, 32), (100, 112)])
@@ -149,13 +198,3 @@ def test_any_program_has_the_gradient_of_its_definition(program, row):
     for node in live_nodes(program):
         if program.operators[node] == CONSTANT:
             assert found[node] == pytest.approx(derivative(program, row, node), rel=1e-10, abs=1e-12 * size)
-
-
-@QUICK
-@given(st.lists(st.floats(-1e100, 1e100), min_size=16, max_size=16))
-def test_lanes_are_summed_by_halves(numbers):
-    halves = list(numbers)
-    while len(halves) > 4:
-        middle = len(halves) // 2
-        halves = [a + b for a, b in zip(halves[:middle], halves[middle:], strict=True)]
-    assert lane_sum(np.array(numbers)) == (halves[0] + halves[2]) + (halves[1] + halves[3])

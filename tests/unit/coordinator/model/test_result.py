@@ -54,7 +54,8 @@ def test_the_equation_says_what_was_found_when_and_at_what_cost():
     assert (equation["epoch"], equation["generation"], equation["why"]) == (3, 285, "target")
     assert equation["error"] == 1e-13
     assert equation["normalized_error"] == 1e-13 / 1.25
-    assert equation["constants"] == [{"value": 3.0, "std_error": None}, {"value": 2.0, "std_error": None}]
+    unknown = {"std_error": None, "fitted": None}
+    assert equation["constants"] == [{"value": 3.0, **unknown}, {"value": 2.0, **unknown}]
     assert equation["point_evaluations"] == 2130
     assert equation["point_evaluations_by_part"] == {"fitting": 130, "offspring": 2000}
 

@@ -15,6 +15,7 @@ from coordinator.service.job import (
     Job,
     KeepCut,
     Prepared,
+    Refine,
     TellCommit,
     check_program,
     course_of,
@@ -84,9 +85,30 @@ def test_a_job_runs_until_every_variable_is_cut() -> None:
         assert job.receive("w0", report(0, 0, variable), 1.0) == []
         actions = job.receive("w1", report(1, 0, variable), 2.0)
         assert isinstance(actions[0], KeepCut)
-        assert (Conclude() in actions) == (variable == "y")
-    assert job.state == "done"
+        assert any(isinstance(action, Refine) for action in actions) == (variable == "y")
+    assert job.state == "refining"
     job.validate()
+    assert job.take_refined({}) == [Conclude()]
+    assert job.state == "done"
+    assert job.take_refined({}) == []
+
+
+def test_the_fronts_of_all_variables_are_refined_before_a_job_is_done() -> None:
+    job = running(max_epochs=1)
+    for variable in ("y", "x"):
+        job.receive("w0", report(0, 0, variable), 1.0)
+        *_, last = job.receive("w1", report(1, 0, variable), 2.0)
+    assert isinstance(last, Refine)
+    assert {name: [entry.error for entry in front] for name, front in last.fronts.items()} == {"x": [0.5], "y": [0.5]}
+
+
+def test_a_job_can_be_cancelled_while_it_is_refined() -> None:
+    job = running(max_epochs=1)
+    for variable in ("x", "y"):
+        for island in (0, 1):
+            job.receive(f"w{island}", report(island, 0, variable), 1.0)
+    assert job.cancel() == [Conclude()]
+    assert job.state == "cancelled"
 
 
 def test_a_variable_can_have_fewer_epochs_than_the_others() -> None:
@@ -103,8 +125,8 @@ def test_time_cuts_every_variable() -> None:
             job.receive(f"w{island}", report(island, 0, variable), 1.0)
     assert job.tick(9.9) == []
     actions = job.tick(10.0)
-    assert [type(action) for action in actions] == [KeepCut, KeepCut, Conclude]
-    assert job.state == "done"
+    assert [type(action) for action in actions] == [KeepCut, KeepCut, Refine]
+    assert job.state == "refining"
 
 
 def test_cancelling_keeps_what_was_found_and_happens_once() -> None:
@@ -205,7 +227,7 @@ def test_cuts_that_were_committed_before_a_restart_stand() -> None:
     other = job_with()
     other.prepare()
     both = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
-    assert other.begin(Prepared(DATASET, job.config, BLOB, 100), both) == [Conclude()]
+    assert other.begin(Prepared(DATASET, job.config, BLOB, 100), both) == [Refine({"x": (), "y": ()})]
 
 
 def test_impossible_steps_are_our_bug() -> None:

@@ -7,35 +7,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from island_worker.evolution.kernels_coevolution import (
-    begin_coevolution,
-    evolve,
-    gather,
-    judge,
-    judge_all,
-    most_disputed,
-    predictor_generation,
-    renew_trainer,
-    train,
-    use_best_predictor,
-)
+from common.expression.kernels import functions_address
+from island_worker.evolution.coevolution import begin_coevolution, evolve, renew_trainer, use_best_predictor
+from island_worker.evolution.kernels_coevolution import most_disputed, train
 from island_worker.evolution.kernels_generation import COEVOLUTION, PARTS
-from island_worker.evolution.structures import (
-    Coevolution,
-    Coevolving,
-    Fit,
-    Rows,
-    empty_lists,
-    empty_scratch,
-    padded_rows,
-)
+from island_worker.evolution.kernels_predictors import judge, judge_all, predictor_generation
+from island_worker.evolution.kernels_rows import gather, padded_rows
+from island_worker.evolution.structures import Coevolving, Fit, empty_rows, empty_scratch
 from tests.oracles import coevolution as oracle
 from tests.oracles import variation
-from tests.oracles.spaces import random_lists, space_of, stream_of
+from tests.oracles.spaces import empty_coevolution, random_lists, space_of, stream_of
 
 POPULATION, ROWS, SAMPLE, PREDICTORS, TRAINERS = 16, 70, 8, 6, 5
 SPACE = space_of(("+", "-", "*"))
-PLAIN, FITTED = Fit(0, 0, 2, 0), Fit(3, 3, 2, 0)
+PLAIN, FITTED = Fit(0, 0, 2, 0, math.inf), Fit(3, 3, 2, 0, 0.25)
 QUICK = settings(max_examples=60, deadline=None, derandomize=True, database=None)
 
 
@@ -46,16 +31,13 @@ class Arena:
         random = np.random.default_rng(seed)
         self.options, self.random = options, random
         self.every = padded_rows(random.uniform(-1.0, 1.0, (2, rows)), random.normal(size=rows))
-        self.rows = Rows(np.zeros((2, 16)), np.zeros(16), SAMPLE)
+        self.rows = empty_rows(2, SAMPLE, 0)
         self.lists = random_lists(POPULATION, SPACE, seed)
         self.fitness = np.full(POPULATION, np.inf)
         self.scratch = empty_scratch(POPULATION, SPACE.nodes, 2, SAMPLE, rows)
         self.counters = np.zeros(len(PARTS), np.int64)
         self.stream = stream_of(seed)
-        self.coevolution = Coevolution(
-            np.zeros((PREDICTORS, SAMPLE), np.int64), np.zeros(PREDICTORS), empty_lists(TRAINERS, SPACE.nodes),
-            np.zeros(TRAINERS), np.zeros((TRAINERS, rows)), *(np.zeros(size, np.int64) for size in (TRAINERS, 1, 1)),
-        )  # fmt: skip
+        self.coevolution = empty_coevolution(SPACE, PREDICTORS, SAMPLE, TRAINERS, rows)
 
     def begin(self):
         begin_coevolution(
@@ -71,9 +53,7 @@ class Arena:
         return predictor_generation(self.coevolution, self.every.length, children, self.stream)
 
     def renew(self):
-        return renew_trainer(
-            self.lists, POPULATION, self.coevolution, self.every, self.options, self.scratch, self.counters
-        )
+        return renew_trainer(self.lists, self.coevolution, self.every, self.options, self.scratch, self.counters)
 
     def evolve(self, generations, effort, renewal=50):
         evolve(
@@ -87,9 +67,9 @@ class Arena:
 
 @pytest.mark.parametrize("loss", [0, 1])
 def test_a_trainer_is_measured_at_every_row(loss):
-    arena = Arena(Fit(0, 0, 2, loss)).begin()
+    arena = Arena(Fit(0, 0, 2, loss, math.inf)).begin()
     for t in range(TRAINERS):
-        train(arena.coevolution, t, arena.every, arena.options, arena.scratch, arena.counters)
+        train(arena.coevolution, t, arena.every, arena.options, arena.scratch.tape, arena.scratch.work, arena.counters)
         expected = oracle.losses(arena.coevolution.trainers, t, arena.every, arena.options)
         np.testing.assert_allclose(arena.coevolution.losses[t], expected, rtol=1e-12)
         assert arena.coevolution.exact[t] == pytest.approx(expected.mean(), rel=1e-12)
@@ -151,7 +131,7 @@ def test_predictors_only_get_better_and_a_change_of_the_measuring_rows_is_told(s
 def test_the_most_disputed_individual_is_the_one_predictors_disagree_on():
     arena = Arena().begin()
     found = most_disputed(
-        arena.lists, POPULATION, arena.coevolution, arena.every, arena.scratch.spare, PLAIN, arena.scratch,
+        arena.lists, arena.coevolution, arena.every, arena.scratch.spare, PLAIN, arena.scratch,
         arena.counters,
     )  # fmt: skip
     spread = [
@@ -189,10 +169,10 @@ def test_renewal_replaces_the_oldest_trainer_in_turn_with_its_whole_scaling():
 def test_gathered_rows_are_those_named_and_the_last_pads():
     arena = Arena()
     index = np.array([5, 69, 5, 0, 1, 2, 3, 4])
-    gather(arena.rows, arena.every, index)
+    gather(arena.rows, arena.every, index, functions_address())
     padded = np.append(index, np.full(8, 4))
     np.testing.assert_array_equal(arena.rows.inputs, arena.every.inputs[:, padded])
-    np.testing.assert_array_equal(arena.rows.target, arena.every.target[padded])
+    np.testing.assert_array_equal(arena.rows.target, arena.every.target[:, padded])
 
 
 @pytest.mark.parametrize("options", [PLAIN, FITTED])

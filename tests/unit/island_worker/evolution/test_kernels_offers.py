@@ -3,17 +3,24 @@
 import math
 
 import numpy as np
+import pytest
 
 from common.expression.algebra import complexity
-from island_worker.evolution.formula import from_tape, to_program
+from common.expression.operators import MULTIPLY, VARIABLE
+from island_worker.evolution.formula import from_book, from_tape, to_program
 from island_worker.evolution.kernels_generation import PARTS, REFITTING
-from island_worker.evolution.kernels_offers import canonical, choose_offers, refit, structure_hash
+from island_worker.evolution.kernels_offers import SIMPLE, canonical, choose_offers, refit, refit_offers, structure_hash
+from island_worker.evolution.kernels_rows import padded_rows
 from island_worker.evolution.kernels_tape import compile_tape
-from island_worker.evolution.structures import MOST_TERMS, Fit, empty_scratch, empty_tape, padded_rows
+from island_worker.evolution.structures import MOST_TERMS, Fit, empty_scratch, empty_tape
+from tests.oracles import fitting
+from tests.oracles.programs import program_of
 from tests.oracles.spaces import random_lists, space_of
+from tests.oracles.tapes import list_of, node_values
 
 POPULATION = 60
 SPACE = space_of(("+", "-", "*", "sin"))
+FITTED = Fit(4, 3, 2, 0, math.inf)
 
 
 class Arena:
@@ -33,7 +40,7 @@ class Arena:
     def size(self, p):
         tape = empty_tape(SPACE.nodes)
         lists = self.lists
-        count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
+        count = compile_tape(lists, p, tape)
         return complexity(to_program(from_tape(tape, count)))
 
 
@@ -89,6 +96,103 @@ def test_refits_are_counted_and_leave_a_quarter_of_the_rows_for_each_constant():
     rows, counters = padded_rows(inputs, inputs[0]), np.zeros(len(PARTS), np.int64)
     scale, result = np.zeros(1 + MOST_TERMS), np.zeros(2)
     count = canonical(arena.lists, 0, arena.scratch)
-    refit(count, rows, Fit(4, 3, 2, 0), 0, arena.scratch, scale, result, counters)
+    refit(count, rows, FITTED, 0, arena.scratch.canonical, arena.scratch.work, scale, result, counters)
     assert counters[REFITTING] == 40
     assert counters.sum() == 40
+
+
+class Offers:
+    """What `refit_offers` finds in a population on 40 rows."""
+
+    def __init__(self, options=FITTED, lists=None, target=None):
+        inputs = np.random.default_rng(6).uniform(0.5, 2.0, (2, 40))
+        self.target = np.sqrt(inputs[0]) * inputs[1] if target is None else target(*inputs)
+        self.inputs, self.options = inputs, options
+        self.rows = padded_rows(inputs, self.target)
+        self.lists = random_lists(POPULATION, SPACE, 4) if lists is None else lists
+        number, nodes = self.lists.code.shape
+        self.scratch = empty_scratch(number, nodes, 2, 16, 40)
+        size = np.array([canonical(self.lists, p, self.scratch) for p in range(number)])
+        self.fitness = np.random.default_rng(4).uniform(8.0, 9.0, number) - 0.15 * size
+        self.book, self.sizes = self.scratch.book, len(self.scratch.best_of_size)
+        self.counters = np.zeros(len(PARTS), np.int64)
+
+    def refit(self, least=None):
+        """Return how many programs improve on `least`, as if none had been offered before."""
+        least = np.full(self.sizes, math.inf) if least is None else least
+        return refit_offers(
+            self.lists, self.fitness, self.rows, self.options, 4, self.scratch, np.zeros(self.sizes, np.uint64),
+            np.full(self.sizes, math.inf), least, self.book, self.counters,
+        )  # fmt: skip
+
+    def loss(self, k, shift, coefficients):
+        """Return the loss of entry `k` with other coefficients, by its definition."""
+        values = node_values(to_program(from_book(self.book, k)), self.inputs)
+        terms = self.book.terms[k, : self.book.number[k]]
+        output = shift + sum(a * values[term] for a, term in zip(coefficients, terms, strict=True))
+        absolute, squared = fitting.errors(np.broadcast_to(output, 40), self.target)
+        return absolute if self.options.loss == 0 else math.sqrt(squared)
+
+
+@pytest.mark.parametrize("options", [FITTED, FITTED._replace(loss=1)])
+def test_the_book_holds_programs_with_their_terms_coefficients_and_losses(options):
+    offers = Offers(options)
+    count = offers.refit()
+    book = offers.book
+    assert count > 3
+    assert book.size[:count].tolist() == sorted(set(book.size[:count].tolist()))
+    for k in range(count):
+        program = to_program(from_book(book, k))
+        program.validate(2)
+        assert len(program) == complexity(program) == book.size[k]
+        shift, *coefficients = book.scale[k, : 1 + book.number[k]]
+        assert book.loss[k] == pytest.approx(offers.loss(k, shift, coefficients), rel=1e-9)
+        plain = [math.copysign(1.0, a) if abs(abs(a) - 1.0) < SIMPLE else a for a in coefficients]
+        expected = [offers.loss(k, b, a) for a in (coefficients, plain) for b in (shift, 0.0)]
+        assert book.variants[k] == pytest.approx(expected, rel=1e-9)
+
+
+def test_refitting_makes_no_offer_worse_and_is_counted_as_that_alone():
+    offers = Offers()
+    count = offers.refit()
+    assert offers.counters[REFITTING] == offers.counters.sum()
+    assert offers.counters[REFITTING] % 40 == 0
+    assert offers.counters[REFITTING] >= 2 * 40 * count
+    constant = fitting.errors(np.full(40, offers.target.mean()), offers.target)[1]
+    for k in range(count):
+        shift, *coefficients = offers.book.scale[k, : 1 + offers.book.number[k]]
+        values = node_values(to_program(from_book(offers.book, k)), offers.inputs)
+        output = shift + sum(a * values[t] for a, t in zip(coefficients, offers.book.terms[k], strict=False))
+        assert fitting.errors(np.broadcast_to(output, 40), offers.target)[1] <= constant * (1.0 + 1e-9)
+
+
+def test_only_what_improves_is_booked():
+    offers = Offers()
+    count = offers.refit()
+    sizes, losses = offers.book.size[:count].copy(), offers.book.loss[:count].copy()
+    least = np.full(offers.sizes, math.inf)
+    least[sizes] = losses
+    least[sizes[1]] = np.nextafter(losses[1], math.inf)
+    assert offers.refit(least) == 1
+    assert (offers.book.size[0], offers.book.loss[0]) == (sizes[1], losses[1])
+
+
+def test_coefficients_next_to_one_are_also_measured_as_one():
+    product = list_of(program_of([(VARIABLE, 0), (VARIABLE, 1), (MULTIPLY, 0, 1)]))
+    offers = Offers(lists=product, target=lambda x, y: 1.00002 * x * y + 0.001)
+    assert offers.refit() == 1
+    area = offers.inputs[0] * offers.inputs[1]
+    assert offers.book.scale[0, :2] == pytest.approx([0.001, 1.00002])
+    expected = [0.0, 0.001, 2e-5 * area.mean(), 2e-5 * area.mean() + 0.001]
+    assert offers.book.variants[0, 0] < 1e-15
+    assert offers.book.variants[0, 1:] == pytest.approx([0.001, 2e-5 * abs(area).mean(), expected[3]], rel=1e-6)
+
+
+def test_without_terms_offers_are_measured_as_they_stand():
+    offers = Offers(Fit(0, 0, 2, 0, math.inf))
+    count = offers.refit()
+    assert count > 0
+    for k in range(count):
+        assert offers.book.number[k] == 0
+        output = node_values(to_program(from_book(offers.book, k)), offers.inputs)[-1]
+        assert offers.book.loss[k] == pytest.approx(fitting.errors(output, offers.target)[0], rel=1e-12)

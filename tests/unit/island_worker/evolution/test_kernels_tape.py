@@ -1,13 +1,16 @@
 """From lists to tapes to canonical programs, against the definitions and against the simplification of programs."""
 
 import numpy as np
+import pytest
 from hypothesis import assume, given, settings
 
 from common.expression.algebra import complexity, simplify_program
 from common.expression.operators import ADD, ARITY, DIVIDE, MULTIPLY, SQUARE, SUBTRACT, VARIABLE
-from island_worker.evolution.kernels_tape import canonical_tape, compile_tape, mark_live
+from island_worker.evolution.kernels_tape import canonical_tape, compile_tape, mark_live, sign
 from island_worker.evolution.structures import empty_tape, empty_work
+from tests.oracles import variation
 from tests.oracles.programs import program_of
+from tests.oracles.spaces import random_lists, space_of
 from tests.oracles.tapes import SPACE, list_of, live_nodes, node_values, program_on, tape_of
 from tests.property.programs import NAMES, ROWS, programs
 
@@ -18,12 +21,12 @@ QUICK = settings(max_examples=200, deadline=None, derandomize=True, database=Non
 def canonical(program):
     source, count = tape_of(program)
     tape = empty_tape(SPACE)
-    return program_on(tape, canonical_tape(source, count, empty_work(SPACE, 1).values, tape))
+    return program_on(tape, canonical_tape(source, count, empty_work(SPACE, 1), tape))
 
 
 def compiled(program):
     lists, tape = list_of(program), empty_tape(SPACE)
-    return tape, compile_tape(lists.code[0], lists.left[0], lists.right[0], lists.constants[0], tape)
+    return tape, compile_tape(lists, 0, tape)
 
 
 def assert_same_bits(one, other, row):
@@ -33,13 +36,62 @@ def assert_same_bits(one, other, row):
     assert np.signbit(found) == np.signbit(expected) or np.isnan(found)
 
 
+def marked(lists, p, words):
+    """Return the nodes that `mark_live` marks; the words hold something else before."""
+    bits = np.full(words, 0xDEADBEEF, np.uint64)
+    mark_live(lists, p, bits)
+    return [64 * word + b for word in range(words) for b in range(64) if int(bits[word]) >> b & 1]
+
+
+def long_lists(nodes, seed=5):
+    """Return lists of `nodes` nodes whose nodes refer to any earlier ones, or mostly to near ones."""
+    space = space_of(("+", "*", "sin", "-"), terminals=3, operators=nodes - 3)
+    far, near = random_lists(4, space, seed), random_lists(4, space, seed + 1)
+    steps = np.random.default_rng(seed).integers(1, 4, (2, 4, nodes))
+    earlier = np.maximum(np.arange(nodes) - steps, 0)
+    near.left[:, 3:], near.right[:, 3:] = earlier[0][:, 3:], earlier[1][:, 3:]
+    return far, near
+
+
 @QUICK
 @given(programs())
 def test_live_nodes_are_those_that_the_output_depends_on(program):
-    lists, live = list_of(program), np.zeros(len(program), np.int64)
-    count = mark_live(lists.code[0], lists.left[0], lists.right[0], live)
-    assert np.flatnonzero(live > 0).tolist() == live_nodes(program)
-    assert count == len(live_nodes(program))
+    assert marked(list_of(program), 0, 1) == live_nodes(program)
+
+
+@pytest.mark.parametrize("nodes", [63, 64, 65, 100, 128, 129, 200])
+def test_live_nodes_of_long_lists_are_found_over_several_words(nodes):
+    for lists in long_lists(nodes):
+        for p in range(4):
+            live = sorted(variation.live_of(variation.nodes_of(lists, p)))
+            assert marked(lists, p, -(-nodes // 64)) == live
+            assert marked(lists, p, 5) == live
+            assert {node // 64 for node in live} == set(range(-(-nodes // 64))) or lists.left[p, -1] < nodes - 4
+            tape = empty_tape(nodes)
+            count = compile_tape(lists, p, tape)
+            assert tape.origin[:count].tolist() == live
+            program_on(tape, count).validate(2)
+
+
+def test_the_highest_bit_of_a_word_is_a_node_like_any_other():
+    """Node 63 is the output, and the argument of node 64."""
+    nodes = [X] * 63 + [(SQUARE, 62)]
+    assert marked(list_of(program_of(nodes)), 0, 1) == [62, 63]
+    assert marked(list_of(program_of([*nodes, (ADD, 63, 0)])), 0, 2) == [0, 62, 63, 64]
+
+
+@QUICK
+@given(programs())
+def test_a_signature_says_of_each_live_node_its_operator_and_arguments(program):
+    lists, signature = list_of(program), np.full((3, len(program)), -7)
+    sign(lists, 0, np.zeros(1, np.uint64), signature, 1)
+    assert (signature[[0, 2]] == -7).all()
+    live = set(live_nodes(program))
+    meaning = {i: variation.meaning(node) for i, node in enumerate(variation.nodes_of(lists, 0))}
+    for i in range(len(program)):
+        assert (signature[1, i] == 0) == (i not in live)
+        for j in live & set(range(i)) if i in live else ():
+            assert (signature[1, i] == signature[1, j]) == (meaning[i] == meaning[j])
 
 
 @QUICK

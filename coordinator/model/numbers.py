@@ -1,0 +1,75 @@
+"""Simple numbers: how many nats it takes to write one down, and which lie near a fitted constant.
+
+A simple number is a fraction p/q of whole numbers or a decimal m 10^e, whichever is shorter. A fitted constant counts
+as a decimal, too: one with as many digits as its standard error leaves it.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+DENOMINATORS: Final = (1, 2, 3, 4, 6)
+MOST_DIGITS: Final = 15
+REACH: Final = 4.0
+"""Numbers are considered that lie within so many standard errors of a constant."""
+
+_POWER: Final = math.log(3.0)
+_FINER: Final = math.log(10.0) + _POWER
+"""A decimal that is finer than the error may need one digit more."""
+
+_NEIGHBOURS: Final = 2
+
+
+def fraction_length(numerator: int, denominator: int) -> float:
+    """Return the length of p/q in nats."""
+    return math.log1p(abs(numerator)) + (math.log1p(denominator) if denominator > 1 else 0.0)
+
+
+def decimal_length(mantissa: int, exponent: int) -> float:
+    """Return the length of m 10^e in nats."""
+    return math.log1p(abs(mantissa)) + _POWER * abs(exponent)
+
+
+def fitted_length(value: float, error: float) -> float:
+    """Return the length in nats of `value` written with the digits that its standard error leaves it."""
+    error = min(max(error, abs(value) * 10.0**-MOST_DIGITS), abs(value))
+    if error == 0.0:
+        return 0.0
+    return math.log1p(abs(value) / error) + _POWER * abs(math.log10(error)) + _FINER
+
+
+def simple_numbers(value: float, error: float) -> dict[float, float]:
+    """Return numbers within `REACH` standard errors of `value`, each with its length in nats; 0 is not among them.
+
+    The more digits the error leaves, the more of them are considered, up to one more than it justifies.
+    """
+    reach = max(REACH * error, abs(value) * 4.0 * 2.0**-52)
+    found: dict[float, float] = {}
+    for number, length in (*_fractions(value), *_decimals(value, error)):
+        if number != 0.0 and abs(number - value) <= reach:
+            found[number] = min(length, found.get(number, math.inf))
+    return found
+
+
+def _fractions(value: float) -> Iterator[tuple[float, float]]:
+    if abs(value) > 1e6:
+        return
+    for denominator in DENOMINATORS:
+        nearest = round(value * denominator)
+        for numerator in range(nearest - _NEIGHBOURS, nearest + _NEIGHBOURS + 1):
+            if math.gcd(numerator, denominator) == 1:
+                yield numerator / denominator, fraction_length(numerator, denominator)
+
+
+def _decimals(value: float, error: float) -> Iterator[tuple[float, float]]:
+    if value == 0.0:
+        return
+    first = math.floor(math.log10(abs(value))) + 1
+    finest = max(error / 10.0, abs(value) * 10.0**-MOST_DIGITS)
+    for exponent in range(first, first - MOST_DIGITS - 1, -1):
+        if 10.0**exponent < finest:
+            return
+        nearest = round(value / 10.0**exponent) if exponent > -300 else 0
+        for mantissa in range(nearest - _NEIGHBOURS, nearest + _NEIGHBOURS + 1):
+            if mantissa % 10:
+                yield float(f"{mantissa}e{exponent}"), decimal_length(mantissa, exponent)

@@ -1,0 +1,56 @@
+"""Between the last cut and the result: what is made of the fronts, and what happens when that breaks."""
+
+from collections.abc import Mapping
+
+from common.config import BudgetConfig, JobConfig
+from common.dataset import Dataset
+from common.expression.parse import from_infix
+from coordinator.model.refine import Fronts, Refined
+from tests.simulation.world import World
+
+CONFIG = JobConfig(budget=BudgetConfig(max_epochs=2))
+
+
+def nothing(dataset: Dataset, config: JobConfig, fronts: Fronts) -> Mapping[str, Refined]:
+    return {}
+
+
+def made(dataset: Dataset, config: JobConfig, fronts: Fronts) -> Mapping[str, Refined]:
+    assert all(fronts[variable] for variable in dataset.variables)
+    program = from_infix("0.5*x", dataset.names)
+    return {"x": Refined(0, program, 0.25, 0.125, (0.49,), (0.01,))}
+
+
+def broken(dataset: Dataset, config: JobConfig, fronts: Fronts) -> Mapping[str, Refined]:
+    raise ZeroDivisionError("planted")
+
+
+def result_with(refiner) -> dict:
+    world = World(refiner=refiner)
+    try:
+        world.submit(CONFIG)
+        assert world.finish().state == "done"
+        return world.result()
+    finally:
+        world.close()
+
+
+def test_the_equation_is_the_refined_one_and_the_front_and_digest_stay() -> None:
+    refined, plain = result_with(made), result_with(nothing)
+    assert refined["digest"] == plain["digest"]
+    first, second = refined["equations"]
+    assert (first["expression"], first["error"], first["complexity"]) == ("0.5*x", 0.25, 3)
+    assert first["constants"] == [{"value": 0.5, "std_error": 0.01, "fitted": 0.49}]
+    assert [member["selected"] for member in first["front"]].index(True) == 0
+    assert [each["expression"] for each in first["front"]] == [
+        each["expression"] for each in plain["equations"][0]["front"]
+    ]
+    assert second == plain["equations"][1]
+    assert refined["warnings"] == []
+
+
+def test_a_job_whose_refining_breaks_is_done_with_the_equations_as_found() -> None:
+    result = result_with(broken)
+    assert result["state"] == "done"
+    assert result["equations"][0]["expression"] is not None
+    assert any("Refining broke (ZeroDivisionError: planted)" in warning for warning in result["warnings"])
