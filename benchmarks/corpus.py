@@ -20,6 +20,7 @@ from common.config import PRESETS, JobConfig
 from common.dataset import Problem
 from common.errors import DataError, UsageError
 from common.expression.kernels import LANES
+from common.expression.operators import ARITY
 from common.seeding import stream_key
 from common.wire.codec import decode_arrays
 from coordinator.cli.output import note
@@ -58,6 +59,11 @@ class Corpus:
     constants: npt.NDArray[np.float64]
     inputs: npt.NDArray[np.float64]
     target: npt.NDArray[np.float64]
+
+    @property
+    def terminals(self) -> int:
+        """Nodes at the beginning of every list that are terminals."""
+        return int((np.array(ARITY)[self.code] == 0).all(axis=0).sum())
 
     def lists_of(self, file: int) -> Lists:
         """Return the lists that come from one file, unscaled."""

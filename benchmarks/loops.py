@@ -1,8 +1,8 @@
 """The compiled loops that ``benchmarks.kernels`` times, and their plain numpy counterpart.
 
-`measure_into` is what the benchmark of the corpus measures: everything from an operation list to its fitness, as the
-search does it for preset ``paper``. Each loop has a twin that repeats it many times, so that a call from the
-interpreter does not count.
+`measure_into` is what the benchmark of the corpus measures: everything from operation lists to their fitness, many lists
+at once; `measure_singly_into` does the same one list after the other, as the search does. Each loop has a twin that
+repeats it many times, so that a call from the interpreter does not count.
 """
 
 from collections.abc import Sequence
@@ -12,14 +12,19 @@ import numpy as np
 
 from benchmarks.evaluation import OPERATIONS, FloatArray
 from common.expression.kernels import LANES, forward, reverse_block
+from common.expression.kernels_lanes import fill, place
 from common.expression.operators import ARITY, CONSTANT, VARIABLE
-from common.jit import kernel
-from island_worker.evolution.kernels_fit import errors
+from common.jit import inlined, kernel
+from island_worker.evolution.kernels_batch import Batch, empty_batch, measure_lists
+from island_worker.evolution.kernels_fit import errors, residual_of
 from island_worker.evolution.kernels_tape import compile_tape
 from island_worker.evolution.structures import Floats, Lists, Rows, Tape, Work, empty_tape, empty_work
 
 REGISTER_STEPS: Final = 4
 """Multiplications, and additions, that `in_registers_into` does with each number."""
+
+_ZERO: Final = np.int64(0)
+_ONE: Final = np.int64(1)
 
 Instructions = list[tuple[int, int, int, float]]
 """Live nodes of one list: code, left, right (indices among them, or the variable's), constant."""
@@ -32,22 +37,20 @@ class Room(NamedTuple):
     work: Work
     result: Floats
     """(2,) the errors of one individual."""
+    batch: Batch
+    terminals: int
+    """Nodes at the beginning of every list that are terminals; all others are operators."""
 
 
-def room_for(nodes: int, rows: int) -> Room:
-    """Return scratch for lists of `nodes` nodes on `rows` rows."""
-    return Room(empty_tape(nodes), empty_work(nodes, rows), np.zeros(2))
+def room_for(nodes: int, rows: Rows, terminals: int = 0) -> Room:
+    """Return scratch for lists of `nodes` nodes on `rows`."""
+    return Room(empty_tape(nodes), empty_work(nodes, rows.length), np.zeros(2), empty_batch(nodes, rows), terminals)
 
 
 @kernel
 def measure_into(fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
-    """Write the mean absolute error of each list on `rows`: find its live nodes, evaluate them, compare."""
-    tape = room.tape
-    for p in range(fitness.shape[0]):
-        count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
-        forward(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, rows.length, room.work.values)
-        errors(room.work.values[count - 1], rows, room.work.lanes, room.result)
-        fitness[p] = room.result[0]
+    """Write the mean absolute error of each list on `rows`: find their live nodes, evaluate them, compare."""
+    measure_lists(fitness, lists, room.terminals, rows, _ZERO, room.batch)
 
 
 @kernel
@@ -57,34 +60,68 @@ def measure_repeatedly(times: int, fitness: Floats, lists: Lists, rows: Rows, ro
         measure_into(fitness, lists, rows, room)
 
 
+@inlined
+def _evaluate(count: int, rows: Rows, room: Room) -> None:
+    """Evaluate all of the tape's nodes."""
+    tape = room.tape
+    forward(
+        count, tape.code, tape.left, tape.right, tape.constants, tape.wanted, rows.inputs, rows.waves, rows.length,
+        room.work.values, room.work.functions,
+    )  # fmt: skip
+
+
+@inlined
+def _error(lists: Lists, p: int, count: int, rows: Rows, room: Room) -> float:
+    """Return the mean absolute error of the list that stands on the tape, evaluated."""
+    room.work.terms[0] = count - 1
+    residual_of(_ONE, rows, room.work, lists.scale[p])
+    errors(rows, room.work, room.result)
+    return room.result[0]
+
+
 @kernel
+def measure_singly_into(fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
+    """Do what `measure_into` does, one list after the other."""
+    for p in range(fitness.shape[0]):
+        count = compile_tape(lists, p, room.tape)
+        _evaluate(count, rows, room)
+        fitness[p] = _error(lists, p, count, rows, room)
+
+
+@kernel
+def measure_singly_repeatedly(times: int, fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
+    """Do `measure_singly_into` so many times."""
+    for _ in range(times):
+        measure_singly_into(fitness, lists, rows, room)
+
+
+@inlined
 def _sweep(count: int, tape: Tape, rows: Rows, work: Work) -> None:
     """Carry the adjoint 1 of the last node down to all that `tape.depends` marks, over all rows."""
-    for start in range(0, rows.length, LANES):
+    for start in range(_ZERO, rows.length, LANES):
         for i in range(count):
             if tape.depends[i]:
-                for k in range(LANES):
-                    work.adjoints[i, k] = 0.0
-        for k in range(LANES):
-            work.adjoints[count - 1, k] = 1.0
-        reverse_block(count, tape.code, tape.left, tape.right, tape.depends, work.values, start, work.adjoints)
+                fill(place(work.adjoints, i, _ZERO), 0.0)
+        fill(place(work.adjoints, count - 1, _ZERO), 1.0)
+        reverse_block(
+            count, tape.code, tape.left, tape.right, tape.depends, work.values, start, work.adjoints, work.functions
+        )
 
 
 @kernel
 def differentiate_into(fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
-    """Do what `measure_into` does and a reverse sweep to every live constant of each list."""
+    """Do what `measure_singly_into` does and a reverse sweep to every live constant of each list."""
     tape = room.tape
     for p in range(fitness.shape[0]):
-        count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
-        forward(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, rows.length, room.work.values)
+        count = compile_tape(lists, p, tape)
+        _evaluate(count, rows, room)
         for i in range(count):
             op = tape.code[i]
             tape.depends[i] = op == CONSTANT
             if op > CONSTANT:
                 tape.depends[i] = tape.depends[tape.left[i]] or tape.depends[tape.right[i]]
         _sweep(count, tape, rows, room.work)
-        errors(room.work.values[count - 1], rows, room.work.lanes, room.result)
-        fitness[p] = room.result[0]
+        fitness[p] = _error(lists, p, count, rows, room)
 
 
 @kernel
@@ -97,18 +134,16 @@ def differentiate_repeatedly(times: int, fitness: Floats, lists: Lists, rows: Ro
 @kernel
 def forward_repeatedly(times: int, count: int, rows: Rows, room: Room) -> None:
     """Evaluate the first `count` nodes of the tape so many times."""
-    tape = room.tape
     for _ in range(times):
-        forward(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, rows.length, room.work.values)
+        _evaluate(count, rows, room)
 
 
 @kernel
 def gradient_repeatedly(times: int, count: int, rows: Rows, room: Room) -> None:
     """Evaluate the tape and sweep back over it so many times."""
-    tape = room.tape
     for _ in range(times):
-        forward(count, tape.code, tape.left, tape.right, tape.constants, rows.inputs, rows.length, room.work.values)
-        _sweep(count, tape, rows, room.work)
+        _evaluate(count, rows, room)
+        _sweep(count, room.tape, rows, room.work)
 
 
 @kernel
@@ -132,7 +167,7 @@ def in_registers_repeatedly(times: int, out: Floats, x: Floats) -> None:
 
 def instructions(lists: Lists, p: int, tape: Tape) -> Instructions:
     """Return the live nodes of list `p`, for `fitness_by_numpy`."""
-    count = compile_tape(lists.code[p], lists.left[p], lists.right[p], lists.constants[p], tape)
+    count = compile_tape(lists, p, tape)
     parts = (tape.code, tape.left, tape.right, tape.constants)
     return list(zip(*(part[:count].tolist() for part in parts), strict=True))
 

@@ -24,13 +24,15 @@ from benchmarks.loops import (
     instructions,
     measure_into,
     measure_repeatedly,
+    measure_singly_repeatedly,
     multiply_add_repeatedly,
     operator_tape,
     room_for,
     values_by_numpy,
 )
-from common.expression.operators import BY_NAME
-from island_worker.evolution.structures import Lists, Rows, padded_rows
+from common.expression.operators import ARITY, BY_NAME, COS, SIN, VARIABLE
+from island_worker.evolution.kernels_rows import padded_rows
+from island_worker.evolution.structures import Lists, Rows
 
 OPERATOR_NODES: Final = 30
 IN_CACHE: Final = 1024
@@ -59,6 +61,11 @@ class Part:
         return float(self.live.sum()) * self.rows.length
 
     @property
+    def computed(self) -> float:
+        """Values that a batch computes in one pass: not terminals, nor kept sines and cosines; constants once."""
+        return float(sum(computed_values(each, self.rows.length) for each in self.programs))
+
+    @property
     def points(self) -> float:
         """Point evaluations of one pass."""
         return float(len(self.live)) * self.rows.length
@@ -74,11 +81,17 @@ class Peak:
 
 @dataclass(frozen=True)
 class Speed:
-    """Evaluations a second of all lists on so many rows; `numpy_ratio` is how many times as fast as numpy (forward)."""
+    """Evaluations a second of all lists on so many rows.
+
+    `points`, `nodes` and `computed` are of lists measured in batches, the latter without what a batch need not compute;
+    `single_points` of one list after the other; `numpy_ratio` is how many times as fast as numpy a batch is.
+    """
 
     rows: int
     points: float
     nodes: float
+    computed: float
+    single_points: float
     gradient_points: float
     gradient_nodes: float
     numpy_ratio: float
@@ -93,6 +106,19 @@ class OperatorSpeed:
     nodes: float
     gradient_nodes: float
     numpy_ratio: float
+
+
+def computed_values(program: Instructions, rows: int) -> int:
+    """Return how many values of a list a batch computes: nodes that depend on constants alone have one at all rows."""
+    varies: list[bool] = []
+    number = 0
+    for code, left, right, _ in program:
+        arguments = (left, right)[: ARITY[code]]
+        varies.append(code == VARIABLE or any(varies[each] for each in arguments))
+        is_kept = code in (SIN, COS) and program[left][0] == VARIABLE
+        if arguments and not is_kept:
+            number += rows if varies[-1] else 1
+    return number
 
 
 def fastest(call: Callable[[int], object], repetitions: int) -> float:
@@ -117,10 +143,11 @@ def parts_of(corpus: Corpus, rows: int) -> list[Part]:
         lists = corpus.lists_of(file)
         index = np.arange(rows) % corpus.target.shape[1]
         inputs = np.ascontiguousarray(corpus.inputs[file][:, index])
-        room = room_for(corpus.code.shape[1], rows)
+        measured = padded_rows(inputs, corpus.target[file][index], keeps_waves=True)
+        room = room_for(corpus.code.shape[1], measured, corpus.terminals)
         programs = [instructions(lists, p, room.tape) for p in range(len(lists.code))]
         live = np.array([len(each) for each in programs], np.float64)
-        parts.append(Part(lists, padded_rows(inputs, corpus.target[file][index]), room, live, programs))
+        parts.append(Part(lists, measured, room, live, programs))
     return parts
 
 
@@ -130,7 +157,7 @@ def wrong(parts: Sequence[Part]) -> int:
     for part in parts:
         fitness = np.empty(len(part.live))
         measure_into(fitness, part.lists, part.rows, part.room)
-        inputs, target = part.rows.inputs[:, : part.rows.length], part.rows.target[: part.rows.length]
+        inputs, target = part.rows.inputs[:, : part.rows.length], part.rows.target[0, : part.rows.length]
         expected = fitness_by_numpy(part.programs, inputs, target)
         expected[~np.isfinite(expected)] = np.inf
         both = np.isfinite(fitness) & np.isfinite(expected)
@@ -163,24 +190,33 @@ def numpy_seconds(parts: Sequence[Part]) -> float:
     """Return the seconds of one pass by numpy over all lists, whose live nodes are known beforehand."""
     begun = time.thread_time()
     for part in parts:
-        fitness_by_numpy(part.programs, part.rows.inputs, part.rows.target)
+        fitness_by_numpy(part.programs, part.rows.inputs, part.rows.target[0])
     return time.thread_time() - begun
 
 
 def speed(parts: Sequence[Part], repetitions: int) -> Speed:
     """Measure all lists on the rows of `parts`."""
     points, nodes = sum(part.points for part in parts), sum(part.nodes for part in parts)
-    forward, gradient = (seconds(loop, parts, repetitions) for loop in (measure_repeatedly, differentiate_repeatedly))
+    loops = (measure_repeatedly, measure_singly_repeatedly, differentiate_repeatedly)
+    forward, singly, gradient = (seconds(loop, parts, repetitions) for loop in loops)
     numpy = min(numpy_seconds(parts) for _ in range(3))
     return Speed(
-        parts[0].rows.length, points / forward, nodes / forward, points / gradient, nodes / gradient, numpy / forward
+        rows=parts[0].rows.length,
+        points=points / forward,
+        nodes=nodes / forward,
+        computed=sum(part.computed for part in parts) / forward,
+        single_points=points / singly,
+        gradient_points=points / gradient,
+        gradient_nodes=nodes / gradient,
+        numpy_ratio=numpy / forward,
     )
 
 
 def operator_speed(name: str, rows: int, repetitions: int) -> OperatorSpeed:
     """Measure `OPERATOR_NODES` nodes of one operator on arguments between 0.5 and 2."""
     inputs = np.ascontiguousarray(np.linspace((0.5, 2.0), (2.0, 0.5), rows).T)
-    measured, room = padded_rows(inputs, np.zeros(rows)), room_for(OPERATOR_NODES + 2, rows)
+    measured = padded_rows(inputs, np.zeros(rows))
+    room = room_for(OPERATOR_NODES + 2, measured)
     count = operator_tape(BY_NAME[name].code, OPERATOR_NODES, room.tape)
     forward = fastest(lambda times: forward_repeatedly(times, count, measured, room), repetitions)
     gradient = fastest(lambda times: gradient_repeatedly(times, count, measured, room), repetitions)

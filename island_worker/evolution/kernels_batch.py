@@ -4,116 +4,66 @@ One list has seven live nodes, and its evaluation mostly waits: for the next nod
 processor foresees. A batch of lists gives it other work meanwhile.
 
 1. The live nodes of four lists at a time are collected, operators and terminals apart.
-2. Every operator is put on the chain of all nodes of its operator and level, which is one more than its arguments'. Nodes that depend
+2. Every operator is put on the chain of its operator and level, which is one more than its arguments'. Nodes that depend
    on constants alone have chains of their own.
-3. Chain after chain is evaluated, level by level. What depends on constants alone is the same at all rows, so that one block holds
-   `LANES` such nodes instead of the rows of one. A sine or cosine of an input is looked up when the rows keep it.
+3. Chain after chain is evaluated, level by level. What depends on constants alone is the same at all rows, so that a
+   block holds `LANES` such nodes instead of the rows of one. A sine or cosine of an input is looked up when the rows
+   keep it.
 4. Each list's output is compared with the target.
 
 A node is named by its *slot*: the list's place in the batch, followed by the node's index in the low `shift` bits. All
-numbers lie in rows of one table: inputs, their sines, their cosines, and then a row for each slot. Indices are unsigned,
-which saves the question whether they count from the end. What the batch knows of a node is packed in one word: row
-(20 bits), whether it is an input (bit 23), whether it varies from row to row (bit 24), level (from bit 25 on); a link of
-a chain is the rows of both arguments (20 bits each) and the next slot.
+numbers lie in rows of one table: inputs, their sines, their cosines, and then a row for each live terminal and operator.
+Indices are unsigned, which saves the question whether they count from the end. What the batch knows of a node is packed
+in one word: row (20 bits), whether it is an input (bit 23), whether it varies from row to row (bit 24), level (from bit
+25 on). A link of a chain, one for each live operator, is the rows of both arguments (20 bits each) and the next link's
+number. Lists have at most 16,000 nodes.
 """
 
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
-from common.expression.kernels import Int, apply_operator, functions_address
+from common.expression.kernels import LANES, Int
 from common.expression.kernels_lanes import (
-    LANES,
-    add,
-    copy,
-    divide,
     fill,
-    get,
     highest_bit,
     lowest_bit,
     multiply,
     place,
-    put,
     subtract,
     total,
     total_magnitude,
 )
-from common.expression.operators import ADD, ARITY, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
+from common.expression.operators import ARITY, VARIABLE
 from common.jit import inlined, kernel
+from island_worker.evolution.kernels_chains import (
+    BATCH,
+    CHAINS,
+    END,
+    INPUT,
+    NEXT,
+    ROW,
+    SECOND,
+    Batch,
+    empty_batch,
+    evaluate_chains,
+    load_rows,
+)
 from island_worker.evolution.kernels_tape import mark_live
-from island_worker.evolution.structures import Floats, Hashes, Lists, Rows
-
-BATCH: Final = 64
-"""Lists in a batch."""
-
-CHAINS: Final = 64
-"""Chains of a level: 32 operators on what is constant, 32 on what varies."""
+from island_worker.evolution.structures import Floats, Lists, Rows
 
 _INFINITY: Final = np.inf
 _START: Final = np.int64(0)
 _ZERO: Final = np.uint64(0)
 _ONE: Final = np.uint64(1)
-_ROW: Final = np.uint64((1 << 20) - 1)
-_INPUT: Final = np.uint64(1 << 23)
 _VARIES: Final = np.uint64(1 << 24)
 _LEVEL: Final = np.uint64(1 << 25)
-_NEXT: Final = np.uint64(40)
-_END: Final = np.uint64((1 << 20) - 1)
-"""No slot: the end of a chain."""
 _HALF: Final = np.uint64(32)
 _LOW: Final = np.uint64((1 << 32) - 1)
 _LEVELS: Final = np.uint64((1 << 64) - (1 << 25))
-_CHAIN_BITS: Final = np.uint64(6)
 _IS_BINARY = np.array([arity > 1 for arity in ARITY], np.uint64)
-_SECOND = np.array([(1 << 64) - 1 if arity > 1 else 0 for arity in ARITY], np.uint64)
+_ALL_IF_BINARY = np.array([(1 << 64) - 1 if arity > 1 else 0 for arity in ARITY], np.uint64)
 """All bits where an operator has a second argument."""
-
-
-class Batch(NamedTuple):
-    """Scratch of a batch; its arrays of words are as long as there are slots."""
-
-    shift: int
-    base: int
-    """Row of slot 0."""
-    values: Floats
-    """(rows of the table, LANES)."""
-    terminals: Hashes
-    """Slots of live terminals."""
-    nodes: Hashes
-    """Slots of live operators, those of each list in falling order, the operator in the upper half."""
-    arguments: Hashes
-    """The slots of their arguments, the second in the upper half."""
-    facts: Hashes
-    """What is known of each slot's node."""
-    links: Hashes
-    """Of each slot: rows of the arguments, next slot."""
-    heads: Hashes
-    """(levels * CHAINS,) the first slot of each chain."""
-    bits: Hashes
-    """Live nodes of a list of more than 64, 64 to a word."""
-    waves: Hashes
-    """(operators,) how many rows after an input's this function of it is kept, with the bit of inputs; else 0."""
-    packed: Floats
-    """(3, LANES) arguments and values of nodes that are the same at all rows."""
-    sums: Floats
-    """(2, BATCH) sums of each list's absolute and squared residuals."""
-    functions: int
-
-
-def empty_batch(nodes: int, rows: Rows) -> Batch:
-    """Return scratch to measure lists of `nodes` nodes on rows like `rows`."""
-    variables = rows.inputs.shape[0]
-    shift = max(1, (nodes - 1).bit_length())
-    slots = BATCH << shift
-    words = [np.zeros(slots, np.uint64) for _ in range(5)]
-    waves = np.zeros(len(ARITY), np.uint64)
-    if rows.waves.shape[0] > 0:
-        waves[[SIN, COS]] = _INPUT + np.array([variables, 2 * variables], np.uint64)
-    return Batch(
-        shift, 3 * variables, np.zeros((3 * variables + slots, LANES)), words[0], words[1], words[2], words[3],
-        words[4], np.full((nodes + 1) * CHAINS, _END), np.zeros(-(-nodes // 64), np.uint64), waves,
-        np.zeros((3, LANES)), np.zeros((2, BATCH)), functions_address(),
-    )  # fmt: skip
 
 
 @inlined
@@ -220,16 +170,16 @@ def _settle_terminals(lists: Lists, first: Int, leaves: np.uint64, batch: Batch)
     for k in range(np.int64(leaves)):
         slot = batch.terminals[np.uint64(k)]
         p, i = np.uint64(first) + (slot >> shift), slot & low
-        row = base + slot
-        fact = np.uint64(lists.left[p, i]) | _VARIES | _INPUT
+        row = base + np.uint64(k)
+        fact = np.uint64(lists.left[p, i]) | _VARIES | INPUT
         batch.facts[slot] = fact if lists.code[p, i] == VARIABLE else row
         fill(place(batch.values, np.int64(row), _START), lists.constants[p, i])
 
 
 @inlined
-def _chain_operators(count: np.uint64, batch: Batch) -> tuple[np.uint64, np.uint64]:
+def _chain_operators(leaves: np.uint64, count: np.uint64, batch: Batch) -> tuple[np.uint64, np.uint64]:
     """Put each operator on its chain; return the highest level and, as bits, the chains used at any level."""
-    base = np.uint64(batch.base)
+    base = np.uint64(batch.base) + leaves
     highest, used = _ZERO, _ZERO
     k = count
     while k != _ZERO:
@@ -237,92 +187,19 @@ def _chain_operators(count: np.uint64, batch: Batch) -> tuple[np.uint64, np.uint
         node, both = batch.nodes[k], batch.arguments[k]
         slot, op = node & _LOW, node >> _HALF
         a = batch.facts[both & _LOW]
-        b = batch.facts[both >> _HALF] & _SECOND[op]
-        row = a & _ROW
-        fact = ((max(a, b) & _LEVELS) + _LEVEL) | ((a | b) & _VARIES) | (base + slot)
+        b = batch.facts[both >> _HALF] & _ALL_IF_BINARY[op]
+        row = a & ROW
+        fact = ((max(a, b) & _LEVELS) + _LEVEL) | ((a | b) & _VARIES) | (base + k)
         offset = batch.waves[op]
-        kept = _VARIES | (row + (offset & _ROW))
-        fact = kept if (a & offset) >= _INPUT else fact  # such a node lands on a chain of level 0, never evaluated
+        kept = _VARIES | (row + (offset & ROW))
+        fact = kept if (a & offset) >= INPUT else fact  # such a node lands on a chain of level 0, never evaluated
         batch.facts[slot] = fact
         highest = max(highest, fact)
         chain = (fact >> np.uint64(24) << np.uint64(5)) | op
-        batch.links[slot] = (batch.heads[chain] << _NEXT) | ((b & _ROW) << np.uint64(20)) | row
-        batch.heads[chain] = slot
+        batch.links[k] = (batch.heads[chain] << NEXT) | ((b & ROW) << SECOND) | row
+        batch.heads[chain] = k
         used |= _ONE << (chain & np.uint64(CHAINS - 1))
     return highest >> np.uint64(25), used
-
-
-@inlined
-def _load_rows(rows: Rows, start: Int, batch: Batch) -> None:
-    """Copy a block of inputs, and what is kept of them, to the table."""
-    variables = rows.inputs.shape[0]
-    for v in range(variables):
-        copy(place(batch.values, v, _START), place(rows.inputs, v, start))
-    for wave in range(rows.waves.shape[0]):
-        row = variables + (wave >> 1) + (wave & 1) * variables
-        copy(place(batch.values, row, _START), place(rows.waves, wave, start))
-
-
-@inlined
-def _evaluate_varying(op: Int, slot: np.uint64, batch: Batch) -> None:
-    """Evaluate the nodes of a chain, row by row. The usual operators have loops of their own, without a branch."""
-    values, links, base = batch.values, batch.links, np.uint64(batch.base)
-    shift = np.uint64(20)
-    while slot != _END:
-        link = links[slot]
-        out = place(values, np.int64(base + slot), _START)
-        a, b = place(values, np.int64(link & _ROW), _START), place(values, np.int64(link >> shift & _ROW), _START)
-        slot = link >> _NEXT
-        if op == ADD:
-            add(out, a, b)
-        elif op == SUBTRACT:
-            subtract(out, a, b)
-        elif op == MULTIPLY:
-            multiply(out, a, b)
-        elif op == DIVIDE:
-            divide(out, a, b)
-        else:
-            apply_operator(op, out, a, b, batch.functions)
-
-
-@inlined
-def _evaluate_constant(op: Int, slot: np.uint64, batch: Batch) -> None:
-    """Evaluate the nodes of a chain that are the same at all rows, `LANES` nodes at a time."""
-    values, links, base = batch.values, batch.links, np.uint64(batch.base)
-    a = place(batch.packed, _START, _START)
-    b = place(batch.packed, _START + 1, _START)
-    out = place(batch.packed, _START + 2, _START)
-    while slot != _END:
-        begun = slot
-        number = _START
-        while slot != _END and number < LANES:
-            link = links[slot]
-            put(a, number, get(place(values, np.int64(link & _ROW), _START), _START))
-            put(b, number, get(place(values, np.int64(link >> np.uint64(20) & _ROW), _START), _START))
-            number += 1
-            slot = link >> _NEXT
-        apply_operator(op, out, a, b, batch.functions)
-        slot = begun
-        for k in range(number):
-            fill(place(values, np.int64(base + slot), _START), get(out, k))
-            slot = links[slot] >> _NEXT
-
-
-@inlined
-def _evaluate(highest: np.uint64, used: np.uint64, is_first: bool, batch: Batch) -> None:
-    """Evaluate all chains, level by level; those of constants for the first block of rows only."""
-    for level in range(1, np.int64(highest) + 1):
-        waiting = used
-        while waiting != _ZERO:
-            chain = np.int64(lowest_bit(waiting))
-            waiting &= waiting - _ONE
-            slot = batch.heads[np.uint64(level * CHAINS + chain)]
-            if slot == _END:
-                continue
-            if chain >= CHAINS // 2:
-                _evaluate_varying(chain - CHAINS // 2, slot, batch)
-            elif is_first:
-                _evaluate_constant(chain, slot, batch)
 
 
 @inlined
@@ -331,7 +208,7 @@ def _compare(number: Int, last: Int, rows: Rows, start: Int, batch: Batch) -> No
     target, mask = place(rows.target, _START, start), place(rows.mask, _START, start)
     residual = place(batch.packed, _START, _START)
     for q in range(number):
-        output = batch.facts[np.uint64((q << batch.shift) | last)] & _ROW
+        output = batch.facts[np.uint64((q << batch.shift) | last)] & ROW
         subtract(residual, target, place(batch.values, np.int64(output), _START))
         multiply(residual, residual, mask)
         batch.sums[0, q] += total_magnitude(residual, mask)
@@ -340,7 +217,7 @@ def _compare(number: Int, last: Int, rows: Rows, start: Int, batch: Batch) -> No
 
 @kernel
 def measure_lists(losses: Floats, lists: Lists, terminals: Int, rows: Rows, loss: Int, batch: Batch) -> None:
-    """Write the loss of each list on `rows`, unscaled: the mean absolute (`loss` 0) or squared (1) residual, or infinity.
+    """Write the loss of each list on `rows`, unscaled: mean absolute (`loss` 0) or squared (1) residual; infinity.
 
     The first `terminals` nodes of every list are terminals, and no others are.
     """
@@ -352,16 +229,20 @@ def measure_lists(losses: Floats, lists: Lists, terminals: Int, rows: Rows, loss
         else:
             leaves, count = _collect_long(lists, first, number, terminals, batch)
         _settle_terminals(lists, first, leaves, batch)
-        highest, used = _chain_operators(count, batch)
+        highest, used = _chain_operators(leaves, count, batch)
+        operators = np.uint64(batch.base) + leaves
         for q in range(number):
             batch.sums[0, q] = 0.0
             batch.sums[1, q] = 0.0
         for start in range(_START, rows.length, LANES):
-            _load_rows(rows, start, batch)
-            _evaluate(highest, used, start == 0, batch)
+            load_rows(rows, start, batch)
+            evaluate_chains(highest, used, operators, start == 0, batch)
             _compare(number, last, rows, start, batch)
         for q in range(number):
             is_finite = np.isfinite(batch.sums[0, q]) and np.isfinite(batch.sums[1, q])
             losses[first + q] = batch.sums[loss, q] / rows.length if is_finite else _INFINITY
         for chain in range((np.int64(highest) + 1) * CHAINS):
-            batch.heads[chain] = _END
+            batch.heads[chain] = END
+
+
+__all__ = ["BATCH", "Batch", "empty_batch", "measure_lists"]

@@ -9,14 +9,24 @@ import pytest
 from benchmarks import kernels, speeds
 from benchmarks.corpus import CORPUS, EPOCHS, SIZE, load_corpus, make_corpus, save_corpus
 from benchmarks.figures import write_figures
-from benchmarks.loops import differentiate_into, fitness_by_numpy, gradient_repeatedly, operator_tape, room_for
-from benchmarks.speeds import OperatorSpeed, Peak, Speed, parts_of, wrong
+from benchmarks.loops import (
+    differentiate_into,
+    fitness_by_numpy,
+    gradient_repeatedly,
+    instructions,
+    measure_into,
+    measure_singly_into,
+    operator_tape,
+    room_for,
+)
+from benchmarks.speeds import OperatorSpeed, Peak, Speed, computed_values, parts_of, wrong
 from benchmarks.strogatz import PUBLISHED
 from common.errors import DataError, UsageError
-from common.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, SIN, VARIABLE
-from island_worker.evolution.structures import empty_lists, padded_rows
+from common.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, SIN, VARIABLE
+from island_worker.evolution.kernels_rows import padded_rows
+from island_worker.evolution.structures import empty_lists, empty_tape
 
-SPEED = Speed(16, 25.2e6, 180e6, 10e6, 70e6, 30.0)
+SPEED = Speed(16, 25.2e6, 180e6, 90e6, 20e6, 10e6, 70e6, 30.0)
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +57,14 @@ def test_the_corpus_is_measured_as_numpy_would(corpus):
     assert sum(len(part.live) for part in parts) == SIZE
     assert wrong(parts) == 0
     assert wrong(parts_of(corpus, 40)[:2]) == 0
+
+
+def test_batches_give_the_bits_of_one_list_after_the_other(corpus):
+    for part in parts_of(corpus, 16):
+        batches, singly = np.empty(len(part.live)), np.empty(len(part.live))
+        measure_into(batches, part.lists, part.rows, part.room)
+        measure_singly_into(singly, part.lists, part.rows, part.room)
+        assert batches.tobytes() == singly.tobytes()
 
 
 def test_a_wrong_fitness_is_noticed(corpus, monkeypatch):
@@ -95,26 +113,33 @@ def lists():
 
 
 def test_the_gradient_is_that_of_the_mathematics(lists):
-    x, room, fitness = np.linspace(-1.0, 1.0, 16), room_for(6, 16), np.zeros(1)
-    differentiate_into(fitness, lists, padded_rows(x[None], np.zeros(16)), room)
+    x, fitness = np.linspace(-1.0, 1.0, 16), np.zeros(1)
+    rows = padded_rows(x[None], np.zeros(16))
+    room = room_for(6, rows)
+    differentiate_into(fitness, lists, rows, room)
     assert fitness[0] == pytest.approx(np.abs(np.sin(1.5 * x) + 1.5).mean())
     np.testing.assert_allclose(room.work.adjoints[1], x * np.cos(1.5 * x) + 1.0)
 
 
-def test_numpy_evaluates_live_nodes_alone(lists):
-    from benchmarks.loops import instructions
+def test_what_a_batch_computes_is_counted(lists):
+    """Of sin(1.5 * x) + 1.5, three operators at every row; of sin(x) / sin(1.5), two values that are no kept sine."""
+    assert computed_values(instructions(lists, 0, empty_tape(6)), 16) == 48
+    kept = [(VARIABLE, 0, 0, 0.0), (CONSTANT, 0, 0, 1.5), (SIN, 0, 0, 0.0), (SIN, 1, 0, 0.0), (DIVIDE, 2, 3, 0.0)]
+    assert computed_values(kept, 16) == 17
 
-    program = instructions(lists, 0, room_for(6, 16).tape)
+
+def test_numpy_evaluates_live_nodes_alone(lists):
+    program = instructions(lists, 0, empty_tape(6))
     assert [code for code, *_ in program] == [VARIABLE, CONSTANT, MULTIPLY, SIN, ADD]
     x = np.array([[0.0, 1.0]])
     assert fitness_by_numpy([program], x, np.array([1.5, 1.5])) == pytest.approx([np.sin(1.5) / 2])
 
 
 def test_every_node_of_an_operator_tape_is_worked_on():
-    room = room_for(12, 16)
+    rows = padded_rows(np.full((2, 16), 0.5), np.zeros(16))
+    room = room_for(12, rows)
     count = operator_tape(SIN, 10, room.tape)
-    x = np.full((2, 16), 0.5)
-    gradient_repeatedly(1, count, padded_rows(x, np.zeros(16)), room)
+    gradient_repeatedly(1, count, rows, room)
     assert count == 12
     np.testing.assert_allclose(room.work.values[2:12], np.sin(0.5))
     np.testing.assert_allclose(room.work.adjoints[0], np.cos(0.5))
@@ -144,6 +169,8 @@ def test_the_goals_stand_beside_the_speed():
     assert "mean live size 7.23" in text
     assert "25.2 M point evaluations/s, 0.18 G node evaluations/s (goals 100 M and 1.4 G)" in text
     assert "2.0 times a processor of the paper" in text
+    assert "0.09 G values/s were computed" in text
+    assert "one by one 20.0 M" in text
 
 
 def test_shares_are_of_the_machines_peak():
