@@ -17,6 +17,8 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Final
 
+from common.errors import AtollError
+
 Work = Callable[[], int]
 """What a forked worker does; returns its exit code."""
 
@@ -85,6 +87,9 @@ def leave(works: Mapping[str, Work]) -> None:
 
     Each of them writes its name and process id in a line on stdout, before anything else; stdout is closed when all
     have done so and this process has ended.
+
+    Raises:
+        AtollError: the system starts no more processes; the workers before have been left.
     """
     mother = os.getpid()
     for name, work in works.items():
@@ -106,7 +111,10 @@ def _fork(work: Work) -> int:
     sys.stdout.flush()
     sys.stderr.flush()
     with _signals_held_back():
-        pid = os.fork()
+        try:
+            pid = os.fork()
+        except OSError as error:
+            raise AtollError(f"the system starts no more processes ({error.strerror}); ask for fewer") from error
         if pid == 0:
             _forget_handlers()
     if pid == 0:

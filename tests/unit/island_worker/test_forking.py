@@ -1,9 +1,15 @@
 """What is loaded before a fork, and that nothing which a fork breaks has been begun by then."""
 
+import errno
 import os
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
+
+from common.errors import AtollError
+from island_worker.forking import leave
 
 LIMIT_S = 100.0
 
@@ -39,3 +45,12 @@ def test_libraries_are_loaded_without_a_thread_and_compiling_is_left_to_the_work
 def test_a_trouble_is_left_to_the_workers_to_say(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     assert loaded(tmp_path / "file") == ["1", "island_worker.evolution.island", "True"]
+
+
+def test_a_system_that_starts_no_more_processes_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse() -> int:
+        raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(os, "fork", refuse)
+    with pytest.raises(AtollError, match="starts no more processes"):
+        leave({"w-0": lambda: 0})
