@@ -174,9 +174,10 @@ def advance(
     """Advance the population on the current predictor's `rows`, and the predictors of the `length` rows in all.
 
     A child that computes what one of its parents does is not measured again (and not counted), unless its constants
-    can still be fitted better. Steps for constants are spent on the few children that are much better than their worse
-    parent already without them (ADR 0014). Return after so many generations, or sooner when a trainer is to be renewed
-    or the best predictor has changed: `coevolution.due` tells which.
+    can still be fitted better; in preset `paper`, which fits nothing, every child is measured. Steps for constants are
+    spent on the few children that are much better than their worse parent already without them (ADR 0014). Return after
+    so many generations, or sooner when a trainer is to be renewed or the best predictor has changed: `coevolution.due`
+    tells which.
 
     Returns:
         The generations done.
@@ -186,6 +187,7 @@ def advance(
     signature, loss = scratch.signature, scratch.child_loss
     child_settled, settled = scratch.child_settled, scratch.settled
     due[0] = due[1] = False
+    inherits = options.terms > 0 or options.steps > 0
     for done in range(generations):
         for p in range(order.shape[0]):
             order[p] = p
@@ -199,9 +201,9 @@ def advance(
             ceiling = options.gate * max(fitness[first], fitness[second])
             for q in range(2):
                 child_settled[q] = True
-                if settled[first] and _inherits(lists, first, children, q, signature, _ZERO):
+                if inherits and settled[first] and _inherits(lists, first, children, q, signature, _ZERO):
                     loss[q] = fitness[first]
-                elif settled[second] and _inherits(lists, second, children, q, signature, _ONE):
+                elif inherits and settled[second] and _inherits(lists, second, children, q, signature, _ONE):
                     loss[q] = fitness[second]
                 else:
                     loss[q] = develop(children, q, rows, options, ceiling, tape, near, result, counters, OFFSPRING)
