@@ -68,14 +68,16 @@ def refine(problem: Problem, config: JobConfig, front: Sequence[FrontEntry]) -> 
     """
     programs = [Program.from_bytes(entry.program, len(problem.names)) for entry in front]
     enough = threshold(problem.target, config.budget.target_error) * problem.target.deviation
-    if any(entry.error <= enough for entry in front):
+    has_converged = any(entry.error <= enough for entry in front)
+    if has_converged:
         kept = [index for index, entry in enumerate(front) if entry.error <= enough]
     else:
         kept, enough = [*range(len(front))], math.inf
     operators = frozenset(BY_NAME[name].code for name in config.space.operators)
     shortening = Shortening(_spread(problem, COMPARED_ROWS), operators)
     largest = config.space.max_size or math.inf
-    for candidate in shortening.candidates([programs[index] for index in kept])[:_ATTEMPTS]:
+    candidates = shortening.candidates([programs[index] for index in kept], looks_around=not has_converged)
+    for candidate in candidates[:_ATTEMPTS]:
         refined = _finished(problem, candidate, kept[candidate.member], config)
         if refined.error <= enough and _may_be_shown(refined.program, largest):
             return _as_found(refined, front, programs)

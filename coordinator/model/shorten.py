@@ -65,13 +65,16 @@ class Shortening:
         self._fits: dict[bytes, tuple[Fitted, float]] = {}
         self._ends: dict[bytes, Fitted] = {}
 
-    def candidates(self, front: Sequence[Program]) -> list[Candidate]:
-        """Return what the members of `front` became, the shortest first; nothing when none has a finite error."""
+    def candidates(self, front: Sequence[Program], looks_around: bool = True) -> list[Candidate]:
+        """Return what the members of `front` became, the shortest first; nothing when none has a finite error.
+
+        Without `looks_around`, programs beside the members are not tried.
+        """
         found: dict[bytes, Candidate] = {}
         for member, fitted in self._members(front):
             self._take_in(found, member, (fitted, self._reduced(fitted)))
-        if not found:
-            return []
+        if not found or not looks_around:
+            return sorted(found.values(), key=lambda each: each.rank)
         best = min(found.values(), key=lambda each: each.rank)
         simple = min(found.values(), key=lambda each: self._simplicity(each, best))
         if simple is not best and not self._is_exact(best):
