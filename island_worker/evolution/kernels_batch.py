@@ -4,15 +4,15 @@ One list has seven live nodes, and its evaluation mostly waits: for the next nod
 processor foresees. A batch of lists gives it other work meanwhile.
 
 1. The live nodes of four lists at a time are collected, operators and terminals apart.
-2. Every operator is put on the chain of its operator and level, which is one more than its arguments'. Nodes that depend
-   on constants alone have chains of their own.
+2. Every operator is put on the chain of its operator and level, which is one more than its arguments'. Nodes that
+   depend on constants alone have chains of their own.
 3. Chain after chain is evaluated, level by level. What depends on constants alone is the same at all rows, so that a
    block holds `LANES` such nodes instead of the rows of one. A sine or cosine of an input is looked up when the rows
    keep it.
 4. Each list's output is compared with the target.
 
 A node is named by its *slot*: the list's place in the batch, followed by the node's index in the low `shift` bits. All
-numbers lie in rows of one table: inputs, their sines, their cosines, and then a row for each live terminal and operator.
+numbers lie in rows of one table: inputs, their sines, their cosines, and a row for each live terminal and operator.
 Indices are unsigned, which saves the question whether they count from the end. What the batch knows of a node is packed
 in one word: row (20 bits), whether it is an input (bit 23), whether it varies from row to row (bit 24), level (from bit
 25 on). A link of a chain, one for each live operator, is the rows of both arguments (20 bits each) and the next link's
