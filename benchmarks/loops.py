@@ -1,8 +1,8 @@
 """The compiled loops that ``benchmarks.kernels`` times, and their plain numpy counterpart.
 
-`measure_into` is what the benchmark of the corpus measures: everything from operation lists to their fitness, many
-lists at once; `measure_singly_into` does the same one list after the other, as the search does. Each loop has a twin
-that repeats it many times, so that a call from the interpreter does not count.
+`measure_into` is what the benchmark of the corpus measures: everything from operation lists to fitness, many lists at
+once; `measure_singly_into` does the same one list after the other, as the search does. Each loop has a twin that
+repeats it many times, so that a call from the interpreter does not count.
 """
 
 from collections.abc import Sequence

@@ -12,7 +12,7 @@ processor foresees. A batch of lists gives it other work meanwhile.
 4. Each list's output is compared with the target.
 
 A node is named by its *slot*: the list's place in the batch, followed by the node's index in the low `shift` bits. All
-numbers lie in rows of one table: inputs, their sines, their cosines, then a row for each live terminal and operator.
+numbers lie in rows of one table: inputs, their sines, their cosines, and a row for each live terminal and operator.
 Indices are unsigned, which saves the question whether they count from the end. What the batch knows of a node is packed
 in one word: row (20 bits), whether it is an input (bit 23), whether it varies from row to row (bit 24), level (from bit
 25 on). A link of a chain, one for each live operator, is the rows of both arguments (20 bits each) and the next link's

@@ -104,7 +104,7 @@ def load_rows(rows: Rows, start: Int, batch: Batch) -> None:
 
 @inlined
 def _evaluate_varying(op: Int, link: np.uint64, first: np.uint64, batch: Batch) -> None:
-    """Evaluate the nodes of a chain, row by row. The usual operators have loops of their own, without a branch."""
+    """Evaluate the nodes of a chain at a block of rows; the branches go one way all along it."""
     values, links = batch.values, batch.links
     while link != END:
         rows = links[link]
