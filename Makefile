@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/atoll-installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick check bench clean
+.PHONY: help demo test quick kernels check bench clean
 
 help:
 	@echo "make demo    find the two equations of a Lotka-Volterra system, on two workers"
@@ -30,11 +30,15 @@ $(STAMP): pyproject.toml
 demo: $(STAMP)
 	@$(BIN)/python -m examples.demo
 
-test: $(STAMP)
+test: $(STAMP) kernels
 	@$(BIN)/pytest
 
-quick: $(STAMP)
+quick: $(STAMP) kernels
 	@$(BIN)/pytest -m "not slow"
+
+# Compiled before the first test, whose time is limited.
+kernels: $(STAMP)
+	@$(BIN)/python -c "from island_worker.warmup import warm_up; warm_up(print)"
 
 check: $(STAMP)
 	@$(BIN)/ruff check .
