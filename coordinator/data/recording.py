@@ -1,0 +1,79 @@
+"""The measurements of a job, trajectory by trajectory, and how they were smoothed: what a model is judged by.
+
+The search sees a `common.dataset.Dataset` of smoothed rows; everything after it goes back to the states as they were
+measured. Pure data. Letters: R rows of one trajectory, S states, U inputs.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from common.dataset import Dataset, FloatArray
+
+Method = Literal["interpolation", "loess", "robust loess"]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One continuous measurement; arrays in C order.
+
+    `name` is what the user knows it by: its number from 1, or the value of the trajectory column. `times` (R,) ascend
+    strictly, centred over all trajectories; `measured`, `smoothed` and `slopes` are (S, R), angles unwrapped and in
+    radians; `slopes` are first derivatives. `inputs` and `input_slopes` are (U, R): an input between rows is the cubic
+    with these values and slopes. `held_out` trajectories were kept from the search and from every fit.
+    """
+
+    name: str
+    times: FloatArray
+    measured: FloatArray
+    smoothed: FloatArray
+    slopes: FloatArray
+    inputs: FloatArray
+    input_slopes: FloatArray
+    held_out: bool = False
+
+
+@dataclass(frozen=True)
+class Smoothing:
+    """How one state was smoothed.
+
+    `noise` is the estimated standard deviation of its measurement errors, in its unit, and `relative` that over the
+    state's pooled standard deviation; `span` (rows) and `degree` are those of loess, None where it was interpolated;
+    `doubtful` counts rows whose derivative cannot be trusted, and `outliers` those that robust loess all but ignored.
+    """
+
+    state: str
+    method: Method
+    noise: float
+    relative: float
+    span: int | None = None
+    degree: int | None = None
+    doubtful: int = 0
+    outliers: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """All trajectories of a job.
+
+    `states` and `inputs` are column names, `state_symbols` and `input_symbols` the names in expressions, in the order
+    of the arrays' rows. With `order` 2 the variables of expressions are the states, then `velocity_symbols`, then the
+    inputs. `offset` is what was taken from the times of the file to centre them.
+    """
+
+    states: tuple[str, ...]
+    state_symbols: tuple[str, ...]
+    velocity_symbols: tuple[str, ...]
+    inputs: tuple[str, ...]
+    input_symbols: tuple[str, ...]
+    order: Literal[1, 2]
+    offset: float
+    smoothing: tuple[Smoothing, ...]
+    trajectories: tuple[Trajectory, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Preparation:
+    """What preparing a table gives: the search's dataset and, where states were measured in time, the recording."""
+
+    dataset: Dataset
+    recording: Recording | None
