@@ -12,6 +12,7 @@ from common.pareto import FrontEntry
 from common.slices import Course
 from common.wire.messages import Commit, EpochReport, JobAnnouncement, chunk_count
 from common.wire.views import FINAL_STATES, JobState
+from coordinator.data.recording import Recording
 from coordinator.model.refine import Refined
 from coordinator.model.select import count_constants, description_length
 from coordinator.service.archipelago import Archipelago
@@ -64,12 +65,16 @@ JobAction = KeepCut | TellCommit | Refine | Conclude
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """What preparing gave: the dataset, the resolved configuration, and the dataset's bytes by digest and size."""
+    """What preparing gave: the dataset, the resolved configuration, and the dataset's bytes by digest and size.
+
+    `recording` is None where nothing was measured in time.
+    """
 
     dataset: Dataset
     config: JobConfig
     blob: str
     size: int
+    recording: Recording | None = None
 
 
 class Job:

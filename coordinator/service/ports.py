@@ -6,6 +6,7 @@ from typing import Protocol
 
 from common.config import JobConfig
 from common.dataset import Dataset
+from coordinator.data.recording import Preparation
 from coordinator.model.refine import Fronts, Refined, refine_all
 from coordinator.service.store import JobRecord
 
@@ -58,8 +59,9 @@ class StorePort(Protocol):
     def blob_bytes(self) -> int: ...
 
 
-Preparer = Callable[[bytes, JobConfig], Dataset]
-"""Turns an uploaded table into regression problems; raises DataError or UsageError with a sentence for the user."""
+Preparer = Callable[[bytes, JobConfig], Preparation]
+"""Turns an uploaded table into regression problems and a recording; raises DataError or UsageError with a sentence for
+the user."""
 
 Refiner = Callable[[Dataset, JobConfig, Fronts], Mapping[str, Refined]]
 """Makes the equations that are shown of the fronts, by variable; see `coordinator.model.refine.refine_all`."""
