@@ -157,9 +157,11 @@ class Service:
     def _prepare(self, job: str, table: bytes, config: JobConfig) -> _Ready | _Unprepared:
         """Smooth and differentiate; runs in the background."""
         try:
-            dataset = self._ports.preparer(table, config)
+            preparation = self._ports.preparer(table, config)
+            dataset = preparation.dataset
             data = dataset_to_bytes(dataset)
-            prepared = Prepared(dataset, resolve(config, dataset), hashlib.sha256(data).hexdigest(), len(data))
+            blob = hashlib.sha256(data).hexdigest()
+            prepared = Prepared(dataset, resolve(config, dataset), blob, len(data), preparation.recording)
             return _Ready(job, prepared, data)
         except (DataError, UsageError, RemoteProtocolError) as error:
             return _Unprepared(job, "data", str(error))
