@@ -5,7 +5,8 @@ arguments are indices of earlier nodes, a VARIABLE's `left` is its place in the 
 equation, U inputs, Z = D + U numbers of a point, P fitted constants, Q = P + D columns of sensitivities (constants, then
 the initial state), N rows of all trajectories, G segments.
 
-Dormand & Prince 1980, 5(4), steps clipped at the rows; the sensitivities follow the accepted steps of the states.
+Explicit Runge-Kutta steps with error control, clipped at the rows; the sensitivities follow the accepted steps of the
+states.
 """
 
 import math
@@ -37,20 +38,33 @@ from common.expression.operators import (
 )
 from common.jit import allocating_kernel, inlined, kernel
 
-STAGES: Final = 7
+Table = tuple[FloatArray, FloatArray, FloatArray, float]
+"""An embedded Runge-Kutta method whose last stage is the next step's first: coefficients (S, S - 1), times (S,), error
+weights (S,), and the order of the error estimate."""
 
-_C: Final = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
-_A: Final = np.array([
-    [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-    [1 / 5, 0.0, 0.0, 0.0, 0.0, 0.0],
-    [3 / 40, 9 / 40, 0.0, 0.0, 0.0, 0.0],
-    [44 / 45, -56 / 15, 32 / 9, 0.0, 0.0, 0.0],
-    [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0.0, 0.0],
-    [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0.0],
-    [35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
-])  # fmt: skip
-_E: Final = np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
-"""Fifth order minus fourth."""
+PRECISE: Final[Table] = (
+    np.array([
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [1 / 5, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [3 / 40, 9 / 40, 0.0, 0.0, 0.0, 0.0],
+        [44 / 45, -56 / 15, 32 / 9, 0.0, 0.0, 0.0],
+        [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0.0, 0.0],
+        [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0.0],
+        [35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
+    ]),
+    np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0]),
+    np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40]),
+    5.0,
+)  # fmt: skip
+"""Dormand & Prince 1980, 5(4)."""
+
+QUICK: Final[Table] = (
+    np.array([[0.0, 0.0, 0.0], [1 / 2, 0.0, 0.0], [0.0, 3 / 4, 0.0], [2 / 9, 1 / 3, 4 / 9]]),
+    np.array([0.0, 1 / 2, 3 / 4, 1.0]),
+    np.array([-5 / 72, 1 / 12, 1 / 9, -1 / 8]),
+    3.0,
+)
+"""Bogacki & Shampine 1989, 3(2)."""
 
 
 @kernel
@@ -180,7 +194,7 @@ def put_inputs(z: FloatArray, states: int, inputs: FloatArray, input_slopes: Flo
 
 
 @kernel
-def advance(code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: Ints, parameters: Ints,
+def advance(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: Ints, parameters: Ints,
             owners: Ints, times: FloatArray, inputs: FloatArray, input_slopes: FloatArray, row: int,
             tolerance: FloatArray, limits: FloatArray, y: FloatArray, step: float, budget: int,
             sensitivity: FloatArray, wants: bool, points: FloatArray, stages: FloatArray, values: FloatArray,
@@ -192,10 +206,12 @@ def advance(code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs:
     `budget` the steps that may be taken. Returns the step to begin with next and the budget left, negative when the
     state blew up or the budget was used up. The other arguments are scratch.
     """
+    weights, nodes, errors, order = table
+    last = nodes.shape[0] - 1
     states = y.shape[0]
     columns = sensitivity.shape[1]
     fitted = columns - states
-    begin, width = times[row], times[row + 1] - times[row]
+    width = times[row + 1] - times[row]
     done = 0.0
     while done < 1.0:
         if budget <= 0:
@@ -206,35 +222,35 @@ def advance(code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs:
         if is_last:
             share = 1.0 - done
         h = share * width
-        for s in range(STAGES):
+        for s in range(last + 1):
             for d in range(states):
                 total = 0.0
                 for k in range(s):
-                    total += _A[s, k] * rate[k, d]
+                    total += weights[s, k] * rate[k, d]
                 points[s, d] = y[d] + h * total
-            put_inputs(points[s], states, inputs, input_slopes, row, done + share * _C[s], width)
+            put_inputs(points[s], states, inputs, input_slopes, row, done + share * nodes[s], width)
             rates(code, left, right, constants, outputs, points[s], values[s], s, rate)
         error = 0.0
         for d in range(states):
             off = 0.0
-            for s in range(STAGES):
-                off += _E[s] * rate[s, d]
+            for s in range(last + 1):
+                off += errors[s] * rate[s, d]
             off = abs(h * off) / tolerance[d]
             error = off if not off <= error else error
         if not error <= 1.0:
-            step = h * (max(0.1, 0.9 * error**-0.2) if error < 1e300 else 0.1)
+            step = h * (max(0.1, 0.9 * error ** (-1.0 / order)) if error < 1e300 else 0.1)
             if step < 1e-10 * width:
                 return step, -1
             continue
         if wants:
-            for s in range(STAGES - 1):
+            for s in range(last):
                 slopes(code, left, right, outputs, parameters, values[s], adjoints, jacobian, direct)
                 for d in range(states):
                     for q in range(columns):
                         total = sensitivity[d, q]
                         for k in range(s):
-                            if _A[s, k] != 0.0:
-                                total += h * _A[s, k] * stages[k, d, q]
+                            if weights[s, k] != 0.0:
+                                total += h * weights[s, k] * stages[k, d, q]
                         moved[d, q] = total
                 for d in range(states):
                     for q in range(columns):
@@ -247,15 +263,15 @@ def advance(code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs:
             for d in range(states):
                 for q in range(columns):
                     total = 0.0
-                    for s in range(STAGES - 1):
-                        total += _A[STAGES - 1, s] * stages[s, d, q]
+                    for s in range(last):
+                        total += weights[last, s] * stages[s, d, q]
                     sensitivity[d, q] += h * total
         for d in range(states):
-            y[d] = points[STAGES - 1, d]
+            y[d] = points[last, d]
             if not limits[d, 0] <= y[d] <= limits[d, 1]:
                 return step, -1
         done += share
-        grown = h * min(5.0, 0.9 * max(error, 1e-4) ** -0.2)
+        grown = h * min(5.0, 0.9 * max(error, 1e-4) ** (-1.0 / order))
         step = grown if not is_last else max(step, grown)
         if is_last:
             break
@@ -263,7 +279,7 @@ def advance(code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs:
 
 
 @allocating_kernel
-def shoot(code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: Ints, parameters: Ints, owners: Ints,
+def shoot(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: Ints, parameters: Ints, owners: Ints,
           times: FloatArray, inputs: FloatArray, input_slopes: FloatArray, segments: Ints, starts: FloatArray,
           tolerance: FloatArray, limits: FloatArray, budget: int, wants: bool, simulated: FloatArray,
           gradients: FloatArray) -> int:  # fmt: skip
@@ -273,16 +289,17 @@ def shoot(code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: I
     all rows together may take. Returns the number of segments that were integrated to their end: all, or the rows of
     the one that was not stay NaN from where it ended, and the later ones are not tried.
     """
+    stage_count = table[1].shape[0]
     nodes, states = code.shape[0], outputs.shape[0]
     columns = owners.shape[0] + states
-    rate = np.zeros((STAGES, states))
-    points = np.zeros((STAGES, states + inputs.shape[0]))
-    values = np.zeros((STAGES, nodes))
+    rate = np.zeros((stage_count, states))
+    points = np.zeros((stage_count, states + inputs.shape[0]))
+    values = np.zeros((stage_count, nodes))
     adjoints = np.zeros(nodes)
     jacobian = np.zeros((states, states + inputs.shape[0]))
     direct = np.zeros(owners.shape[0])
     moved = np.zeros((states, columns))
-    stages = np.zeros((STAGES, states, columns))
+    stages = np.zeros((stage_count, states, columns))
     sensitivity = np.zeros((states, columns))
     y = np.zeros(states)
     for g in range(segments.shape[0]):
@@ -295,7 +312,7 @@ def shoot(code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: I
         for row in range(first, end):
             if row > first:
                 step, budget = advance(
-                    code, left, right, constants, outputs, parameters, owners, times, inputs, input_slopes, row - 1,
+                    table, code, left, right, constants, outputs, parameters, owners, times, inputs, input_slopes, row - 1,
                     tolerance, limits, y, step, budget, sensitivity, wants, points, stages, values, adjoints,
                     jacobian, direct, moved, rate,
                 )  # fmt: skip

@@ -14,17 +14,22 @@ import numpy as np
 
 from common.dataset import FloatArray
 from common.expression.kernels import Ints
-from coordinator.model.trajectory.kernels_integrate import normal_equations, shoot
+from coordinator.model.trajectory.kernels_integrate import PRECISE, QUICK, normal_equations, shoot
 from coordinator.model.trajectory.measurements import Measurements
 from coordinator.model.trajectory.system import System
 
 STEPS_PER_ROW: Final = 40
 """Integration steps that may be taken for each row, on average: what needs more is too stiff or blows up."""
 
+QUICK_ENOUGH: Final = 1e-5
+"""Errors of a step, over a state's standard deviation, above which the quick method takes less time."""
+
 _SETTLED: Final = 1e-7
 _FIRST_DAMPING: Final = 1e-3
 _LARGEST_DAMPING: Final = 1e9
 _SMALLEST_NOISE: Final = 1e-9
+_STEEPEST: Final = 1e60
+"""Sensitivities beyond this have no squares to compute with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +79,7 @@ class Shooter:
 
     def __init__(self, measurements: Measurements, precision: float, weights: FloatArray | None = None) -> None:
         """`precision` is the error of a step over a state's standard deviation."""
+        self._table = PRECISE if precision < QUICK_ENOUGH else QUICK
         self.measurements: Final = measurements
         self.weights: Final = np.ones_like(measurements.measured) if weights is None else weights
         self._tolerance = precision * measurements.scales
@@ -145,11 +151,11 @@ class Shooter:
         gradients = np.zeros((its.rows, states, fitted + states))
         self.integrations += 1
         done = shoot(
-            system.code, system.left, system.right, system.constants, system.outputs, system.parameters, system.owners,
+            self._table, system.code, system.left, system.right, system.constants, system.outputs, system.parameters, system.owners,
             its.times, its.inputs, its.input_slopes, segments, starts, self._tolerance, its.limits,
             200 + STEPS_PER_ROW * its.rows, True, simulated, gradients,
         )  # fmt: skip
-        if done < len(segments) or not np.isfinite(gradients).all():
+        if done < len(segments) or not np.abs(gradients).max(initial=0.0) < _STEEPEST:
             return None
         residuals = its.measured - simulated[its.observed]
         cost = float((self.weights * (residuals / sigmas[:, None]) ** 2).sum())
@@ -175,6 +181,12 @@ class Shooter:
 
 def _solved(here: _Equations, damping: float) -> tuple[FloatArray, FloatArray]:
     """Return the step of the constants (P,) and of the initial states (G, D), these eliminated first."""
+    with np.errstate(all="ignore"):
+        change, moves = _eliminated(here, damping)
+    return np.nan_to_num(change, posinf=0.0, neginf=0.0), np.nan_to_num(moves, posinf=0.0, neginf=0.0)
+
+
+def _eliminated(here: _Equations, damping: float) -> tuple[FloatArray, FloatArray]:
     inverses = _inverses(here.own, damping)
     carried = np.einsum("gpd,gde->gpe", here.coupling, inverses)
     normal = here.normal + damping * np.diag(np.diag(here.normal)) - np.einsum("gpe,gqe->pq", carried, here.coupling)
@@ -201,7 +213,7 @@ def _inverses(own: FloatArray, damping: float) -> FloatArray:
     scale = np.sqrt(np.maximum(diagonals, 1e-200))
     unit = own / (scale[:, :, None] * scale[:, None, :])
     unit = unit + (damping + 1e-13) * np.eye(own.shape[1])
-    return np.asarray(np.linalg.pinv(unit, hermitian=True) / (scale[:, :, None] * scale[:, None, :]))
+    return np.asarray(np.linalg.inv(unit) / (scale[:, :, None] * scale[:, None, :]))
 
 
 def misfit(shot: Shot, floors: FloatArray, weights: FloatArray) -> float:
@@ -224,7 +236,7 @@ def staged(shooter: Shooter, system: System, lengths: Sequence[int | None], step
             system if shot is None else shot.system, length, steps, starts, None if shot is None else shot.sigmas
         )
         if following is None:
-            return shot if shot is None or length is not None else None
+            return None
         shot = following
     return shot
 
