@@ -12,7 +12,7 @@ from common.pareto import FrontEntry
 from common.slices import Course
 from common.wire.messages import Commit, EpochReport, JobAnnouncement, chunk_count
 from common.wire.views import FINAL_STATES, JobState
-from coordinator.data.recording import Preparation, Recording
+from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pool, Refinement
 from coordinator.model.select import count_constants, description_length
 from coordinator.service.archipelago import Archipelago
@@ -65,20 +65,17 @@ JobAction = KeepCut | TellCommit | Refine | Conclude
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """What preparing gave: the dataset, the resolved configuration, the dataset's bytes by digest and size, and,
-    where states were measured in time, the recording that a model is judged by.
-    """
+    """What preparing gave, the resolved configuration, and the dataset's bytes by digest and size."""
 
-    dataset: Dataset
+    preparation: Preparation
     config: JobConfig
     blob: str
     size: int
-    recording: Recording | None = None
 
     @property
-    def preparation(self) -> Preparation:
-        """What refining works on."""
-        return Preparation(self.dataset, self.recording)
+    def dataset(self) -> Dataset:
+        """What the search sees."""
+        return self.preparation.dataset
 
 
 class Job:

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from common.config import JobConfig
-from common.dataset import Dataset
 from coordinator.data.recording import Preparation
 from coordinator.model.refine import refine_all
 from coordinator.model.refinement import Pools, Refinement
@@ -60,8 +59,9 @@ class StorePort(Protocol):
     def blob_bytes(self) -> int: ...
 
 
-Preparer = Callable[[bytes, JobConfig], Dataset]
-"""Turns an uploaded table into regression problems; raises DataError or UsageError with a sentence for the user."""
+Preparer = Callable[[bytes, JobConfig], Preparation]
+"""Turns an uploaded table into regression problems and a recording; raises DataError or UsageError with a sentence for
+the user."""
 
 Refiner = Callable[[Preparation, JobConfig, Pools], Refinement]
 """Makes the equations that are shown of what the search handed on; see `coordinator.model.refine.refine_all`."""

@@ -157,9 +157,10 @@ class Service:
     def _prepare(self, job: str, table: bytes, config: JobConfig) -> _Ready | _Unprepared:
         """Smooth and differentiate; runs in the background."""
         try:
-            dataset = self._ports.preparer(table, config)
-            data = dataset_to_bytes(dataset)
-            prepared = Prepared(dataset, resolve(config, dataset), hashlib.sha256(data).hexdigest(), len(data))
+            preparation = self._ports.preparer(table, config)
+            data = dataset_to_bytes(preparation.dataset)
+            blob = hashlib.sha256(data).hexdigest()
+            prepared = Prepared(preparation, resolve(config, preparation.dataset), blob, len(data))
             return _Ready(job, prepared, data)
         except (DataError, UsageError, RemoteProtocolError) as error:
             return _Unprepared(job, "data", str(error))

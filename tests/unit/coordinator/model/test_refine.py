@@ -143,7 +143,7 @@ def test_an_empty_front_stays_empty_and_all_variables_are_refined():
     data = dataset(lotka)
     its = data.problem("label")
     assert refine(its, CONFIG, []) is None
-    preparation = Preparation(data, None)
+    preparation = Preparation(data)
     assert refine_all(preparation, CONFIG, {"label": Pool(())}).equations == {}
     assert set(refine_all(preparation, CONFIG, {"label": Pool((entry("2.0*x", its),))}).equations) == {"label"}
 

@@ -36,7 +36,7 @@ def dataset(floor: float = 0.0) -> Dataset:
     return Dataset(NAMES, np.ones((3, 50)), targets, SYMBOLS, ("two rows were dropped",))
 
 
-PREPARATION = Preparation(dataset(), None)
+PREPARATION = Preparation(dataset())
 
 
 def outcomes() -> list[VariableOutcome]:

@@ -8,6 +8,7 @@ from common.dataset import Dataset, Target
 from common.errors import LocalProtocolError, RemoteProtocolError
 from common.wire.messages import Addition, EpochReport, Holding, IslandReport, Placement, Tally
 from common.wire.views import FINAL_STATES
+from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pool, Refinement
 from coordinator.service.cut import Cut
 from coordinator.service.job import (
@@ -40,7 +41,7 @@ def job_with(**budget: object) -> Job:
 def running(**budget: object) -> Job:
     job = job_with(**budget)
     job.prepare()
-    job.begin(Prepared(DATASET, job.config, BLOB, 100), {})
+    job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {})
     for archipelago in job.archipelagos.values():
         archipelago.place(
             Placement(
@@ -224,18 +225,20 @@ def test_cuts_that_were_committed_before_a_restart_stand() -> None:
     job = job_with()
     job.prepare()
     cut = Cut(variable="x", epochs=3, generation=None, why="max-time", front=(), evaluations={}, seconds=1.0)
-    assert job.begin(Prepared(DATASET, job.config, BLOB, 100), {"x": cut}) == []
+    assert job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"x": cut}) == []
     assert [each.variable for each in job.open_archipelagos] == ["y"]
     other = job_with()
     other.prepare()
     both = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
-    assert other.begin(Prepared(DATASET, job.config, BLOB, 100), both) == [Refine({"x": Pool(()), "y": Pool(())})]
+    assert other.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), both) == [
+        Refine({"x": Pool(()), "y": Pool(())})
+    ]
 
 
 def test_impossible_steps_are_our_bug() -> None:
     job = job_with()
     with pytest.raises(LocalProtocolError, match="queued and cannot prepared"):
-        job.begin(Prepared(DATASET, job.config, BLOB, 100), {})
+        job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {})
     with pytest.raises(LocalProtocolError, match="before it is prepared"):
         job.announcement()
 
