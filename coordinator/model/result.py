@@ -25,6 +25,7 @@ from coordinator.data.recording import Preparation
 from coordinator.model.digest import result_digest
 from coordinator.model.refinement import Constant, Refined, Refinement
 from coordinator.model.select import select, threshold
+from coordinator.model.trust import candidates, correlations, finite, noise, simulation, verdict
 
 SCHEMA: Final = 1
 _PACKAGES: Final = ("eclipse-zenoh", "numpy", "numba", "scipy", "sympy", "msgpack", "pydantic", "polars")
@@ -91,12 +92,15 @@ def build_result(
         "preset": config.preset,
         "state": account.state,
         "reason": account.reason,
-        "equations": [_equation(config, dataset, outcome) for outcome in outcomes],
+        "equations": [_equation(config, dataset, outcome, account.state) for outcome in outcomes],
+        "noise": noise(preparation.recording),
+        "correlations": correlations(model.correlations),
+        "simulation": simulation(model.simulation, preparation.recording),
         "symbols": dict(dataset.symbols),
         "warnings": [*dataset.warnings, *model.warnings],
         "point_evaluations": sum(_total(outcome) for outcome in outcomes),
-        "search_seconds": _finite(account.search_seconds),
-        "seconds": _finite(account.seconds),
+        "search_seconds": finite(account.search_seconds),
+        "seconds": finite(account.seconds),
         "digest": result_digest(outcomes),
         "versions": versions(),
     }
@@ -118,7 +122,7 @@ def versions() -> dict[str, str | int]:
     return found
 
 
-def _equation(config: JobConfig, dataset: Dataset, outcome: VariableOutcome) -> dict[str, Any]:
+def _equation(config: JobConfig, dataset: Dataset, outcome: VariableOutcome, state: JobState) -> dict[str, Any]:
     target = dataset.problem(outcome.variable).target
     shown = equation_of(outcome, dataset, config)
     printable = [(index, entry) for index, entry in enumerate(outcome.front) if _is_printable(entry, dataset)]
@@ -127,9 +131,11 @@ def _equation(config: JobConfig, dataset: Dataset, outcome: VariableOutcome) -> 
         "variable": target.variable,
         "lhs": target.lhs,
         **_best(shown, dataset, target, config),
+        **verdict(shown, target, state),
         **_course(None if member is None else outcome.front[member], outcome, config),
-        "derivative_floor": _finite(target.floor),
+        "derivative_floor": finite(target.floor),
         "target_error": threshold(target, config.budget.target_error),
+        "candidates": candidates(shown.contenders if shown is not None else (), dataset),
         "front": [_member(entry, dataset, target, index == member) for index, entry in printable],
     }
 
@@ -170,8 +176,8 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
     return {
         "expression": to_infix(shown.program, dataset.names),
         "complexity": len(shown.program),
-        "error": _finite(shown.error),
-        "normalized_error": _finite(normalized),
+        "error": finite(shown.error),
+        "normalized_error": finite(normalized),
         "converged": normalized <= threshold(target, config.budget.target_error),
         "constants": _constants(shown.program, shown.constants),
     }
@@ -187,7 +193,7 @@ def _course(entry: FrontEntry | None, outcome: VariableOutcome, config: JobConfi
         "generation": generation,
         "point_evaluations": _total(outcome),
         "point_evaluations_by_part": {part: int(outcome.evaluations[part]) for part in sorted(outcome.evaluations)},
-        "seconds": _finite(outcome.seconds),
+        "seconds": finite(outcome.seconds),
         "why": outcome.why,
     }
 
@@ -198,20 +204,26 @@ def _member(entry: FrontEntry, dataset: Dataset, target: Target, selected: bool)
     return {
         "expression": to_infix(program, dataset.names),
         "complexity": entry.complexity,
-        "error": _finite(entry.error),
-        "normalized_error": _finite(entry.error / target.deviation if target.deviation else math.inf),
-        "r2": _finite(1.0 - entry.mse / variance if variance else math.nan),
+        "error": finite(entry.error),
+        "normalized_error": finite(entry.error / target.deviation if target.deviation else math.inf),
+        "r2": finite(1.0 - entry.mse / variance if variance else math.nan),
         "holdout_error": None,
         "constants": _constants(program),
         "selected": selected,
     }
 
 
-def _constants(program: Program, known: Sequence[Constant] = ()) -> list[dict[str, float | None]]:
+def _constants(program: Program, known: Sequence[Constant] = ()) -> list[dict[str, Any]]:
     """Return the constants in node order; `known` is what refinement knows of them, if there was any."""
     values = program.constants[program.operators == np.int8(CONSTANT)].tolist()
     return [
-        {"value": _finite(value), "std_error": _finite(each.std_error), "fitted": _finite(each.fitted)}
+        {
+            "value": finite(value),
+            "std_error": finite(each.std_error),
+            "fitted": finite(each.fitted),
+            "interval": [finite(bound) for bound in each.interval] if each.interval is not None else None,
+            "identifiable": each.identifiable,
+        }
         for value, each in zip(values, known or map(Constant, values), strict=True)
     ]
 
@@ -222,7 +234,3 @@ def _program(entry: FrontEntry, dataset: Dataset) -> Program:
 
 def _total(outcome: VariableOutcome) -> int:
     return int(sum(outcome.evaluations.values()))
-
-
-def _finite(value: float | None) -> float | None:
-    return float(value) if value is not None and math.isfinite(value) else None

@@ -58,7 +58,7 @@ def test_the_equation_says_what_was_found_when_and_at_what_cost():
     assert (equation["epoch"], equation["generation"], equation["why"]) == (3, 285, "target")
     assert equation["error"] == 1e-13
     assert equation["normalized_error"] == 1e-13 / 1.25
-    unknown = {"std_error": None, "fitted": None}
+    unknown = {"std_error": None, "fitted": None, "interval": None, "identifiable": True}
     assert equation["constants"] == [{"value": 3.0, **unknown}, {"value": 2.0, **unknown}]
     assert equation["point_evaluations"] == 2130
     assert equation["point_evaluations_by_part"] == {"fitting": 130, "offspring": 2000}
@@ -82,6 +82,15 @@ def test_a_generation_without_a_hit_is_that_of_the_selected_member():
     changed = [replace(outcomes()[0], generation=None), outcomes()[1]]
     built = build_result("j", JobConfig(), PREPARATION, changed, Account("done", 1.0, 1.0))
     assert built["equations"][0]["generation"] == 285
+
+
+def test_a_result_says_how_far_its_model_can_be_trusted():
+    built = result()
+    assert (built["noise"], built["correlations"], built["simulation"]) == ({}, [], None)
+    found, empty = built["equations"]
+    assert (found["verdict"], empty["verdict"]) == ("exact", "no model")
+    assert found["candidates"] == []
+    assert result(state="running")["equations"][0]["verdict"] is None
 
 
 def test_numbers_that_are_not_finite_become_null():
