@@ -17,6 +17,7 @@ from common.expression.parse import from_infix
 from common.pareto import FrontEntry
 from coordinator.data.recording import Preparation
 from coordinator.model.digest import result_digest
+from coordinator.model.refinement import Constant, Correlation, Refined, Refinement, Simulated, Simulation
 from coordinator.model.render import parse_picks, pick, render, render_text
 from coordinator.model.result import Account, VariableOutcome, build_result
 
@@ -152,6 +153,43 @@ def test_text_shows_rounded_equations_and_the_front_on_request():
     assert [line.split()[0] for line in table.splitlines() if line.strip()[:1].isdigit()][:3] == ["0", "1", "2"]
 
 
+def test_text_of_clean_data_says_the_verdict_and_is_short():
+    first = render_text(result()).split("dv/dt")[0].splitlines()
+    assert len(first) == 3
+    assert first[1].strip().startswith("exact: ")
+    assert "exact" not in render_text(result(state="running"))
+
+
+def refined_result() -> dict:
+    constants = (Constant(3.0, 2.981, 0.018, (2.945, 3.016)), Constant(2.0, 2.04, 0.05))
+    shown = Refined(2, from_infix(TRUTH, NAMES), 0.1, 0.02, constants, grade="doubtful", reason="It may be another.")
+    curve = Simulated("1", False, np.arange(3.0), np.ones((1, 3)), None, (0.99,))
+    model = Refinement({"x": shown}, Simulation(("x",), (curve,)), (Correlation(("x", 0), ("x", 1), 0.99),))
+    outcome = replace(outcomes()[0], refined=shown)
+    return build_result("job-1", JobConfig(), PREPARATION, [outcome], Account("done", 1.0, 1.0), model)
+
+
+def test_text_of_a_refined_model_has_constants_verdict_and_tables():
+    run = render_text(refined_result())
+    assert "    constants: 3 (2.981 ± 0.018), 2 (2.040 ± 0.050)\n    doubtful: It may be another.\n" in run
+    assert "simulation: R2 at least 0.9900 on 1 trajectory" in run
+    tables = render_text(refined_result(), fronts=True)
+    assert "2.945 to 3.016" in tables
+    assert "R2 of simulations" in tables
+    assert "correlation 0.990" in tables
+
+
+def test_text_of_a_result_from_before_verdicts_is_shown_as_it_is():
+    old = result()
+    for key in ("noise", "correlations", "simulation"):
+        del old[key]
+    for equation in old["equations"]:
+        for key in ("verdict", "reason", "candidates"):
+            del equation[key]
+    assert "exact" not in render_text(old, fronts=True)
+    assert "3*x" in render_text(old)
+
+
 def test_csv_has_one_line_for_each_member():
     rows = list(csv.DictReader(io.StringIO(render(result(), "csv"))))
     assert [row["pick"] for row in rows] == ["0", "1", "2"]
@@ -195,7 +233,16 @@ def test_picking_takes_another_member():
     assert equation["expression"] == "2.0*x"
     assert equation["converged"] is False
     assert [member["selected"] for member in equation["front"]] == [False, True, False]
+    assert (equation["verdict"], equation["reason"]) == (None, None)
     assert result()["equations"][0]["expression"] == TRUTH
+
+
+def test_what_refining_found_out_does_not_belong_to_a_picked_member():
+    picked = pick(refined_result(), {"x": 1})
+    assert (picked["simulation"], picked["correlations"]) == (None, [])
+    text = render_text(picked, fronts=True)
+    assert "doubtful" not in text
+    assert "±" not in text
 
 
 @pytest.mark.parametrize("picks", [{"x": 3}, {"v": 0}, {"q": 0}])
