@@ -133,7 +133,7 @@ def summary(result: Mapping[str, Any]) -> list[str]:
 
 def _simulation_line(trajectories: Sequence[Mapping[str, Any]]) -> list[str]:
     whole = [each for each in trajectories if None not in each["r2"].values()]
-    parts = []
+    parts: list[str] = []
     for held_out in (False, True):
         chosen = [each for each in whole if each["held_out"] is held_out]
         if chosen:
