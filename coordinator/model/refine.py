@@ -93,7 +93,7 @@ def _finished(problem: Problem, candidate: Candidate, member: int, config: JobCo
     criterion, polisher = Criterion.of(decisive.target), Polisher(decisive)
     if len(problem.target.values) > COMPARED_ROWS:
         program = snapped(polisher.fit(candidate.fitted.program), criterion, polisher).program
-    error, mse = _errors(problem, program, config.evolution.loss)
+    error, mse = errors_on(problem, program, config.evolution.loss)
     fitted = polisher.fit(program).program
     std_errors = criterion.errors(polisher.fit(program, steps=0))
     return Refined(member, program, error, mse, _constants(program, fitted, std_errors))
@@ -105,8 +105,8 @@ def _constants(program: Program, fitted: Program, std_errors: Sequence[float]) -
     return tuple(map(Constant, values, before, std_errors))
 
 
-def _errors(problem: Problem, program: Program, loss: Loss) -> tuple[float, float]:
-    """Return loss and mean squared error on all rows, in parts that need little memory."""
+def errors_on(problem: Problem, program: Program, loss: Loss) -> tuple[float, float]:
+    """Return loss and mean squared error on all rows, in parts that need little memory; infinite if one is not finite."""
     rows = len(problem.target.values)
     total, square = 0.0, 0.0
     for start in range(0, rows, DECIDING_ROWS):

@@ -180,12 +180,22 @@ def _standing(equation: Mapping[str, Any]) -> str:
 
 
 def _front_lines(front: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[str]:
-    lines = [f"    {'pick':>4}   {'size':>4} {'error':>10} {'R2':>9}  expression"]
+    is_held_out = any(member["holdout_error"] is not None for member in front)
+    beside = f" {'held out':>10}" if is_held_out else ""
+    lines = [f"    {'pick':>4}   {'size':>4} {'error':>10}{beside} {'R2':>9}  expression"]
     for number, member in enumerate(front):
         mark = "*" if member["selected"] else " "
-        figures = f"{member['complexity']:>4} {_number(member['normalized_error']):>10} {_number(member['r2'], 6):>9}"
+        unseen = f" {_number(_unseen(member)):>10}" if is_held_out else ""
+        figures = f"{member['complexity']:>4} {_number(member['normalized_error']):>10}{unseen}"
+        figures += f" {_number(member['r2'], 6):>9}"
         lines.append(f"    {number:>4} {mark} {figures}  {display(member['expression'], names)}")
     return lines
+
+
+def _unseen(member: Mapping[str, Any]) -> float | None:
+    """Return the error on held-out rows, over the deviation of the target on the rows of the search."""
+    unseen, error, normalized = member["holdout_error"], member["error"], member["normalized_error"]
+    return unseen * normalized / error if unseen is not None and error and normalized else None
 
 
 def _number(value: float | None, digits: int = 3) -> str:

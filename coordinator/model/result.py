@@ -14,8 +14,8 @@ from typing import Any, Final
 import numpy as np
 
 from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from common.config import JobConfig
-from common.dataset import Dataset, Target
+from common.config import JobConfig, Loss
+from common.dataset import Dataset, Problem, Target
 from common.expression.operators import CONSTANT
 from common.expression.program import Program
 from common.expression.text import PRINTABLE_SIZE, to_infix, tree_size
@@ -23,6 +23,7 @@ from common.pareto import FrontEntry
 from common.wire.views import JobState
 from coordinator.data.recording import Preparation
 from coordinator.model.digest import result_digest
+from coordinator.model.refine import errors_on
 from coordinator.model.refinement import Constant, Refined, Refinement
 from coordinator.model.select import select, threshold
 from coordinator.model.trust import candidates, correlations, finite, noise, simulation, verdict
@@ -92,7 +93,7 @@ def build_result(
         "preset": config.preset,
         "state": account.state,
         "reason": account.reason,
-        "equations": [_equation(config, dataset, outcome, account.state) for outcome in outcomes],
+        "equations": [_equation(config, preparation, outcome, account.state) for outcome in outcomes],
         "noise": noise(preparation.recording),
         "correlations": correlations(model.correlations),
         "simulation": simulation(model.simulation, preparation.recording),
@@ -122,8 +123,10 @@ def versions() -> dict[str, str | int]:
     return found
 
 
-def _equation(config: JobConfig, dataset: Dataset, outcome: VariableOutcome, state: JobState) -> dict[str, Any]:
+def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, state: JobState) -> dict[str, Any]:
+    dataset = given.dataset
     target = dataset.problem(outcome.variable).target
+    unseen = given.held_out.problem(outcome.variable) if given.held_out is not None else None
     shown = equation_of(outcome, dataset, config)
     printable = [(index, entry) for index, entry in enumerate(outcome.front) if _is_printable(entry, dataset)]
     member = None if shown is None else shown.member
@@ -136,7 +139,14 @@ def _equation(config: JobConfig, dataset: Dataset, outcome: VariableOutcome, sta
         "derivative_floor": finite(target.floor),
         "target_error": threshold(target, config.budget.target_error),
         "candidates": candidates(shown.contenders if shown is not None else (), dataset),
-        "front": [_member(entry, dataset, target, index == member) for index, entry in printable],
+        "front": [
+            {
+                **_member(entry, dataset, target),
+                "holdout_error": _unseen_error(_program(entry, dataset), unseen, config.evolution.loss),
+                "selected": index == member,
+            }
+            for index, entry in printable
+        ],
     }
 
 
@@ -198,7 +208,7 @@ def _course(entry: FrontEntry | None, outcome: VariableOutcome, config: JobConfi
     }
 
 
-def _member(entry: FrontEntry, dataset: Dataset, target: Target, selected: bool) -> dict[str, Any]:
+def _member(entry: FrontEntry, dataset: Dataset, target: Target) -> dict[str, Any]:
     program = _program(entry, dataset)
     variance = target.deviation * target.deviation
     return {
@@ -207,10 +217,13 @@ def _member(entry: FrontEntry, dataset: Dataset, target: Target, selected: bool)
         "error": finite(entry.error),
         "normalized_error": finite(entry.error / target.deviation if target.deviation else math.inf),
         "r2": finite(1.0 - entry.mse / variance if variance else math.nan),
-        "holdout_error": None,
         "constants": _constants(program),
-        "selected": selected,
     }
+
+
+def _unseen_error(program: Program, unseen: Problem | None, loss: Loss) -> float | None:
+    """Return the loss on held-out rows; None when there are none, or when it is not finite."""
+    return finite(errors_on(unseen, program, loss)[0]) if unseen is not None else None
 
 
 def _constants(program: Program, known: Sequence[Constant] = ()) -> list[dict[str, Any]]:

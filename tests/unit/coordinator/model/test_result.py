@@ -72,6 +72,17 @@ def test_the_front_marks_exactly_the_selected_member():
     assert {member["holdout_error"] for member in front} == {None}
 
 
+def test_the_front_is_measured_on_held_out_rows_as_well():
+    seen = dataset()
+    rows = np.array([[1.0, 2.0, 4.0], [0.0, 0.0, 0.0], [1.0, 1.0, 0.0]])
+    targets = tuple(replace(target, values=np.array([2.0, 4.0, 5.0])) for target in seen.targets)
+    unseen = replace(seen, inputs=rows, targets=targets)
+    front = (entry("2.0*x", 0.4), entry("1.0/v", 0.3))
+    given = Preparation(seen, held_out=unseen)
+    built = build_result("j", JobConfig(), given, [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
+    assert [member["holdout_error"] for member in built["equations"][0]["front"]] == [1.0, None]
+
+
 def test_an_equation_without_a_front_is_null_and_not_converged():
     equation = result(state="running")["equations"][1]
     assert equation["expression"] is None
