@@ -106,7 +106,7 @@ def _constants(program: Program, fitted: Program, std_errors: Sequence[float]) -
 
 
 def errors_on(problem: Problem, program: Program, loss: Loss) -> tuple[float, float]:
-    """Return loss and mean squared error on all rows, in parts that need little memory; infinite if one is not finite."""
+    """Return loss and mean squared error on all rows, infinite when one is not finite; in parts, to save memory."""
     rows = len(problem.target.values)
     total, square = 0.0, 0.0
     for start in range(0, rows, DECIDING_ROWS):

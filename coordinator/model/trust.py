@@ -18,7 +18,8 @@ from coordinator.model.verdict import Evidence, judge
 
 MOST_POINTS: Final = 200
 """Points of one simulated trajectory in a result; a longer one is thinned evenly."""
-MOST_POINTS_IN_ALL: Final = 20_000
+MOST_NUMBERS: Final = 100_000
+"""Numbers of all curves together, about 1 MB as text."""
 LEAST_POINTS: Final = 2
 CURVE_DIGITS: Final = 7
 """Significant digits of simulated values: curves are looked at, and there are many of their numbers."""
@@ -101,7 +102,8 @@ def simulation(its: Simulation | None, recording: Recording | None) -> dict[str,
     if its is None:
         return None
     offset = recording.offset if recording is not None else 0.0
-    most = max(LEAST_POINTS, min(MOST_POINTS, MOST_POINTS_IN_ALL // max(len(its.trajectories), 1)))
+    numbers = len(its.trajectories) * (1 + 3 * len(its.states))
+    most = max(LEAST_POINTS, min(MOST_POINTS, MOST_NUMBERS // max(numbers, 1)))
     return {"trajectories": [_trajectory(each, its.states, offset, most) for each in its.trajectories]}
 
 

@@ -62,7 +62,7 @@ def test_a_curve_is_at_the_times_of_the_file_with_its_band() -> None:
     assert widths == pytest.approx(0.2 * 1.96 * np.ones(5), rel=1e-4)
 
 
-@pytest.mark.parametrize(("count", "points"), [(1, MOST_POINTS), (1000, 20)])
+@pytest.mark.parametrize(("count", "points"), [(1, MOST_POINTS), (1000, 25)])
 def test_long_curves_are_thinned_from_end_to_end(count: int, points: int) -> None:
     found = simulation(Simulation(("x",), (simulated(5001),) * count), RECORDING)
     assert found is not None
