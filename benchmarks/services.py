@@ -61,7 +61,8 @@ class Searches:
             name: for people.
             table: what was measured.
             config: of the search.
-            watch: called with the state of the job ten times a second.
+            watch: called with the state of the job ten times a second; a TimeoutError of its cancels
+                the job.
 
         Raises:
             AtollError: the job failed, or a process ended.
@@ -69,7 +70,11 @@ class Searches:
         job = f"bench-{uuid.uuid4().hex[:12]}"
         digest = self._client.upload(table.to_bytes())
         self._client.submit(job, name, config, digest)
-        view = self._followed(name, job, watch)
+        try:
+            view = self._followed(name, job, watch)
+        except TimeoutError as error:
+            self._client.cancel(job)
+            raise AtollError(f"the job {name} was cancelled: {error}") from error
         if view.state != "done":
             raise AtollError(f"the job {name} is {view.state}: {view.reason}")
         return self._client.result(job)
