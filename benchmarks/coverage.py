@@ -21,8 +21,11 @@ from common.expression.program import Program
 EXACT: Final = 1e-8
 """Error of the fit over the target's deviation (root mean square) below which the fit is exact."""
 
-SMALLEST_DIRECTION: Final = 1e-7
-"""Ratio of singular values below which constants cannot be told apart even without noise."""
+SMALLEST_CHANGE: Final = 1e-7
+"""A relative change of the constants matters when it changes the values by more than this share of it.
+
+In units of the target's deviation; also the ratio of singular values below which constants cannot be told apart.
+"""
 
 FAR: Final = 1e150
 
@@ -152,10 +155,10 @@ def _exact_fit(structure: _Structure, start: FloatArray, used: Sequence[int], tr
 def _is_determined(jacobian: FloatArray) -> bool:
     """Tell whether every relative change of the constants changes the values."""
     lengths = np.sqrt((jacobian**2).sum(axis=0))
-    if not lengths.all():
+    if not lengths.min() > SMALLEST_CHANGE * np.sqrt(len(jacobian)):
         return False
     singular = np.linalg.svd(jacobian / lengths, compute_uv=False)
-    return bool(singular[-1] > SMALLEST_DIRECTION * singular[0])
+    return bool(singular[-1] > SMALLEST_CHANGE * singular[0])
 
 
 def _covered(entry: Mapping[str, Any], truth: float) -> Covered:

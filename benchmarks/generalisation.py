@@ -37,6 +37,9 @@ MAX_EVALUATIONS: Final = 50_000
 LIMIT: Final = 1e8
 """States beyond this are a model that has run away."""
 
+STEP: Final = 0.25
+"""Largest step of the solver: a jump must not be stepped over."""
+
 _FORMS: Final = {
     ADD: "{0} + {1}",
     SUBTRACT: "{0} - {1}",
@@ -90,10 +93,10 @@ def field_of(expressions: Sequence[str], names: Sequence[str]) -> Field:
     return slopes
 
 
-def simulated(field: Field, path: Path) -> FloatArray | None:
+def simulated(field: Field, path: Path, max_evaluations: int = MAX_EVALUATIONS) -> FloatArray | None:
     """Return the states (n, S) that `field` gives at the times of `path`, from where that begins.
 
-    None when the solution does not reach the end: it runs away, or takes more than `MAX_EVALUATIONS` evaluations.
+    None when the solution does not reach the end: it runs away, or takes more than `max_evaluations`.
     """
     evaluations = 0
 
@@ -101,7 +104,7 @@ def simulated(field: Field, path: Path) -> FloatArray | None:
         nonlocal evaluations
         evaluations += 1
         values = state.tolist()
-        if evaluations > MAX_EVALUATIONS or not all(abs(value) < LIMIT for value in values):
+        if evaluations > max_evaluations or not all(abs(value) < LIMIT for value in values):
             raise _RunawayError
         return field([*values, *(signal(time) for signal in path.inputs)])
 
@@ -115,10 +118,6 @@ def simulated(field: Field, path: Path) -> FloatArray | None:
         return None
     states = np.ascontiguousarray(solution.y.T)
     return states if solution.success and np.isfinite(states).all() else None
-
-
-STEP: Final = 0.25
-"""Largest step of the solver: a jump must not be stepped over."""
 
 
 def r_squared(found: FloatArray, true: FloatArray) -> list[float]:

@@ -30,7 +30,7 @@ EXACT_CONSTANTS: Final = 1e-4
 BY_FUNCTION: Final = frozenset({"bacterial_respiration"})
 """Systems whose equations are judged by their function error at any noise."""
 
-MOST_CONTENDERS: Final = 60
+MOST_CONTENDERS: Final = 100
 """So many equations of a front and of the contenders are looked at for the truth."""
 
 

@@ -20,10 +20,15 @@ def configured(seed: int, data: Mapping[str, Any], max_time: float | None) -> Jo
 
 
 def search(searches: Searches, key: Key, its: Case, max_time: float | None) -> tuple[Outcome, dict[str, Any] | None]:
-    """Search one case and judge it; also the contents of result.json, None when the job failed."""
+    """Search one case and judge it; also the contents of result.json, None when the job failed.
+
+    Raises:
+        AtollError: the coordinator or a worker has ended.
+    """
     stopwatch, begun = Stopwatch(), time.monotonic()
     try:
         result = searches.solve(key.title, its.table, configured(key.seed, its.data, max_time), stopwatch.watch)
     except AtollError as error:
+        searches.check()  # without a coordinator no job is to blame
         return failed(key, its, str(error), time.monotonic() - begun), None
     return outcome(key, its, result, stopwatch.seconds), result

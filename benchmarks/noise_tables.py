@@ -17,8 +17,9 @@ GRADES: Final = ("exact", "good", "doubtful", "no model", "-")
 class Summary:
     """What the searches of one kind came to: one method, manner of sampling and level of noise.
 
-    Counts are medians over seeds, of `equations` each. Errors are over all equations found, those judged by their
-    function apart: the median of the largest error of a constant, and the value below which 90 % of them lie.
+    Counts are medians over seeds, of `equations` each; `elsewhere` is how many equations over all seeds were not shown
+    in the true form although it was among the contenders or on the front. Errors are over all equations found, those
+    judged by their function apart: the median of the largest error of a constant, and the value below which 90 % lie.
     `intervals` counts the constants with an interval, `covered` those of them whose interval holds the truth, `without`
     the constants that have none, `unmatched` the found equations whose constants have no known truth.
     """
@@ -113,6 +114,7 @@ HEADS: Final = (
     "seeds",
     "found",
     "in form",
+    "elsewhere",
     "foretold",
     "constants",
     "90 %",
@@ -139,6 +141,7 @@ def _cells(its: Summary) -> tuple[str, ...]:
         str(its.seeds),
         f"{its.found:g} of {its.equations:g}",
         f"{its.in_form:g}",
+        str(its.elsewhere),
         f"{its.foretold:g}",
         percent(its.constants_error),
         percent(its.constants_error_90),

@@ -5,8 +5,10 @@ initial conditions and of noise, scaled over the levels. Every manner has about 
 is the paper's: 100 points each at a step of 0.1.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
@@ -86,19 +88,34 @@ class Case:
 def case(key: Key) -> Case:
     """Return the data of one search; equal keys give equal data, whatever the method."""
     system = SYSTEMS[key.system]
-    rng, chance = np.random.default_rng(key.seed), np.random.default_rng([key.seed, VARIANTS.index(key.variant)])
-    times = _times(key.variant, chance)
-    clean = solutions(system, times, rng)
-    noisy = with_noise(clean, key.level, rng)
-    table = table_of(Sampled(system.states, tuple(times), tuple(noisy)))
+    clean = _clean(key.system, key.variant, key.seed)
+    noisy = with_noise(clean.states, key.level, deepcopy(clean.rng))
+    table = table_of(Sampled(system.states, clean.times, tuple(noisy)))
     data: dict[str, Any] = {}
     if key.variant == "missing":
-        _lose(table, chance)
+        _lose(table, _chance(key.variant, key.seed))
         data["missing"] = "drop"
-    columns = dict(zip(system.states, np.concatenate(clean).T, strict=True))
+    columns = dict(zip(system.states, np.concatenate(clean.states).T, strict=True))
     return Case(table, TRUTH[key.system], columns, fresh(key.system, key.seed), data)
 
 
+@dataclass(frozen=True, eq=False)
+class _Clean:
+    """Trajectories before noise, and the stream that the noise comes from."""
+
+    times: tuple[FloatArray, ...]
+    states: tuple[FloatArray, ...]
+    rng: np.random.Generator
+
+
+@lru_cache(maxsize=64)
+def _clean(system: str, variant: Variant, seed: int) -> _Clean:
+    rng = np.random.default_rng(seed)
+    times = _times(variant, _chance(variant, seed))
+    return _Clean(times, tuple(solutions(SYSTEMS[system], times, rng)), rng)
+
+
+@lru_cache(maxsize=64)
 def fresh(system: str, seed: int) -> Path:
     """Return a trajectory of the paper's length from the system's own distribution of initial conditions."""
     rng = np.random.default_rng([seed, len(VARIANTS)])
@@ -106,12 +123,17 @@ def fresh(system: str, seed: int) -> Path:
     return Path(times, drawn(SYSTEMS[system], rng, times))
 
 
-def _times(variant: Variant, chance: np.random.Generator) -> Sequence[FloatArray]:
+def _chance(variant: Variant, seed: int) -> np.random.Generator:
+    """Return the stream that decides when is measured and what is missing."""
+    return np.random.default_rng([seed, VARIANTS.index(variant)])
+
+
+def _times(variant: Variant, chance: np.random.Generator) -> tuple[FloatArray, ...]:
     if variant == "uneven":
-        return [np.sort(chance.uniform(0.0, (POINTS - 1) * STEP, POINTS)) for _ in range(RUNS)]
+        return tuple(np.sort(chance.uniform(0.0, (POINTS - 1) * STEP, POINTS)) for _ in range(RUNS))
     if variant == "lengths":
-        return [_grid(points) for points in LENGTHS]
-    return [_grid(POINTS)] * RUNS
+        return tuple(_grid(points) for points in LENGTHS)
+    return (_grid(POINTS),) * RUNS
 
 
 def _grid(points: int) -> FloatArray:

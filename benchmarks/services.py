@@ -89,7 +89,7 @@ class Searches:
         """Wait until `workers` are ready; raises AtollError."""
         end = self._client.now() + KERNELS_LIMIT_S
         while sum(worker.state not in ("compiling", "lost") for worker in self._client.workers()) < workers:
-            self._check()
+            self.check()
             if self._client.now() > end:
                 raise UnreachableError(f"{workers} workers were not ready within {KERNELS_LIMIT_S:.0f} s")
             self._client.pause(_LOOK_S)
@@ -97,7 +97,7 @@ class Searches:
     def _followed(self, name: str, job: str, watch: Callable[[JobView], None] | None) -> JobView:
         said = self._client.now()
         while True:
-            self._check()
+            self.check()
             view = self._client.status(job)
             if watch is not None:
                 watch(view)
@@ -108,7 +108,7 @@ class Searches:
                 note(progress(name, view))
             self._client.pause(_LOOK_S)
 
-    def _check(self) -> None:
+    def check(self) -> None:
         """Raise AtollError when a process has ended."""
         for process in self._processes:
             if process.poll() is not None:
