@@ -21,8 +21,9 @@ from common.expression.program import Program
 from common.expression.text import PRINTABLE_SIZE, to_infix, tree_size
 from common.pareto import FrontEntry
 from common.wire.views import JobState
+from coordinator.data.recording import Preparation
 from coordinator.model.digest import result_digest
-from coordinator.model.refine import Refined
+from coordinator.model.refinement import Constant, Refined, Refinement
 from coordinator.model.select import select, threshold
 
 SCHEMA: Final = 1
@@ -55,28 +56,34 @@ class Account:
     """What a result says of the job as a whole.
 
     `seconds` is the time since the job was submitted, `search_seconds` from the first epoch's start to the last needed
-    epoch's end; `reason` says why a job failed; `warnings` are sentences beyond those about the data.
+    epoch's end; `reason` says why a job failed.
     """
 
     state: JobState
     seconds: float
     search_seconds: float
     reason: str | None = None
-    warnings: tuple[str, ...] = ()
 
 
 def build_result(
-    job: str, config: JobConfig, dataset: Dataset, outcomes: Sequence[VariableOutcome], account: Account
+    job: str,
+    config: JobConfig,
+    preparation: Preparation,
+    outcomes: Sequence[VariableOutcome],
+    account: Account,
+    refinement: Refinement | None = None,
 ) -> dict[str, Any]:
     """Return the result of `job` as it is written to ``result.json``; also the best so far while it runs.
 
     Args:
         job: the job's id.
         config: the configuration that was run.
-        dataset: the regression problems; supplies names, left-hand sides, scales and warnings.
+        preparation: its dataset supplies names, left-hand sides, scales and warnings.
         outcomes: one for each equation, in the dataset's order.
         account: state and times.
+        refinement: what belongs to the model as a whole; what belongs to one equation is in its outcome.
     """
+    dataset, model = preparation.dataset, refinement or Refinement()
     return {
         "schema": SCHEMA,
         "job": job,
@@ -86,7 +93,7 @@ def build_result(
         "reason": account.reason,
         "equations": [_equation(config, dataset, outcome) for outcome in outcomes],
         "symbols": dict(dataset.symbols),
-        "warnings": [*dataset.warnings, *account.warnings],
+        "warnings": [*dataset.warnings, *model.warnings],
         "point_evaluations": sum(_total(outcome) for outcome in outcomes),
         "search_seconds": _finite(account.search_seconds),
         "seconds": _finite(account.seconds),
@@ -166,7 +173,7 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
         "error": _finite(shown.error),
         "normalized_error": _finite(normalized),
         "converged": normalized <= threshold(target, config.budget.target_error),
-        "constants": _constants(shown.program, shown.std_errors, shown.fitted),
+        "constants": _constants(shown.program, shown.constants),
     }
 
 
@@ -200,15 +207,12 @@ def _member(entry: FrontEntry, dataset: Dataset, target: Target, selected: bool)
     }
 
 
-def _constants(
-    program: Program, std_errors: Sequence[float] = (), fitted: Sequence[float] = ()
-) -> list[dict[str, float | None]]:
-    """Return the constants in node order; `fitted` is what they were before they were made simple."""
+def _constants(program: Program, known: Sequence[Constant] = ()) -> list[dict[str, float | None]]:
+    """Return the constants in node order; `known` is what refinement knows of them, if there was any."""
     values = program.constants[program.operators == np.int8(CONSTANT)].tolist()
-    unknown = [math.nan] * len(values)
     return [
-        {"value": _finite(value), "std_error": _finite(error), "fitted": _finite(before)}
-        for value, error, before in zip(values, std_errors or unknown, fitted or unknown, strict=True)
+        {"value": _finite(value), "std_error": _finite(each.std_error), "fitted": _finite(each.fitted)}
+        for value, each in zip(values, known or map(Constant, values), strict=True)
     ]
 
 
@@ -220,5 +224,5 @@ def _total(outcome: VariableOutcome) -> int:
     return int(sum(outcome.evaluations.values()))
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+def _finite(value: float | None) -> float | None:
+    return float(value) if value is not None and math.isfinite(value) else None

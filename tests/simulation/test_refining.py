@@ -1,27 +1,25 @@
 """Between the last cut and the result: what is made of the fronts, and what happens when that breaks."""
 
-from collections.abc import Mapping
-
 from common.config import BudgetConfig, JobConfig
-from common.dataset import Dataset
 from common.expression.parse import from_infix
-from coordinator.model.refine import Fronts, Refined
+from coordinator.data.recording import Preparation
+from coordinator.model.refinement import Constant, Pools, Refined, Refinement
 from tests.simulation.world import World
 
 CONFIG = JobConfig(budget=BudgetConfig(max_epochs=2))
 
 
-def nothing(dataset: Dataset, config: JobConfig, fronts: Fronts) -> Mapping[str, Refined]:
-    return {}
+def nothing(preparation: Preparation, config: JobConfig, pools: Pools) -> Refinement:
+    return Refinement()
 
 
-def made(dataset: Dataset, config: JobConfig, fronts: Fronts) -> Mapping[str, Refined]:
-    assert all(fronts[variable] for variable in dataset.variables)
-    program = from_infix("0.5*x", dataset.names)
-    return {"x": Refined(0, program, 0.25, 0.125, (0.49,), (0.01,))}
+def made(preparation: Preparation, config: JobConfig, pools: Pools) -> Refinement:
+    assert all(pools[variable].front for variable in preparation.dataset.variables)
+    program = from_infix("0.5*x", preparation.dataset.names)
+    return Refinement({"x": Refined(0, program, 0.25, 0.125, (Constant(0.5, 0.49, 0.01),))})
 
 
-def broken(dataset: Dataset, config: JobConfig, fronts: Fronts) -> Mapping[str, Refined]:
+def broken(preparation: Preparation, config: JobConfig, pools: Pools) -> Refinement:
     raise ZeroDivisionError("planted")
 
 

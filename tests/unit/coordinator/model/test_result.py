@@ -15,6 +15,7 @@ from common.errors import UsageError
 from common.expression.algebra import complexity
 from common.expression.parse import from_infix
 from common.pareto import FrontEntry
+from coordinator.data.recording import Preparation
 from coordinator.model.digest import result_digest
 from coordinator.model.render import parse_picks, pick, render, render_text
 from coordinator.model.result import Account, VariableOutcome, build_result
@@ -35,6 +36,9 @@ def dataset(floor: float = 0.0) -> Dataset:
     return Dataset(NAMES, np.ones((3, 50)), targets, SYMBOLS, ("two rows were dropped",))
 
 
+PREPARATION = Preparation(dataset(), None)
+
+
 def outcomes() -> list[VariableOutcome]:
     front = (entry("1.5", 1.0), entry("2.0*x", 0.4), entry(TRUTH, 1e-13, epoch=2, generation=85))
     first = VariableOutcome("x", front, 3, 285, {"offspring": 2000, "fitting": 130}, 0.05, "target")
@@ -43,7 +47,7 @@ def outcomes() -> list[VariableOutcome]:
 
 def result(**changes: object) -> dict:
     account = Account("done", 1.9, 0.4)
-    return build_result("job-1", JobConfig(seed=7), dataset(), outcomes(), replace(account, **changes))
+    return build_result("job-1", JobConfig(seed=7), PREPARATION, outcomes(), replace(account, **changes))
 
 
 def test_the_equation_says_what_was_found_when_and_at_what_cost():
@@ -76,14 +80,14 @@ def test_an_equation_without_a_front_is_null_and_not_converged():
 
 def test_a_generation_without_a_hit_is_that_of_the_selected_member():
     changed = [replace(outcomes()[0], generation=None), outcomes()[1]]
-    built = build_result("j", JobConfig(), dataset(), changed, Account("done", 1.0, 1.0))
+    built = build_result("j", JobConfig(), PREPARATION, changed, Account("done", 1.0, 1.0))
     assert built["equations"][0]["generation"] == 285
 
 
 def test_numbers_that_are_not_finite_become_null():
     strange = replace(entry("x", 0.5), mse=math.inf)
     built = build_result(
-        "j", JobConfig(), dataset(), [VariableOutcome("x", (strange,), 1)], Account("done", math.inf, 1.0)
+        "j", JobConfig(), PREPARATION, [VariableOutcome("x", (strange,), 1)], Account("done", math.inf, 1.0)
     )
     text = json.dumps(built, allow_nan=False)
     assert json.loads(text)["seconds"] is None
@@ -93,10 +97,10 @@ def test_numbers_that_are_not_finite_become_null():
 def test_an_explicit_target_error_decides_what_has_converged():
     config = JobConfig(budget=BudgetConfig(target_error=0.5))
     front = (entry("2.0*x", 0.4),)
-    built = build_result("j", config, dataset(), [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
+    built = build_result("j", config, PREPARATION, [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
     assert built["equations"][0]["converged"] is True
     stricter = JobConfig(budget=BudgetConfig(target_error=0.1))
-    built = build_result("j", stricter, dataset(), [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
+    built = build_result("j", stricter, PREPARATION, [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
     assert built["equations"][0]["converged"] is False
 
 
@@ -105,7 +109,7 @@ def test_an_expression_too_long_to_print_is_left_out():
     for _ in range(15):
         text = f"sin({text})/({text})" if len(text) < 40_000 else text
     huge = entry(text, 1e-3)
-    built = build_result("j", JobConfig(), dataset(), [VariableOutcome("x", (huge,), 1)], Account("done", 1.0, 1.0))
+    built = build_result("j", JobConfig(), PREPARATION, [VariableOutcome("x", (huge,), 1)], Account("done", 1.0, 1.0))
     assert built["equations"][0]["front"] == []
 
 

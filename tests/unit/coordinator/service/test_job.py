@@ -8,6 +8,7 @@ from common.dataset import Dataset, Target
 from common.errors import LocalProtocolError, RemoteProtocolError
 from common.wire.messages import Addition, EpochReport, Holding, IslandReport, Placement, Tally
 from common.wire.views import FINAL_STATES
+from coordinator.model.refinement import Pool, Refinement
 from coordinator.service.cut import Cut
 from coordinator.service.job import (
     JOB_TRANSITIONS,
@@ -88,9 +89,9 @@ def test_a_job_runs_until_every_variable_is_cut() -> None:
         assert any(isinstance(action, Refine) for action in actions) == (variable == "y")
     assert job.state == "refining"
     job.validate()
-    assert job.take_refined({}) == [Conclude()]
+    assert job.take_refined(Refinement()) == [Conclude()]
     assert job.state == "done"
-    assert job.take_refined({}) == []
+    assert job.take_refined(Refinement()) == []
 
 
 def test_the_fronts_of_all_variables_are_refined_before_a_job_is_done() -> None:
@@ -99,7 +100,8 @@ def test_the_fronts_of_all_variables_are_refined_before_a_job_is_done() -> None:
         job.receive("w0", report(0, 0, variable), 1.0)
         *_, last = job.receive("w1", report(1, 0, variable), 2.0)
     assert isinstance(last, Refine)
-    assert {name: [entry.error for entry in front] for name, front in last.fronts.items()} == {"x": [0.5], "y": [0.5]}
+    errors = {name: [entry.error for entry in pool.front] for name, pool in last.pools.items()}
+    assert errors == {"x": [0.5], "y": [0.5]}
 
 
 def test_a_job_can_be_cancelled_while_it_is_refined() -> None:
@@ -227,7 +229,7 @@ def test_cuts_that_were_committed_before_a_restart_stand() -> None:
     other = job_with()
     other.prepare()
     both = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
-    assert other.begin(Prepared(DATASET, job.config, BLOB, 100), both) == [Refine({"x": (), "y": ()})]
+    assert other.begin(Prepared(DATASET, job.config, BLOB, 100), both) == [Refine({"x": Pool(()), "y": Pool(())})]
 
 
 def test_impossible_steps_are_our_bug() -> None:
