@@ -12,7 +12,7 @@ import itertools
 import math
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -35,7 +35,7 @@ MAX_EVALUATIONS: Final = 5_000
 WORST: Final = 1e6
 """Mean square error over the variance of a model that cannot be simulated."""
 
-METHODS: Final = ("pysindy", "pysindy fourier", "pysindy weak", "pysindy ensemble")
+POLYNOMIALS, WAVES, WEAK, MANY = METHODS = ("pysindy", "pysindy fourier", "pysindy weak", "pysindy ensemble")
 """Polynomials; those and sines and cosines; the weak form with either; polynomials, fitted to an ensemble."""
 
 
@@ -74,7 +74,7 @@ def solve(key: Key, case: Case) -> dict[str, Any]:
     np.random.seed(key.seed)  # noqa: NPY002  PySINDy draws from numpy's global stream
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
-        models = [_model(data, names, coefficients) for names, coefficients in _GRIDS[key.method](data)]
+        models = [*_models(key.method, data)]
     best = min(models, key=lambda each: each.length, default=None)
     texts: Sequence[str | None] = best.expressions if best is not None else [None] * len(data.names)
     equations = [
@@ -82,6 +82,15 @@ def solve(key: Key, case: Case) -> dict[str, Any]:
         for index, name in enumerate(data.names)
     ]
     return {"equations": equations, "seconds": time.perf_counter() - begun, "warnings": []}
+
+
+def _models(method: str, data: _Data) -> Iterator[_Model]:
+    """Yield the models of the whole grid."""
+    for problem in _problems(method, data):
+        for threshold in THRESHOLDS:
+            coefficients = problem.solved(_optimizer(threshold, method == MANY))
+            if coefficients is not None:
+                yield _model(data, problem.terms, coefficients)
 
 
 def _others(models: Sequence[_Model], index: int) -> list[dict[str, str]]:
@@ -97,35 +106,43 @@ def _measured(case: Case) -> _Data:
     return _Data(tuple(case.truths), [part[:, 0].copy() for part in whole], [part[:, 1:].copy() for part in whole])
 
 
-Found = Iterator[tuple[list[str], FloatArray]]
-"""Names of terms and their coefficients (S, terms), model by model."""
+class _Problem:
+    """A linear problem as PySINDy sets it up: it stands in for the optimizer, and keeps what that is given to fit.
+
+    So derivatives, libraries and integrals are made once for all thresholds. `terms` are their names.
+    """
+
+    def __init__(self) -> None:
+        self.terms: list[str] = []
+        self._matrix: Any = None
+        self._sides: Any = None
+
+    def fit(self, matrix: Any, sides: Any) -> "_Problem":
+        """Keep the values of the terms (rows, terms) and the left-hand sides (rows, S)."""
+        self._matrix, self._sides = matrix, sides
+        return self
+
+    def solved(self, optimizer: Any) -> FloatArray | None:
+        """Return the coefficients (S, terms) that `optimizer` finds; None when it finds none."""
+        try:
+            optimizer.fit(self._matrix, self._sides)
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError):
+            return None
+        coefficients = np.asarray(optimizer.coef_, dtype=np.float64)
+        return coefficients if np.isfinite(coefficients).all() else None
 
 
-def _polynomials(data: _Data) -> Found:
-    return _differentiated(data, has_waves=False, is_ensemble=False)
-
-
-def _with_waves(data: _Data) -> Found:
-    return _differentiated(data, has_waves=True, is_ensemble=False)
-
-
-def _ensemble(data: _Data) -> Found:
-    return _differentiated(data, has_waves=False, is_ensemble=True)
-
-
-def _differentiated(data: _Data, has_waves: bool, is_ensemble: bool) -> Found:
-    """Yield models of derivatives by finite differences, and of smoothed ones."""
+def _differentiated(data: _Data, has_waves: bool) -> Iterator[_Problem]:
+    """Yield the problems of derivatives by finite differences, and of smoothed ones."""
     import pysindy as ps
 
     for method in (ps.FiniteDifference(), ps.SmoothedFiniteDifference()):
-        slopes = [np.asarray(method(each, t)) for each, t in zip(data.states, data.times, strict=True)]
-        for degree, threshold in itertools.product(DEGREES, THRESHOLDS):
-            optimizer = _optimizer(threshold, is_ensemble)
-            model = ps.SINDy(optimizer=optimizer, feature_library=_library(degree, has_waves, True))
-            yield from _fitted(model, data, data.times, slopes)
+        for degree in DEGREES:
+            yield _problem(data, data.times, _library(degree, has_waves, True), method)
 
 
-def _weak(data: _Data) -> Found:
+def _weak(data: _Data) -> Iterator[_Problem]:
+    """Yield the problems of the weak form; none when the trajectories have not the same times."""
     import pysindy as ps
 
     times = data.times[0]
@@ -138,8 +155,21 @@ def _weak(data: _Data) -> Found:
             include_bias=True,
             K=DOMAINS,
         )
-        for threshold in THRESHOLDS:
-            yield from _fitted(ps.SINDy(optimizer=_optimizer(threshold, False), feature_library=library), data, times)
+        yield _problem(data, times, library, None)
+
+
+def _problem(data: _Data, times: Any, library: Any, differentiation: Any) -> _Problem:
+    import pysindy as ps
+
+    problem = _Problem()
+    model = ps.SINDy(optimizer=problem, feature_library=library, differentiation_method=differentiation)
+    model.fit(data.states, t=times, feature_names=list(data.names))
+    problem.terms = list(model.get_feature_names())
+    return problem
+
+
+def _problems(method: str, data: _Data) -> Iterator[_Problem]:
+    return _weak(data) if method == WEAK else _differentiated(data, method == WAVES)
 
 
 def _library(degree: int, has_waves: bool, has_bias: bool) -> Any:
@@ -154,22 +184,6 @@ def _optimizer(threshold: float, is_ensemble: bool) -> Any:
 
     single = ps.STLSQ(threshold=threshold)
     return ps.EnsembleOptimizer(single, bagging=True, n_models=ENSEMBLE) if is_ensemble else single
-
-
-def _fitted(model: Any, data: _Data, times: Any, slopes: list[FloatArray] | None = None) -> Found:
-    """Yield the model fitted to `data`; nothing when the fit fails."""
-    try:
-        model.fit(data.states, t=times, x_dot=slopes, feature_names=list(data.names))
-    except (ValueError, ArithmeticError, np.linalg.LinAlgError):
-        return
-    coefficients = np.asarray(model.coefficients(), dtype=np.float64)
-    if np.isfinite(coefficients).all():
-        yield list(model.get_feature_names()), coefficients
-
-
-_GRIDS: Final[Mapping[str, Callable[[_Data], Found]]] = dict(
-    zip(METHODS, (_polynomials, _with_waves, _weak, _ensemble), strict=True)
-)
 
 
 def _model(data: _Data, terms: Sequence[str], coefficients: FloatArray) -> _Model:
