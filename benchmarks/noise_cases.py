@@ -25,7 +25,9 @@ from common.table import Table
 from coordinator.cli.output import clipped, note, say, shortened, table
 from coordinator.data.readers import read_table
 
-Section = Callable[[int, float | None, Sequence[int]], None]
+Rows = list[dict[str, Any]]
+Section = Callable[[int, float | None, Sequence[int]], Rows]
+"""From workers, seconds for a search and seeds to what was measured; prints it, too."""
 
 HARD_LIMIT_S: Final = 300.0
 """No input of the section ``hard`` may take longer until there is a verdict."""
@@ -33,19 +35,24 @@ HARD_LIMIT_S: Final = 300.0
 RECORD: Final = Path(__file__).parents[1] / "examples" / "lynx_hare.csv"
 
 
-def show(section: str, workers: int, max_time: float | None, seeds: Sequence[int]) -> None:
-    """Run one of `SECTIONS` and print what came of it."""
-    SECTIONS[section][1](workers, max_time, seeds)
+def show(section: str, workers: int, max_time: float | None, seeds: Sequence[int]) -> Rows:
+    """Run one of `SECTIONS`, print what came of it, and return that."""
+    return SECTIONS[section][1](workers, max_time, seeds)
 
 
-def hard(workers: int, max_time: float | None, seeds: Sequence[int]) -> None:
+def _shown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Rows:
+    say(table(heads, rows))
+    return [dict(zip(heads, row, strict=True)) for row in rows]
+
+
+def hard(workers: int, max_time: float | None, seeds: Sequence[int]) -> Rows:
     """Search input that no model fits, or that is hard to solve: what is said of it, and after how long."""
     rows: list[tuple[str, ...]] = []
     with searching(workers) as searches:
         for name, its in hard_cases(np.random.default_rng(seeds[0])).items():
             rows += _hard_rows(searches, name, its, max_time, seeds[0])
             note(f"{name}: {rows[-1][2]} after {rows[-1][1]} s")
-    say(table(("input", "s", "verdict", "reason", "equation"), rows))
+    return _shown(("input", "s", "verdict", "reason", "equation"), rows)
 
 
 def _hard_rows(
@@ -134,7 +141,7 @@ def _solved(
     return times, np.ascontiguousarray(solution.y.T)
 
 
-def timing(workers: int, max_time: float | None, seeds: Sequence[int]) -> None:
+def timing(workers: int, max_time: float | None, seeds: Sequence[int]) -> Rows:
     """Time whole jobs on 400 and on 100,000 rows of two states: preparing, searching, refining, memory."""
     rows: list[tuple[str, ...]] = []
     for name, step, duration in (("400 rows", 0.1, 10.0), ("100,000 rows in 4 x 10 s", 0.0004, 10.0), _LONG):
@@ -145,7 +152,7 @@ def timing(workers: int, max_time: float | None, seeds: Sequence[int]) -> None:
         rows.append((name, str(its.rows), *_times(result, stopwatch), f"{largest_child_mb():.0f}"))
         note(f"{name}: {result['seconds']:.1f} s")
     heads = ("data", "rows", "preparing s", "search s", "refining s", "job s", "all processes MB", "largest so far MB")
-    say(table(heads, rows))
+    return _shown(heads, rows)
 
 
 _LONG: Final = ("100,000 rows in 4 x 500 s", 0.02, 500.0)
@@ -161,7 +168,7 @@ DRIVEN: Final = {"x": "v", "v": "-0.3*v - sin(x) + 0.8*u"}
 """A damped pendulum that a measured torque drives; "v" is its velocity."""
 
 
-def driven(workers: int, max_time: float | None, seeds: Sequence[int]) -> None:
+def driven(workers: int, max_time: float | None, seeds: Sequence[int]) -> Rows:
     """Search a pendulum that a measured input drives, at three levels of noise."""
     rows: list[tuple[str, ...]] = []
     with searching(workers) as searches:
@@ -175,7 +182,7 @@ def driven(workers: int, max_time: float | None, seeds: Sequence[int]) -> None:
                     text = clipped(shortened(its.expression or "-", 4), 60) if its.found else miss(its)
                     rows.append((f"{level:g}", str(seed), its.variable, *found, r2, f"{outcome.seconds:.1f}", text))
                 note(f"{key.title}: {outcome.found} of {len(outcome.equations)} in {outcome.seconds:.1f} s")
-    say(table(("noise", "seed", "variable", "found", "constants", "R²", "s", "equation"), rows))
+    return _shown(("noise", "seed", "variable", "found", "constants", "R²", "s", "equation"), rows)
 
 
 def driven_case(level: float, seed: int) -> Case:
@@ -211,14 +218,17 @@ def _driven_course(rng: np.random.Generator) -> Course:
     return Course(times, np.ascontiguousarray(solution.y.T), (torque,))
 
 
-def record(workers: int, max_time: float | None, seeds: Sequence[int]) -> None:
+def record(workers: int, max_time: float | None, seeds: Sequence[int]) -> Rows:
     """Search the lynx-hare record and print the model with its intervals, verdicts and simulation."""
     its = read_table([RECORD], DataConfig(time="year"))
+    answers: Rows = []
     with searching(workers) as searches:
         for seed in seeds:
             result = searches.solve(f"lynx and hare seed {seed}", its, configured(seed, {"time": "year"}, max_time))
             say(f"seed {seed}, {result['seconds']:.1f} s")
             say("\n".join(described(result)))
+            answers.append(result)
+    return answers
 
 
 def described(result: Mapping[str, Any]) -> list[str]:

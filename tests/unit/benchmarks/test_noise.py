@@ -10,6 +10,7 @@ from benchmarks import noise
 from benchmarks.coverage import Covered
 from benchmarks.journal import Journal, outcome_from
 from benchmarks.noise_cases import driven_case, hard_cases
+from benchmarks.noise_goals import goals, shown
 from benchmarks.noise_judging import EquationOutcome, Outcome, failed, outcome
 from benchmarks.noise_tables import by_equation, by_grade, by_level, misses, summarized
 from benchmarks.noisy_data import Key, case
@@ -140,6 +141,17 @@ def test_levels_manners_and_methods_are_told_apart():
     found = summarized([*outcomes(), *other, *clean])
     assert [(each.level, each.method) for each in found] == [(0.0, "atoll"), (0.05, "atoll"), (0.05, "pysindy")]
     assert "1 of 2" in by_level(found).splitlines()[1]
+
+
+def test_what_is_expected_is_set_beside_what_was_measured():
+    """14 equations of which 11 were found, in form, and foretold, at noise 0.05."""
+    missed = dataclasses.replace(MISSED, constants=None)
+    equations = (dataclasses.replace(EQUATION, constants=(COVERED,)),) * 11 + (missed,) * 3
+    found = goals([Outcome(KEY, equations, 1.0, {})])
+    assert [each.is_met for each in found] == [True, False, True, False]
+    assert [each.measured for each in found] == ["11", "11", "2 %", "100 % of 11"]
+    assert "NOT MET" in shown(found)
+    assert goals([Outcome(KEY, equations[:2], 1.0, {})]) == []
 
 
 def test_tables_show_equations_and_verdicts():
