@@ -32,6 +32,13 @@ Section = Callable[[int, float | None, Sequence[int]], Rows]
 HARD_LIMIT_S: Final = 300.0
 """No input of the section ``hard`` may take longer until there is a verdict."""
 
+RECORDINGS: Final = (
+    ("4 x 10 s, step 0.1", 0.1, 10.0),
+    ("4 x 10 s, step 0.0004", 0.0004, 10.0),
+    ("4 x 500 s, step 0.02", 0.02, 500.0),
+)
+"""Of the predator and its prey, which oscillate for ever, with 5 % of noise: what, sampling step, duration."""
+
 RECORD: Final = Path(__file__).parents[1] / "examples" / "lynx_hare.csv"
 
 
@@ -144,7 +151,7 @@ def _solved(
 def timing(workers: int, max_time: float | None, seeds: Sequence[int]) -> Rows:
     """Time whole jobs on 400 and on 100,000 rows of two states: preparing, searching, refining, memory."""
     rows: list[tuple[str, ...]] = []
-    for name, step, duration in (("400 rows", 0.1, 10.0), ("100,000 rows in 4 x 10 s", 0.0004, 10.0), _LONG):
+    for name, step, duration in RECORDINGS:
         its = table_of(trajectories("predator_prey", step, seeds[0], 0.05, duration))
         stopwatch = Stopwatch(weighs=True)
         with searching(workers) as searches:
@@ -153,9 +160,6 @@ def timing(workers: int, max_time: float | None, seeds: Sequence[int]) -> Rows:
         note(f"{name}: {result['seconds']:.1f} s")
     heads = ("data", "rows", "preparing s", "search s", "refining s", "job s", "all processes MB", "largest so far MB")
     return _shown(heads, rows)
-
-
-_LONG: Final = ("100,000 rows in 4 x 500 s", 0.02, 500.0)
 
 
 def _times(result: Mapping[str, Any], stopwatch: Stopwatch) -> tuple[str, ...]:
