@@ -134,6 +134,8 @@ def _check(options: argparse.Namespace) -> None:
         from benchmarks.pysindy_models import require
 
         require()
+    elif options.only_versus:
+        raise UsageError("--only-versus leaves our searches out; name the other program with --versus pysindy")
     if options.out is not None and options.resume is not None:
         raise UsageError("--out begins a file and --resume continues one; give one of the two")
     if options.judge_again and options.resume is None:

@@ -233,6 +233,7 @@ class _Given:
         (["--levels", "nan"], "a share"),
         (["--variants", "odd"], "one of plain, uneven"),
         (["--out", "a", "--resume", "b"], "give one of the two"),
+        (["--only-versus"], "--versus pysindy"),
         (["--judge-again"], "name it with --resume"),
     ],
 )
