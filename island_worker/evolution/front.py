@@ -38,6 +38,8 @@ MOST_NODES = 200
 _NEAR = 2.0
 _NEAR_EXACT = 1e-6
 _PROMISING = 10.0
+_SLACK = 1.2
+"""Where runners-up are kept: how far above the useful loss an individual may be that steps are spent on."""
 
 Counters = npt.NDArray[np.int64]
 Tag = tuple[int, int, int]
@@ -105,37 +107,50 @@ class Offering:
         self._largest = setting.config.space.max_size or MOST_NODES
         self._sample = _spread(setting.every)
 
-    def offer(self, lists: Lists, fitness: npt.NDArray[np.float64], counters: Counters, tag: Tag) -> Additions:
-        """Measure the best of each size on all rows and offer it; return what improved front and runners-up."""
+    def offer(
+        self,
+        lists: Lists,
+        fitness: npt.NDArray[np.float64],
+        counters: Counters,
+        tag: Tag,
+        looks_beside: bool = False,
+    ) -> Additions:
+        """Measure the best of each size on all rows and offer it; return what improved front and runners-up.
+
+        With `looks_beside`, the next best of each size are offered as well where runners-up are kept.
+        """
         setting = self._setting
-        number, least = self._choose(lists, fitness)
+        looks_beside = looks_beside and self._runners_up.most > 0
+        number, least = self._choose(lists, fitness, looks_beside)
         count = refit_chosen(
             lists, self._chosen, number, setting.every, setting.fit, REFIT_STEPS if setting.fit.steps else 0,
-            setting.scratch, least, self._book, counters,
+            setting.scratch, least, _SLACK if looks_beside else math.inf, self._book, counters,
         )  # fmt: skip
         before, found = self._front.entries(), list[FrontEntry]()
         for k in range(count):
-            found += self._offer_one(k, float(least[self._book.size[k]]), counters, tag)
+            found += self._offer_one(k, counters, tag)
         if not self._candidates:
             return found, []
         candidates, self._candidates = self._candidates, []
         return found, self._runners_up.take(self._front.entries(), (*before, *candidates), (*before, *found))
 
-    def _choose(self, lists: Lists, fitness: npt.NDArray[np.float64]) -> tuple[int, npt.NDArray[np.float64]]:
+    def _choose(
+        self, lists: Lists, fitness: npt.NDArray[np.float64], looks_beside: bool
+    ) -> tuple[int, npt.NDArray[np.float64]]:
         """Choose individuals; return their number and, by size, the loss below which one is worth offering."""
         scratch, chosen, runners_up = self._setting.scratch, self._chosen, self._runners_up
         number = int(choose_offers(lists, fitness, scratch, self.offered, self.offered_loss, chosen))
-        if not runners_up.most:
+        if not looks_beside:
             return number, self._front.least_by_size(len(self.offered))
         order = np.argsort(fitness, kind="stable")
         number = int(choose_near(lists, fitness, order, runners_up.most, scratch, runners_up.known, chosen, number))
         return number, runners_up.limits(len(self.offered))
 
-    def _offer_one(self, k: int, limit: float, counters: Counters, tag: Tag) -> Iterator[FrontEntry]:
+    def _offer_one(self, k: int, counters: Counters, tag: Tag) -> Iterator[FrontEntry]:
         """Offer every way to write a program down; what does not improve the front may be a runner-up."""
         book, keeps = self._book, self._runners_up.most > 0
         loss = float(book.loss[k])
-        if not loss < (limit if keeps else self._front.error_at(int(book.size[k]))):
+        if not (keeps or loss < self._front.error_at(int(book.size[k]))):
             return
         for variant in self._variants(from_book(book, k), k, _NEAR * loss + _NEAR_EXACT * self._setting.deviation):
             entry = self._measured(variant, counters, tag)
@@ -165,12 +180,20 @@ class Offering:
         plain = [math.copysign(1.0, a) if abs(abs(a) - 1.0) < SIMPLE else a for a in coefficients]
         variants: dict[Formula, None] = {}
         for index, loss in enumerate(book.variants[k].tolist()):
-            if loss <= limit:
+            if index & 2 and plain == coefficients:
+                break
+            if loss <= limit and self._may_be_kept(loss, int(book.size[k]), 2 * number + (0 if index & 1 else 2)):
                 written = plain if index & 2 else coefficients
                 variants[combined(formula, terms, written, 0.0 if index & 1 else shift)] = None
         if self._setting.config.space.max_size is not None:
             variants[formula] = None
         return list(variants)
+
+    def _may_be_kept(self, loss: float, size: int, growth: int) -> bool:
+        """Return whether a program of that size, which grows by its coefficients, may improve front or runners-up."""
+        if not self._runners_up.most:
+            return True
+        return loss < max(self._runners_up.limit(size + growth), self._front.error_at(size))
 
     def _measured(self, formula: Formula, counters: Counters, tag: Tag) -> FrontEntry | None:
         """Return an entry for `formula`, its constants refined, or None when it is too large or not finite."""

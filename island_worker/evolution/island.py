@@ -27,6 +27,9 @@ from island_worker.evolution.runners import RunnersUp
 from island_worker.evolution.setting import Setting
 from island_worker.evolution.structures import Lists, empty_lists
 
+LOOKS_BESIDE = 5
+"""Slices from one look at the next best of each size to the next; the last one of an epoch looks as well."""
+
 
 @dataclass(frozen=True)
 class Hit:
@@ -138,7 +141,10 @@ class Island:
         self._generation += generations
 
     def _offer(self) -> None:
-        found, near = self._offering.offer(self._lists, self._fitness, self._counters, self._tag())
+        config = self._setting.config
+        every, last = LOOKS_BESIDE * config.evolution.refit_interval, config.migration.generations
+        looks_beside = self._generation % every == 0 or self._generation == last
+        found, near = self._offering.offer(self._lists, self._fitness, self._counters, self._tag(), looks_beside)
         self._additions += found
         self._near += near
         least = self._front.least_error()

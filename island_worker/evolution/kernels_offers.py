@@ -169,20 +169,25 @@ def refit_chosen(
     steps: int,
     scratch: Scratch,
     least: Floats,
+    slack: float,
     book: Book,
     counters: Ints,
 ) -> int:
     """Fit the first `number` individuals in `chosen` to all `rows`; book those that improve; return how many do.
 
-    Improving is a loss below `least` (sizes,), for example the least so far of programs no larger.
+    Improving is a loss below `least` (sizes,), for example the least so far of programs no larger. Those take no steps
+    whose loss, terms fitted, is more than `slack` times that: steps rarely gain as much.
     """
     work, tape = scratch.work, scratch.canonical
     count = 0
     for c in range(number):
         size = canonical(lists, chosen[c], scratch)
         scale = book.scale[count]
+        ceiling = slack * least[size] if slack < INFINITY else INFINITY
+        if options.loss > 0:
+            ceiling *= ceiling
         counters[REFITTING] += fit(
-            tape, size, rows, options, rows.length // 4, steps, INFINITY, work, scale, scratch.result
+            tape, size, rows, options, rows.length // 4, steps, ceiling, work, scale, scratch.result
         )
         loss = loss_of(scratch.result, options)
         if not loss < least[size]:

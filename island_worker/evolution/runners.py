@@ -19,6 +19,9 @@ KNOWN = 4096
 _WRITTEN = 2 * MOST_TERMS + 2
 """Nodes by which a program may grow when its coefficients are worked into it."""
 
+_FOLDED = 3
+"""Nodes by which it may stay behind that, as constants are folded and coefficients of 1 left out."""
+
 
 class RunnersUp:
     """At most `most` entries of each complexity beside the front.
@@ -29,6 +32,7 @@ class RunnersUp:
     def __init__(self, most: int) -> None:
         self.most = most
         self.known = np.zeros(KNOWN if most else 0, np.uint64)
+        self._worst: dict[int, float] = {}
         self._entries: tuple[FrontEntry, ...] = ()
 
     def entries(self) -> tuple[FrontEntry, ...]:
@@ -38,6 +42,7 @@ class RunnersUp:
     def replace(self, entries: Iterable[FrontEntry]) -> None:
         """Take over entries that were saved."""
         self._entries = tuple(entries)
+        self._note_worst()
 
     def take(
         self, front: tuple[FrontEntry, ...], candidates: Iterable[FrontEntry], reported: Iterable[FrontEntry]
@@ -45,6 +50,7 @@ class RunnersUp:
         """Keep what belongs beside `front`; return what is new, apart from what has been `reported` already."""
         seen = {entry.key for entry in (*self._entries, *reported)}
         self._entries = runners_up(front, (*self._entries, *candidates), self.most)
+        self._note_worst()
         return [entry for entry in self._entries if entry.key not in seen]
 
     def limits(self, sizes: int) -> npt.NDArray[np.float64]:
@@ -52,11 +58,18 @@ class RunnersUp:
 
         One with a loss above it comes behind `most` others, however large it becomes.
         """
-        worst = np.full(sizes + _WRITTEN, math.inf)
-        taken = [0] * len(worst)
+        worst = [self._worst.get(complexity, math.inf) for complexity in range(sizes + _WRITTEN + 1)]
+        return np.array([max(worst[size : size + _WRITTEN + 1]) for size in range(sizes)])
+
+    def limit(self, complexity: int) -> float:
+        """Return the useful loss of a program of about that complexity, its coefficients written."""
+        return max(self._worst.get(each, math.inf) for each in range(complexity - _FOLDED, complexity + 1))
+
+    def _note_worst(self) -> None:
+        """Note the largest error of each complexity that is full."""
+        taken: dict[int, int] = {}
+        self._worst = {}
         for entry in self._entries:
-            if entry.complexity < len(worst):
-                taken[entry.complexity] += 1
-                if taken[entry.complexity] == self.most:
-                    worst[entry.complexity] = entry.error
-        return np.array([max(worst[size : size + _WRITTEN + 1].tolist()) for size in range(sizes)])
+            taken[entry.complexity] = taken.get(entry.complexity, 0) + 1
+            if taken[entry.complexity] == self.most:
+                self._worst[entry.complexity] = entry.error
