@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from common.config import JobConfig, Loss
+from common.config import JobConfig
 from common.dataset import Problem
 from common.expression.operators import BY_NAME
 from common.expression.program import Program
@@ -19,18 +19,22 @@ from common.expression.text import PRINTABLE_SIZE, tree_size
 from common.pareto import FrontEntry
 from coordinator.data.recording import Preparation
 from coordinator.model.criterion import Criterion
-from coordinator.model.derivative import values_of
+from coordinator.model.errors import errors_on
 from coordinator.model.polish import Polisher
 from coordinator.model.refinement import LOOSE, NORMAL_95, Constant, Pools, Refined, Refinement
 from coordinator.model.rewrite import constant_places
 from coordinator.model.select import threshold
 from coordinator.model.shorten import Candidate, Shortening
 from coordinator.model.snap import snapped
+from coordinator.model.trajectory.conclude import concluded
+from coordinator.model.trajectory.model import Field, chosen
 
 COMPARED_ROWS: Final = 2_000
 """Structures are compared on at most so many rows, spread evenly; constants are then decided on more."""
 
 DECIDING_ROWS: Final = 100_000
+
+NOT_SIMULATED: Final = "No system of equations could be simulated along the measured trajectories; the equations shown fit derivatives only."
 
 _ATTEMPTS: Final = 4
 
@@ -41,8 +45,11 @@ def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Ref
     found = {name: refine(problems[name], config, pool.front) for name, pool in pools.items()}
     made = {name: refined for name, refined in found.items() if refined is not None}
     if preparation.recording is None:  # errors of given left-hand sides are independent, those of smoothed ones are not
-        made = {name: _with_intervals(refined) for name, refined in made.items()}
-    return Refinement(made)
+        return Refinement({name: _with_intervals(refined) for name, refined in made.items()})
+    field = Field(preparation.dataset, preparation.recording, config, tuple(pools), {})
+    choice = chosen(field, pools, made)
+    model = None if choice is None else concluded(field, choice, pools)
+    return model if model is not None else Refinement(made, warnings=(NOT_SIMULATED,))
 
 
 def refine(problem: Problem, config: JobConfig, front: Sequence[FrontEntry]) -> Refined | None:
@@ -103,21 +110,6 @@ def _constants(program: Program, fitted: Program, std_errors: Sequence[float]) -
     places = constant_places(program)
     values, before = program.constants[places].tolist(), fitted.constants[places].tolist()
     return tuple(map(Constant, values, before, std_errors))
-
-
-def errors_on(problem: Problem, program: Program, loss: Loss) -> tuple[float, float]:
-    """Return loss and mean squared error on all rows, infinite when one is not finite; in parts, to save memory."""
-    rows = len(problem.target.values)
-    total, square = 0.0, 0.0
-    for start in range(0, rows, DECIDING_ROWS):
-        part = slice(start, start + DECIDING_ROWS)
-        errors = values_of(program, problem.inputs[:, part]) - problem.target.values[part]
-        total += float(np.sum(np.abs(errors)))
-        square += float(errors @ errors)
-    mse = square / rows
-    if not math.isfinite(mse):
-        return math.inf, math.inf
-    return (total / rows if loss == "mae" else math.sqrt(mse)), mse
 
 
 def _as_found(refined: Refined, front: Sequence[FrontEntry], programs: Sequence[Program]) -> Refined:

@@ -1,11 +1,9 @@
-"""From one system to a shorter description: its equations reduced, extended and changed in one place, again and again."""
+"""From one system to a shorter description: its equations reduced, extended, changed in one place, again and again."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Final
 
 from common.expression.program import Program
-from coordinator.model.extensions import extensions
-from coordinator.model.neighbours import neighbours
 from coordinator.model.rewrite import reductions
 from coordinator.model.trajectory.contest import Contest, Standing
 
@@ -15,23 +13,25 @@ LEAST: Final = 0.01
 _REDUCING: Final = ((2, 8), (12, 2))
 _GROWING: Final = ((1, 24), (4, 6), (12, 3))
 
+Around = Callable[[int, Program], Iterator[Program]]
+"""Programs near one of an equation that may take its place."""
+
 
 class Descent:
-    """Shortens systems; `scales` are the sizes of the variables, `operators` what may be brought in."""
+    """Shortens systems until nothing near is shorter, or the shooter's `budget` of work is used up."""
 
-    def __init__(self, contest: Contest, scales: Sequence[float], operators: Collection[int], budget: int) -> None:
+    def __init__(self, contest: Contest, around: Around, budget: int) -> None:
         self._contest = contest
-        self._scales = scales
-        self._operators = operators
+        self._around = around
         self._budget = budget
 
     @property
     def is_exhausted(self) -> bool:
-        return self._contest.shooter.integrations > self._budget
+        """Whether nothing more is tried."""
+        return self._contest.shooter.work > self._budget
 
-    def down(self, standing: Standing) -> Standing:
-        """Return the end of the descent from `standing`."""
-        equations = range(len(standing.programs))
+    def down(self, standing: Standing, equations: list[int]) -> Standing:
+        """Return the end of the descent from `standing`, by changes of `equations`."""
         waiting = list(equations)
         while waiting and not self.is_exhausted:
             equation = waiting.pop(0)
@@ -47,19 +47,15 @@ class Descent:
             programs = reductions(standing.programs[equation])
             found = self._contest.halved(standing, equation, programs, _REDUCING)
             if not found or found[0].nats > standing.nats - LEAST:
-                return standing
+                break
             standing = found[0]
         return standing
 
     def _improved(self, standing: Standing, equation: int) -> Standing:
         best = self.reduced(standing, equation)
-        found = self._contest.halved(best, equation, self._around(best.programs[equation]), _GROWING)
-        for each in found:
+        programs = self._around(equation, best.programs[equation])
+        for each in self._contest.halved(best, equation, programs, _GROWING):
             end = self.reduced(each, equation)
             if end.nats < best.nats - LEAST:
                 best = end
         return best
-
-    def _around(self, program: Program) -> Iterator[Program]:
-        yield from extensions(program, self._scales, self._operators)
-        yield from neighbours(program, len(self._scales), self._operators)

@@ -2,8 +2,8 @@
 
 A *tape* holds the nodes of all equations one after another: `code`, `left`, `right` (N,) int64 and `constants` (N,);
 arguments are indices of earlier nodes, a VARIABLE's `left` is its place in the point z. Letters: D states with an
-equation, U inputs, Z = D + U numbers of a point, P fitted constants, Q = P + D columns of sensitivities (constants, then
-the initial state), N rows of all trajectories, G segments.
+equation, U inputs, Z = D + U numbers of a point, P fitted constants, Q = P + D columns of sensitivities (constants,
+then the initial state), N rows of all trajectories, G segments.
 
 Explicit Runge-Kutta steps with error control, clipped at the rows; the sensitivities follow the accepted steps of the
 states.
@@ -134,51 +134,51 @@ def slopes(code: Ints, left: Ints, right: Ints, outputs: Ints, parameters: Ints,
             g = adjoints[i]
             if g == 0.0:
                 continue
-            op, l, r = code[i], left[i], right[i]
+            op, p, q = code[i], left[i], right[i]
             if op == VARIABLE:
-                jacobian[d, l] += g
+                jacobian[d, p] += g
                 continue
             if op == CONSTANT:
                 if parameters[i] >= 0:
                     direct[parameters[i]] += g
                 continue
-            a, b, v = values[l], values[r], values[i]
+            a, b, v = values[p], values[q], values[i]
             if op == ADD:
-                adjoints[l] += g
-                adjoints[r] += g
+                adjoints[p] += g
+                adjoints[q] += g
             elif op == SUBTRACT:
-                adjoints[l] += g
-                adjoints[r] -= g
+                adjoints[p] += g
+                adjoints[q] -= g
             elif op == MULTIPLY:
-                adjoints[l] += g * b
-                adjoints[r] += g * a
+                adjoints[p] += g * b
+                adjoints[q] += g * a
             elif op == DIVIDE:
-                adjoints[l] += g / b
-                adjoints[r] -= g * v / b
+                adjoints[p] += g / b
+                adjoints[q] -= g * v / b
             elif op == SIN:
-                adjoints[l] += g * math.cos(a)
+                adjoints[p] += g * math.cos(a)
             elif op == COS:
-                adjoints[l] -= g * math.sin(a)
+                adjoints[p] -= g * math.sin(a)
             elif op == SQUARE:
-                adjoints[l] += 2.0 * g * a
+                adjoints[p] += 2.0 * g * a
             elif op == INVERSE:
-                adjoints[l] -= g * v * v
+                adjoints[p] -= g * v * v
             elif op == NEGATE:
-                adjoints[l] -= g
+                adjoints[p] -= g
             elif op == EXP:
-                adjoints[l] += g * v
+                adjoints[p] += g * v
             elif op == LOG:
-                adjoints[l] += g / a
+                adjoints[p] += g / a
             elif op == SQRT:
-                adjoints[l] += 0.5 * g / v
+                adjoints[p] += 0.5 * g / v
             elif op == ABS:
-                adjoints[l] += g if a >= 0.0 else -g
+                adjoints[p] += g if a >= 0.0 else -g
             elif op == TANH:
-                adjoints[l] += g * (1.0 - v * v)
+                adjoints[p] += g * (1.0 - v * v)
             elif op == POW:
-                adjoints[l] += g * b * a ** (b - 1.0)
+                adjoints[p] += g * b * a ** (b - 1.0)
                 if a > 0.0:
-                    adjoints[r] += g * v * math.log(a)
+                    adjoints[q] += g * v * math.log(a)
         first = last + 1
 
 
@@ -279,8 +279,8 @@ def advance(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatA
 
 
 @allocating_kernel
-def shoot(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: Ints, parameters: Ints, owners: Ints,
-          times: FloatArray, inputs: FloatArray, input_slopes: FloatArray, segments: Ints, starts: FloatArray,
+def shoot(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: Ints, parameters: Ints,
+          owners: Ints, times: FloatArray, inputs: FloatArray, input_slopes: FloatArray, segments: Ints, starts: FloatArray,
           tolerance: FloatArray, limits: FloatArray, budget: int, wants: bool, simulated: FloatArray,
           gradients: FloatArray) -> int:  # fmt: skip
     """Integrate every segment from its start; write states (D, N) and sensitivities (N, D, Q) at its rows.
@@ -312,8 +312,8 @@ def shoot(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatArr
         for row in range(first, end):
             if row > first:
                 step, budget = advance(
-                    table, code, left, right, constants, outputs, parameters, owners, times, inputs, input_slopes, row - 1,
-                    tolerance, limits, y, step, budget, sensitivity, wants, points, stages, values, adjoints,
+                    table, code, left, right, constants, outputs, parameters, owners, times, inputs, input_slopes,
+                    row - 1, tolerance, limits, y, step, budget, sensitivity, wants, points, stages, values, adjoints,
                     jacobian, direct, moved, rate,
                 )  # fmt: skip
                 if budget < 0:

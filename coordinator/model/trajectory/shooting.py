@@ -1,4 +1,4 @@
-"""Constants and initial states fitted to the measured states: multiple shooting, Levenberg's method (Marquardt damping).
+"""Constants and initial states fitted to the measured states: multiple shooting by Levenberg's and Marquardt's method.
 
 Every segment of rows is integrated from an initial state of its own. Segments grow from a few rows to whole
 trajectories: short ones fit well from anywhere, whole ones use all that the data say (Bock 1983). Errors of different
@@ -6,8 +6,9 @@ states are weighted by their variances, which are fitted as well. Letters as in 
 """
 
 import math
+import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -23,6 +24,9 @@ STEPS_PER_ROW: Final = 40
 
 QUICK_ENOUGH: Final = 1e-5
 """Errors of a step, over a state's standard deviation, above which the quick method takes less time."""
+
+OVERHEAD: Final = 10
+"""Numbers whose carrying along takes as long as everything else about a row."""
 
 _SETTLED: Final = 1e-7
 _FIRST_DAMPING: Final = 1e-3
@@ -56,7 +60,8 @@ class Shot:
     @property
     def reduced(self) -> FloatArray:
         """The normal matrix (P, P) of the constants, initial states eliminated."""
-        return self.normal - np.einsum("gpd,gde,gqe->pq", self.coupling, _inverses(self.own, 0.0), self.coupling)
+        own = _inverses(self.own, 0.0)
+        return np.asarray(self.normal - np.einsum("gpd,gde,gqe->pq", self.coupling, own, self.coupling))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,16 +80,17 @@ class _Equations:
 
 
 class Shooter:
-    """Fits systems to `measurements`; `weights` (O, N) of single numbers are 1 unless given."""
+    """Fits systems to `measurements`; `work` counts rows times numbers carried along, of all integrations."""
 
-    def __init__(self, measurements: Measurements, precision: float, weights: FloatArray | None = None) -> None:
+    def __init__(self, measurements: Measurements, precision: float) -> None:
         """`precision` is the error of a step over a state's standard deviation."""
         self._table = PRECISE if precision < QUICK_ENOUGH else QUICK
         self.measurements: Final = measurements
-        self.weights: Final = np.ones_like(measurements.measured) if weights is None else weights
+        self._measured = np.where(measurements.weights > 0.0, measurements.measured, 0.0)
         self._tolerance = precision * measurements.scales
         self._smallest = np.maximum(_SMALLEST_NOISE * measurements.scales[measurements.observed], 1e-300)
-        self.integrations = 0
+        self.work = 0
+        self._lock = threading.Lock()
 
     def fit(
         self, system: System, length: int | None, steps: int, starts: FloatArray | None = None,
@@ -131,8 +137,8 @@ class Shooter:
         )  # fmt: skip
 
     def _squares(self, residuals: FloatArray) -> FloatArray:
-        total = self.weights.sum(axis=1)
-        return np.asarray((self.weights * residuals * residuals).sum(axis=1) / total)
+        total = self.measurements.weights.sum(axis=1)
+        return np.asarray((self.measurements.weights * residuals * residuals).sum(axis=1) / total)
 
     def _reweighted(self, here: _Equations, segments: Ints, sigmas: FloatArray) -> tuple[FloatArray, _Equations]:
         """Return new variances and the equations under them; the states' errors may be of very different size."""
@@ -149,16 +155,17 @@ class Shooter:
         states, fitted = len(system.outputs), len(system.places)
         simulated = np.full((states, its.rows), np.nan)
         gradients = np.zeros((its.rows, states, fitted + states))
-        self.integrations += 1
+        with self._lock:
+            self.work += its.rows * (OVERHEAD + states * (1 + fitted + states))
         done = shoot(
-            self._table, system.code, system.left, system.right, system.constants, system.outputs, system.parameters, system.owners,
-            its.times, its.inputs, its.input_slopes, segments, starts, self._tolerance, its.limits,
+            self._table, system.code, system.left, system.right, system.constants, system.outputs, system.parameters,
+            system.owners, its.times, its.inputs, its.input_slopes, segments, starts, self._tolerance, its.limits,
             200 + STEPS_PER_ROW * its.rows, True, simulated, gradients,
         )  # fmt: skip
         if done < len(segments) or not np.abs(gradients).max(initial=0.0) < _STEEPEST:
             return None
-        residuals = its.measured - simulated[its.observed]
-        cost = float((self.weights * (residuals / sigmas[:, None]) ** 2).sum())
+        residuals = self._measured - simulated[its.observed]
+        cost = float((self.measurements.weights * (residuals / sigmas[:, None]) ** 2).sum())
         if not cost < below:
             return None
         return self._weighed(simulated, gradients, residuals, segments, sigmas)
@@ -169,7 +176,7 @@ class Shooter:
         states = simulated.shape[0]
         fitted = gradients.shape[2] - states
         groups = len(segments)
-        weights = self.weights / (sigmas * sigmas)[:, None]
+        weights = self.measurements.weights / (sigmas * sigmas)[:, None]
         blocks = (
             np.zeros((fitted, fitted)), np.zeros((groups, fitted, states)), np.zeros((groups, states, states)),
             np.zeros(fitted), np.zeros((groups, states)),
@@ -216,10 +223,13 @@ def _inverses(own: FloatArray, damping: float) -> FloatArray:
     return np.asarray(np.linalg.inv(unit) / (scale[:, :, None] * scale[:, None, :]))
 
 
-def misfit(shot: Shot, floors: FloatArray, weights: FloatArray) -> float:
-    """Return minus the log-likelihood in nats, up to a constant: each state's variance fitted, never below its floor."""
+def misfit(shot: Shot, floors: FloatArray, counts: FloatArray) -> float:
+    """Return minus the log-likelihood in nats, up to a constant: each state's variance fitted, never below its floor.
+
+    `floors` (O,) are standard deviations, `counts` (O,) the numbers measured of each state.
+    """
     total = 0.0
-    for square, floor, count in zip(shot.squares.tolist(), floors.tolist(), weights.sum(axis=1).tolist(), strict=True):
+    for square, floor, count in zip(shot.squares.tolist(), floors.tolist(), counts.tolist(), strict=True):
         variance = max(square, floor * floor)
         total += 0.5 * count * (math.log(variance) + square / variance - 1.0)
     return total
@@ -239,6 +249,3 @@ def staged(shooter: Shooter, system: System, lengths: Sequence[int | None], step
             return None
         shot = following
     return shot
-
-
-__all__ = ["Shooter", "Shot", "misfit", "replace", "staged"]

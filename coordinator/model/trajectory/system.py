@@ -57,8 +57,14 @@ def system_of(
     """
     index = {name: place for place, name in enumerate(variables)}
     where = np.array([index.get(name, -1) for name in names], dtype=np.int64)
-    code, left, right, constants, parameters = ([] for _ in range(5))  # type: tuple[list[object], ...]
-    outputs, owners, places = [], [], []
+    code: list[Ints] = []
+    left: list[Ints] = []
+    right: list[Ints] = []
+    constants: list[FloatArray] = []
+    parameters: list[Ints] = []
+    outputs: list[int] = []
+    owners: list[int] = []
+    places: list[int] = []
     start = 0
     for equation, program in enumerate(programs):
         is_variable = program.operators == VARIABLE
@@ -86,9 +92,7 @@ def system_of(
 
 def variable_program(index: int) -> Program:
     """Return the program that is the variable of this index."""
-    return Program(
-        np.array([VARIABLE], np.int8), np.array([index], np.int16), np.zeros(1, np.int16), np.zeros(1)
-    )
+    return Program(np.array([VARIABLE], np.int8), np.array([index], np.int16), np.zeros(1, np.int16), np.zeros(1))
 
 
 def split(system: System, programs: Sequence[Program]) -> list[Program]:
