@@ -42,14 +42,20 @@ _ATTEMPTS: Final = 4
 def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Refinement:
     """Return the refined equation of each variable; those are missing of which the front has nothing better."""
     problems = {name: preparation.dataset.problem(name) for name in pools}
-    found = {name: refine(problems[name], config, pool.front) for name, pool in pools.items()}
-    made = {name: refined for name, refined in found.items() if refined is not None}
-    if preparation.recording is None:  # errors of given left-hand sides are independent, those of smoothed ones are not
-        return Refinement({name: _with_intervals(refined) for name, refined in made.items()})
+    if preparation.recording is None:
+        found = {name: refine(problems[name], config, pool.front) for name, pool in pools.items()}
+        # errors of given left-hand sides are independent, those of smoothed ones are not: only here there are intervals
+        return Refinement({name: _with_intervals(refined) for name, refined in found.items() if refined is not None})
+    clean = {name: refine(problems[name], config, pools[name].front) for name in pools if not problems[name].target.is_noisy}
+    settled = {name: refined for name, refined in clean.items() if refined is not None}
     field = Field(preparation.dataset, preparation.recording, config, tuple(pools), {})
-    choice = chosen(field, pools, made)
+    choice = chosen(field, pools, settled)
     model = None if choice is None else concluded(field, choice, pools)
-    return model if model is not None else Refinement(made, warnings=(NOT_SIMULATED,))
+    if model is not None:
+        return model
+    rest = {name: refine(problems[name], config, pools[name].front) for name in pools if name not in clean}
+    settled |= {name: refined for name, refined in rest.items() if refined is not None}
+    return Refinement(settled, warnings=(NOT_SIMULATED,))
 
 
 def refine(problem: Problem, config: JobConfig, front: Sequence[FrontEntry]) -> Refined | None:

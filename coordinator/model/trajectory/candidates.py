@@ -12,12 +12,12 @@ from coordinator.model.rewrite import structure, tidied
 from coordinator.model.trajectory.contest import Contest, distinct
 from coordinator.model.trajectory.libraries import eliminated, libraries
 
-KEPT: Final = 40
-"""Candidates whose whole trajectories are fitted, the best by short segments."""
+KEPT: Final = 60
+"""Candidates of which longer segments are fitted, the best by short ones."""
 
 _POLISH_STEPS: Final = 15
 _SEGMENT: Final = 10
-_LENGTHS: Final = (10, 30, None)
+_LONGER: Final = 30
 
 
 def ranked(contest: Contest, problem: Problem, programs: Sequence[Program], library: Sequence[int],
@@ -39,5 +39,5 @@ def ranked(contest: Contest, problem: Problem, programs: Sequence[Program], libr
     if library:
         found += [each for terms in libraries(library, operators) for each in eliminated(contest, problem, terms)]
     chosen = {structure(each.programs[0]): each.programs[0] for each in found}
-    whole = contest.map(lambda program: contest.stand([program], 10, _LENGTHS), chosen.values())
-    return [each.programs[0] for each in distinct(whole)]
+    longer = contest.map(lambda program: contest.stand([program], 6, (_LONGER,)), chosen.values())
+    return [each.programs[0] for each in distinct(longer)]

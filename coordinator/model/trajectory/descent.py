@@ -10,7 +10,10 @@ from coordinator.model.trajectory.contest import Contest, Standing
 LEAST: Final = 0.01
 """Nats by which a description must get shorter to count."""
 
-_REDUCING: Final = ((2, 8), (12, 2))
+FAR: Final = 10.0
+"""Systems whose description is longer than the best by more nats are not reduced."""
+
+_REDUCING: Final = ((2, 4), (10, 1))
 _GROWING: Final = ((1, 24), (4, 6), (12, 3))
 
 Around = Callable[[int, Program], Iterator[Program]]
@@ -55,7 +58,7 @@ class Descent:
         best = self.reduced(standing, equation)
         programs = self._around(equation, best.programs[equation])
         for each in self._contest.halved(best, equation, programs, _GROWING):
-            end = self.reduced(each, equation)
+            end = self.reduced(each, equation) if each.nats < best.nats + FAR else each
             if end.nats < best.nats - LEAST:
                 best = end
         return best

@@ -324,36 +324,3 @@ def shoot(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatArr
                     for q in range(columns):
                         gradients[row, d, q] = sensitivity[d, q]
     return int(segments.shape[0])
-
-
-@allocating_kernel
-def normal_equations(segments: Ints, observed: Ints, residuals: FloatArray, weights: FloatArray,
-                     gradients: FloatArray, fitted: int, normal: FloatArray, coupling: FloatArray, own: FloatArray,
-                     gradient: FloatArray, own_gradient: FloatArray) -> None:  # fmt: skip
-    """Sum up J'WJ and J'Wr by blocks: constants (P, P), (G, P, D), and each segment's initial state (G, D, D).
-
-    `residuals` and `weights` are (O, N) for the `observed` (O,) states; a weight of zero leaves a number out.
-    """
-    states = gradients.shape[1]
-    for g in range(segments.shape[0]):
-        for row in range(segments[g, 0], segments[g, 1]):
-            for o in range(observed.shape[0]):
-                w = weights[o, row]
-                if w == 0.0:
-                    continue
-                j, r = gradients[row, observed[o]], residuals[o, row]
-                for p in range(fitted):
-                    wj = w * j[p]
-                    gradient[p] += wj * r
-                    for q in range(p + 1):
-                        normal[p, q] += wj * j[q]
-                    for d in range(states):
-                        coupling[g, p, d] += wj * j[fitted + d]
-                for d in range(states):
-                    wj = w * j[fitted + d]
-                    own_gradient[g, d] += wj * r
-                    for e in range(states):
-                        own[g, d, e] += wj * j[fitted + e]
-    for p in range(fitted):
-        for q in range(p):
-            normal[q, p] = normal[p, q]

@@ -193,4 +193,5 @@ def _scales(field: Field, its: Measurements) -> list[float]:
 
 
 def _threads() -> int:
+    if os.environ.get("ONE"): return 1
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -15,7 +15,8 @@ import numpy as np
 
 from common.dataset import FloatArray
 from common.expression.kernels import Ints
-from coordinator.model.trajectory.kernels_integrate import PRECISE, QUICK, normal_equations, shoot
+from coordinator.model.trajectory.kernels_integrate import PRECISE, QUICK, shoot
+from coordinator.model.trajectory.kernels_normal import normal_equations, solve_step
 from coordinator.model.trajectory.measurements import Measurements
 from coordinator.model.trajectory.system import System
 
@@ -116,9 +117,11 @@ class Shooter:
             return None
         damping = _FIRST_DAMPING
         for _ in range(steps):
-            change, moves = _solved(here, damping)
-            moved, new_starts = system.with_values(system.values + change), starts + moves
-            there = self._equations(moved, segments, new_starts, sigmas, here.cost)
+            step = _solved(here, damping)
+            there = None
+            if step is not None:
+                moved, new_starts = system.with_values(system.values + step[0]), starts + step[1]
+                there = self._equations(moved, segments, new_starts, sigmas, here.cost)
             if there is None:
                 damping *= 10.0
                 if damping > _LARGEST_DAMPING:
@@ -186,32 +189,13 @@ class Shooter:
         return _Equations(cost, simulated, residuals, *blocks, gradients)
 
 
-def _solved(here: _Equations, damping: float) -> tuple[FloatArray, FloatArray]:
-    """Return the step of the constants (P,) and of the initial states (G, D), these eliminated first."""
-    with np.errstate(all="ignore"):
-        change, moves = _eliminated(here, damping)
-    return np.nan_to_num(change, posinf=0.0, neginf=0.0), np.nan_to_num(moves, posinf=0.0, neginf=0.0)
-
-
-def _eliminated(here: _Equations, damping: float) -> tuple[FloatArray, FloatArray]:
-    inverses = _inverses(here.own, damping)
-    carried = np.einsum("gpd,gde->gpe", here.coupling, inverses)
-    normal = here.normal + damping * np.diag(np.diag(here.normal)) - np.einsum("gpe,gqe->pq", carried, here.coupling)
-    gradient = here.gradient - np.einsum("gpe,ge->p", carried, here.own_gradient)
-    change = _scaled_solve(normal, gradient)
-    rest = here.own_gradient - np.einsum("gpd,p->gd", here.coupling, change)
-    return change, np.einsum("gde,ge->gd", inverses, rest)
-
-
-def _scaled_solve(normal: FloatArray, gradient: FloatArray) -> FloatArray:
-    if not len(gradient):
-        return gradient
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-200))
-    unit = normal / np.outer(scale, scale) + 1e-14 * np.eye(len(scale))
-    try:
-        return np.asarray(np.linalg.solve(unit, gradient / scale) / scale)
-    except np.linalg.LinAlgError:
-        return np.zeros_like(gradient)
+def _solved(here: _Equations, damping: float) -> tuple[FloatArray, FloatArray] | None:
+    """Return the step of the constants (P,) and of the initial states (G, D); None when there is none."""
+    change, moves = np.empty_like(here.gradient), np.empty_like(here.own_gradient)
+    solved = solve_step(
+        here.normal, here.coupling, here.own, here.gradient, here.own_gradient, damping, change, moves
+    )  # fmt: skip
+    return (change, moves) if solved and np.isfinite(change).all() and np.isfinite(moves).all() else None
 
 
 def _inverses(own: FloatArray, damping: float) -> FloatArray:
