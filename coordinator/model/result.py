@@ -40,7 +40,8 @@ class VariableOutcome:
     up to the cut (0: none yet); `generation` the one that met the target, counted from the search's beginning, or None
     when none did; `evaluations` the cumulative point evaluations by part, all islands together; `seconds` the time from
     the first epoch's start to the cut's end; `why` how the search ended (None: it has not), as in
-    `common.wire.views.VariableView`; `refined` is the equation made of the front after the search (None: none yet).
+    `common.wire.views.VariableView`; `refined` is the equation made of the front after the search (None: none yet);
+    `runners_up` is what was kept beside the front.
     """
 
     variable: str
@@ -51,6 +52,7 @@ class VariableOutcome:
     seconds: float = 0.0
     why: str | None = None
     refined: Refined | None = None
+    runners_up: tuple[FrontEntry, ...] = ()
 
 
 @dataclass(frozen=True)

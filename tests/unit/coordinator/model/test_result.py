@@ -142,6 +142,7 @@ def test_an_expression_too_long_to_print_is_left_out():
         {"evaluations": {"offspring": 2001, "fitting": 130}},
         {"front": (entry("1.5", 1.0), entry("2.0000000000000004*x", 0.4), outcomes()[0].front[2])},
         {"front": outcomes()[0].front[:2]},
+        {"runners_up": outcomes()[0].front[:1]},
         {"front": (replace(outcomes()[0].front[0], error=math.nextafter(1.0, 2.0)), *outcomes()[0].front[1:])},
     ],
 )
