@@ -9,7 +9,6 @@ from common.config import BudgetConfig, EvolutionConfig, JobConfig
 from common.dataset import Dataset, Target
 from common.errors import LocalProtocolError, RemoteProtocolError
 from common.pareto import FrontEntry
-from common.pareto import FrontEntry
 from common.wire.messages import Addition, EpochReport, Holding, IslandReport, Placement, Tally
 from common.wire.views import FINAL_STATES
 from coordinator.data.recording import Preparation
