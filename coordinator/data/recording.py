@@ -76,8 +76,10 @@ class Recording:
 class Preparation:
     """What preparing a table gives.
 
-    `dataset` is what the search sees; `recording` is None where the left-hand sides were given.
+    `dataset` is what the search sees; `recording` is None where the left-hand sides were given; `held_out` has the same
+    targets over rows of held-out trajectories, with floor, deviation and noise of `dataset`, None where there are none.
     """
 
     dataset: Dataset
     recording: Recording | None = None
+    held_out: Dataset | None = None
