@@ -76,8 +76,8 @@ class Recording:
 class Preparation:
     """What preparing a table gives.
 
-    `dataset` is what the search sees; `recording` is None where the left-hand sides were given. `held_out` has the rows
-    of the held-out trajectories, with the same variables and targets; None when there are none.
+    `dataset` is what the search sees; `recording` is None where the left-hand sides were given; `held_out` has the same
+    targets over rows of held-out trajectories, with floor, deviation and noise of `dataset`, None where there are none.
     """
 
     dataset: Dataset
