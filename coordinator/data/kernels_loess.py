@@ -14,6 +14,11 @@ from common.jit import allocating_kernel, inlined, kernel
 DEGREES = 5
 """Loess fits degrees 0 to 4 in one pass."""
 
+RANGE = 2**32
+SPREADING = 2654435769
+"""The golden section of `RANGE`: multiples of it, taken modulo that, are spread evenly (Knuth 1973, section 6.4), so
+that no wave is ever met in one phase only."""
+
 RANK = 1e-13
 """Norm of a polynomial, as a share of that of the constant one, below which the rows of a window cannot bear it."""
 
@@ -105,7 +110,7 @@ def next_polynomial(
 def validate_into(
     sums: FloatArray, times: FloatArray, values: FloatArray, trust: FloatArray, span: int, every: int
 ) -> None:
-    """Add to `sums` (3, D), for loess of degrees 0 to 4 at every `every`-th row, what cross-validation needs.
+    """Add to `sums` (3, D), for loess of degrees 0 to 4 at one in `every` rows, what cross-validation needs.
 
     Row 0 sums squared residuals, row 1 leverages, row 2 the trust by which either is weighed. `span` is the number of
     nearest rows. A degree that a window cannot bear adds infinity; where too few of its rows have trust, it is widened.
@@ -116,10 +121,10 @@ def validate_into(
     current, last = np.empty(rows), np.empty(rows)
     at_zero = np.empty((2, 3))
     left = 0
-    for row in range(0, rows, every):
-        left = window_start(left, row, narrow, times)
-        if trust[row] <= 0.0:
+    for row in range(rows):
+        if trust[row] <= 0.0 or (row * SPREADING) % RANGE >= RANGE // every:
             continue
+        left = window_start(left, row, narrow, times)
         start, window = widen_window(row, left, narrow, times, trust, min(narrow, sums.shape[1] + 1))
         weigh_window(offsets, weights, row, start, window, span, times, trust)
         at_zero[:] = 0.0

@@ -99,6 +99,24 @@ def test_rows_are_thinned_only_as_far_as_the_signal_bears():
     assert np.std(smooth(runs[0], choice).fits[1] - np.cos(times)) < 0.05
 
 
+def test_a_wave_that_vanishes_in_means_is_not_thinned_away():
+    """At first a bin would be exactly one wave."""
+    times = 0.1 * np.arange(20_000)
+    runs = [Run(times, np.sin(2 * np.pi * times) + 0.1 * np.random.default_rng(0).standard_normal(20_000))]
+    choice = choose(runs, (3, 4))
+    assert choice.thinning == 1
+    assert np.std(smooth(runs[0], choice).fits[0] - np.sin(2 * np.pi * times)) < 0.1
+
+
+def test_many_short_runs_are_not_thinned():
+    rng = np.random.default_rng(0)
+    times = np.arange(0.0, 50.0, 0.5)
+    runs = [Run(times, np.sin(times + phase) + 0.05 * rng.standard_normal(100)) for phase in range(60)]
+    choice = choose(runs, (3, 4))
+    assert choice.thinning == 1
+    assert noise_of(runs, [smooth(run, choice) for run in runs]) == pytest.approx(0.05, rel=0.1)
+
+
 @pytest.mark.parametrize("rows", [5, 12, 19, 150])
 def test_a_short_run_among_long_ones_is_thinned_less(rows):
     """Its slopes are still those of its curve, over the same span of time."""
