@@ -44,8 +44,9 @@ class Estimate:
     `values` are interpolated (as measured) or smoothed; `derivative` is the one sought, `velocity` the first one;
     `uncertainty` belongs to `derivative`, and so does `doubt`, the uncertainty with an estimate of the bias, zeros
     where the state was interpolated. `error` is the estimated standard deviation of the measurement errors and
-    `deviation` that of the measurements; `choice` is None where the state was interpolated. `outliers` is None unless
-    loess was robust; `has_heavy_tails` advises that it should be.
+    `deviation` that of the measurements; `choice` is None where the state was interpolated. `outliers`, how many
+    rows have no weight, and `trust` (R,), the weights, are None unless loess was robust; `has_heavy_tails` advises that
+    it should be.
     """
 
     values: FloatArray
@@ -57,6 +58,7 @@ class Estimate:
     deviation: float
     choice: Choice | None
     outliers: int | None = None
+    trust: FloatArray | None = None
     has_heavy_tails: bool = False
 
     @property
@@ -123,20 +125,21 @@ def _rescaled(its: Estimate, exponent: int) -> Estimate:
 
 def _estimate(runs: Sequence[Run], way: Way, held_out: Sequence[bool]) -> Estimate:
     seen = [run for run, is_held_out in zip(runs, held_out, strict=True) if not is_held_out]
-    if way.robust:
-        its = trusted(seen, way.degrees)
-        if outliers(its.runs):
-            rest = iter(its.runs)
-            weighed = [retrusted(run, its) if out else next(rest) for run, out in zip(runs, held_out, strict=True)]
-            return replace(_by_loess(weighed, its.choice, way, its.runs), outliers=outliers(its.runs))
     choice = choose(seen, way.degrees)
     smoothed = [smooth(run, choice) for run in seen]
-    if not way.paper:
+    is_tailed = has_heavy_tails(seen, smoothed)
+    if not way.paper and not (way.robust and is_tailed):
         errors, gains = _left_out(seen)
         noise = _value_noise(errors, gains)
         if noise <= LARGEST_NOISE * _deviation(seen) and _is_better(seen, errors, smoothed):
             return _interpolated(runs, way.order, noise, _deviation(seen))
-    return replace(_by_loess(runs, choice, way, seen), has_heavy_tails=has_heavy_tails(seen, smoothed))
+    its = trusted(seen, way.degrees) if way.robust else None
+    if its is None or not outliers(its.runs):
+        return replace(_by_loess(runs, choice, way, seen), has_heavy_tails=is_tailed)
+    rest = iter(its.runs)
+    weighed = [retrusted(run, its) if out else next(rest) for run, out in zip(runs, held_out, strict=True)]
+    trust = np.concatenate([run.weights for run in weighed])
+    return replace(_by_loess(weighed, its.choice, way, its.runs), outliers=outliers(its.runs), trust=trust)
 
 
 def end_rows(lengths: Sequence[int]) -> FloatArray:

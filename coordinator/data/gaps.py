@@ -15,9 +15,9 @@ from coordinator.data.checks import MIN_ROWS
 from coordinator.data.measured import Measured
 from coordinator.data.trajectories import Trajectories, distinguished
 
-NARROWEST: Final = 15
-"""A gap of so many median steps or fewer is bridged, however narrow the spans: a row that could be interpolated over
-has as many neighbours, and times drawn at random come that far apart only once in 30,000 rows."""
+NARROWEST: Final = 20
+"""A gap of so many median steps or fewer is bridged, however narrow the spans: times drawn at random come that far
+apart only once in a million rows."""
 MANY: Final = 5
 """So many trajectories are listed in a message."""
 LEAST_KEPT: Final = 0.5
@@ -73,7 +73,7 @@ def _split(its: Measured, kept: Sequence[Sequence[tuple[int, int]]], reason: str
     listed = _listed(old.names, names, parts)
     warnings = [*its.warnings, f"{reason}; trajectories are split there{f': {listed}' if listed else ''}."]
     if left_out:
-        warnings.append(f"{left_out} rows in pieces of fewer than {MIN_ROWS} between gaps are left out.")
+        warnings.append(f"{left_out} rows in pieces of fewer than {MIN_ROWS} rows between gaps are left out.")
     return replace(
         its,
         rows=rows,

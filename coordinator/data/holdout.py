@@ -39,10 +39,8 @@ def held_out_runs(
     else:
         chosen = _with_value(holdout, table, roles, [rows[first] for first, _ in runs])
     if all(chosen):
-        count = "only one trajectory" if len(runs) == 1 else f"{len(runs)} trajectories"
-        raise DataError(
-            f"--holdout {holdout} would keep everything from the search: there is {count}; leave at least one"
-        )
+        count = "is only one trajectory" if len(runs) == 1 else f"are {len(runs)} trajectories"
+        raise DataError(f"--holdout {holdout} would keep everything from the search: there {count}; leave at least one")
     return tuple(chosen)
 
 

@@ -14,6 +14,11 @@ from common.jit import allocating_kernel, inlined, kernel
 DEGREES = 5
 """Loess fits degrees 0 to 4 in one pass."""
 
+RANGE = 2**32
+SPREADING = 2654435769
+"""The golden section of `RANGE`: multiples of it, taken modulo that, are spread evenly (Knuth 1973, section 6.4), so
+that no wave is ever met in one phase only."""
+
 RANK = 1e-13
 """Norm of a polynomial, as a share of that of the constant one, below which the rows of a window cannot bear it."""
 
@@ -27,15 +32,45 @@ def window_start(start: int, row: int, span: int, times: FloatArray) -> int:
 
 
 @inlined
+def widen_window(
+    row: int, start: int, window: int, times: FloatArray, trust: FloatArray, fewest: int
+) -> tuple[int, int]:
+    """Return start and length of a window that has `fewest` rows with trust, if there are so many.
+
+    It grows by the row that is next in time, to the whole trajectory at most.
+    """
+    stop = start + window
+    count = 0
+    for j in range(start, stop):
+        if trust[j] > 0.0:
+            count += 1
+    while count < fewest and stop - start < len(times):
+        to_left = stop == len(times) or (start > 0 and times[row] - times[start - 1] <= times[stop] - times[row])
+        if to_left:
+            start -= 1
+        else:
+            stop += 1
+        if trust[start if to_left else stop - 1] > 0.0:
+            count += 1
+    return start, stop - start
+
+
+@inlined
 def weigh_window(
-    offsets: FloatArray, weights: FloatArray, row: int, start: int, span: int, times: FloatArray, trust: FloatArray
+    offsets: FloatArray,
+    weights: FloatArray,
+    row: int,
+    start: int,
+    window: int,
+    span: int,
+    times: FloatArray,
+    trust: FloatArray,
 ) -> float:
     """Fill offsets (in bandwidths) and weights of rows [start, start + window): tricube times trust; return bandwidth.
 
     Cleveland 1979, eq. 2.1; the bandwidth lies half a row beyond the farthest one so that each row counts, and grows
-    in proportion where the span exceeds the trajectory. Where no row of the window is trusted, all are.
+    in proportion where the span exceeds the trajectory. Where no row has trust, all have.
     """
-    window = min(span, len(times))
     reach = max(times[row] - times[start], times[start + window - 1] - times[row])
     bandwidth = reach * (1.0 + 1.0 / window) * max(1.0, span / window)
     total = 0.0
@@ -75,27 +110,27 @@ def next_polynomial(
 def validate_into(
     sums: FloatArray, times: FloatArray, values: FloatArray, trust: FloatArray, span: int, every: int
 ) -> None:
-    """Add to `sums` (3, D), for loess of degrees 0 to 4 at every `every`-th row, what cross-validation needs.
+    """Add to `sums` (3, D), for loess of degrees 0 to 4 at one in `every` rows, what cross-validation needs.
 
     Row 0 sums squared residuals, row 1 leverages, row 2 the trust by which either is weighed. `span` is the number of
-    nearest rows. A degree that a window cannot bear adds infinity; where too many of its rows are not trusted, the next
-    lower degree stands in.
+    nearest rows. A degree that a window cannot bear adds infinity; where too few of its rows have trust, it is widened.
     """
     rows = len(times)
-    window = min(span, rows)
-    offsets, weights = np.empty(window), np.empty(window)
-    current, last = np.empty(window), np.empty(window)
+    narrow = min(span, rows)
+    offsets, weights = np.empty(rows), np.empty(rows)
+    current, last = np.empty(rows), np.empty(rows)
     at_zero = np.empty((2, 3))
-    start = 0
-    for row in range(0, rows, every):
-        start = window_start(start, row, window, times)
-        if trust[row] <= 0.0:
+    left = 0
+    for row in range(rows):
+        if trust[row] <= 0.0 or (row * SPREADING) % RANGE >= RANGE // every:
             continue
-        weigh_window(offsets, weights, row, start, span, times, trust)
+        left = window_start(left, row, narrow, times)
+        start, window = widen_window(row, left, narrow, times, trust, min(narrow, sums.shape[1] + 1))
+        weigh_window(offsets, weights, row, start, window, span, times, trust)
         at_zero[:] = 0.0
         at_zero[0, 0] = 1.0
-        current[:] = 1.0
-        last[:] = 0.0
+        current[:window] = 1.0
+        last[:window] = 0.0
         fit, leverage, first, norm_before = 0.0, 0.0, 0.0, 1.0
         for degree in range(sums.shape[1]):
             norm, moment, product = 0.0, 0.0, 0.0
@@ -104,7 +139,7 @@ def validate_into(
                 norm += weighted * current[j]
                 moment += weighted * current[j] * offsets[j]
                 product += weighted * (values[start + j] - values[row])
-            if window < degree + 2:
+            if narrow < degree + 2:
                 sums[:2, degree] = np.inf
                 continue
             if degree == 0:
@@ -113,7 +148,7 @@ def validate_into(
                 fit += product / norm * at_zero[0, 0]
                 leverage += at_zero[0, 0] * at_zero[0, 0] / norm
                 beta = norm / norm_before if degree > 0 else 0.0
-                next_polynomial(at_zero, current, last, offsets, moment / norm, beta)
+                next_polynomial(at_zero, current, last, offsets[:window], moment / norm, beta)
                 norm_before = norm
             sums[0, degree] += trust[row] * (fit * fit)
             sums[1, degree] += trust[row] * (leverage * trust[row])
@@ -134,18 +169,19 @@ def loess_into(
 
     `gains` (4, R) receives their noise gains, the roots of the sums of squared weights with which the values enter, and
     the leverage, the weight of a row's own value in its fit. `degrees` counts the degrees used: 3 is a parabola; where
-    too many rows of a window are not trusted, fewer are.
+    too few rows of a window have trust, it is widened.
     """
     rows = len(times)
     offsets, weights = np.empty(rows), np.empty(rows)
     current, last = np.empty(rows), np.empty(rows)
     influence = np.empty((3, rows))
     at_zero = np.empty((2, 3))
-    start = 0
-    window = min(span, rows)
+    left = 0
+    narrow = min(span, rows)
     for row in range(rows):
-        start = window_start(start, row, window, times)
-        bandwidth = weigh_window(offsets, weights, row, start, span, times, trust)
+        left = window_start(left, row, narrow, times)
+        start, window = widen_window(row, left, narrow, times, trust, min(narrow, degrees + 1))
+        bandwidth = weigh_window(offsets, weights, row, start, window, span, times, trust)
         at_zero[:] = 0.0
         at_zero[0, 0] = 1.0
         current[:window] = 1.0

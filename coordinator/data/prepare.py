@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from coordinator.data.spread import finite_spread
 from coordinator.data.symbols import symbols_for
 
 __all__ = ["describe", "prepare"]
+
+MANY_OUTLIERS: Final = 0.1
+"""Share of the rows beyond which outliers are hardly errors of measurement."""
 
 
 def prepare(table: Table, config: JobConfig) -> Preparation:
@@ -132,9 +136,7 @@ def _remarks(its: Measured, estimates: Sequence[Estimate], kept: Kept) -> list[s
         states = ", ".join(its.roles.states)
         raise DataError(f"only {len(kept.seen)} rows of {states} can be differentiated; sample more of them")
     named = list(zip(its.roles.states, estimates, strict=True))
-    remarks = [
-        f"State '{name}' has {each.outliers} outliers, which have no weight." for name, each in named if each.outliers
-    ]
+    remarks = [_outliers(name, each.outliers, len(each.values)) for name, each in named if each.outliers]
     tailed = [name for name, each in named if each.has_heavy_tails]
     if tailed:
         remarks.append(
@@ -143,6 +145,13 @@ def _remarks(its: Measured, estimates: Sequence[Estimate], kept: Kept) -> list[s
     if any(its.held_out) and not kept.held_out:
         remarks.append("No row that was held out can be differentiated well; equations are not judged by them.")
     return remarks
+
+
+def _outliers(state: str, count: int, rows: int) -> str:
+    """Return a sentence about the outliers of a state."""
+    sentence = f"State '{state}' has {count} {'outlier' if count == 1 else 'outliers'} without weight"
+    many = "; so many suggest that rows are too far apart for --robust, not that they are wrong"
+    return sentence + (many if count > MANY_OUTLIERS * rows else "") + "."
 
 
 def _velocities(its: Measured) -> list[str]:

@@ -73,7 +73,15 @@ def _trajectory(
         _stacked([parts[run] for parts in inputs], rows),
         _stacked([parts[run] for parts in slopes], rows),
         its.held_out[run],
+        _trust(estimates, first, last),
     )
+
+
+def _trust(estimates: Sequence[Estimate], first: int, last: int) -> FloatArray | None:
+    if all(each.trust is None for each in estimates):
+        return None
+    whole = np.ones(last - first)
+    return _stacked([whole if each.trust is None else each.trust[first:last] for each in estimates], last - first)
 
 
 def _stacked(parts: Sequence[FloatArray], rows: int) -> FloatArray:

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from common.dataset import FloatArray
+from coordinator.data.kernels_stencils import moments
 from coordinator.data.smoothing import Choice, Run, Smoothed, choose, smooth
 
 ROUNDS: Final = 6
@@ -19,6 +20,9 @@ REACH: Final = 6.0
 """Residuals beyond this many times the median one have no weight (Cleveland 1979)."""
 DEVIATION: Final = 1.4826
 """Standard deviation of normal residuals over the median of their size."""
+FINEST: Final = 1e-5
+"""Share of the state's standard deviation that the median residual counts as at least: of data without noise, bias and
+rounding must not be taken for outliers."""
 ISOLATED: Final = 0.5
 """An outlier's neighbours have at most this share of its residual; at a jump that is not resolved they have more."""
 FEWEST: Final = 3
@@ -39,9 +43,10 @@ class Trusted:
 def trusted(runs: Sequence[Run], degrees: Sequence[int]) -> Trusted:
     """Return `runs` with less trust in rows far from the curve, none in outliers."""
     its = Trusted(tuple(runs), choose(runs, degrees), 0.0)
+    least = FINEST * moments(np.concatenate([run.values for run in runs]))[1]
     for _ in range(ROUNDS):
         residuals = _residuals(its.runs, [smooth(run, its.choice) for run in its.runs])
-        median = _median(residuals)
+        median = max(_median(residuals), least)
         if not median > 0.0:
             break
         weighed = tuple(_weighed(run, part, median) for run, part in zip(runs, residuals, strict=True))

@@ -30,8 +30,10 @@ FEWEST_BINS: Final = 20
 """A run of no more rows than this is never thinned, a longer one never to fewer bins."""
 REFINING: Final = 4
 """By so much less rows are thinned when the span that was chosen has too few bins."""
+NARROW_SPANS: Final = (9, 18, 36)
+"""Spans in rows, by which it is judged whether thinning has lost a fast wave."""
 JUDGED_ROWS: Final = 4000
-"""Of more bins than this, every k-th one is judged when span and degree are chosen."""
+"""Of more bins than this, one in k is judged when span and degree are chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +84,29 @@ def choose(runs: Sequence[Run], degrees: Sequence[int]) -> Choice:
 
     Craven & Wahba 1979, eq. 1.9: mean squared residual over the squared mean of (1 - leverage), rows weighed by trust.
     """
-    thinning = max(1, sum(len(run.times) for run in runs) // MANY_ROWS)
+    rows = [len(run.times) for run in runs]
+    thinning = max(1, min(sum(rows) // MANY_ROWS, max(rows) // (FEWEST_BINS * LEAST_BINS)))
     while True:
         best = _chosen([_binned(run, thinning) for run in runs], degrees)
-        if thinning == 1 or (best.span >= LEAST_BINS and math.isfinite(best.score)):
-            return replace(best, thinning=thinning)
+        best = replace(best, thinning=thinning)
+        if thinning == 1 or (best.span >= LEAST_BINS and _has_lost_nothing(runs, best, degrees)):
+            return best
         thinning = max(1, thinning // REFINING)
+
+
+def _has_lost_nothing(runs: Sequence[Run], choice: Choice, degrees: Sequence[int]) -> bool:
+    """Say whether thinned rows are followed as well as rows are by narrow spans: a fast wave may vanish in means."""
+    if not math.isfinite(choice.score):
+        return False
+    whole = [_Bins(run, 1.0) for run in runs]
+    narrow = min(_scored(whole, span, 1, degrees).score for span in NARROW_SPANS)
+    squares, count = 0.0, 0.0
+    for run in runs:
+        residuals = (run.values - smooth(run, choice).fits[0]).tolist()
+        for residual, weight in zip(residuals, run.weights.tolist(), strict=True):
+            squares += weight * residual * residual
+            count += weight
+    return squares <= narrow * count
 
 
 @dataclass(frozen=True, eq=False)
