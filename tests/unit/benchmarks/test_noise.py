@@ -14,7 +14,6 @@ from benchmarks.noise_goals import goals, shown
 from benchmarks.noise_judging import EquationOutcome, Outcome, failed, outcome
 from benchmarks.noise_tables import by_equation, by_grade, by_level, misses, summarized
 from benchmarks.noisy_data import Key, case
-from benchmarks.pysindy_models import as_infix
 from common.errors import DataError, UsageError
 
 KEY = Key("atoll", "plain", "lotka_volterra", 0.05, 100)
@@ -242,11 +241,6 @@ def test_bad_options_are_one_sentence_and_exit_code_2(words, sentence, capsys):
         noise.main(words)
     assert ended.value.code == 2
     assert sentence in capsys.readouterr().err
-
-
-def test_pysindys_terms_become_our_expressions():
-    assert as_infix(["1", "x", "x^2 y", "sin(1 x)"], [0.5, 0.0, -2.0, 1.5]) == "0.5 + -2.0*x**2*y + 1.5*sin(1*x)"
-    assert as_infix(["x"], [0.0]) == "0.0"
 
 
 def test_a_driven_system_has_its_input_behind_its_states():
