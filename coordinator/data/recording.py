@@ -76,8 +76,10 @@ class Recording:
 class Preparation:
     """What preparing a table gives.
 
-    `dataset` is what the search sees; `recording` is None where the left-hand sides were given.
+    `dataset` is what the search sees; `recording` is None where the left-hand sides were given. `held_out` has the rows
+    of the held-out trajectories, with the same variables and targets; None when there are none.
     """
 
     dataset: Dataset
     recording: Recording | None = None
+    held_out: Dataset | None = None

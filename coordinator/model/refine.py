@@ -21,7 +21,7 @@ from coordinator.data.recording import Preparation
 from coordinator.model.criterion import Criterion
 from coordinator.model.derivative import values_of
 from coordinator.model.polish import Polisher
-from coordinator.model.refinement import Constant, Pools, Refined, Refinement
+from coordinator.model.refinement import LOOSE, NORMAL_95, Constant, Pools, Refined, Refinement
 from coordinator.model.rewrite import constant_places
 from coordinator.model.select import threshold
 from coordinator.model.shorten import Candidate, Shortening
@@ -39,7 +39,10 @@ def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Ref
     """Return the refined equation of each variable; those are missing of which the front has nothing better."""
     problems = {name: preparation.dataset.problem(name) for name in pools}
     found = {name: refine(problems[name], config, pool.front) for name, pool in pools.items()}
-    return Refinement({name: refined for name, refined in found.items() if refined is not None})
+    made = {name: refined for name, refined in found.items() if refined is not None}
+    if preparation.recording is None:  # errors of given left-hand sides are independent, those of smoothed ones are not
+        made = {name: _with_intervals(refined) for name, refined in made.items()}
+    return Refinement(made)
 
 
 def refine(problem: Problem, config: JobConfig, front: Sequence[FrontEntry]) -> Refined | None:
@@ -66,6 +69,19 @@ def refine(problem: Problem, config: JobConfig, front: Sequence[FrontEntry]) -> 
     return None
 
 
+def _with_intervals(refined: Refined) -> Refined:
+    """Return the equation with 95 % intervals, and with constants marked that the data do not determine."""
+    return replace(refined, constants=tuple(map(_with_interval, refined.constants)))
+
+
+def _with_interval(constant: Constant) -> Constant:
+    fitted, error = constant.fitted, constant.std_error
+    if fitted is None or error is None:
+        return constant
+    bounds = (fitted - NORMAL_95 * error, fitted + NORMAL_95 * error)
+    return replace(constant, interval=bounds, identifiable=error <= LOOSE * abs(fitted))
+
+
 def _may_be_shown(program: Program, largest: float) -> bool:
     return len(program) <= largest and tree_size(program) <= PRINTABLE_SIZE
 
@@ -77,7 +93,7 @@ def _finished(problem: Problem, candidate: Candidate, member: int, config: JobCo
     criterion, polisher = Criterion.of(decisive.target), Polisher(decisive)
     if len(problem.target.values) > COMPARED_ROWS:
         program = snapped(polisher.fit(candidate.fitted.program), criterion, polisher).program
-    error, mse = _errors(problem, program, config.evolution.loss)
+    error, mse = errors_on(problem, program, config.evolution.loss)
     fitted = polisher.fit(program).program
     std_errors = criterion.errors(polisher.fit(program, steps=0))
     return Refined(member, program, error, mse, _constants(program, fitted, std_errors))
@@ -89,8 +105,8 @@ def _constants(program: Program, fitted: Program, std_errors: Sequence[float]) -
     return tuple(map(Constant, values, before, std_errors))
 
 
-def _errors(problem: Problem, program: Program, loss: Loss) -> tuple[float, float]:
-    """Return loss and mean squared error on all rows, in parts that need little memory."""
+def errors_on(problem: Problem, program: Program, loss: Loss) -> tuple[float, float]:
+    """Return loss and mean squared error on all rows, infinite when one is not finite; in parts, to save memory."""
     rows = len(problem.target.values)
     total, square = 0.0, 0.0
     for start in range(0, rows, DECIDING_ROWS):

@@ -14,8 +14,8 @@ from typing import Any, Final
 import numpy as np
 
 from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from common.config import JobConfig
-from common.dataset import Dataset, Target
+from common.config import JobConfig, Loss
+from common.dataset import Dataset, Problem, Target
 from common.expression.operators import CONSTANT
 from common.expression.program import Program
 from common.expression.text import PRINTABLE_SIZE, to_infix, tree_size
@@ -23,8 +23,10 @@ from common.pareto import FrontEntry
 from common.wire.views import JobState
 from coordinator.data.recording import Preparation
 from coordinator.model.digest import result_digest
+from coordinator.model.refine import errors_on
 from coordinator.model.refinement import Constant, Refined, Refinement
 from coordinator.model.select import select, threshold
+from coordinator.model.trust import candidates, correlations, finite, noise, simulation, verdict
 
 SCHEMA: Final = 1
 _PACKAGES: Final = ("eclipse-zenoh", "numpy", "numba", "scipy", "sympy", "msgpack", "pydantic", "polars")
@@ -38,7 +40,8 @@ class VariableOutcome:
     up to the cut (0: none yet); `generation` the one that met the target, counted from the search's beginning, or None
     when none did; `evaluations` the cumulative point evaluations by part, all islands together; `seconds` the time from
     the first epoch's start to the cut's end; `why` how the search ended (None: it has not), as in
-    `common.wire.views.VariableView`; `refined` is the equation made of the front after the search (None: none yet).
+    `common.wire.views.VariableView`; `refined` is the equation made of the front after the search (None: none yet);
+    `runners_up` is what was kept beside the front.
     """
 
     variable: str
@@ -49,6 +52,7 @@ class VariableOutcome:
     seconds: float = 0.0
     why: str | None = None
     refined: Refined | None = None
+    runners_up: tuple[FrontEntry, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -91,12 +95,15 @@ def build_result(
         "preset": config.preset,
         "state": account.state,
         "reason": account.reason,
-        "equations": [_equation(config, dataset, outcome) for outcome in outcomes],
+        "equations": [_equation(config, preparation, outcome, account.state) for outcome in outcomes],
+        "noise": noise(preparation.recording),
+        "correlations": correlations(model.correlations),
+        "simulation": simulation(model.simulation, preparation.recording),
         "symbols": dict(dataset.symbols),
         "warnings": [*dataset.warnings, *model.warnings],
         "point_evaluations": sum(_total(outcome) for outcome in outcomes),
-        "search_seconds": _finite(account.search_seconds),
-        "seconds": _finite(account.seconds),
+        "search_seconds": finite(account.search_seconds),
+        "seconds": finite(account.seconds),
         "digest": result_digest(outcomes),
         "versions": versions(),
     }
@@ -118,8 +125,10 @@ def versions() -> dict[str, str | int]:
     return found
 
 
-def _equation(config: JobConfig, dataset: Dataset, outcome: VariableOutcome) -> dict[str, Any]:
+def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, state: JobState) -> dict[str, Any]:
+    dataset = given.dataset
     target = dataset.problem(outcome.variable).target
+    unseen = given.held_out.problem(outcome.variable) if given.held_out is not None else None
     shown = equation_of(outcome, dataset, config)
     printable = [(index, entry) for index, entry in enumerate(outcome.front) if _is_printable(entry, dataset)]
     member = None if shown is None else shown.member
@@ -127,10 +136,19 @@ def _equation(config: JobConfig, dataset: Dataset, outcome: VariableOutcome) -> 
         "variable": target.variable,
         "lhs": target.lhs,
         **_best(shown, dataset, target, config),
+        **verdict(shown, target, state),
         **_course(None if member is None else outcome.front[member], outcome, config),
-        "derivative_floor": _finite(target.floor),
+        "derivative_floor": finite(target.floor),
         "target_error": threshold(target, config.budget.target_error),
-        "front": [_member(entry, dataset, target, index == member) for index, entry in printable],
+        "candidates": candidates(shown.contenders if shown is not None else (), dataset),
+        "front": [
+            {
+                **_member(entry, dataset, target),
+                "holdout_error": _unseen_error(_program(entry, dataset), unseen, config.evolution.loss),
+                "selected": index == member,
+            }
+            for index, entry in printable
+        ],
     }
 
 
@@ -170,8 +188,8 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
     return {
         "expression": to_infix(shown.program, dataset.names),
         "complexity": len(shown.program),
-        "error": _finite(shown.error),
-        "normalized_error": _finite(normalized),
+        "error": finite(shown.error),
+        "normalized_error": finite(normalized),
         "converged": normalized <= threshold(target, config.budget.target_error),
         "constants": _constants(shown.program, shown.constants),
     }
@@ -187,31 +205,40 @@ def _course(entry: FrontEntry | None, outcome: VariableOutcome, config: JobConfi
         "generation": generation,
         "point_evaluations": _total(outcome),
         "point_evaluations_by_part": {part: int(outcome.evaluations[part]) for part in sorted(outcome.evaluations)},
-        "seconds": _finite(outcome.seconds),
+        "seconds": finite(outcome.seconds),
         "why": outcome.why,
     }
 
 
-def _member(entry: FrontEntry, dataset: Dataset, target: Target, selected: bool) -> dict[str, Any]:
+def _member(entry: FrontEntry, dataset: Dataset, target: Target) -> dict[str, Any]:
     program = _program(entry, dataset)
     variance = target.deviation * target.deviation
     return {
         "expression": to_infix(program, dataset.names),
         "complexity": entry.complexity,
-        "error": _finite(entry.error),
-        "normalized_error": _finite(entry.error / target.deviation if target.deviation else math.inf),
-        "r2": _finite(1.0 - entry.mse / variance if variance else math.nan),
-        "holdout_error": None,
+        "error": finite(entry.error),
+        "normalized_error": finite(entry.error / target.deviation if target.deviation else math.inf),
+        "r2": finite(1.0 - entry.mse / variance if variance else math.nan),
         "constants": _constants(program),
-        "selected": selected,
     }
 
 
-def _constants(program: Program, known: Sequence[Constant] = ()) -> list[dict[str, float | None]]:
+def _unseen_error(program: Program, unseen: Problem | None, loss: Loss) -> float | None:
+    """Return the loss on held-out rows; None when there are none, or when it is not finite."""
+    return finite(errors_on(unseen, program, loss)[0]) if unseen is not None else None
+
+
+def _constants(program: Program, known: Sequence[Constant] = ()) -> list[dict[str, Any]]:
     """Return the constants in node order; `known` is what refinement knows of them, if there was any."""
     values = program.constants[program.operators == np.int8(CONSTANT)].tolist()
     return [
-        {"value": _finite(value), "std_error": _finite(each.std_error), "fitted": _finite(each.fitted)}
+        {
+            "value": finite(value),
+            "std_error": finite(each.std_error),
+            "fitted": finite(each.fitted),
+            "interval": [finite(bound) for bound in each.interval] if each.interval is not None else None,
+            "identifiable": each.identifiable,
+        }
         for value, each in zip(values, known or map(Constant, values), strict=True)
     ]
 
@@ -222,7 +249,3 @@ def _program(entry: FrontEntry, dataset: Dataset) -> Program:
 
 def _total(outcome: VariableOutcome) -> int:
     return int(sum(outcome.evaluations.values()))
-
-
-def _finite(value: float | None) -> float | None:
-    return float(value) if value is not None and math.isfinite(value) else None

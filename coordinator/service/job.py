@@ -12,12 +12,13 @@ from common.pareto import FrontEntry
 from common.slices import Course
 from common.wire.messages import Commit, EpochReport, JobAnnouncement, chunk_count
 from common.wire.views import FINAL_STATES, JobState
-from coordinator.data.recording import Preparation, Recording
+from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pool, Refinement
 from coordinator.model.select import count_constants, description_length
 from coordinator.service.archipelago import Archipelago
 from coordinator.service.collector import DivergedError, Limits, Measure
 from coordinator.service.cut import Cut
+from coordinator.service.resolve import stagnation_of
 
 JobStep = Literal["prepare", "prepared", "searched", "refined", "fail", "cancel"]
 Fault = Literal["data", "diverged", "internal"]
@@ -65,20 +66,17 @@ JobAction = KeepCut | TellCommit | Refine | Conclude
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """What preparing gave: the dataset, the resolved configuration, the dataset's bytes by digest and size, and,
-    where states were measured in time, the recording that a model is judged by.
-    """
+    """What preparing gave, the resolved configuration, and the dataset's bytes by digest and size."""
 
-    dataset: Dataset
+    preparation: Preparation
     config: JobConfig
     blob: str
     size: int
-    recording: Recording | None = None
 
     @property
-    def preparation(self) -> Preparation:
-        """What refining works on."""
-        return Preparation(self.dataset, self.recording)
+    def dataset(self) -> Dataset:
+        """What the search sees."""
+        return self.preparation.dataset
 
 
 class Job:
@@ -219,8 +217,9 @@ class Job:
         limits = Limits(
             islands=config.evolution.islands,
             epochs=budget.max_epochs_of.get(target.variable, budget.max_epochs),
-            stagnation=budget.stagnation,
+            stagnation=stagnation_of(config, target),
             course=course_of(config),
+            runners_up=config.evolution.runners_up or 0,
         )
         return Archipelago(
             self.id, target.variable, limits, measure_of(target), lambda data: check_program(data, inputs)
@@ -256,13 +255,15 @@ def course_of(config: JobConfig) -> Course:
 
 
 def measure_of(target: Target) -> Measure:
-    """Return the measure by which a front of this target is better than another: its least description length."""
-    rows = len(target.values)
+    """Return the measure by which a front of this target is better than another: its least description length.
+
+    That of a noisy target knows no floor: many equations lie below it, and the search goes on while they get better.
+    """
+    rows, floor = len(target.values), 0.0 if target.is_noisy else target.floor
 
     def least(front: tuple[FrontEntry, ...]) -> float:
         lengths = (
-            description_length(entry, rows, target.floor, target.deviation, count_constants(entry.program))
-            for entry in front
+            description_length(entry, rows, floor, target.deviation, count_constants(entry.program)) for entry in front
         )
         return min(lengths, default=float("inf"))
 

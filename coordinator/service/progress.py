@@ -45,13 +45,16 @@ def outcome_of(archipelago: Archipelago) -> VariableOutcome:
     """Return how the search of one equation ended, or how it stands after the epochs that are complete."""
     cut = archipelago.cut
     if cut is not None:
+        pool = cut.pool()
         return VariableOutcome(
-            archipelago.variable, cut.entries(), cut.epochs, cut.generation, cut.evaluations, cut.seconds, cut.why
-        )
+            archipelago.variable, pool.front, cut.epochs, cut.generation, cut.evaluations, cut.seconds, cut.why,
+            runners_up=pool.runners_up,
+        )  # fmt: skip
     progress = archipelago.collector.progress
     return VariableOutcome(
-        archipelago.variable, progress.front, progress.epochs, None, progress.evaluations, progress.seconds
-    )
+        archipelago.variable, progress.front, progress.epochs, None, progress.evaluations, progress.seconds,
+        runners_up=progress.runners_up,
+    )  # fmt: skip
 
 
 def job_view(job: Job, membership: Membership, now: float) -> JobView:

@@ -158,10 +158,9 @@ class Service:
         """Smooth and differentiate; runs in the background."""
         try:
             preparation = self._ports.preparer(table, config)
-            dataset = preparation.dataset
-            data = dataset_to_bytes(dataset)
+            data = dataset_to_bytes(preparation.dataset)
             blob = hashlib.sha256(data).hexdigest()
-            prepared = Prepared(dataset, resolve(config, dataset), blob, len(data), preparation.recording)
+            prepared = Prepared(preparation, resolve(config, preparation.dataset), blob, len(data))
             return _Ready(job, prepared, data)
         except (DataError, UsageError, RemoteProtocolError) as error:
             return _Unprepared(job, "data", str(error))

@@ -139,11 +139,22 @@ def test_many_rows_are_compared_on_some_and_measured_on_all():
     assert refined.mse == pytest.approx(entry(LOTKA.replace("**2", "*x"), its).mse, rel=1e-9)
 
 
+def test_constants_fitted_to_given_left_hand_sides_have_intervals():
+    data = dataset(lambda x, y: 3.0 * x + 0.002 * y, noise=0.1)
+    front = (entry("2.9*x + 0.1*y", data.problem("label")),)
+    constants = refine_all(Preparation(data), CONFIG, {"label": Pool(front)}).equations["label"].constants
+    assert all(each.identifiable for each in constants)
+    for each in constants:
+        low, high = each.interval
+        assert (low + high) / 2.0 == pytest.approx(each.fitted)
+        assert high - low == pytest.approx(3.92 * each.std_error, rel=1e-3)
+
+
 def test_an_empty_front_stays_empty_and_all_variables_are_refined():
     data = dataset(lotka)
     its = data.problem("label")
     assert refine(its, CONFIG, []) is None
-    preparation = Preparation(data, None)
+    preparation = Preparation(data)
     assert refine_all(preparation, CONFIG, {"label": Pool(())}).equations == {}
     assert set(refine_all(preparation, CONFIG, {"label": Pool((entry("2.0*x", its),))}).equations) == {"label"}
 
