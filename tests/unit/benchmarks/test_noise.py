@@ -62,6 +62,12 @@ def test_an_equation_that_is_not_in_form_is_looked_for_elsewhere(lotka):
     assert "the truth is among the front" in misses([lotka])[0]
 
 
+def test_how_close_the_race_was_is_told():
+    contender = {"expression": "y*(2.0 - x - y)", "nats": 2.34}
+    lost = judged(X, {**Y, "candidates": [{"expression": "2.1*y - 0.3*y**2", "nats": 0.0}, contender]}).equations[1]
+    assert (lost.elsewhere, lost.contenders) == ("contenders (+2.3 nats)", 2)
+
+
 def test_the_system_is_simulated_as_a_whole(lotka):
     both = judged(X, equation("y", "y*(2.0 - x - y)"))
     assert both.equations[0].r2 > 0.9 > lotka.equations[0].r2
@@ -171,6 +177,14 @@ def test_an_outcome_is_read_back_as_it_was_written(tmp_path, lotka):
     assert again.outcomes == {KEY: lotka}
     assert again.answers == {KEY: {"equations": [X], "seconds": 3.0}}
     assert outcome_from(json.loads(json.dumps(dataclasses.asdict(lotka)))) == lotka
+
+
+def test_curves_are_not_kept(tmp_path, lotka):
+    path = tmp_path / "lines.jsonl"
+    simulated = {"name": "1", "held_out": False, "r2": {"x": 0.9}}
+    answer = {"simulation": {"trajectories": [{**simulated, "times": [0.0, 0.1], "values": {"x": [1.0, 2.0]}}]}}
+    Journal(path, False, []).add(lotka, answer)
+    assert Journal(path, True, []).answers == {KEY: {"simulation": {"trajectories": [simulated]}}}
 
 
 def test_a_line_that_was_cut_off_is_done_again(tmp_path, lotka):
