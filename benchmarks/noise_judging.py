@@ -159,7 +159,10 @@ def _form(case: Case, name: str, text: str | None) -> FormVerdict:
 
 def _constants(case: Case, name: str, equation: Mapping[str, Any]) -> tuple[Covered, ...] | None:
     listed = [each for each in equation.get("constants") or [] if each.get("value") is not None]
-    found = covered(equation["expression"], listed, case.clean, case.slope(name))
+    try:
+        found = covered(equation["expression"], listed, case.clean, case.slope(name))
+    except UsageError:  # too long to be read back with constants that are all different
+        return None
     return None if found is None else tuple(found)
 
 
