@@ -40,6 +40,10 @@ class DataConfig(Model):
     order: Literal[1, 2] = Field(1, description="2: positions are measured, the second derivative is sought")
     angles: tuple[Angle, ...] = ()
     only: tuple[str, ...] | None = Field(None, description="search these equations only")
+    robust: bool = Field(False, description="smooth so that outliers lose their weight")
+    holdout: Annotated[int, Field(ge=1)] | Annotated[str, Field(pattern=r"^.+=.+$")] | None = Field(
+        None, description="trajectories kept from the search: so many last ones, or COLUMN=VALUE"
+    )
     missing: Literal["refuse", "drop"] = Field("refuse", description="what to do with rows holding NaN or infinity")
 
 

@@ -10,7 +10,10 @@ WorkerState = Literal["compiling", "ready", "computing", "waiting", "lost"]
 
 
 class VariableView(Model):
-    """Progress of one equation. `epoch` counts completely reported epochs; `why` says how its search ended."""
+    """Progress of one equation. `epoch` counts completely reported epochs; `why` says how its search ended.
+
+    `verdict` is given when the job has ended: how far the equation can be trusted.
+    """
 
     variable: str
     lhs: str
@@ -23,6 +26,7 @@ class VariableView(Model):
     converged: bool = False
     finished: bool = False
     why: Literal["target", "stagnation", "max-epochs", "max-time", "cancelled"] | None = None
+    verdict: Literal["exact", "good", "doubtful", "no model"] | None = None
 
 
 class JobView(Model):

@@ -88,6 +88,16 @@ def _whole(text: str, option: str) -> int:
         raise UsageError(f"{option} must be a whole number, but {text!r} was given") from None
 
 
+def _holdout(text: str, option: str) -> int | str:
+    """Return the number of trajectories, or ``COLUMN=VALUE`` as it is."""
+    if "=" in text:
+        return text
+    try:
+        return int(text)
+    except ValueError:
+        raise UsageError(f"{option} must be a number of trajectories or COLUMN=VALUE, but {text!r} was given") from None
+
+
 def _number(text: str, option: str) -> float:
     try:
         return float(text)
@@ -112,6 +122,7 @@ _OPTIONS: Final[Mapping[str, tuple[str, _Reader]]] = {
     "order": ("data.order", _whole),
     "only": ("data.only", names),
     "missing": ("data.missing", _text),
+    "holdout": ("data.holdout", _holdout),
     "operators": ("space.operators", _operators),
     "max_size": ("space.max_size", _whole),
     "islands": ("evolution.islands", _whole),
@@ -128,6 +139,8 @@ def _given(options: argparse.Namespace) -> dict[str, Any]:
         text = getattr(options, option)
         if text is not None:
             values[key] = read(text, _flag(option))
+    if options.robust:
+        values["data.robust"] = True
     if options.angle is not None:
         values["data.angles"] = [_angle(text) for text in options.angle]
     if options.max_epochs is not None:
@@ -203,6 +216,7 @@ def _flag_of(key: str) -> str:
 def _check(config: JobConfig) -> None:
     _check_operators(config.space.operators)
     _check_modes(config.data)
+    _check_holdout(config.data)
     _check_columns(config.data)
     _check_angles(config.data)
 
@@ -227,6 +241,11 @@ def _check_modes(data: DataConfig) -> None:
     if data.derivatives is not None and data.states is not None and len(data.derivatives) != len(data.states):
         counts = f"{len(data.derivatives)} columns for {len(data.states)} states"
         raise UsageError(f"--derivatives gives {counts}; give one for each state, in the same order")
+
+
+def _check_holdout(data: DataConfig) -> None:
+    if data.holdout is not None and data.target is not None:
+        raise UsageError("--holdout and --target contradict each other: an explicit regression has no trajectories")
 
 
 def _check_columns(data: DataConfig) -> None:
