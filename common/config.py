@@ -68,7 +68,7 @@ class EvolutionConfig(Model):
     scaled_constants: bool = Field(True, description="draw constants over the data's scales, not from [-10, 10]")
     refit_interval: Annotated[int, Field(ge=1)] = Field(10, description="generations between offers to the front")
     runners_up: Annotated[int, Field(ge=0, le=64)] | None = Field(
-        None, description="next best of each complexity kept beside the front; None: 0, or 5 with noisy targets"
+        None, description="next best of each complexity kept beside the front; None: 0, or 8 with noisy targets"
     )
 
 
