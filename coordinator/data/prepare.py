@@ -16,6 +16,8 @@ from coordinator.data.derivatives import END_ROWS, Estimate, end_rows, estimate
 from coordinator.data.describe import describe
 from coordinator.data.kernels_smoothing import moments
 from coordinator.data.measured import Measured, measured
+from coordinator.data.recorded import recorded
+from coordinator.data.recording import Preparation
 from coordinator.data.smoothing import Run
 from coordinator.data.symbols import symbols_for
 
@@ -39,15 +41,17 @@ PASSES: Final = 3
 """A wild row swells the standard deviation by which rows are judged, so that they are judged again without it."""
 
 
-def prepare(table: Table, config: JobConfig) -> Dataset:
-    """Return the regression problems that `table` holds under `config`.
+def prepare(table: Table, config: JobConfig) -> Preparation:
+    """Return the regression problems that `table` holds under `config`, and the recording that they come from.
 
     Raises:
         UsageError: options contradict each other.
         DataError: the measurements cannot be used as they are; the message says where and what to do.
     """
     its = measured(table, config.data)
-    return _given(its) if its.trajectories is None else _differentiated(its, paper=config.preset == "paper")
+    if its.trajectories is None:
+        return Preparation(_given(its))
+    return _differentiated(its, paper=config.preset == "paper")
 
 
 def _given(its: Measured) -> Dataset:
@@ -74,7 +78,7 @@ def _lhs(name: str, roles: Roles, config: DataConfig) -> str:
     return f"d2{name}/d{time}2" if config.order == 2 else f"d{name}/d{time}"
 
 
-def _differentiated(its: Measured, *, paper: bool) -> Dataset:
+def _differentiated(its: Measured, *, paper: bool) -> Preparation:
     """Prepare measured states: smooth or interpolate them, and differentiate."""
     assert its.trajectories is not None
     times = its.trajectories.times
@@ -84,30 +88,31 @@ def _differentiated(its: Measured, *, paper: bool) -> Dataset:
         estimates.append(estimate(runs, its.config.order, paper=paper))
         _finite_spread(f"derivative of {name}", estimates[-1].derivative)
     kept, warnings = _kept(estimates, [len(each) for each in times], its.roles)
-    columns, values = _variables(its, estimates)
-    symbols = symbols_for(columns)
+    velocities = _velocities(its)
+    inputs = [its.along(name) for name in its.roles.inputs]
+    symbols = symbols_for([*its.roles.states, *velocities, *its.roles.inputs])
     targets = [
         _target(name, _lhs(name, its.roles, its.config), each, kept)
         for name, each in zip(its.roles.states, estimates, strict=True)
     ]
-    return Dataset(
-        tuple(symbols[name] for name in columns),
-        np.ascontiguousarray(values[:, kept]),
+    values = [each.values for each in estimates]
+    values += [each.velocity for each in estimates if velocities]
+    values += [np.concatenate(parts) for parts in inputs]
+    dataset = Dataset(
+        tuple(symbols.values()),
+        np.ascontiguousarray(np.array(values)[:, kept]),
         _chosen(targets, its.config),
         symbols,
         (*its.warnings, *warnings),
     )
+    return Preparation(dataset, recorded(its, velocities, inputs, symbols, estimates))
 
 
-def _variables(its: Measured, estimates: Sequence[Estimate]) -> tuple[list[str], FloatArray]:
-    """Return names and values (V, R) of the variables: states, their velocities for order 2, inputs."""
-    columns = [*its.roles.states]
-    values = [each.values for each in estimates]
-    if its.config.order == 2:
-        columns += [_fresh(f"{name}_dot", (*its.roles.states, *its.roles.inputs)) for name in its.roles.states]
-        values += [each.velocity for each in estimates]
-    values += [its.column(name) for name in its.roles.inputs]
-    return [*columns, *its.roles.inputs], np.array(values)
+def _velocities(its: Measured) -> list[str]:
+    """Return the column names of the velocities that are variables: one for each state for order 2, else none."""
+    if its.config.order == 1:
+        return []
+    return [_fresh(f"{name}_dot", (*its.roles.states, *its.roles.inputs)) for name in its.roles.states]
 
 
 def _fresh(name: str, taken: Sequence[str]) -> str:

@@ -12,7 +12,8 @@ from common.pareto import FrontEntry
 from common.slices import Course
 from common.wire.messages import Commit, EpochReport, JobAnnouncement, chunk_count
 from common.wire.views import FINAL_STATES, JobState
-from coordinator.model.refine import Refined
+from coordinator.data.recording import Preparation
+from coordinator.model.refinement import Pool, Refinement
 from coordinator.model.select import count_constants, description_length
 from coordinator.service.archipelago import Archipelago
 from coordinator.service.collector import DivergedError, Limits, Measure
@@ -50,9 +51,9 @@ class TellCommit:
 
 @dataclass(frozen=True, slots=True)
 class Refine:
-    """All is cut: have the equations made of these fronts, by variable; `Job.take_refined` follows."""
+    """All is cut: have the equations made of these pools, by variable; `Job.take_refined` follows."""
 
-    fronts: dict[str, tuple[FrontEntry, ...]]
+    pools: dict[str, Pool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +66,17 @@ JobAction = KeepCut | TellCommit | Refine | Conclude
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """What preparing gave: the dataset, the resolved configuration, and the dataset's bytes by digest and size."""
+    """What preparing gave, the resolved configuration, and the dataset's bytes by digest and size."""
 
-    dataset: Dataset
+    preparation: Preparation
     config: JobConfig
     blob: str
     size: int
+
+    @property
+    def dataset(self) -> Dataset:
+        """What the search sees."""
+        return self.preparation.dataset
 
 
 class Job:
@@ -90,8 +96,7 @@ class Job:
         self.prepared: Prepared | None = None
         self.archipelagos: dict[str, Archipelago] = {}
         self.started_at: float | None = None
-        self.refined: Mapping[str, Refined] = {}
-        self.warnings: tuple[str, ...] = ()
+        self.refinement = Refinement()
 
     @property
     def has_ended(self) -> bool:
@@ -166,11 +171,11 @@ class Job:
             actions += self._cut_of(archipelago)
         return actions + (self._conclude_if_cut() if actions else [])
 
-    def take_refined(self, refined: Mapping[str, Refined], warnings: tuple[str, ...] = ()) -> list[JobAction]:
-        """Take in the equations made of the fronts, and end; without effect on a job that does not wait for them."""
+    def take_refined(self, refinement: Refinement) -> list[JobAction]:
+        """Take in what refining gave, and end; without effect on a job that does not wait for it."""
         if self.state != "refining":
             return []
-        self.refined, self.warnings = refined, warnings
+        self.refinement = refinement
         self._step("refined")
         return [Conclude()]
 
@@ -237,7 +242,7 @@ class Job:
             return []
         self._step("searched")
         cuts = {name: each.cut for name, each in self.archipelagos.items()}
-        return [Refine({name: cut.entries() for name, cut in cuts.items() if cut is not None})]
+        return [Refine({name: Pool(cut.entries()) for name, cut in cuts.items() if cut is not None})]
 
 
 def course_of(config: JobConfig) -> Course:
