@@ -7,9 +7,9 @@ from common.dataset import Dataset, Target
 
 ROWS_CLEAN: Final = 16
 ROWS_NOISY: Final = 64
-RUNNERS_UP_NOISY: Final = 5
+RUNNERS_UP_NOISY: Final = 8
 STAGNATION_CLEAN: Final = 60
-STAGNATION_NOISY: Final = 8
+STAGNATION_NOISY: Final = 6
 PAPER_TERMINALS: Final = 7
 TERMINALS_BEYOND_VARIABLES: Final = 5
 
