@@ -34,7 +34,9 @@ COMPARED_ROWS: Final = 2_000
 
 DECIDING_ROWS: Final = 100_000
 
-NOT_SIMULATED: Final = "No system of equations could be simulated along the measured trajectories; the equations shown fit derivatives only."
+NOT_SIMULATED: Final = (
+    "No system of equations could be simulated along the measured trajectories; those shown fit the derivatives alone."
+)
 
 _ATTEMPTS: Final = 4
 
@@ -46,7 +48,9 @@ def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Ref
         found = {name: refine(problems[name], config, pool.front) for name, pool in pools.items()}
         # errors of given left-hand sides are independent, those of smoothed ones are not: only here there are intervals
         return Refinement({name: _with_intervals(refined) for name, refined in found.items() if refined is not None})
-    clean = {name: refine(problems[name], config, pools[name].front) for name in pools if not problems[name].target.is_noisy}
+    clean = {
+        name: refine(problems[name], config, pools[name].front) for name in pools if not problems[name].target.is_noisy
+    }
     settled = {name: refined for name, refined in clean.items() if refined is not None}
     field = Field(preparation.dataset, preparation.recording, config, tuple(pools), {})
     choice = chosen(field, pools, settled)

@@ -1,4 +1,4 @@
-"""From the chosen system to what is reported: constants with errors, contenders, verdicts, simulations (ADR 0020, 0021)."""
+"""From the chosen system to what is reported: constants with errors, contenders, verdicts, simulations."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -42,6 +42,8 @@ _FULL_LENGTHS: Final = (25, None)
 class _Final:
     """The model on all rows: `shown` programs, their fit with all constants free, and as they are shown."""
 
+    field: Field
+    choice: Chosen
     contest: Contest
     shown: tuple[Program, ...]
     free: Standing
@@ -65,7 +67,7 @@ def concluded(field: Field, choice: Chosen, pools: Mapping[str, Pool]) -> Refine
     constants = constants_of(final.contest, final.shown, errors)
     out = _held_out(field, final.shown)
     equations = {
-        name: _refined(field, choice, final, index, constants[index], out, pools)
+        name: _refined(final, index, constants[index], None if out is None else out.r2[index], pools.get(name))
         for index, name in enumerate(field.variables)
     }
     its = final.contest.shooter.measurements
@@ -92,7 +94,7 @@ def _finalized(field: Field, choice: Chosen) -> _Final | None:
     shot = held(contest, shown, best.shot)
     if free is None or shot is None:
         return None
-    return _Final(contest, shown, free, contest.measured(shown, shot))
+    return _Final(field, choice, contest, shown, free, contest.measured(shown, shot))
 
 
 def _held_out(field: Field, shown: Sequence[Program]) -> _HeldOut | None:
@@ -107,14 +109,13 @@ def _held_out(field: Field, shown: Sequence[Program]) -> _HeldOut | None:
 
 
 def _refined(
-    field: Field, choice: Chosen, final: _Final, index: int, constants: tuple[Constant, ...], out: _HeldOut | None,
-    pools: Mapping[str, Pool],
-) -> Refined:  # fmt: skip
-    name = field.variables[index]
+    final: _Final, index: int, constants: tuple[Constant, ...], held_out_r2: float | None, pool: Pool | None
+) -> Refined:
+    field = final.field
+    name, program = field.variables[index], final.shown[index]
     problem = field.dataset.problem(name)
-    program = final.shown[index]
     error, mse = errors_on(problem, program, field.config.evolution.loss)
-    contenders = _contenders(field, choice, final, index)
+    contenders = _contenders(final, index)
     rivals = [each.nats for each in contenders if not each.is_shown]
     variance = problem.target.deviation**2
     smoothing = field.recording.smoothing[field.recording.states.index(name)]
@@ -125,15 +126,15 @@ def _refined(
         target_r2=1.0 - mse / variance if variance else None,
         residuals=[final.held.shot.residuals[index, first:end] for first, end in its.bounds.tolist()],
         parameters=(len(final.free.shot.system.places) + final.free.shot.starts.size) / len(its.observed),
-        noise=smoothing.noise,
+        noise=0.0 if smoothing.method == "interpolation" else smoothing.noise,
         deviation=float(its.scales[index]),
         has_outliers=smoothing.outliers > 0,
-        held_out_r2=out.r2[index] if out is not None else None,
+        held_out_r2=held_out_r2,
         constants=constants,
         rival=min(rivals, default=None),
     )
     grade, reason = judge(evidence)
-    member = _member(program, pools.get(name), problem)
+    member = _member(program, pool, problem)
     return Refined(member, program, error, mse, constants, contenders, grade, reason)
 
 
@@ -148,19 +149,19 @@ def _member(program: Program, pool: Pool | None, problem: Problem) -> int | None
     return None
 
 
-def _contenders(field: Field, choice: Chosen, final: _Final, index: int) -> tuple[Contender, ...]:
+def _contenders(final: _Final, index: int) -> tuple[Contender, ...]:
     """Return the equation that is shown and what came closest to it, all other equations as they are."""
-    shown = Contender(final.shown[index], 0.0, r2_of(final.contest.shooter.measurements, final.held.shot, slice(None))[index],
-                      is_shown=True)  # fmt: skip
-    if index in choice.contest.fixed:
+    r2 = r2_of(final.contest.shooter.measurements, final.held.shot, slice(None))[index]
+    shown = Contender(final.shown[index], 0.0, r2, is_shown=True)
+    contest, best = final.choice.contest, final.choice.standing
+    if index in contest.fixed:
         return (shown,)
-    contest, best = choice.contest, choice.standing
     tried = sorted(
         (each for (equation, _), each in contest.tried.items() if equation == index), key=lambda its: its.nats
     )
     programs = {structure(each.programs[index]): each.programs[index] for each in tried}
     near = contest.halved(best, index, list(programs.values())[: 4 * CONTENDERS], ((12, 3 * CONTENDERS),))
-    inputs = field.dataset.problem(field.variables[index]).inputs
+    inputs = final.field.dataset.inputs
     functions = [values_of(best.programs[index], inputs)]
     found = [shown]
     for each in near:

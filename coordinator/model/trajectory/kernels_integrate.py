@@ -280,9 +280,9 @@ def advance(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatA
 
 @allocating_kernel
 def shoot(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: Ints, parameters: Ints,
-          owners: Ints, times: FloatArray, inputs: FloatArray, input_slopes: FloatArray, segments: Ints, starts: FloatArray,
-          tolerance: FloatArray, limits: FloatArray, budget: int, wants: bool, simulated: FloatArray,
-          gradients: FloatArray) -> int:  # fmt: skip
+          owners: Ints, times: FloatArray, inputs: FloatArray, input_slopes: FloatArray, segments: Ints,
+          starts: FloatArray, tolerance: FloatArray, limits: FloatArray, budget: int, wants: bool,
+          simulated: FloatArray, gradients: FloatArray) -> int:  # fmt: skip
     """Integrate every segment from its start; write states (D, N) and sensitivities (N, D, Q) at its rows.
 
     `segments` (G, 2) are half-open row ranges, `starts` (G, D) their states at the first row, `budget` the steps that

@@ -1,7 +1,7 @@
 """Sum up what a fit needs of sensitivities and residuals, and solve for its step, block by block.
 
-Letters as in `kernels_integrate`: P fitted constants, D states, G segments, N rows, O measured states. The matrix of the
-normal equations has an arrow's shape: the constants' block, and for each segment a block of its initial state.
+Letters as in `kernels_integrate`: P fitted constants, D states, G segments, N rows, O measured states. The matrix of
+the normal equations has an arrow's shape: the constants' block, and for each segment a block of its initial state.
 """
 
 import math
@@ -59,7 +59,7 @@ def factorize(matrix: FloatArray, size: int, scale: FloatArray, damping: float) 
     for i in range(size):
         for j in range(i):
             matrix[i, j] /= scale[i] * scale[j]
-        matrix[i, i] = 1.0 + damping + RIDGE if matrix[i, i] > SMALLEST else 1.0 + damping + RIDGE
+        matrix[i, i] = 1.0 + damping + RIDGE
     for i in range(size):
         for j in range(i + 1):
             total = matrix[i, j]

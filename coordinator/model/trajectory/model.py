@@ -32,7 +32,7 @@ from coordinator.model.trajectory.system import variable_program
 COMPARED_ROWS: Final = 1_200
 """Structures are compared on at most about so many rows; constants are then fitted on all."""
 
-WORK: Final = 90_000_000
+WORK: Final = 60_000_000
 """Work of all comparisons, see `Shooter.work`: some seconds of one core."""
 
 STARTS: Final = 3
@@ -193,5 +193,6 @@ def _scales(field: Field, its: Measurements) -> list[float]:
 
 
 def _threads() -> int:
-    if os.environ.get("ONE"): return 1
+    if os.environ.get("ONE"):
+        return 1
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
