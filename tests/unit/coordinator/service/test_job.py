@@ -253,7 +253,7 @@ def test_the_number_of_runners_up_and_the_patience_are_those_of_the_configuratio
     job = job_with(stagnation=7)
     job.prepare()
     config = job.config.model_copy(update={"evolution": job.config.evolution.model_copy(update={"runners_up": 3})})
-    job.begin(Prepared(DATASET, config, BLOB, 100), {})
+    job.begin(Prepared(Preparation(DATASET), config, BLOB, 100), {})
     limits = job.archipelagos["x"].collector.limits
     assert (limits.runners_up, limits.stagnation) == (3, 7)
 
