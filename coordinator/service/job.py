@@ -12,12 +12,13 @@ from common.pareto import FrontEntry
 from common.slices import Course
 from common.wire.messages import Commit, EpochReport, JobAnnouncement, chunk_count
 from common.wire.views import FINAL_STATES, JobState
-from coordinator.data.recording import Recording
-from coordinator.model.refine import Refined
+from coordinator.data.recording import Preparation
+from coordinator.model.refinement import Pool, Refinement
 from coordinator.model.select import count_constants, description_length
 from coordinator.service.archipelago import Archipelago
 from coordinator.service.collector import DivergedError, Limits, Measure
 from coordinator.service.cut import Cut
+from coordinator.service.resolve import stagnation_of
 
 JobStep = Literal["prepare", "prepared", "searched", "refined", "fail", "cancel"]
 Fault = Literal["data", "diverged", "internal"]
@@ -50,9 +51,9 @@ class TellCommit:
 
 @dataclass(frozen=True, slots=True)
 class Refine:
-    """All is cut: have the equations made of these fronts, by variable; `Job.take_refined` follows."""
+    """All is cut: have the equations made of these pools, by variable; `Job.take_refined` follows."""
 
-    fronts: dict[str, tuple[FrontEntry, ...]]
+    pools: dict[str, Pool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,16 +66,17 @@ JobAction = KeepCut | TellCommit | Refine | Conclude
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """What preparing gave: the dataset, the resolved configuration, and the dataset's bytes by digest and size.
+    """What preparing gave, the resolved configuration, and the dataset's bytes by digest and size."""
 
-    `recording` is None where nothing was measured in time.
-    """
-
-    dataset: Dataset
+    preparation: Preparation
     config: JobConfig
     blob: str
     size: int
-    recording: Recording | None = None
+
+    @property
+    def dataset(self) -> Dataset:
+        """What the search sees."""
+        return self.preparation.dataset
 
 
 class Job:
@@ -94,8 +96,7 @@ class Job:
         self.prepared: Prepared | None = None
         self.archipelagos: dict[str, Archipelago] = {}
         self.started_at: float | None = None
-        self.refined: Mapping[str, Refined] = {}
-        self.warnings: tuple[str, ...] = ()
+        self.refinement = Refinement()
 
     @property
     def has_ended(self) -> bool:
@@ -170,11 +171,11 @@ class Job:
             actions += self._cut_of(archipelago)
         return actions + (self._conclude_if_cut() if actions else [])
 
-    def take_refined(self, refined: Mapping[str, Refined], warnings: tuple[str, ...] = ()) -> list[JobAction]:
-        """Take in the equations made of the fronts, and end; without effect on a job that does not wait for them."""
+    def take_refined(self, refinement: Refinement) -> list[JobAction]:
+        """Take in what refining gave, and end; without effect on a job that does not wait for it."""
         if self.state != "refining":
             return []
-        self.refined, self.warnings = refined, warnings
+        self.refinement = refinement
         self._step("refined")
         return [Conclude()]
 
@@ -216,8 +217,9 @@ class Job:
         limits = Limits(
             islands=config.evolution.islands,
             epochs=budget.max_epochs_of.get(target.variable, budget.max_epochs),
-            stagnation=budget.stagnation,
+            stagnation=stagnation_of(config, target),
             course=course_of(config),
+            runners_up=config.evolution.runners_up or 0,
         )
         return Archipelago(
             self.id, target.variable, limits, measure_of(target), lambda data: check_program(data, inputs)
@@ -240,7 +242,7 @@ class Job:
             return []
         self._step("searched")
         cuts = {name: each.cut for name, each in self.archipelagos.items()}
-        return [Refine({name: cut.entries() for name, cut in cuts.items() if cut is not None})]
+        return [Refine({name: Pool(cut.entries()) for name, cut in cuts.items() if cut is not None})]
 
 
 def course_of(config: JobConfig) -> Course:
@@ -253,13 +255,15 @@ def course_of(config: JobConfig) -> Course:
 
 
 def measure_of(target: Target) -> Measure:
-    """Return the measure by which a front of this target is better than another: its least description length."""
-    rows = len(target.values)
+    """Return the measure by which a front of this target is better than another: its least description length.
+
+    That of a noisy target knows no floor: many equations lie below it, and the search goes on while they get better.
+    """
+    rows, floor = len(target.values), 0.0 if target.is_noisy else target.floor
 
     def least(front: tuple[FrontEntry, ...]) -> float:
         lengths = (
-            description_length(entry, rows, target.floor, target.deviation, count_constants(entry.program))
-            for entry in front
+            description_length(entry, rows, floor, target.deviation, count_constants(entry.program)) for entry in front
         )
         return min(lengths, default=float("inf"))
 

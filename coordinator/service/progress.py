@@ -26,9 +26,8 @@ def job_result(job: Job, now: float) -> dict[str, Any]:
         seconds=now - job.submitted_at,
         search_seconds=max((outcome.seconds for outcome in outcomes), default=0.0),
         reason=job.reason,
-        warnings=job.warnings,
     )
-    return build_result(job.id, prepared.config, prepared.dataset, outcomes, account)
+    return build_result(job.id, prepared.config, prepared.preparation, outcomes, account, job.refinement)
 
 
 def result_text(result: dict[str, Any]) -> str:
@@ -38,20 +37,24 @@ def result_text(result: dict[str, Any]) -> str:
 
 def outcomes_of(job: Job) -> list[VariableOutcome]:
     """Return how the searches of a job stand or ended, with what refinement has made of them."""
-    return [replace(outcome_of(each), refined=job.refined.get(each.variable)) for each in job.archipelagos.values()]
+    made = job.refinement.equations
+    return [replace(outcome_of(each), refined=made.get(each.variable)) for each in job.archipelagos.values()]
 
 
 def outcome_of(archipelago: Archipelago) -> VariableOutcome:
     """Return how the search of one equation ended, or how it stands after the epochs that are complete."""
     cut = archipelago.cut
     if cut is not None:
+        pool = cut.pool()
         return VariableOutcome(
-            archipelago.variable, cut.entries(), cut.epochs, cut.generation, cut.evaluations, cut.seconds, cut.why
-        )
+            archipelago.variable, pool.front, cut.epochs, cut.generation, cut.evaluations, cut.seconds, cut.why,
+            runners_up=pool.runners_up,
+        )  # fmt: skip
     progress = archipelago.collector.progress
     return VariableOutcome(
-        archipelago.variable, progress.front, progress.epochs, None, progress.evaluations, progress.seconds
-    )
+        archipelago.variable, progress.front, progress.epochs, None, progress.evaluations, progress.seconds,
+        runners_up=progress.runners_up,
+    )  # fmt: skip
 
 
 def job_view(job: Job, membership: Membership, now: float) -> JobView:

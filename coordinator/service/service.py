@@ -6,7 +6,6 @@
 import hashlib
 import logging
 import threading
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
@@ -37,7 +36,7 @@ from common.wire.messages import (
     WorkerStatus,
 )
 from common.wire.rejects import Rejects
-from coordinator.model.refine import Fronts, Refined
+from coordinator.model.refinement import Pools, Refinement
 from coordinator.service.conductor import Conductor, WorkerWord
 from coordinator.service.desk import Body, Desk
 from coordinator.service.job import Fault, Prepared
@@ -73,11 +72,10 @@ class _Unprepared:
 
 @dataclass(frozen=True, slots=True)
 class _Refined:
-    """Posted by the refining thread: the equations made of a job's fronts."""
+    """Posted by the refining thread: what was made of a job's pools."""
 
     job: str
-    equations: Mapping[str, Refined]
-    warnings: tuple[str, ...] = ()
+    refinement: Refinement
 
 
 class Service:
@@ -160,10 +158,9 @@ class Service:
         """Smooth and differentiate; runs in the background."""
         try:
             preparation = self._ports.preparer(table, config)
-            dataset = preparation.dataset
-            data = dataset_to_bytes(dataset)
+            data = dataset_to_bytes(preparation.dataset)
             blob = hashlib.sha256(data).hexdigest()
-            prepared = Prepared(dataset, resolve(config, dataset), blob, len(data), preparation.recording)
+            prepared = Prepared(preparation, resolve(config, preparation.dataset), blob, len(data))
             return _Ready(job, prepared, data)
         except (DataError, UsageError, RemoteProtocolError) as error:
             return _Unprepared(job, "data", str(error))
@@ -171,17 +168,18 @@ class Service:
             _LOG.exception("preparing broke job=%s", job)
             return _Unprepared(job, "internal", f"preparing the data broke ({type(error).__name__}: {error})")
 
-    def refine(self, job: str, prepared: Prepared, fronts: Fronts) -> None:
+    def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
         """See `Outlet.refine`."""
-        self._ports.background(lambda: self._bus.post(self._refine(job, prepared, fronts)))
+        self._ports.background(lambda: self._bus.post(self._refine(job, prepared, pools)))
 
-    def _refine(self, job: str, prepared: Prepared, fronts: Fronts) -> _Refined:
+    def _refine(self, job: str, prepared: Prepared, pools: Pools) -> _Refined:
         """Make the equations; runs in the background. When that breaks, the selected members stay as they are."""
         try:
-            return _Refined(job, self._ports.refiner(prepared.dataset, prepared.config, fronts))
+            return _Refined(job, self._ports.refiner(prepared.preparation, prepared.config, pools))
         except Exception as error:  # the job is done all the same
             _LOG.exception("refining broke job=%s", job)
-            return _Refined(job, {}, (f"Refining broke ({type(error).__name__}: {error}); equations are as found.",))
+            sentence = f"Refining broke ({type(error).__name__}: {error}); equations are as found."
+            return _Refined(job, Refinement(warnings=(sentence,)))
 
     def _put(self, key: str, message: Control) -> None:
         self._bus.put(key, encode(message))
@@ -208,7 +206,7 @@ class Service:
             case _Unprepared():
                 self.conductor.job_failed(item.job, item.fault, item.sentence, now)
             case _Refined():
-                self.conductor.refined(item.job, item.equations, now, item.warnings)
+                self.conductor.refined(item.job, item.refinement, now)
 
     @_on.register
     def _on_link(self, event: Link) -> None:
