@@ -80,7 +80,7 @@ class PredictorConfig(Model):
     """Coevolved fitness predictors (paper, section 2.3 and Table II)."""
 
     enabled: bool = True
-    rows: Annotated[int, Field(ge=4, le=1024)] | None = Field(None, description="None: 16, or 64 with noisy targets")
+    rows: Annotated[int, Field(ge=4, le=1024)] | None = Field(None, description="None: 16, or 32 with noisy targets")
     predictors: Annotated[int, Field(ge=2, le=64)] = 8
     trainers: Annotated[int, Field(ge=1, le=64)] = 8
     renewal: PositiveInt = Field(50, description="predictor generations between trainer renewals")

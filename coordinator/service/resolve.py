@@ -6,7 +6,7 @@ from common.config import JobConfig
 from common.dataset import Dataset, Target
 
 ROWS_CLEAN: Final = 16
-ROWS_NOISY: Final = 64
+ROWS_NOISY: Final = 32
 RUNNERS_UP_NOISY: Final = 8
 STAGNATION_CLEAN: Final = 60
 STAGNATION_NOISY: Final = 6
