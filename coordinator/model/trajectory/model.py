@@ -6,6 +6,7 @@ by counts, never by the clock.
 """
 
 import os
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -44,6 +45,8 @@ NOISE_SHARE: Final = 0.01
 
 CLEAN: Final = 1e-7
 _EXCHANGING: Final = ((2, 16), (8, 5), (20, 2))
+_RESTARTING: Final = ((2, 60), (8, 60))
+_SIZES: Final = (4, 7, 11)
 _LEAST: Final = 1e-3
 
 
@@ -181,9 +184,31 @@ def _descended(field: Field, contest: Contest, best: Standing, lists: Sequence[S
             if len(changed) <= largest and tree_size(changed) <= PRINTABLE_SIZE:
                 yield changed
 
-    descent = Descent(contest, around, WORK)
+    descent = Descent(contest, around, contest.shooter.work + WORK)
     equations = [index for index, its in enumerate(lists) if index not in contest.fixed]
-    return descent.down(best, equations)
+    best = descent.down(best, equations)
+    for equation in equations:
+        best = _restarted(contest, descent, best, equation, lists[equation])
+    return best
+
+
+def _restarted(
+    contest: Contest, descent: Descent, best: Standing, equation: int, programs: Sequence[Program]
+) -> Standing:
+    """Return the best end of descents that begin with other programs for one equation, all others as they are."""
+    others = contest.halved(best, equation, programs, _RESTARTING)
+    by_size = {_size_class(other.programs[equation]): other for other in reversed(others)}
+    for other in sorted(by_size.values(), key=lambda its: its.nats):
+        if descent.is_exhausted:
+            break
+        end = descent.down(other, [equation])
+        if end.nats < best.nats - _LEAST:
+            best = descent.down(end, [*(each for each in range(len(best.programs)) if each not in contest.fixed)])
+    return best
+
+
+def _size_class(program: Program) -> int:
+    return bisect_left(_SIZES, len(program))
 
 
 def _scales(field: Field, its: Measurements) -> list[float]:
