@@ -10,7 +10,10 @@ WorkerState = Literal["compiling", "ready", "computing", "waiting", "lost"]
 
 
 class VariableView(Model):
-    """Progress of one equation. `epoch` counts completely reported epochs; `why` says how its search ended."""
+    """Progress of one equation. `epoch` counts completely reported epochs; `why` says how its search ended.
+
+    A known equation is not searched: `why` is "known" from the beginning.
+    """
 
     variable: str
     lhs: str
@@ -22,7 +25,7 @@ class VariableView(Model):
     point_evaluations: int = 0
     converged: bool = False
     finished: bool = False
-    why: Literal["target", "stagnation", "max-epochs", "max-time", "cancelled"] | None = None
+    why: Literal["target", "stagnation", "max-epochs", "max-time", "cancelled", "known"] | None = None
 
 
 class JobView(Model):

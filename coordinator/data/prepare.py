@@ -6,16 +6,17 @@ from typing import Final
 
 import numpy as np
 
-from common.config import DataConfig, JobConfig
+from common.config import JobConfig
 from common.dataset import Dataset, FloatArray, Target
 from common.errors import DataError
 from common.table import Table
 from coordinator.data.checks import MIN_ROWS
-from coordinator.data.columns import Roles
+from coordinator.data.columns import Roles, left_hand_side, variable_columns
 from coordinator.data.derivatives import END_ROWS, Estimate, end_rows, estimate
 from coordinator.data.describe import describe
 from coordinator.data.kernels_smoothing import moments
 from coordinator.data.measured import Measured, measured
+from coordinator.data.prior import resolve_roles
 from coordinator.data.smoothing import Run
 from coordinator.data.symbols import symbols_for
 
@@ -47,34 +48,30 @@ def prepare(table: Table, config: JobConfig) -> Dataset:
         DataError: the measurements cannot be used as they are; the message says where and what to do.
     """
     its = measured(table, config.data)
-    return _given(its) if its.trajectories is None else _differentiated(its, paper=config.preset == "paper")
+    _, equations = resolve_roles(config.model_copy(update={"data": its.config}), its.roles)
+    if its.trajectories is None:
+        return _given(its, equations)
+    return _differentiated(its, equations, paper=config.preset == "paper")
 
 
-def _given(its: Measured) -> Dataset:
+def _given(its: Measured, equations: Sequence[str]) -> Dataset:
     """Prepare a table that holds the left-hand sides: labels or derivatives, taken as exact."""
-    names = (*its.roles.states, *its.roles.inputs)
+    names = variable_columns(its.roles, its.config.order)
     symbols = symbols_for(names)
     targets = []
     for name, column in zip(its.roles.equations, its.roles.derivatives or its.roles.equations, strict=True):
         values = its.column(column, angle_of=name)
         deviation = _finite_spread(column, values)
-        targets.append(Target(name, _lhs(name, its.roles, its.config), values, 0.0, deviation))
+        targets.append(Target(name, left_hand_side(its.roles, name, its.config.order), values, 0.0, deviation))
     inputs = np.array([its.column(name) for name in names])
-    return Dataset(tuple(symbols[name] for name in names), inputs, _chosen(targets, its.config), symbols, its.warnings)
+    return Dataset(tuple(symbols[name] for name in names), inputs, _chosen(targets, equations), symbols, its.warnings)
 
 
-def _chosen(targets: Sequence[Target], config: DataConfig) -> tuple[Target, ...]:
-    return tuple(target for target in targets if not config.only or target.variable in config.only)
+def _chosen(targets: Sequence[Target], equations: Sequence[str]) -> tuple[Target, ...]:
+    return tuple(target for target in targets if target.variable in equations)
 
 
-def _lhs(name: str, roles: Roles, config: DataConfig) -> str:
-    if roles.target is not None:
-        return name
-    time = roles.time or "t"
-    return f"d2{name}/d{time}2" if config.order == 2 else f"d{name}/d{time}"
-
-
-def _differentiated(its: Measured, *, paper: bool) -> Dataset:
+def _differentiated(its: Measured, equations: Sequence[str], *, paper: bool) -> Dataset:
     """Prepare measured states: smooth or interpolate them, and differentiate."""
     assert its.trajectories is not None
     times = its.trajectories.times
@@ -87,31 +84,25 @@ def _differentiated(its: Measured, *, paper: bool) -> Dataset:
     columns, values = _variables(its, estimates)
     symbols = symbols_for(columns)
     targets = [
-        _target(name, _lhs(name, its.roles, its.config), each, kept)
+        _target(name, left_hand_side(its.roles, name, its.config.order), each, kept)
         for name, each in zip(its.roles.states, estimates, strict=True)
     ]
     return Dataset(
         tuple(symbols[name] for name in columns),
         np.ascontiguousarray(values[:, kept]),
-        _chosen(targets, its.config),
+        _chosen(targets, equations),
         symbols,
         (*its.warnings, *warnings),
     )
 
 
-def _variables(its: Measured, estimates: Sequence[Estimate]) -> tuple[list[str], FloatArray]:
+def _variables(its: Measured, estimates: Sequence[Estimate]) -> tuple[tuple[str, ...], FloatArray]:
     """Return names and values (V, R) of the variables: states, their velocities for order 2, inputs."""
-    columns = [*its.roles.states]
     values = [each.values for each in estimates]
     if its.config.order == 2:
-        columns += [_fresh(f"{name}_dot", (*its.roles.states, *its.roles.inputs)) for name in its.roles.states]
         values += [each.velocity for each in estimates]
     values += [its.column(name) for name in its.roles.inputs]
-    return [*columns, *its.roles.inputs], np.array(values)
-
-
-def _fresh(name: str, taken: Sequence[str]) -> str:
-    return _fresh(name + "_", taken) if name in taken else name
+    return variable_columns(its.roles, its.config.order), np.array(values)
 
 
 def _kept(estimates: Sequence[Estimate], lengths: Sequence[int], roles: Roles) -> tuple[list[int], list[str]]:

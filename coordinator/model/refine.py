@@ -73,8 +73,10 @@ def refine(problem: Problem, config: JobConfig, front: Sequence[FrontEntry]) -> 
         kept = [index for index, entry in enumerate(front) if entry.error <= enough]
     else:
         kept, enough = [*range(len(front))], math.inf
-    operators = frozenset(BY_NAME[name].code for name in config.space.operators)
-    shortening = Shortening(_spread(problem, COMPARED_ROWS), operators)
+    variable = problem.target.variable
+    operators = frozenset(BY_NAME[name].code for name in config.space.operators_for(variable))
+    allowed = config.space.columns_for(variable, problem.names)
+    shortening = Shortening(_spread(problem, COMPARED_ROWS), operators, allowed)
     largest = config.space.max_size or math.inf
     candidates = shortening.candidates([programs[index] for index in kept], looks_around=not has_converged)
     for candidate in candidates[:_ATTEMPTS]:
@@ -95,7 +97,7 @@ def _finished(problem: Problem, candidate: Candidate, member: int, config: JobCo
     criterion, polisher = Criterion.of(decisive.target), Polisher(decisive)
     if len(problem.target.values) > COMPARED_ROWS:
         program = snapped(polisher.fit(candidate.fitted.program), criterion, polisher).program
-    error, mse = _errors(problem, program, config.evolution.loss)
+    error, mse = errors_on(problem, program, config.evolution.loss)
     fitted = polisher.fit(program).program
     std_errors = criterion.errors(polisher.fit(program, steps=0))
     return Refined(
@@ -103,7 +105,7 @@ def _finished(problem: Problem, candidate: Candidate, member: int, config: JobCo
     )
 
 
-def _errors(problem: Problem, program: Program, loss: Loss) -> tuple[float, float]:
+def errors_on(problem: Problem, program: Program, loss: Loss) -> tuple[float, float]:
     """Return loss and mean squared error on all rows, in parts that need little memory."""
     rows = len(problem.target.values)
     total, square = 0.0, 0.0

@@ -4,20 +4,23 @@ from typing import Final
 
 from common.config import JobConfig
 from common.dataset import Dataset
+from coordinator.data.prior import resolve_prior
 
 CLEAN_FLOOR: Final = 1e-3
 """Targets known better than this, relative to their spread, count as noise-free."""
 
 ROWS_CLEAN: Final = 16
 ROWS_NOISY: Final = 64
-PAPER_TERMINALS: Final = 7
-TERMINALS_BEYOND_VARIABLES: Final = 5
 
 
 def resolve(config: JobConfig, dataset: Dataset) -> JobConfig:
-    """Return `config` with the rows of a predictor and the number of terminals filled in, as workers need it."""
+    """Return `config` with the rows of a predictor and the number of terminals filled in, as workers need it.
+
+    Left-hand sides that people wrote become the names of their variables; raises UsageError where that cannot be.
+    """
+    config = resolve_prior(config, dataset.variables, dataset.symbols)
     rows = config.predictors.rows or _rows(dataset)
-    terminals = config.space.terminals or max(PAPER_TERMINALS, len(dataset.names) + TERMINALS_BEYOND_VARIABLES)
+    terminals = config.space.terminals_for(len(dataset.names))
     return config.model_copy(
         update={
             "predictors": config.predictors.model_copy(update={"rows": rows}),

@@ -37,6 +37,7 @@ from common.wire.messages import (
     WorkerStatus,
 )
 from common.wire.rejects import Rejects
+from coordinator.model.known import known_entries
 from coordinator.model.refine import Fronts, Refined
 from coordinator.service.conductor import Conductor, WorkerWord
 from coordinator.service.desk import Body, Desk
@@ -161,7 +162,9 @@ class Service:
         try:
             dataset = self._ports.preparer(table, config)
             data = dataset_to_bytes(dataset)
-            prepared = Prepared(dataset, resolve(config, dataset), hashlib.sha256(data).hexdigest(), len(data))
+            resolved = resolve(config, dataset)
+            known = known_entries(dataset, resolved)
+            prepared = Prepared(dataset, resolved, hashlib.sha256(data).hexdigest(), len(data), known)
             return _Ready(job, prepared, data)
         except (DataError, UsageError, RemoteProtocolError) as error:
             return _Unprepared(job, "data", str(error))

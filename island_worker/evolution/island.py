@@ -21,6 +21,7 @@ from common.wire.codec import decode_arrays, encode_arrays
 from island_worker.evolution import migration
 from island_worker.evolution.coevolution import begin_coevolution, evolve, use_best_predictor
 from island_worker.evolution.front import Front, Offering
+from island_worker.evolution.guessing import place_guesses
 from island_worker.evolution.kernels_coevolution import train
 from island_worker.evolution.kernels_generation import OFFSPRING, PARTS, measure_all, random_population
 from island_worker.evolution.setting import Setting
@@ -111,6 +112,7 @@ class Island:
         setting, scratch = self._setting, self._setting.scratch
         if self.epoch == 0:
             random_population(self._lists, setting.space, self._stream)
+            place_guesses(self._lists, setting.guesses)
             if setting.coevolving.enabled:
                 begin_coevolution(
                     self._lists, self._coevolution, setting.every, setting.fit, scratch, self._stream, self._counters
@@ -154,7 +156,7 @@ class Island:
             self.epoch,
             self._generation,
             self._hit,
-            tuple(self._additions),
+            tuple(self._setting.outward(entry) for entry in self._additions),
             self._evaluations(),
             dict(self._tallies),
             best if math.isfinite(best) else None,

@@ -75,7 +75,7 @@ def test_reductions_are_smaller_and_told_once():
 
 
 def neighbours_of(text: str, operators=ALL) -> list[str]:
-    return [shown(program) for program in neighbours(parsed(text), 2, operators)]
+    return [shown(program) for program in neighbours(parsed(text), range(2), operators)]
 
 
 def test_a_constant_may_become_a_quotient():
