@@ -1,65 +1,84 @@
-"""What is known of an equation beforehand, as an island uses it: allowed variables, and guesses to begin from. Pure.
+"""How a first population takes in the guesses: each becomes one individual of every island, its constants fitted.
 
-An equation that may use some of the variables only is searched over just those, as if there were no others; programs
-are rewritten when they leave the island.
+The constants of a guess are starting values. The first island begins from them as they are, the others from values
+around them, so that an archipelago begins with as many attempts to fit a guess as it has islands (ADR 0019).
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
-from common.config import JobConfig
-from common.dataset import Problem
-from common.errors import LocalProtocolError
-from common.expression.operators import ARITY, BY_NAME, VARIABLE
+from common.expression.operators import ARITY, CONSTANT
 from common.expression.parse import from_infix
 from common.expression.placing import PlacedNode, placed
-from common.expression.program import Program
-from common.pareto import FrontEntry
-from island_worker.evolution.structures import Lists
+from common.seeding import Stream, stream_key
+from island_worker.evolution.kernels_generation import OFFSPRING, measure_all
+from island_worker.evolution.setting import Setting
+from island_worker.evolution.structures import Ints, Lists, Rows
+
+GUESS_STEPS: Final = 25
+"""Levenberg-Marquardt steps at most by which the constants of a guess are fitted before the first generation."""
+
+OCTAVES: Final = 3
+"""A varied constant is at least 2^-OCTAVES and less than 2^OCTAVES times the one given."""
+
+Guess = Sequence[PlacedNode]
 
 
-def narrowed(problem: Problem, columns: Sequence[int]) -> Problem:
-    """Return `problem` over the variables of these indices only."""
-    inputs = np.ascontiguousarray(problem.inputs[list(columns)])
-    return Problem(tuple(problem.names[column] for column in columns), inputs, problem.target)
+def begin_with_guesses(lists: Lists, setting: Setting, rows: Rows, counters: Ints) -> None:
+    """Write the guesses for this equation over the first individuals, one each, and fit their constants to `rows`.
+
+    The fit is counted as that of offspring. Where nothing is fitted, all islands take the guesses as they are. Pure but
+    for `lists`, scratch and `counters`.
+    """
+    guesses = guessed(setting)
+    if not guesses:
+        return
+    is_fitted = setting.fit.steps > 0
+    key = stream_key(setting.config.seed, setting.variable, setting.island, 0, "guesses")
+    stream = Stream(key) if is_fitted and setting.island > 0 else None
+    for p, guess in enumerate(guesses):
+        place(lists, p, guess, stream)
+    if is_fitted:
+        number = len(guesses)
+        first = Lists(
+            lists.code[:number], lists.left[:number], lists.right[:number], lists.constants[:number],
+            lists.scale[:number],
+        )  # fmt: skip
+        options, scratch = setting.fit._replace(steps=GUESS_STEPS), setting.scratch
+        measure_all(first, np.zeros(number), rows, options, scratch._replace(near=scratch.work), counters, OFFSPRING)
 
 
-def widened(entry: FrontEntry, columns: Sequence[int]) -> FrontEntry:
-    """Return a front member of a problem `narrowed` to `columns` as one of the whole problem."""
-    program = Program.from_bytes(entry.program, len(columns))
-    left = program.left.copy()
-    is_variable = program.operators == VARIABLE
-    left[is_variable] = np.array(columns, np.int16)[left[is_variable]]
-    return replace(entry, program=replace(program, left=left).to_bytes())
-
-
-def guessed_nodes(problem: Problem, config: JobConfig) -> tuple[tuple[PlacedNode, ...], ...]:
-    """Return the lists of the guesses for the equation of `problem`, over its allowed variables.
+def guessed(setting: Setting) -> tuple[Guess, ...]:
+    """Return the nodes of the guesses for the equation of `setting`.
 
     Raises:
-        LocalProtocolError: the number of terminals is not resolved.
-        UsageError: a guess does not fit; the coordinator refuses such jobs.
+        UsageError: a guess does not fit its lists; a coordinator refuses such jobs.
     """
-    space, variable = config.space, problem.target.variable
-    if space.terminals is None:
-        raise LocalProtocolError("space.terminals is not resolved")
-    allowed = [problem.names[column] for column in space.columns_for(variable, problem.names)]
-    operators = [BY_NAME[name].code for name in space.operators_for(variable)]
-    texts = config.prior.guesses.get(variable, ())
-    return tuple(placed(from_infix(text, allowed), operators, space.terminals, space.operator_nodes) for text in texts)
+    space = setting.space
+    operators, inner = space.operators.tolist(), space.nodes - space.terminals
+    texts = setting.config.prior.guesses.get(setting.variable, ())
+    return tuple(placed(from_infix(text, setting.names), operators, space.terminals, inner) for text in texts)
 
 
-def place_guesses(lists: Lists, guesses: Sequence[Sequence[PlacedNode]]) -> None:
-    """Write the guesses over the first individuals, one each.
+def place(lists: Lists, p: int, guess: Guess, stream: Stream | None) -> None:
+    """Write a guess over individual `p`; constants are varied with `stream`, if there is one.
 
-    Nodes that a guess leaves free, and second arguments that it does not use, stay as they were drawn.
+    Nodes that the guess leaves free, and second arguments of unary operators, stay as they were drawn.
     """
-    for p, nodes in enumerate(guesses):
-        for node in nodes:
-            lists.code[p, node.index] = node.code
-            lists.left[p, node.index] = node.left
-            lists.constants[p, node.index] = node.constant
-            if ARITY[node.code] != 1:
-                lists.right[p, node.index] = node.right
+    for node in guess:
+        lists.code[p, node.index] = node.code
+        lists.left[p, node.index] = node.left
+        lists.constants[p, node.index] = node.constant
+        if ARITY[node.code] != 1:
+            lists.right[p, node.index] = node.right
+        if stream is not None and node.code == CONSTANT:
+            lists.constants[p, node.index] = node.constant * _factor(stream)
+
+
+def _factor(stream: Stream) -> float:
+    """Return a power of two times a number from 1 to 2: nearly log-uniform, without a logarithm."""
+    octave = stream.below(2 * OCTAVES) - OCTAVES
+    return math.ldexp(1.0 + stream.uniform(), octave)

@@ -21,7 +21,7 @@ from common.wire.codec import decode_arrays, encode_arrays
 from island_worker.evolution import migration
 from island_worker.evolution.coevolution import begin_coevolution, evolve, use_best_predictor
 from island_worker.evolution.front import Front, Offering
-from island_worker.evolution.guessing import place_guesses
+from island_worker.evolution.guessing import begin_with_guesses
 from island_worker.evolution.kernels_coevolution import train
 from island_worker.evolution.kernels_generation import OFFSPRING, PARTS, measure_all, random_population
 from island_worker.evolution.setting import Setting
@@ -112,7 +112,7 @@ class Island:
         setting, scratch = self._setting, self._setting.scratch
         if self.epoch == 0:
             random_population(self._lists, setting.space, self._stream)
-            place_guesses(self._lists, setting.guesses)
+            begin_with_guesses(self._lists, setting, self._offering.sample, self._counters)
             if setting.coevolving.enabled:
                 begin_coevolution(
                     self._lists, self._coevolution, setting.every, setting.fit, scratch, self._stream, self._counters

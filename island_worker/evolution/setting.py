@@ -12,9 +12,9 @@ from common.errors import LocalProtocolError
 from common.expression.kernels import functions_address
 from common.expression.operators import COS, SIN
 from common.pareto import FrontEntry
-from island_worker.evolution.guessing import guessed_nodes, narrowed, widened
 from island_worker.evolution.kernels_rows import gather, padded_rows
 from island_worker.evolution.migration import operator_codes
+from island_worker.evolution.narrowing import narrowed, widened
 from island_worker.evolution.structures import (
     Coevolution,
     Coevolving,
@@ -41,9 +41,9 @@ class Setting:
         self.variable = problem.target.variable
         self.columns = config.space.columns_for(self.variable, problem.names)
         self.is_narrowed = len(self.columns) < len(problem.names)
-        self.guesses = guessed_nodes(problem, config)
         if self.is_narrowed:
             problem = narrowed(problem, self.columns)
+        self.names = problem.names
         self.island = island
         self.deviation = problem.target.deviation
         self.target = target_error(config, problem.target.floor) * self.deviation
