@@ -76,6 +76,20 @@ def known_programs(dataset: Dataset, config: JobConfig) -> dict[str, Program]:
     return {name: _known_program(name, known[name], dataset.names) for name in dataset.variables if name in known}
 
 
+def guessed_programs(dataset: Dataset, config: JobConfig) -> dict[str, tuple[Program, ...]]:
+    """Return the programs of the guesses by variable, their constants as given; `config` is resolved.
+
+    Raises:
+        UsageError: a guess is no expression over the dataset's symbols.
+    """
+    guesses = config.prior.guesses
+    return {
+        name: tuple(simplify_program(_parsed("--guess", name, text, dataset.names)) for text in guesses[name])
+        for name in dataset.variables
+        if name in guesses
+    }
+
+
 def _sides(config: JobConfig, variables: Sequence[str], symbols: Mapping[str, str]) -> LeftSides:
     return LeftSides(tuple(variables), symbols, None if config.data.target is not None else config.data.order)
 

@@ -7,7 +7,7 @@ from common.errors import UsageError
 from common.expression.text import to_infix
 from coordinator.data.describe import describe
 from coordinator.data.prepare import prepare
-from coordinator.data.prior import known_programs, resolve_prior
+from coordinator.data.prior import guessed_programs, known_programs, resolve_prior
 from coordinator.service.resolve import resolve
 from tests.unit.coordinator.data.tables import oscillator, table_of
 
@@ -91,6 +91,14 @@ def test_a_known_equation_is_prepared_beside_the_only_one_sought():
     assert dataset.variables == ("x", "y")
     programs = known_programs(dataset, resolve(config, dataset))
     assert [(name, to_infix(program, dataset.names)) for name, program in programs.items()] == [("y", "-x")]
+
+
+def test_guesses_are_programs_as_well():
+    config = config_of(guesses={"dy": ("2*3*x", "x/y")})
+    dataset = prepare(table_of(oscillator()), config)
+    programs = guessed_programs(dataset, resolve(config, dataset))
+    assert [to_infix(program, dataset.names) for program in programs.pop("y")] == ["6.0*x", "x/y"]
+    assert programs == {}
 
 
 def test_a_guess_for_an_equation_that_is_not_sought_is_refused():
