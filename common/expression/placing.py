@@ -4,7 +4,7 @@ An operation list begins with its terminals and ends with its output (DESIGN sec
 minus signs and quotients that the operators of a job may lack; where others can take their place, they do. Pure.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -22,6 +22,7 @@ from common.expression.operators import (
     SQUARE,
     SUBTRACT,
 )
+from common.expression.parse import from_infix
 from common.expression.program import Program
 
 
@@ -34,6 +35,23 @@ class PlacedNode:
     left: int
     right: int
     constant: float
+
+
+def placed_text(
+    text: str, names: Sequence[str], operators: Collection[int], terminals: int, operator_nodes: int
+) -> tuple[PlacedNode, ...]:
+    """Return the nodes of a list that computes what `text` says over the symbols `names`, see `placed`.
+
+    Every number in it is a constant of its own; where there is no room for that, equal ones are one constant.
+
+    Raises:
+        UsageError: the text cannot be read or placed.
+    """
+    try:
+        apart = from_infix(text, names, merges_constants=False)
+        return placed(apart, operators, terminals, operator_nodes)
+    except UsageError:
+        return placed(from_infix(text, names), operators, terminals, operator_nodes)
 
 
 def placed(program: Program, operators: Collection[int], terminals: int, operator_nodes: int) -> tuple[PlacedNode, ...]:
@@ -51,7 +69,7 @@ def placed(program: Program, operators: Collection[int], terminals: int, operato
         UsageError: other operators would be needed, or more nodes; a sentence without its subject, such as
             ``has 30 operators, …``.
     """
-    rows = _Writing(frozenset(operators)).written(simplify_program(program))
+    rows = _Writing(frozenset(operators)).written(simplify_program(program, merges_constants=False))
     leaves = [index for index, row in enumerate(rows) if not ARITY[row[0]]]
     inner = [index for index, row in enumerate(rows) if ARITY[row[0]]]
     for found, possible, what in (
@@ -77,7 +95,7 @@ def _moved(row: _Row, index: int, place: dict[int, int]) -> PlacedNode:
 
 
 class _Writing:
-    """Writes a program anew with the operators at hand; equal nodes are written once."""
+    """Writes a program anew with the operators at hand; equal nodes are written once, but for its constants."""
 
     def __init__(self, operators: frozenset[int]) -> None:
         self._operators = operators
@@ -92,7 +110,7 @@ class _Writing:
             if ARITY[code]:
                 place.append(self._operation(code, place[left], place[right] if ARITY[code] == 2 else 0))
             else:
-                place.append(self._add(code, left, 0, value))
+                place.append(self._number(value) if code == CONSTANT else self._add(code, left))
         if not ARITY[self._rows[place[-1]][0]]:
             place[-1] = self._unchanged(place[-1])
         return self._live(place[-1])
@@ -104,7 +122,13 @@ class _Writing:
             self._rows.append((code, left, right, value))
         return self._known[key]
 
+    def _number(self, value: float) -> int:
+        """Return a new constant, which is fitted apart from equal ones."""
+        self._rows.append((CONSTANT, 0, 0, value))
+        return len(self._rows) - 1
+
     def _constant(self, value: float) -> int:
+        """Return the constant that stands for an operator wherever it is needed."""
         return self._add(CONSTANT, 0, 0, value)
 
     def _value(self, node: int) -> float | None:
@@ -130,7 +154,7 @@ class _Writing:
     def _negated(self, node: int) -> int | None:
         value = self._value(node)
         if value is not None:
-            return self._constant(-value)
+            return self._number(-value)
         if NEGATE in self._operators:
             return self._add(NEGATE, node)
         if MULTIPLY in self._operators:
@@ -145,7 +169,7 @@ class _Writing:
     def _quotient(self, left: int, right: int) -> int | None:
         value = self._value(right)
         if value and abs(1.0 / value) < float("inf"):
-            return self._product(left, self._constant(1.0 / value))
+            return self._product(left, self._number(1.0 / value))
         if INVERSE not in self._operators:
             return None
         inverse = self._add(INVERSE, right)

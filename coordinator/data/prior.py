@@ -12,7 +12,7 @@ from common.errors import UsageError
 from common.expression.algebra import complexity, simplify_program
 from common.expression.operators import BY_NAME, VARIABLE
 from common.expression.parse import from_infix
-from common.expression.placing import placed
+from common.expression.placing import placed_text
 from common.expression.program import Program
 from common.expression.text import PRINTABLE_SIZE, tree_size
 from coordinator.data.columns import Roles, variable_columns
@@ -134,12 +134,12 @@ def _check_guesses(config: JobConfig, variable: str, texts: Sequence[str], names
         )
     for text in texts:
         program = _parsed("--guess", variable, text, names)
-        objection = _objection(config.space, variable, program, names)
+        objection = _objection(config.space, variable, text, program, names)
         if objection is not None:
             raise UsageError(f"the guess '{text}' for '{variable}' {objection}")
 
 
-def _objection(space: SpaceConfig, variable: str, program: Program, names: Sequence[str]) -> str | None:
+def _objection(space: SpaceConfig, variable: str, text: str, program: Program, names: Sequence[str]) -> str | None:
     """Return why a guess cannot stand in the populations of `variable`, without its subject; None when it can."""
     columns = space.columns_for(variable, names)
     used = set(program.left[program.operators == VARIABLE].tolist())
@@ -148,7 +148,7 @@ def _objection(space: SpaceConfig, variable: str, program: Program, names: Seque
         return f"uses {excluded[0]}, but --allow lets it use {', '.join(names[index] for index in columns)} only"
     operators = [BY_NAME[name].code for name in space.operators_for(variable)]
     try:
-        placed(program, operators, space.terminals_for(len(names)), space.operator_nodes)
+        placed_text(text, names, operators, space.terminals_for(len(names)), space.operator_nodes)
     except UsageError as error:
         return str(error)
     size = complexity(program)

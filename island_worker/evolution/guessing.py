@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 
 from common.expression.operators import ARITY, CONSTANT
-from common.expression.parse import from_infix
-from common.expression.placing import PlacedNode, placed
+from common.expression.placing import PlacedNode, placed_text
 from common.seeding import Stream, stream_key
 from island_worker.evolution.kernels_generation import OFFSPRING, measure_all
 from island_worker.evolution.setting import Setting
@@ -60,7 +59,7 @@ def guessed(setting: Setting) -> tuple[Guess, ...]:
     space = setting.space
     operators, inner = space.operators.tolist(), space.nodes - space.terminals
     texts = setting.config.prior.guesses.get(setting.variable, ())
-    return tuple(placed(from_infix(text, setting.names), operators, space.terminals, inner) for text in texts)
+    return tuple(placed_text(text, setting.names, operators, space.terminals, inner) for text in texts)
 
 
 def place(lists: Lists, p: int, guess: Guess, stream: Stream | None) -> None:

@@ -6,7 +6,7 @@ import pytest
 from common.errors import UsageError
 from common.expression.operators import ARITY, BY_NAME, CONSTANT
 from common.expression.parse import from_infix
-from common.expression.placing import placed
+from common.expression.placing import placed, placed_text
 from common.expression.program import Program
 from tests.oracles.evaluate import evaluate
 
@@ -71,6 +71,20 @@ def test_terminals_come_first_and_the_output_is_last():
     inner = [node.index for node in nodes if ARITY[node.code]]
     assert sorted(leaves) == [0, 1, 2]
     assert sorted(inner) == [TERMINALS + INNER - 2, TERMINALS + INNER - 1]
+
+
+def numbers(text, terminals=TERMINALS):
+    nodes = placed_text(text, NAMES, codes("+ - *"), terminals, INNER)
+    return sorted(node.constant for node in nodes if node.code == CONSTANT)
+
+
+def test_equal_numbers_are_constants_apart_as_long_as_there_is_room():
+    assert numbers("2*x + 2*y - 2") == [2.0, 2.0, 2.0]
+    assert numbers("2*x + 2*y - 2", terminals=5) == [2.0, 2.0, 2.0]
+    assert numbers("2*x + 2*y - 2", terminals=4) == [2.0]
+    assert numbers("-x - y - x*y") == [-1.0]
+    assert numbers("(2*3)*x + 6*y") == [6.0, 6.0]
+    assert numbers("-(x*y) - -(x + y)") == [-1.0]
 
 
 def test_equal_parts_are_written_once():
