@@ -53,6 +53,7 @@ bench: $(STAMP)
 	@$(BIN)/python -m benchmarks.table3 --derivatives given --seeds 0 --max-time 60
 	@$(BIN)/python -m benchmarks.seven --seeds 0
 	@$(BIN)/python -m benchmarks.seven --extras --seeds 0
+	@$(BIN)/python -m benchmarks.noise --seeds 0 --levels 0.05 || test $$? = 1
 	@$(BIN)/python -m benchmarks.table1 --seeds 0-4 || test $$? = 1
 	@$(BIN)/python -m benchmarks.figure1 --runs 4 --targets 20 --generations 1000
 	@$(BIN)/python -m benchmarks.digests

@@ -102,7 +102,8 @@ def make_corpus(folder: Path, seed: int = 0, size: int = SIZE, names: Sequence[s
     """
     config = _configured(seed)
     shares = [size // len(names) + (index < size % len(names)) for index in range(len(names))]
-    problems = [prepare(read_table([folder / f"{name}.csv"], config.data), config).problem(LABEL) for name in names]
+    tables = [read_table([folder / f"{name}.csv"], config.data) for name in names]
+    problems = [prepare(table, config).dataset.problem(LABEL) for table in tables]
     found = []
     for name, problem, share in zip(names, problems, shares, strict=True):
         note(f"{name}: {share} offspring of {EPOCHS} epochs")

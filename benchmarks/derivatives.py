@@ -44,7 +44,7 @@ def report(system: str, step: float, seed: int, noise: float, config: JobConfig)
     """Print one line per equation of a system and return the ratios of truth error to floor."""
     sampled = trajectories(system, step, seed, noise)
     begun = time.perf_counter()
-    dataset = prepare(table_of(sampled), config)
+    dataset = prepare(table_of(sampled), config).dataset
     seconds = time.perf_counter() - begun
     truths = truth_of(system, dataset)
     everything = sum(len(each) for each in sampled.times)

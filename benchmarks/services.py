@@ -61,7 +61,8 @@ class Searches:
             name: for people.
             table: what was measured.
             config: of the search.
-            watch: called with the state of the job ten times a second.
+            watch: called with the state of the job ten times a second; a TimeoutError of its cancels
+                the job.
 
         Raises:
             AtollError: the job failed, or a process ended.
@@ -69,7 +70,11 @@ class Searches:
         job = f"bench-{uuid.uuid4().hex[:12]}"
         digest = self._client.upload(table.to_bytes())
         self._client.submit(job, name, config, digest)
-        view = self._followed(name, job, watch)
+        try:
+            view = self._followed(name, job, watch)
+        except TimeoutError as error:
+            self._client.cancel(job)
+            raise AtollError(f"the job {name} was cancelled: {error}") from error
         if view.state != "done":
             raise AtollError(f"the job {name} is {view.state}: {view.reason}")
         return self._client.result(job)
@@ -84,7 +89,7 @@ class Searches:
         """Wait until `workers` are ready; raises AtollError."""
         end = self._client.now() + KERNELS_LIMIT_S
         while sum(worker.state not in ("compiling", "lost") for worker in self._client.workers()) < workers:
-            self._check()
+            self.check()
             if self._client.now() > end:
                 raise UnreachableError(f"{workers} workers were not ready within {KERNELS_LIMIT_S:.0f} s")
             self._client.pause(_LOOK_S)
@@ -92,7 +97,7 @@ class Searches:
     def _followed(self, name: str, job: str, watch: Callable[[JobView], None] | None) -> JobView:
         said = self._client.now()
         while True:
-            self._check()
+            self.check()
             view = self._client.status(job)
             if watch is not None:
                 watch(view)
@@ -103,7 +108,7 @@ class Searches:
                 note(progress(name, view))
             self._client.pause(_LOOK_S)
 
-    def _check(self) -> None:
+    def check(self) -> None:
         """Raise AtollError when a process has ended."""
         for process in self._processes:
             if process.poll() is not None:

@@ -95,7 +95,7 @@ def search(searches: Searches, case: Case, max_time: float, report: Report) -> N
     config = configured(PRESETS["default"], case.seed, case.order, max_time)
     table = table_of(case.sampled)
     result = searches.solve(f"{case.name} seed {case.seed}", table, config)
-    question = Question(case.name, case.seed, case.truths, prepare(table, config), case.singular)
+    question = Question(case.name, case.seed, case.truths, prepare(table, config).dataset, case.singular)
     report.add(judged(question, result))
 
 

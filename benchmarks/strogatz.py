@@ -91,7 +91,7 @@ def search(searches: Searches, name: str, truth: str, config: JobConfig, folder:
     measured = rows_of(folder, name)
     passings = Passings()
     result = searches.solve(f"{name} seed {config.seed}", measured, config, passings.look)
-    question = Question(name, config.seed, {LABEL: truth}, prepare(measured, config))
+    question = Question(name, config.seed, {LABEL: truth}, prepare(measured, config).dataset)
     (verdict,) = judged(question, result)
     return verdict, passings
 

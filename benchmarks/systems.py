@@ -31,7 +31,8 @@ class _DivergedError(Exception):
 class System:
     """One system: `truth` maps each state to its right-hand side as sympy text, in the order of `field`'s states.
 
-    `starts` are fixed initial conditions, else `draw` makes one; `measured` are the states that are written.
+    `starts` are fixed initial conditions, else `draw` makes one; where there are both, `draw` makes those of fresh
+    trajectories that models are judged by. `measured` are the states that are written.
     """
 
     truth: dict[str, str]
@@ -104,6 +105,7 @@ SYSTEMS: Final[dict[str, System]] = {
     "lotka_volterra": System(
         {"x": "3*x - 2*x*y - x**2", "y": "2*y - x*y - y**2"},
         lambda x, y: (3 * x - 2 * x * y - x * x, 2 * y - x * y - y * y),
+        _uniform((1.0, 1.0), (8.0, 3.0)),
         starts=((1.0, 3.0), (4.0, 1.0), (8.0, 2.0), (3.0, 3.0)),
     ),
     "pendulum": System(
@@ -133,18 +135,26 @@ def trajectories(system: str, step: float = 0.1, seed: int = 0, noise: float = 0
     chosen = SYSTEMS[system]
     rng = np.random.default_rng(seed)
     times: FloatArray = np.arange(round(duration / step), dtype=np.float64) * step
-    solutions = [_solved(chosen, start, times) for start in chosen.starts]
-    while len(solutions) < RUNS:
-        solutions.append(_drawn(chosen, rng, times))
-    spread = np.concatenate(solutions).std(axis=0)
-    noisy = [each + noise * spread * rng.standard_normal(each.shape) for each in solutions]
+    noisy = with_noise(solutions(chosen, [times] * RUNS, rng), noise, rng)
     measured = chosen.measured or chosen.states
     kept = [chosen.states.index(name) for name in measured]
     return Sampled(measured, tuple(times for _ in noisy), tuple(each[:, kept] for each in noisy))
 
 
-def _drawn(system: System, rng: np.random.Generator, times: FloatArray) -> FloatArray:
-    """Draw initial conditions until one has a solution that stays finite."""
+def solutions(system: System, times: Sequence[FloatArray], rng: np.random.Generator) -> list[FloatArray]:
+    """Return a solution (n, 2) at each of `times` (n,), from the fixed initial conditions and then from drawn ones."""
+    fixed = [_solved(system, start, its) for start, its in zip(system.starts, times, strict=False)]
+    return fixed + [drawn(system, rng, its) for its in times[len(fixed) :]]
+
+
+def with_noise(clean: Sequence[FloatArray], noise: float, rng: np.random.Generator) -> list[FloatArray]:
+    """Return `clean` with Gaussian noise of `noise` times the standard deviation of each state, all pooled."""
+    spread = np.concatenate(clean).std(axis=0)
+    return [each + noise * spread * rng.standard_normal(each.shape) for each in clean]
+
+
+def drawn(system: System, rng: np.random.Generator, times: FloatArray) -> FloatArray:
+    """Draw initial conditions until one has a solution that stays finite, and return that at `times`."""
     assert system.draw is not None
     while True:
         try:

@@ -119,7 +119,7 @@ def search(
     config = configured(options, seed, equation, derivatives)
     result = searches.solve(f"{system} {variable} seed {seed}", measured, config)
     truths = {variable: TRUTH[system][variable]}
-    (verdict,) = judged(Question(f"{system} {derivatives}", seed, truths, prepare(measured, config)), result)
+    (verdict,) = judged(Question(f"{system} {derivatives}", seed, truths, prepare(measured, config).dataset), result)
     return verdict
 
 

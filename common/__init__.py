@@ -12,8 +12,8 @@ PRODUCT: Final = "atoll"
 VERSION: Final = "0.1.0"
 """Version of the distribution; kept equal to pyproject.toml by a test."""
 
-PROTOCOL_VERSION: Final = 2
+PROTOCOL_VERSION: Final = 3
 """Raised whenever a message on the wire changes its shape or meaning."""
 
-ENGINE_REVISION: Final = 2
+ENGINE_REVISION: Final = 3
 """Raised whenever the same seed may give other bits: a change of kernels, of variation or of seeding."""

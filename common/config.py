@@ -100,6 +100,9 @@ class EvolutionConfig(Model):
     linear_terms: Annotated[int, Field(ge=0, le=4)] = Field(4, description="top-level terms fitted linearly; 0: none")
     scaled_constants: bool = Field(True, description="draw constants over the data's scales, not from [-10, 10]")
     refit_interval: Annotated[int, Field(ge=1)] = Field(10, description="generations between offers to the front")
+    runners_up: Annotated[int, Field(ge=0, le=64)] | None = Field(
+        None, description="next best of each complexity kept beside the front; None: 0, or 5 with noisy targets"
+    )
 
 
 class PredictorConfig(Model):
@@ -127,7 +130,9 @@ class BudgetConfig(Model):
     max_epochs: PositiveInt = 1000
     max_epochs_of: dict[str, PositiveInt] = Field(default_factory=dict, description="per variable; overrides")
     max_time: Annotated[float, Field(gt=0.0)] | None = Field(None, description="seconds")
-    stagnation: PositiveInt = Field(60, description="epochs without a better equation after which a search ends")
+    stagnation: PositiveInt | None = Field(
+        None, description="epochs without a better equation after which a search ends; None: 60, or 8 where noisy"
+    )
 
 
 class JobConfig(Model):
@@ -147,7 +152,7 @@ class JobConfig(Model):
 PAPER = JobConfig(
     preset="paper",
     space=SpaceConfig(terminals=PAPER_TERMINALS),
-    evolution=EvolutionConfig(constant_fit_steps=0, linear_terms=0, scaled_constants=False),
+    evolution=EvolutionConfig(constant_fit_steps=0, linear_terms=0, scaled_constants=False, runners_up=0),
     predictors=PredictorConfig(rows=16),
     migration=MigrationConfig(joining=None),
     budget=BudgetConfig(max_epochs=5000, stagnation=500),

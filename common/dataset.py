@@ -9,11 +9,15 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+
+CLEAN_FLOOR: Final = 1e-3
+"""Targets known better than this, relative to their spread, count as noise-free."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +35,11 @@ class Target:
     floor: float
     deviation: float
     noise: float = 0.0
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether the truth itself would miss these values by so much that errors alone cannot tell it."""
+        return self.noise > 0.0 or self.floor >= CLEAN_FLOOR
 
 
 @dataclass(frozen=True, eq=False)

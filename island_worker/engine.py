@@ -8,7 +8,10 @@ from common.wire.messages import Addition, HitStatement, IslandReport, Tally
 from island_worker.events import Computed, JobReady, ShareKey, Task, Unloadable
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from common.dataset import Dataset
+    from common.pareto import FrontEntry
     from island_worker.evolution.island import EpochOutcome, Island
 
 _MOST: Final = 10
@@ -94,20 +97,25 @@ def report_of(island: int, outcome: "EpochOutcome") -> IslandReport:
         island=island,
         generations=outcome.generations,
         hit=None if hit is None else HitStatement(generation=hit.generation, error=hit.error),
-        additions=tuple(
-            Addition(
-                complexity=entry.complexity,
-                error=entry.error,
-                mse=entry.mse,
-                generation=entry.generation,
-                program=entry.program,
-            )
-            for entry in outcome.additions
-        ),
+        additions=_stated(outcome.additions),
+        runners_up=_stated(outcome.runners_up),
         tallies=tuple(
             Tally(generation=generation, evaluations=dict(evaluations))
             for generation, evaluations in outcome.tallies.items()
         ),
         best_error=outcome.best_error,
         digest=outcome.digest,
+    )
+
+
+def _stated(entries: "Iterable[FrontEntry]") -> tuple[Addition, ...]:
+    return tuple(
+        Addition(
+            complexity=entry.complexity,
+            error=entry.error,
+            mse=entry.mse,
+            generation=entry.generation,
+            program=entry.program,
+        )
+        for entry in entries
     )

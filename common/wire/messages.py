@@ -25,6 +25,9 @@ MAX_UPLOAD: Final = 1024 * 1024 * 1024
 MAX_MESSAGE: Final = 16 * 1024 * 1024
 """Largest encoded message; anything larger is refused unread."""
 
+MAX_RUNNERS_UP: Final = 20_000
+"""Most runners-up that an island may report of one epoch; an epoch has room for a few hundred."""
+
 Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Variable = Annotated[str, Field(min_length=1, max_length=256)]
@@ -251,13 +254,15 @@ class IslandReport(Model):
     """What one island says of one epoch, finished or given up (`island_worker.evolution.island.EpochOutcome`).
 
     `generations` is how far it got: to the epoch's end, to its own hit, or, when another island met the target, at
-    least as far as is needed then. `tallies` are those of all slices that it finished; `digest` is that of its state.
+    least as far as is needed then. `additions` are those to its front, `runners_up` those to the next best beside it.
+    `tallies` are those of all slices that it finished; `digest` is that of its state.
     """
 
     island: IslandIndex
     generations: Count
     hit: HitStatement | None
     additions: tuple[Addition, ...]
+    runners_up: Annotated[tuple[Addition, ...], Field(max_length=MAX_RUNNERS_UP)] = ()
     tallies: tuple[Tally, ...]
     best_error: float | None
     digest: Annotated[str, Field(pattern=r"^[0-9a-f]{16,128}$")]

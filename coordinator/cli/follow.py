@@ -89,7 +89,9 @@ class Follower:
 
 
 def phase(view: JobView, workers: Sequence[WorkerView]) -> str:
-    """Return what the time goes into: compiling or loading kernels, preparing the data, searching, or starting."""
+    """Return what the time goes into: starting, compiling or loading kernels, preparing, searching, refining."""
+    if view.state == "refining":
+        return "refining"
     if any(variable.epoch for variable in view.variables):
         return "searching"
     busy = [worker for worker in workers if worker.state == "compiling"]

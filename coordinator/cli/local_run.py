@@ -15,6 +15,7 @@ from coordinator.cli.request import request_of
 from coordinator.client import Client, connected
 
 _CONNECT_LIMIT_S: Final = 20.0
+_WORTH_SAYING_S: Final = 0.05
 _CANCEL_LIMIT_S: Final = 10.0
 
 
@@ -74,6 +75,8 @@ class LocalRun:
         total = time.monotonic() - self._started
         parts = {name: phases.get(name, 0.0) for name in ("compiling kernels", "loading kernels")}
         parts["search"] = float(result["search_seconds"] or 0.0)
+        refining = phases.get("refining", 0.0)
+        parts["refining"] = refining if refining >= _WORTH_SAYING_S else 0.0
         rest = max(0.0, total - sum(parts.values()))
         said = [f"{name} {duration(seconds)}" for name, seconds in parts.items() if seconds]
         note(", ".join([f"start-up {duration(rest)}", *said, f"total {duration(total)}"]))

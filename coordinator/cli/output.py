@@ -9,6 +9,7 @@ from typing import Any
 
 from common.errors import AtollError, UsageError
 
+_NUMBERS = re.compile(r"\[\n[^\[\]{}\"]+\]")
 _NUMBER = re.compile(r"(?<![\w.])\d+\.?\d*(?:[eE][+-]?\d+)?")
 
 
@@ -30,8 +31,9 @@ def note(text: str) -> None:
 
 
 def as_json(value: object) -> str:
-    """Return `value` as indented JSON; NaN and infinity are refused, not written."""
-    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
+    """Return `value` as indented JSON, rows of numbers on one line; NaN and infinity are refused, not written."""
+    text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
+    return _NUMBERS.sub(lambda match: " ".join(match[0].split()).replace("[ ", "[").replace(" ]", "]"), text)
 
 
 def shortened(expression: str, digits: int = 6) -> str:

@@ -44,9 +44,13 @@ class Roles:
 
 def variable_columns(roles: Roles, order: int) -> tuple[str, ...]:
     """Return what expressions may use: states, for order 2 their velocities, and inputs."""
+    return (*roles.states, *velocity_columns(roles, order), *roles.inputs)
+
+
+def velocity_columns(roles: Roles, order: int) -> tuple[str, ...]:
+    """Return the names of the velocities that are variables: one for each state for order 2, else none."""
     taken = (*roles.states, *roles.inputs)
-    velocities = tuple(_fresh(f"{name}_dot", taken) for name in roles.states) if order == 2 else ()
-    return (*roles.states, *velocities, *roles.inputs)
+    return tuple(_fresh(f"{name}_dot", taken) for name in roles.states) if order == 2 else ()
 
 
 def left_hand_side(roles: Roles, name: str, order: int) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 
 from common.dataset import FloatArray
 from coordinator.data.kernels_smoothing import HALF_WIDTHS, best_stencil_into, differences_into, left_out_into, moments
-from coordinator.data.smoothing import Run, Smoothed, choose, noise_of, smooth
+from coordinator.data.smoothing import Choice, Run, Smoothed, choose, noise_of, smooth
 
 DEGREES_TRIED: Final = (3, 4)
 """By values alone a parabola passes for a cubic, but its slope has far more bias: measured, the derivative error was up
@@ -39,15 +39,32 @@ class Estimate:
     """What is known of one state over all its rows, in the order of the runs. All arrays are (R,).
 
     `values` are interpolated (as measured) or smoothed; `derivative` is the one sought, `velocity` the first one;
-    `uncertainty` belongs to `derivative`; `noise` is the relative noise of the measurements, 0.0 when `interpolated`.
+    `uncertainty` belongs to `derivative`; `error` is the estimated standard deviation of the measurement errors and
+    `deviation` that of the measurements; `choice` is None where the state was interpolated.
     """
 
     values: FloatArray
     velocity: FloatArray
     derivative: FloatArray
     uncertainty: FloatArray
-    noise: float
-    interpolated: bool
+    error: float
+    deviation: float
+    choice: Choice | None
+
+    @property
+    def interpolated(self) -> bool:
+        """Whether the data are free of noise, or nearly."""
+        return self.choice is None
+
+    @property
+    def relative(self) -> float:
+        """The measurement errors as a share of the state's standard deviation."""
+        return self.error / self.deviation if self.deviation > 0.0 else 0.0
+
+    @property
+    def noise(self) -> float:
+        """The relative noise that the search reckons with: 0.0 when interpolated, or below what can be told."""
+        return 0.0 if self.interpolated or self.relative < SMALLEST_NOISE else self.relative
 
 
 def estimate(runs: Sequence[Run], order: int, *, paper: bool = False) -> Estimate:
@@ -72,6 +89,8 @@ def _rescaled(its: Estimate, exponent: int) -> Estimate:
             velocity=np.ldexp(its.velocity, exponent),
             derivative=np.ldexp(its.derivative, exponent),
             uncertainty=np.ldexp(its.uncertainty, exponent),
+            error=float(np.ldexp(its.error, exponent)),
+            deviation=float(np.ldexp(its.deviation, exponent)),
         )
 
 
@@ -83,7 +102,7 @@ def _estimate(runs: Sequence[Run], order: int, *, paper: bool) -> Estimate:
         noise = _value_noise(errors, gains)
         if noise <= LARGEST_NOISE * _deviation(runs) and _is_better(runs, errors, smoothed):
             return _interpolated(runs, order, noise)
-    return _by_loess(runs, smoothed, order)
+    return _by_loess(runs, smoothed, choice, order)
 
 
 def end_rows(lengths: Sequence[int]) -> FloatArray:
@@ -98,13 +117,11 @@ def end_rows(lengths: Sequence[int]) -> FloatArray:
     return ends
 
 
-def _by_loess(runs: Sequence[Run], smoothed: Sequence[Smoothed], order: int) -> Estimate:
+def _by_loess(runs: Sequence[Run], smoothed: Sequence[Smoothed], choice: Choice, order: int) -> Estimate:
     noise = noise_of(runs, smoothed)
     fits = np.concatenate([its.fits for its in smoothed], axis=1)
     gains = np.concatenate([its.gains for its in smoothed], axis=1)
-    relative = noise / _deviation(runs)
-    relative = relative if relative >= SMALLEST_NOISE else 0.0
-    return Estimate(fits[0], fits[1], fits[order], noise * gains[order], relative, interpolated=False)
+    return Estimate(fits[0], fits[1], fits[order], noise * gains[order], noise, _deviation(runs), choice)
 
 
 def _deviation(runs: Sequence[Run]) -> float:
@@ -162,7 +179,7 @@ def _interpolated(runs: Sequence[Run], order: int, noise: float) -> Estimate:
     if order == 2:
         derivative, uncertainty = _differentiated(runs, 2, noise)
     values = np.concatenate([run.values for run in runs])
-    return Estimate(values, velocity, derivative, uncertainty, 0.0, interpolated=True)
+    return Estimate(values, velocity, derivative, uncertainty, noise, _deviation(runs), None)
 
 
 def _differentiated(runs: Sequence[Run], order: int, noise: float) -> tuple[FloatArray, FloatArray]:

@@ -42,6 +42,12 @@ class Measured:
         angle = _angle(self.config, angle_of or name)
         return in_radians(values, angle) if angle is not None else values
 
+    def along(self, name: str) -> list[FloatArray]:
+        """Return column `name` along each trajectory, unwrapped if it is an angle."""
+        values = self.column(name)
+        parts = [values[first:last] for first, last in self.runs]
+        return parts if _angle(self.config, name) is None else [unwrapped(part) for part in parts]
+
 
 def measured(table: Table, config: DataConfig) -> Measured:
     """Give every column its part and check what was measured.

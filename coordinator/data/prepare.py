@@ -11,12 +11,14 @@ from common.dataset import Dataset, FloatArray, Target
 from common.errors import DataError
 from common.table import Table
 from coordinator.data.checks import MIN_ROWS
-from coordinator.data.columns import Roles, left_hand_side, variable_columns
+from coordinator.data.columns import Roles, left_hand_side, variable_columns, velocity_columns
 from coordinator.data.derivatives import END_ROWS, Estimate, end_rows, estimate
 from coordinator.data.describe import describe
 from coordinator.data.kernels_smoothing import moments
 from coordinator.data.measured import Measured, measured
 from coordinator.data.prior import resolve_roles
+from coordinator.data.recorded import recorded
+from coordinator.data.recording import Preparation
 from coordinator.data.smoothing import Run
 from coordinator.data.symbols import symbols_for
 
@@ -40,8 +42,8 @@ PASSES: Final = 3
 """A wild row swells the standard deviation by which rows are judged, so that they are judged again without it."""
 
 
-def prepare(table: Table, config: JobConfig) -> Dataset:
-    """Return the regression problems that `table` holds under `config`.
+def prepare(table: Table, config: JobConfig) -> Preparation:
+    """Return the regression problems that `table` holds under `config`, and the recording that they come from.
 
     Raises:
         UsageError: options contradict each other.
@@ -50,7 +52,7 @@ def prepare(table: Table, config: JobConfig) -> Dataset:
     its = measured(table, config.data)
     _, equations = resolve_roles(config.model_copy(update={"data": its.config}), its.roles)
     if its.trajectories is None:
-        return _given(its, equations)
+        return Preparation(_given(its, equations))
     return _differentiated(its, equations, paper=config.preset == "paper")
 
 
@@ -71,7 +73,7 @@ def _chosen(targets: Sequence[Target], equations: Sequence[str]) -> tuple[Target
     return tuple(target for target in targets if target.variable in equations)
 
 
-def _differentiated(its: Measured, equations: Sequence[str], *, paper: bool) -> Dataset:
+def _differentiated(its: Measured, equations: Sequence[str], *, paper: bool) -> Preparation:
     """Prepare measured states: smooth or interpolate them, and differentiate."""
     assert its.trajectories is not None
     times = its.trajectories.times
@@ -81,28 +83,24 @@ def _differentiated(its: Measured, equations: Sequence[str], *, paper: bool) -> 
         estimates.append(estimate(runs, its.config.order, paper=paper))
         _finite_spread(f"derivative of {name}", estimates[-1].derivative)
     kept, warnings = _kept(estimates, [len(each) for each in times], its.roles)
-    columns, values = _variables(its, estimates)
-    symbols = symbols_for(columns)
+    velocities = velocity_columns(its.roles, its.config.order)
+    inputs = [its.along(name) for name in its.roles.inputs]
+    symbols = symbols_for(variable_columns(its.roles, its.config.order))
     targets = [
         _target(name, left_hand_side(its.roles, name, its.config.order), each, kept)
         for name, each in zip(its.roles.states, estimates, strict=True)
     ]
-    return Dataset(
-        tuple(symbols[name] for name in columns),
-        np.ascontiguousarray(values[:, kept]),
+    values = [each.values for each in estimates]
+    values += [each.velocity for each in estimates if velocities]
+    values += [np.concatenate(parts) for parts in inputs]
+    dataset = Dataset(
+        tuple(symbols.values()),
+        np.ascontiguousarray(np.array(values)[:, kept]),
         _chosen(targets, equations),
         symbols,
         (*its.warnings, *warnings),
     )
-
-
-def _variables(its: Measured, estimates: Sequence[Estimate]) -> tuple[tuple[str, ...], FloatArray]:
-    """Return names and values (V, R) of the variables: states, their velocities for order 2, inputs."""
-    values = [each.values for each in estimates]
-    if its.config.order == 2:
-        values += [each.velocity for each in estimates]
-    values += [its.column(name) for name in its.roles.inputs]
-    return variable_columns(its.roles, its.config.order), np.array(values)
+    return Preparation(dataset, recorded(its, velocities, inputs, symbols, estimates))
 
 
 def _kept(estimates: Sequence[Estimate], lengths: Sequence[int], roles: Roles) -> tuple[list[int], list[str]]:

@@ -36,9 +36,10 @@ class Trajectory:
 class Smoothing:
     """How one state was smoothed.
 
-    `noise` is the estimated standard deviation of its measurement errors, in its unit, and `relative` that over the
-    state's pooled standard deviation; `span` (rows) and `degree` are those of loess, None where it was interpolated;
-    `doubtful` counts rows whose derivative cannot be trusted, and `outliers` those that robust loess all but ignored.
+    `noise` is the estimated standard deviation of its measurement errors, in its unit (where it was interpolated, an
+    upper estimate, often of rounding alone), and `relative` that over the state's pooled standard deviation; `span`
+    (rows) and `degree` are those of loess, None where it was interpolated; `doubtful` counts rows whose derivative
+    cannot be trusted, and `outliers` those that robust loess all but ignored.
     """
 
     state: str
@@ -73,7 +74,12 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class Preparation:
-    """What preparing a table gives: the search's dataset and, where states were measured in time, the recording."""
+    """What preparing a table gives.
+
+    `dataset` is what the search sees; `recording` is None where the left-hand sides were given. `held_out` has the rows
+    of the held-out trajectories, with the same variables and targets; None when there are none.
+    """
 
     dataset: Dataset
-    recording: Recording | None
+    recording: Recording | None = None
+    held_out: Dataset | None = None

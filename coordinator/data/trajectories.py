@@ -19,18 +19,23 @@ from coordinator.data.checks import check_length, check_times
 from coordinator.data.columns import Roles
 
 RADIANS_PER_DEGREE: Final = math.pi / 180.0
+LARGEST_PLAIN: Final = 1e15
+"""Whole numbers below this are written without an exponent."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectories:
     """Where the rows kept of a table lie: `rows` table rows in order, `runs` half-open ranges into `rows`.
 
-    `times[i]` are the centred times of run i, ascending strictly.
+    `times[i]` are the times of run i less `offset`, the centre of all times, ascending strictly; `names[i]` is what the
+    user knows run i by.
     """
 
     rows: tuple[int, ...]
     runs: tuple[tuple[int, int], ...]
     times: tuple[FloatArray, ...]
+    names: tuple[str, ...]
+    offset: float
 
     def split(self, values: FloatArray) -> list[FloatArray]:
         """Return the part of `values` (one per kept row) that belongs to each run."""
@@ -60,7 +65,42 @@ def trajectories_of(table: Table, roles: Roles, rows: Sequence[int]) -> Trajecto
         check_times(table, roles.time, raw[first:last], rows[first:last])
         check_length(table, rows[first:last], number)
     centre = 0.5 * (float(np.min(raw)) + float(np.max(raw)))
-    return Trajectories(tuple(rows), runs, tuple(_evened(raw[first:last], centre) for first, last in runs))
+    times = tuple(_evened(raw[first:last], centre) for first, last in runs)
+    return Trajectories(tuple(rows), runs, times, _names(table, rows, runs, roles.trajectory), centre)
+
+
+def _names(
+    table: Table, rows: Sequence[int], runs: Sequence[tuple[int, int]], trajectory: str | None
+) -> tuple[str, ...]:
+    """Return numbers from 1, or values of the trajectory column; one that comes again is followed by b, c, …"""
+    if trajectory is None:
+        return tuple(str(number) for number, _ in enumerate(runs, start=1))
+    numbers = table.column(trajectory)
+    return distinguished([plain_number(float(numbers[rows[first]])) for first, _ in runs])
+
+
+def plain_number(value: float) -> str:
+    """Return a number as a person would write it: without a needless fraction."""
+    return f"{value:.0f}" if value.is_integer() and abs(value) < LARGEST_PLAIN else repr(value)
+
+
+def distinguished(names: Sequence[str]) -> tuple[str, ...]:
+    """Return `names` with a letter behind each that came before: 2, 2b, 2c, …, 2z, 2aa."""
+    count: dict[str, int] = {}
+    result = []
+    for name in names:
+        result.append(name + _letters(count.get(name, 0)))
+        count[name] = count.get(name, 0) + 1
+    return tuple(result)
+
+
+def _letters(number: int) -> str:
+    """Return what follows a name that came `number` times before: nothing, b, c, …, z, aa, ab, …"""
+    text, rest = "", number + 1 if number else 0
+    while rest:
+        rest, letter = divmod(rest - 1, 26)
+        text = chr(ord("a") + letter) + text
+    return text
 
 
 def _evened(times: FloatArray, centre: float) -> FloatArray:

@@ -1,7 +1,7 @@
 """The digest of a result: two runs found the same if and only if it is the same.
 
-It covers what the search found (fronts with every bit of constants and errors, epochs, counters) and not how long that
-took, on how many workers, nor what is made of the fronts afterwards.
+It covers what the search found (fronts and runners-up with every bit of constants and errors, epochs, counters) and not
+how long that took, on how many workers, nor what is made of them afterwards.
 """
 
 import hashlib
@@ -22,6 +22,10 @@ class Found(Protocol):
     @property
     def front(self) -> tuple[FrontEntry, ...]:
         """The merged front up to the cut."""
+
+    @property
+    def runners_up(self) -> tuple[FrontEntry, ...]:
+        """What was kept beside the front."""
 
     @property
     def epoch(self) -> int:
@@ -46,6 +50,10 @@ def result_digest(outcomes: Sequence[Found]) -> str:
             _update(digest, part.encode() + struct.pack("<q", outcome.evaluations[part]))
         _update(digest, struct.pack("<q", len(outcome.front)))
         for entry in outcome.front:
+            _update(digest, _entry_bytes(entry))
+        if outcome.runners_up:
+            _update(digest, b"runners-up" + struct.pack("<q", len(outcome.runners_up)))
+        for entry in outcome.runners_up:
             _update(digest, _entry_bytes(entry))
     return digest.hexdigest()
 

@@ -5,21 +5,23 @@ tell the difference, its errors on all rows, and the standard errors of its cons
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from common.config import JobConfig, Loss
-from common.dataset import Dataset, Problem
+from common.dataset import Problem
 from common.expression.operators import BY_NAME
 from common.expression.program import Program
 from common.expression.text import PRINTABLE_SIZE, tree_size
 from common.pareto import FrontEntry
+from coordinator.data.recording import Preparation
 from coordinator.model.criterion import Criterion
 from coordinator.model.derivative import values_of
 from coordinator.model.polish import Polisher
+from coordinator.model.refinement import LOOSE, NORMAL_95, Constant, Pools, Refined, Refinement
 from coordinator.model.rewrite import constant_places
 from coordinator.model.select import threshold
 from coordinator.model.shorten import Candidate, Shortening
@@ -33,31 +35,14 @@ DECIDING_ROWS: Final = 100_000
 _ATTEMPTS: Final = 4
 
 
-@dataclass(frozen=True, eq=False)
-class Refined:
-    """The equation of one variable as it is shown; before refinement, a member of the front as it stands.
-
-    `member` is the index of the front member it came from; `error` is the job's loss and `mse` the mean squared error
-    on all rows; `fitted` and `std_errors` have one number for each constant of `program`, in node order: its value by
-    least squares, and the standard error of that. They are empty before refinement.
-    """
-
-    member: int
-    program: Program
-    error: float
-    mse: float
-    fitted: tuple[float, ...] = ()
-    std_errors: tuple[float, ...] = ()
-
-
-Fronts = Mapping[str, Sequence[FrontEntry]]
-"""The front of each variable."""
-
-
-def refine_all(dataset: Dataset, config: JobConfig, fronts: Fronts) -> dict[str, Refined]:
+def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Refinement:
     """Return the refined equation of each variable; those are missing of which the front has nothing better."""
-    found = {name: refine(dataset.problem(name), config, front) for name, front in fronts.items()}
-    return {name: refined for name, refined in found.items() if refined is not None}
+    problems = {name: preparation.dataset.problem(name) for name in pools}
+    found = {name: refine(problems[name], config, pool.front) for name, pool in pools.items()}
+    made = {name: refined for name, refined in found.items() if refined is not None}
+    if preparation.recording is None:  # errors of given left-hand sides are independent, those of smoothed ones are not
+        made = {name: _with_intervals(refined) for name, refined in made.items()}
+    return Refinement(made)
 
 
 def refine(problem: Problem, config: JobConfig, front: Sequence[FrontEntry]) -> Refined | None:
@@ -86,6 +71,19 @@ def refine(problem: Problem, config: JobConfig, front: Sequence[FrontEntry]) -> 
     return None
 
 
+def _with_intervals(refined: Refined) -> Refined:
+    """Return the equation with 95 % intervals, and with constants marked that the data do not determine."""
+    return replace(refined, constants=tuple(map(_with_interval, refined.constants)))
+
+
+def _with_interval(constant: Constant) -> Constant:
+    fitted, error = constant.fitted, constant.std_error
+    if fitted is None or error is None:
+        return constant
+    bounds = (fitted - NORMAL_95 * error, fitted + NORMAL_95 * error)
+    return replace(constant, interval=bounds, identifiable=error <= LOOSE * abs(fitted))
+
+
 def _may_be_shown(program: Program, largest: float) -> bool:
     return len(program) <= largest and tree_size(program) <= PRINTABLE_SIZE
 
@@ -100,13 +98,17 @@ def _finished(problem: Problem, candidate: Candidate, member: int, config: JobCo
     error, mse = errors_on(problem, program, config.evolution.loss)
     fitted = polisher.fit(program).program
     std_errors = criterion.errors(polisher.fit(program, steps=0))
-    return Refined(
-        member, program, error, mse, tuple(fitted.constants[constant_places(fitted)].tolist()), tuple(std_errors)
-    )
+    return Refined(member, program, error, mse, _constants(program, fitted, std_errors))
+
+
+def _constants(program: Program, fitted: Program, std_errors: Sequence[float]) -> tuple[Constant, ...]:
+    places = constant_places(program)
+    values, before = program.constants[places].tolist(), fitted.constants[places].tolist()
+    return tuple(map(Constant, values, before, std_errors))
 
 
 def errors_on(problem: Problem, program: Program, loss: Loss) -> tuple[float, float]:
-    """Return loss and mean squared error on all rows, in parts that need little memory."""
+    """Return loss and mean squared error on all rows, infinite when one is not finite; in parts, to save memory."""
     rows = len(problem.target.values)
     total, square = 0.0, 0.0
     for start in range(0, rows, DECIDING_ROWS):

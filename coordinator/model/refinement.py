@@ -5,13 +5,19 @@ Letters: K constants of one program, T trajectories, R rows of one trajectory, S
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Final, Literal
 
 from common.dataset import FloatArray
 from common.expression.program import Program
 from common.pareto import FrontEntry
 
 Grade = Literal["exact", "good", "doubtful", "no model"]
+
+NORMAL_95: Final = 1.959963984540054
+"""Standard errors on either side of a 95 % interval."""
+
+LOOSE: Final = 0.5
+"""A constant whose standard error is a larger share of it than this is not determined by the data."""
 
 
 @dataclass(frozen=True)

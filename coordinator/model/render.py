@@ -9,6 +9,7 @@ from common.errors import UsageError
 from common.expression.export import to_latex
 from common.expression.parse import from_infix
 from common.expression.text import to_infix
+from coordinator.model import tables
 
 FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
 DIGITS: Final = 6
@@ -23,6 +24,7 @@ _COLUMNS: Final = (
     "error",
     "normalized_error",
     "r2",
+    "holdout_error",
     "expression",
 )
 _ENDS: Final = {
@@ -49,7 +51,8 @@ def render(result: Mapping[str, Any], how: str) -> str:
 def pick(result: Mapping[str, Any], picks: Mapping[str, int]) -> dict[str, Any]:
     """Return `result` with other members of the fronts selected: by variable, the number that the front table shows.
 
-    What belongs to the selected equation is taken from the front; when and at what cost the search ended stays.
+    What belongs to the selected equation is taken from the front; when and at what cost the search ended stays. What
+    refining found out of the model as a whole does not belong to the one picked, and goes.
 
     Raises:
         UsageError: a variable or number does not exist.
@@ -62,7 +65,7 @@ def pick(result: Mapping[str, Any], picks: Mapping[str, int]) -> dict[str, Any]:
         _picked(equation, picks[equation["variable"]]) if equation["variable"] in picks else equation
         for equation in result["equations"]
     ]
-    return {**result, "equations": equations}
+    return {**result, "equations": equations, "correlations": [], "simulation": None}
 
 
 def parse_picks(texts: Sequence[str]) -> dict[str, int]:
@@ -79,9 +82,15 @@ def parse_picks(texts: Sequence[str]) -> dict[str, int]:
 
 
 def render_text(result: Mapping[str, Any], *, fronts: bool = False) -> str:
-    """Return the equations for people, one after another; with `fronts`, each front as a table with numbers to pick."""
+    """Return the equations for people, one after another; with `fronts`, all tables: the fronts, with numbers to pick,
+    constants, contenders, noise and simulations.
+    """
     names = _names(result)
     blocks = [_equation_text(equation, names, fronts) for equation in result["equations"]]
+    if fronts:
+        blocks += [*tables.noise_lines(result), *tables.simulation_table(result), *tables.correlation_lines(result)]
+    else:
+        blocks += tables.summary(result)
     blocks += [f"warning: {warning}" for warning in result.get("warnings", ())]
     evaluations, seconds = result["point_evaluations"], result["search_seconds"]
     blocks.append(f"{_count(evaluations)} point evaluations in {_number(seconds)} s of search, seed {result['seed']}")
@@ -141,19 +150,27 @@ def _picked(equation: Mapping[str, Any], number: int) -> dict[str, Any]:
     best = {key: front[number][key] for key in taken}
     error = best["normalized_error"]
     converged = error is not None and error <= equation["target_error"]
-    return {**equation, **best, "converged": converged, "front": members}
+    unknown: dict[str, Any] = {"verdict": None, "reason": None, "candidates": []}
+    return {**equation, **best, **unknown, "converged": converged, "front": members}
 
 
-def _equation_text(equation: Mapping[str, Any], names: Sequence[str], with_front: bool) -> str:
+def _equation_text(equation: Mapping[str, Any], names: Sequence[str], with_tables: bool) -> str:
     if equation["expression"] is None:
         return f"{equation['lhs']} = ?\n    nothing found yet"
-    lines = [f"{equation['lhs']} = {display(equation['expression'], names)}", f"    {_verdict(equation)}"]
-    if with_front:
-        lines += _front_lines(equation["front"], names)
+    lines = [f"{equation['lhs']} = {display(equation['expression'], names)}"]
+    constants = None if with_tables else tables.constants_line(equation["constants"])
+    lines += [f"    {constants}"] if constants else []
+    if equation.get("verdict") is not None:
+        lines.append(f"    {equation['verdict']}: {equation['reason']}")
+    lines.append(f"    {_standing(equation)}")
+    if with_tables:
+        lines += tables.constants_table(equation["constants"])
+        lines += tables.contenders_table(equation.get("candidates", ()), lambda text: display(text, names))
+        lines += [*_front_lines(equation["front"], names), ""]
     return "\n".join(lines)
 
 
-def _verdict(equation: Mapping[str, Any]) -> str:
+def _standing(equation: Mapping[str, Any]) -> str:
     if equation["why"] == "known":
         return f"known: error {_number(equation['normalized_error'])} of the target's deviation"
     found = "converged" if equation["converged"] else "not converged"
@@ -165,12 +182,22 @@ def _verdict(equation: Mapping[str, Any]) -> str:
 
 
 def _front_lines(front: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[str]:
-    lines = [f"    {'pick':>4}   {'size':>4} {'error':>10} {'R2':>9}  expression"]
+    is_held_out = any(member["holdout_error"] is not None for member in front)
+    beside = f" {'held out':>10}" if is_held_out else ""
+    lines = [f"    {'pick':>4}   {'size':>4} {'error':>10}{beside} {'R2':>9}  expression"]
     for number, member in enumerate(front):
         mark = "*" if member["selected"] else " "
-        figures = f"{member['complexity']:>4} {_number(member['normalized_error']):>10} {_number(member['r2'], 6):>9}"
+        unseen = f" {_number(_unseen(member)):>10}" if is_held_out else ""
+        figures = f"{member['complexity']:>4} {_number(member['normalized_error']):>10}{unseen}"
+        figures += f" {_number(member['r2'], 6):>9}"
         lines.append(f"    {number:>4} {mark} {figures}  {display(member['expression'], names)}")
     return lines
+
+
+def _unseen(member: Mapping[str, Any]) -> float | None:
+    """Return the error on held-out rows, over the deviation of the target on the rows of the search."""
+    unseen, error, normalized = member["holdout_error"], member["error"], member["normalized_error"]
+    return unseen * normalized / error if unseen is not None and error and normalized else None
 
 
 def _number(value: float | None, digits: int = 3) -> str:

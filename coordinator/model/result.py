@@ -14,16 +14,19 @@ from typing import Any, Final
 import numpy as np
 
 from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from common.config import JobConfig
-from common.dataset import Dataset, Target
+from common.config import JobConfig, Loss
+from common.dataset import Dataset, Problem, Target
 from common.expression.operators import CONSTANT
 from common.expression.program import Program
 from common.expression.text import PRINTABLE_SIZE, to_infix, tree_size
 from common.pareto import FrontEntry
 from common.wire.views import JobState
+from coordinator.data.recording import Preparation
 from coordinator.model.digest import result_digest
-from coordinator.model.refine import Refined
+from coordinator.model.refine import errors_on
+from coordinator.model.refinement import Constant, Refined, Refinement
 from coordinator.model.select import select, threshold
+from coordinator.model.trust import candidates, correlations, finite, noise, simulation, verdict
 
 SCHEMA: Final = 1
 KNOWN: Final = "known"
@@ -39,8 +42,9 @@ class VariableOutcome:
     up to the cut (0: none yet); `generation` the one that met the target, counted from the search's beginning, or None
     when none did; `evaluations` the cumulative point evaluations by part, all islands together; `seconds` the time from
     the first epoch's start to the cut's end; `why` how the search ended (None: it has not), as in
-    `common.wire.views.VariableView`; `refined` is the equation made of the front after the search (None: none yet). A
-    known equation is the only member of its front, and `why` is `KNOWN`.
+    `common.wire.views.VariableView`; `refined` is the equation made of the front after the search (None: none yet);
+    `runners_up` is what was kept beside the front. A known equation is the only member of its front, and `why` is
+    `KNOWN`.
     """
 
     variable: str
@@ -51,6 +55,7 @@ class VariableOutcome:
     seconds: float = 0.0
     why: str | None = None
     refined: Refined | None = None
+    runners_up: tuple[FrontEntry, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -58,28 +63,34 @@ class Account:
     """What a result says of the job as a whole.
 
     `seconds` is the time since the job was submitted, `search_seconds` from the first epoch's start to the last needed
-    epoch's end; `reason` says why a job failed; `warnings` are sentences beyond those about the data.
+    epoch's end; `reason` says why a job failed.
     """
 
     state: JobState
     seconds: float
     search_seconds: float
     reason: str | None = None
-    warnings: tuple[str, ...] = ()
 
 
 def build_result(
-    job: str, config: JobConfig, dataset: Dataset, outcomes: Sequence[VariableOutcome], account: Account
+    job: str,
+    config: JobConfig,
+    preparation: Preparation,
+    outcomes: Sequence[VariableOutcome],
+    account: Account,
+    refinement: Refinement | None = None,
 ) -> dict[str, Any]:
     """Return the result of `job` as it is written to ``result.json``; also the best so far while it runs.
 
     Args:
         job: the job's id.
         config: the configuration that was run.
-        dataset: the regression problems; supplies names, left-hand sides, scales and warnings.
+        preparation: its dataset supplies names, left-hand sides, scales and warnings.
         outcomes: one for each equation, in the dataset's order.
         account: state and times.
+        refinement: what belongs to the model as a whole; what belongs to one equation is in its outcome.
     """
+    dataset, model = preparation.dataset, refinement or Refinement()
     return {
         "schema": SCHEMA,
         "job": job,
@@ -87,12 +98,15 @@ def build_result(
         "preset": config.preset,
         "state": account.state,
         "reason": account.reason,
-        "equations": [_equation(config, dataset, outcome) for outcome in outcomes],
+        "equations": [_equation(config, preparation, outcome, account.state) for outcome in outcomes],
+        "noise": noise(preparation.recording),
+        "correlations": correlations(model.correlations),
+        "simulation": simulation(model.simulation, preparation.recording),
         "symbols": dict(dataset.symbols),
-        "warnings": [*dataset.warnings, *account.warnings],
+        "warnings": [*dataset.warnings, *model.warnings],
         "point_evaluations": sum(_total(outcome) for outcome in outcomes),
-        "search_seconds": _finite(account.search_seconds),
-        "seconds": _finite(account.seconds),
+        "search_seconds": finite(account.search_seconds),
+        "seconds": finite(account.seconds),
         "digest": result_digest([outcome for outcome in outcomes if outcome.why != KNOWN]),
         "versions": versions(),
     }
@@ -114,8 +128,10 @@ def versions() -> dict[str, str | int]:
     return found
 
 
-def _equation(config: JobConfig, dataset: Dataset, outcome: VariableOutcome) -> dict[str, Any]:
+def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, state: JobState) -> dict[str, Any]:
+    dataset = given.dataset
     target = dataset.problem(outcome.variable).target
+    unseen = given.held_out.problem(outcome.variable) if given.held_out is not None else None
     shown = equation_of(outcome, dataset, config)
     printable = [(index, entry) for index, entry in enumerate(outcome.front) if _is_printable(entry, dataset)]
     member = None if shown is None else shown.member
@@ -123,10 +139,19 @@ def _equation(config: JobConfig, dataset: Dataset, outcome: VariableOutcome) -> 
         "variable": target.variable,
         "lhs": target.lhs,
         **_best(shown, dataset, target, config),
+        **verdict(shown, target, state),
         **_course(None if member is None else outcome.front[member], outcome, config),
-        "derivative_floor": _finite(target.floor),
+        "derivative_floor": finite(target.floor),
         "target_error": threshold(target, config.budget.target_error),
-        "front": [_member(entry, dataset, target, index == member) for index, entry in printable],
+        "candidates": candidates(shown.contenders if shown is not None else (), dataset),
+        "front": [
+            {
+                **_member(entry, dataset, target),
+                "holdout_error": _unseen_error(_program(entry, dataset), unseen, config.evolution.loss),
+                "selected": index == member,
+            }
+            for index, entry in printable
+        ],
     }
 
 
@@ -166,10 +191,10 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
     return {
         "expression": to_infix(shown.program, dataset.names),
         "complexity": len(shown.program),
-        "error": _finite(shown.error),
-        "normalized_error": _finite(normalized),
+        "error": finite(shown.error),
+        "normalized_error": finite(normalized),
         "converged": normalized <= threshold(target, config.budget.target_error),
-        "constants": _constants(shown.program, shown.std_errors, shown.fitted),
+        "constants": _constants(shown.program, shown.constants),
     }
 
 
@@ -183,35 +208,41 @@ def _course(entry: FrontEntry | None, outcome: VariableOutcome, config: JobConfi
         "generation": generation,
         "point_evaluations": _total(outcome),
         "point_evaluations_by_part": {part: int(outcome.evaluations[part]) for part in sorted(outcome.evaluations)},
-        "seconds": _finite(outcome.seconds),
+        "seconds": finite(outcome.seconds),
         "why": outcome.why,
     }
 
 
-def _member(entry: FrontEntry, dataset: Dataset, target: Target, selected: bool) -> dict[str, Any]:
+def _member(entry: FrontEntry, dataset: Dataset, target: Target) -> dict[str, Any]:
     program = _program(entry, dataset)
     variance = target.deviation * target.deviation
     return {
         "expression": to_infix(program, dataset.names),
         "complexity": entry.complexity,
-        "error": _finite(entry.error),
-        "normalized_error": _finite(entry.error / target.deviation if target.deviation else math.inf),
-        "r2": _finite(1.0 - entry.mse / variance if variance else math.nan),
-        "holdout_error": None,
+        "error": finite(entry.error),
+        "normalized_error": finite(entry.error / target.deviation if target.deviation else math.inf),
+        "r2": finite(1.0 - entry.mse / variance if variance else math.nan),
         "constants": _constants(program),
-        "selected": selected,
     }
 
 
-def _constants(
-    program: Program, std_errors: Sequence[float] = (), fitted: Sequence[float] = ()
-) -> list[dict[str, float | None]]:
-    """Return the constants in node order; `fitted` is what they were before they were made simple."""
+def _unseen_error(program: Program, unseen: Problem | None, loss: Loss) -> float | None:
+    """Return the loss on held-out rows; None when there are none, or when it is not finite."""
+    return finite(errors_on(unseen, program, loss)[0]) if unseen is not None else None
+
+
+def _constants(program: Program, known: Sequence[Constant] = ()) -> list[dict[str, Any]]:
+    """Return the constants in node order; `known` is what refinement knows of them, if there was any."""
     values = program.constants[program.operators == np.int8(CONSTANT)].tolist()
-    unknown = [math.nan] * len(values)
     return [
-        {"value": _finite(value), "std_error": _finite(error), "fitted": _finite(before)}
-        for value, error, before in zip(values, std_errors or unknown, fitted or unknown, strict=True)
+        {
+            "value": finite(value),
+            "std_error": finite(each.std_error),
+            "fitted": finite(each.fitted),
+            "interval": [finite(bound) for bound in each.interval] if each.interval is not None else None,
+            "identifiable": each.identifiable,
+        }
+        for value, each in zip(values, known or map(Constant, values), strict=True)
     ]
 
 
@@ -221,7 +252,3 @@ def _program(entry: FrontEntry, dataset: Dataset) -> Program:
 
 def _total(outcome: VariableOutcome) -> int:
     return int(sum(outcome.evaluations.values()))
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

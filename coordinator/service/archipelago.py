@@ -111,5 +111,5 @@ class Archipelago:
         if len(set(islands)) < len(islands) or not set(islands) <= set(placement.islands_of(worker)):
             raise RemoteProtocolError(f"worker {worker} reported islands {islands}, which are not placed there")
         for each in report.islands:
-            for addition in each.additions:
+            for addition in (*each.additions, *each.runners_up):
                 self._check(addition.program)

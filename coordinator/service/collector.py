@@ -1,20 +1,19 @@
-"""Collects the reports of one archipelago, merges its front and finds its end. Pure: no clock, no I/O.
+"""Collects the reports of one archipelago, merges front and runners-up and finds its end. Pure: no clock, no I/O.
 
 Decisions go by epoch number, never by arrival time: epochs are taken in order, each once, when every island has
 reported as much of it as counts. Hence the outcome depends on what was reported and on nothing else: not even on how
 far an island got beyond the cut.
 """
 
-import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
 from common.errors import AtollError, RemoteProtocolError
-from common.pareto import FrontEntry, merge
+from common.pareto import FrontEntry, merge, runners_up
 from common.slices import Course, Position
-from common.wire.messages import IslandReport
+from common.wire.messages import Addition, IslandReport
 from coordinator.service.cut import Cut, Why, stored
 
 IMPROVEMENT_NATS: Final = 1.0
@@ -30,12 +29,16 @@ class DivergedError(AtollError):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """When an archipelago ends by itself: epochs at most, epochs without improvement; and what counts at a hit."""
+    """When an archipelago ends by itself: epochs at most, epochs without improvement; and what counts at a hit.
+
+    `runners_up` are kept of each complexity.
+    """
 
     islands: int
     epochs: int
     stagnation: int
     course: Course
+    runners_up: int = 0
 
 
 @dataclass(slots=True)
@@ -62,6 +65,7 @@ class Progress:
 
     epochs: int = 0
     front: tuple[FrontEntry, ...] = ()
+    runners_up: tuple[FrontEntry, ...] = ()
     evaluations: dict[str, int] = field(default_factory=dict)
     best_length: float = math.inf
     improved_at: int = 0
@@ -179,7 +183,10 @@ class Collector:
         hit = self._hit(epoch)
         counted = [(report, self._needed(hit, report.island)) for report in self._release(epoch)]
         progress = self.progress
-        front = merge(progress.front, itertools.chain(*(additions_of(epoch, *each) for each in counted)))
+        additions = [entry for each in counted for entry in additions_of(epoch, *each)]
+        near = [entry for each in counted for entry in runners_up_of(epoch, *each)]
+        front, before = merge(progress.front, additions), (*progress.front, *progress.runners_up)
+        progress.runners_up = runners_up(front, (*before, *additions, *near), self.limits.runners_up)
         if front != progress.front:
             progress.front = front
             self._note_improvement(epoch)
@@ -227,14 +234,24 @@ class Collector:
             front=tuple(stored(entry) for entry in progress.front),
             evaluations=progress.evaluations,
             seconds=progress.seconds,
+            runners_up=tuple(stored(entry) for entry in progress.runners_up),
         )
 
 
 def additions_of(epoch: int, report: IslandReport, end: int) -> list[FrontEntry]:
     """Return what an island added to the front of one epoch up to generation `end`, tagged with where it was found."""
+    return _tagged(epoch, report, report.additions, end)
+
+
+def runners_up_of(epoch: int, report: IslandReport, end: int) -> list[FrontEntry]:
+    """Return what came to be a runner-up of an island in one epoch up to generation `end`, tagged likewise."""
+    return _tagged(epoch, report, report.runners_up, end)
+
+
+def _tagged(epoch: int, report: IslandReport, stated: Iterable[Addition], end: int) -> list[FrontEntry]:
     return [
         FrontEntry(each.complexity, each.error, each.mse, epoch, each.generation, report.island, each.program)
-        for each in report.additions
+        for each in stated
         if each.generation <= end
     ]
 

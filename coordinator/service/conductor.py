@@ -5,7 +5,7 @@ same: first commit, then say.
 """
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Final, Protocol
 
 from common.config import JobConfig
@@ -26,7 +26,7 @@ from common.wire.messages import (
     WorkerStatus,
 )
 from common.wire.views import FINAL_STATES, JobView
-from coordinator.model.refine import Fronts, Refined
+from coordinator.model.refinement import Pools, Refinement
 from coordinator.service.archipelago import INTERVAL_EPOCHS, Archipelago
 from coordinator.service.cut import Cut
 from coordinator.service.job import Conclude, Fault, Job, JobAction, KeepCut, Prepared, Refine, TellCommit
@@ -56,8 +56,8 @@ class Outlet(Protocol):
     def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
         """Have the table prepared elsewhere; `Conductor.prepared` or `Conductor.job_failed` follows."""
 
-    def refine(self, job: str, prepared: Prepared, fronts: Fronts) -> None:
-        """Have the equations made of the fronts elsewhere; `Conductor.refined` follows."""
+    def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
+        """Have the equations made of the pools elsewhere; `Conductor.refined` follows."""
 
 
 class Conductor:
@@ -131,11 +131,11 @@ class Conductor:
         self._carry_out(job, actions, now)
         self.place(now)
 
-    def refined(self, job_id: str, refined: Mapping[str, Refined], now: float, warnings: tuple[str, ...] = ()) -> None:
-        """Take in the equations made of a job's fronts: it is done. Sentences say what could not be made."""
+    def refined(self, job_id: str, refinement: Refinement, now: float) -> None:
+        """Take in what was made of a job's pools: it is done."""
         job = self.jobs.get(job_id)
         if job is not None:
-            self._carry_out(job, job.take_refined(refined, warnings), now)
+            self._carry_out(job, job.take_refined(refinement), now)
 
     def job_failed(self, job_id: str, fault: Fault, sentence: str, now: float) -> None:
         """Let a job fail; without effect when it has ended."""
@@ -321,7 +321,7 @@ class Conductor:
                     self._outlet.tell(action.commit)
                 case Refine():
                     if job.prepared is not None:
-                        self._outlet.refine(job.id, job.prepared, action.fronts)
+                        self._outlet.refine(job.id, job.prepared, action.pools)
                 case Conclude():
                     self._conclude(job, now)
 

@@ -6,6 +6,7 @@ from pydantic import Field
 
 from common.config import Model
 from common.pareto import FrontEntry
+from coordinator.model.refinement import Pool
 
 Why = Literal["target", "stagnation", "max-epochs", "max-time", "cancelled"]
 
@@ -28,7 +29,7 @@ class Cut(Model):
     `epochs` are counted, so the last one is `epochs` - 1; `generation`, counted from the start of the search, is the
     one that met the target (None: it was not met, and the last epoch counts to its end); `evaluations` are point
     evaluations by part of all islands up to the cut; `seconds` run from the first epoch's start to the end of the last
-    slice that counts.
+    slice that counts; `runners_up` are what was kept beside the front (`common.pareto.runners_up`).
     """
 
     variable: str
@@ -38,10 +39,19 @@ class Cut(Model):
     front: tuple[CutEntry, ...]
     evaluations: dict[str, int]
     seconds: float
+    runners_up: tuple[CutEntry, ...] = ()
 
     def entries(self) -> tuple[FrontEntry, ...]:
         """Return the front."""
-        return tuple(FrontEntry(**entry.model_dump()) for entry in self.front)
+        return _entries(self.front)
+
+    def pool(self) -> Pool:
+        """Return the front and the runners-up."""
+        return Pool(_entries(self.front), _entries(self.runners_up))
+
+
+def _entries(stored: tuple[CutEntry, ...]) -> tuple[FrontEntry, ...]:
+    return tuple(FrontEntry(**entry.model_dump()) for entry in stored)
 
 
 def stored(entry: FrontEntry) -> CutEntry:

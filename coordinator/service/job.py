@@ -12,11 +12,13 @@ from common.pareto import FrontEntry
 from common.slices import Course
 from common.wire.messages import Commit, EpochReport, JobAnnouncement, chunk_count
 from common.wire.views import FINAL_STATES, JobState
-from coordinator.model.refine import Refined
+from coordinator.data.recording import Preparation
+from coordinator.model.refinement import Pool, Refinement
 from coordinator.model.select import count_constants, description_length
 from coordinator.service.archipelago import Archipelago
 from coordinator.service.collector import DivergedError, Limits, Measure
 from coordinator.service.cut import Cut
+from coordinator.service.resolve import stagnation_of
 
 JobStep = Literal["prepare", "prepared", "searched", "refined", "fail", "cancel"]
 Fault = Literal["data", "diverged", "internal"]
@@ -49,9 +51,9 @@ class TellCommit:
 
 @dataclass(frozen=True, slots=True)
 class Refine:
-    """All is cut: have the equations made of these fronts, by variable; `Job.take_refined` follows."""
+    """All is cut: have the equations made of these pools, by variable; `Job.take_refined` follows."""
 
-    fronts: dict[str, tuple[FrontEntry, ...]]
+    pools: dict[str, Pool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +66,12 @@ JobAction = KeepCut | TellCommit | Refine | Conclude
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """What preparing gave: the dataset, the resolved configuration, and the dataset's bytes by digest and size.
+    """What preparing gave, the resolved configuration, and the dataset's bytes by digest and size.
 
     `known` has the known equations by variable, as members of fronts of their own.
     """
 
-    dataset: Dataset
+    preparation: Preparation
     config: JobConfig
     blob: str
     size: int
@@ -79,6 +81,11 @@ class Prepared:
     def sought(self) -> tuple[Target, ...]:
         """The targets whose equations are searched."""
         return tuple(target for target in self.dataset.targets if target.variable not in self.known)
+
+    @property
+    def dataset(self) -> Dataset:
+        """What the search sees."""
+        return self.preparation.dataset
 
 
 class Job:
@@ -98,8 +105,7 @@ class Job:
         self.prepared: Prepared | None = None
         self.archipelagos: dict[str, Archipelago] = {}
         self.started_at: float | None = None
-        self.refined: Mapping[str, Refined] = {}
-        self.warnings: tuple[str, ...] = ()
+        self.refinement = Refinement()
 
     @property
     def has_ended(self) -> bool:
@@ -174,11 +180,11 @@ class Job:
             actions += self._cut_of(archipelago)
         return actions + (self._conclude_if_cut() if actions else [])
 
-    def take_refined(self, refined: Mapping[str, Refined], warnings: tuple[str, ...] = ()) -> list[JobAction]:
-        """Take in the equations made of the fronts, and end; without effect on a job that does not wait for them."""
+    def take_refined(self, refinement: Refinement) -> list[JobAction]:
+        """Take in what refining gave, and end; without effect on a job that does not wait for it."""
         if self.state != "refining":
             return []
-        self.refined, self.warnings = refined, warnings
+        self.refinement = refinement
         self._step("refined")
         return [Conclude()]
 
@@ -220,8 +226,9 @@ class Job:
         limits = Limits(
             islands=config.evolution.islands,
             epochs=budget.max_epochs_of.get(target.variable, budget.max_epochs),
-            stagnation=budget.stagnation,
+            stagnation=stagnation_of(config, target),
             course=course_of(config),
+            runners_up=config.evolution.runners_up or 0,
         )
         return Archipelago(
             self.id, target.variable, limits, measure_of(target), lambda data: check_program(data, inputs)
@@ -244,7 +251,7 @@ class Job:
             return []
         self._step("searched")
         cuts = {name: each.cut for name, each in self.archipelagos.items()}
-        return [Refine({name: cut.entries() for name, cut in cuts.items() if cut is not None})]
+        return [Refine({name: Pool(cut.entries()) for name, cut in cuts.items() if cut is not None})]
 
 
 def course_of(config: JobConfig) -> Course:
@@ -257,13 +264,15 @@ def course_of(config: JobConfig) -> Course:
 
 
 def measure_of(target: Target) -> Measure:
-    """Return the measure by which a front of this target is better than another: its least description length."""
-    rows = len(target.values)
+    """Return the measure by which a front of this target is better than another: its least description length.
+
+    That of a noisy target knows no floor: many equations lie below it, and the search goes on while they get better.
+    """
+    rows, floor = len(target.values), 0.0 if target.is_noisy else target.floor
 
     def least(front: tuple[FrontEntry, ...]) -> float:
         lengths = (
-            description_length(entry, rows, target.floor, target.deviation, count_constants(entry.program))
-            for entry in front
+            description_length(entry, rows, floor, target.deviation, count_constants(entry.program)) for entry in front
         )
         return min(lengths, default=float("inf"))
 

@@ -1,12 +1,13 @@
 """What the service needs from outside itself, beside the bus: a store, a place for slow work, the time of day."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Protocol
 
 from common.config import JobConfig
-from common.dataset import Dataset
-from coordinator.model.refine import Fronts, Refined, refine_all
+from coordinator.data.recording import Preparation
+from coordinator.model.refine import refine_all
+from coordinator.model.refinement import Pools, Refinement
 from coordinator.service.store import JobRecord
 
 
@@ -58,11 +59,12 @@ class StorePort(Protocol):
     def blob_bytes(self) -> int: ...
 
 
-Preparer = Callable[[bytes, JobConfig], Dataset]
-"""Turns an uploaded table into regression problems; raises DataError or UsageError with a sentence for the user."""
+Preparer = Callable[[bytes, JobConfig], Preparation]
+"""Turns an uploaded table into regression problems and a recording; raises DataError or UsageError with a sentence for
+the user."""
 
-Refiner = Callable[[Dataset, JobConfig, Fronts], Mapping[str, Refined]]
-"""Makes the equations that are shown of the fronts, by variable; see `coordinator.model.refine.refine_all`."""
+Refiner = Callable[[Preparation, JobConfig, Pools], Refinement]
+"""Makes the equations that are shown of what the search handed on; see `coordinator.model.refine.refine_all`."""
 
 Background = Callable[[Callable[[], None]], None]
 """Has a piece of work done elsewhere than on the caller's thread, and returns at once."""

@@ -6,11 +6,11 @@ from datetime import UTC, datetime
 from typing import Final
 
 from common.config import JobConfig
-from common.dataset import Dataset
+from coordinator.data.recording import Preparation
 from coordinator.service.ports import Ports
 
 
-def prepare_table(table: bytes, config: JobConfig) -> Dataset:
+def prepare_table(table: bytes, config: JobConfig) -> Preparation:
     """Smooth and differentiate an uploaded table.
 
     Raises:

@@ -26,9 +26,8 @@ def job_result(job: Job, now: float) -> dict[str, Any]:
         seconds=now - job.submitted_at,
         search_seconds=max((outcome.seconds for outcome in outcomes), default=0.0),
         reason=job.reason,
-        warnings=job.warnings,
     )
-    return build_result(job.id, prepared.config, prepared.dataset, outcomes, account)
+    return build_result(job.id, prepared.config, prepared.preparation, outcomes, account, job.refinement)
 
 
 def result_text(result: dict[str, Any]) -> str:
@@ -46,20 +45,23 @@ def outcomes_of(job: Job) -> list[VariableOutcome]:
     found = {name: outcome_of(each) for name, each in job.archipelagos.items()}
     found |= {name: VariableOutcome(name, (entry,), 0, why=KNOWN) for name, entry in job.prepared.known.items()}
     order = [name for name in job.prepared.dataset.variables if name in found]
-    return [replace(found[name], refined=job.refined.get(name)) for name in order]
+    return [replace(found[name], refined=job.refinement.equations.get(name)) for name in order]
 
 
 def outcome_of(archipelago: Archipelago) -> VariableOutcome:
     """Return how the search of one equation ended, or how it stands after the epochs that are complete."""
     cut = archipelago.cut
     if cut is not None:
+        pool = cut.pool()
         return VariableOutcome(
-            archipelago.variable, cut.entries(), cut.epochs, cut.generation, cut.evaluations, cut.seconds, cut.why
-        )
+            archipelago.variable, pool.front, cut.epochs, cut.generation, cut.evaluations, cut.seconds, cut.why,
+            runners_up=pool.runners_up,
+        )  # fmt: skip
     progress = archipelago.collector.progress
     return VariableOutcome(
-        archipelago.variable, progress.front, progress.epochs, None, progress.evaluations, progress.seconds
-    )
+        archipelago.variable, progress.front, progress.epochs, None, progress.evaluations, progress.seconds,
+        runners_up=progress.runners_up,
+    )  # fmt: skip
 
 
 def job_view(job: Job, membership: Membership, now: float) -> JobView:

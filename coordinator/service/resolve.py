@@ -3,32 +3,36 @@
 from typing import Final
 
 from common.config import JobConfig
-from common.dataset import Dataset
+from common.dataset import Dataset, Target
 from coordinator.data.prior import resolve_prior
-
-CLEAN_FLOOR: Final = 1e-3
-"""Targets known better than this, relative to their spread, count as noise-free."""
 
 ROWS_CLEAN: Final = 16
 ROWS_NOISY: Final = 64
+RUNNERS_UP_NOISY: Final = 5
+STAGNATION_CLEAN: Final = 60
+STAGNATION_NOISY: Final = 8
 
 
 def resolve(config: JobConfig, dataset: Dataset) -> JobConfig:
-    """Return `config` with the rows of a predictor and the number of terminals filled in, as workers need it.
+    """Return `config` with all filled in that workers need: rows of a predictor, terminals, runners-up.
 
     Left-hand sides that people wrote become the names of their variables; raises UsageError where that cannot be.
     """
     config = resolve_prior(config, dataset.variables, dataset.symbols)
-    rows = config.predictors.rows or _rows(dataset)
+    is_noisy = any(target.is_noisy for target in dataset.targets)
+    rows, runners_up = config.predictors.rows, config.evolution.runners_up
+    rows = rows or (ROWS_NOISY if is_noisy else ROWS_CLEAN)
+    runners_up = (RUNNERS_UP_NOISY if is_noisy else 0) if runners_up is None else runners_up
     terminals = config.space.terminals_for(len(dataset.names))
     return config.model_copy(
         update={
             "predictors": config.predictors.model_copy(update={"rows": rows}),
+            "evolution": config.evolution.model_copy(update={"runners_up": runners_up}),
             "space": config.space.model_copy(update={"terminals": terminals}),
         }
     )
 
 
-def _rows(dataset: Dataset) -> int:
-    is_clean = all(target.floor < CLEAN_FLOOR and target.noise == 0.0 for target in dataset.targets)
-    return ROWS_CLEAN if is_clean else ROWS_NOISY
+def stagnation_of(config: JobConfig, target: Target) -> int:
+    """Return the epochs without a better equation after which the search for that of `target` ends."""
+    return config.budget.stagnation or (STAGNATION_NOISY if target.is_noisy else STAGNATION_CLEAN)

@@ -6,7 +6,6 @@
 import hashlib
 import logging
 import threading
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
@@ -38,7 +37,7 @@ from common.wire.messages import (
 )
 from common.wire.rejects import Rejects
 from coordinator.model.known import known_entries
-from coordinator.model.refine import Fronts, Refined
+from coordinator.model.refinement import Pools, Refinement
 from coordinator.service.conductor import Conductor, WorkerWord
 from coordinator.service.desk import Body, Desk
 from coordinator.service.job import Fault, Prepared
@@ -74,11 +73,10 @@ class _Unprepared:
 
 @dataclass(frozen=True, slots=True)
 class _Refined:
-    """Posted by the refining thread: the equations made of a job's fronts."""
+    """Posted by the refining thread: what was made of a job's pools."""
 
     job: str
-    equations: Mapping[str, Refined]
-    warnings: tuple[str, ...] = ()
+    refinement: Refinement
 
 
 class Service:
@@ -160,11 +158,12 @@ class Service:
     def _prepare(self, job: str, table: bytes, config: JobConfig) -> _Ready | _Unprepared:
         """Smooth and differentiate; runs in the background."""
         try:
-            dataset = self._ports.preparer(table, config)
-            data = dataset_to_bytes(dataset)
-            resolved = resolve(config, dataset)
-            known = known_entries(dataset, resolved)
-            prepared = Prepared(dataset, resolved, hashlib.sha256(data).hexdigest(), len(data), known)
+            preparation = self._ports.preparer(table, config)
+            data = dataset_to_bytes(preparation.dataset)
+            blob = hashlib.sha256(data).hexdigest()
+            resolved = resolve(config, preparation.dataset)
+            known = known_entries(preparation.dataset, resolved)
+            prepared = Prepared(preparation, resolved, blob, len(data), known)
             return _Ready(job, prepared, data)
         except (DataError, UsageError, RemoteProtocolError) as error:
             return _Unprepared(job, "data", str(error))
@@ -172,17 +171,18 @@ class Service:
             _LOG.exception("preparing broke job=%s", job)
             return _Unprepared(job, "internal", f"preparing the data broke ({type(error).__name__}: {error})")
 
-    def refine(self, job: str, prepared: Prepared, fronts: Fronts) -> None:
+    def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
         """See `Outlet.refine`."""
-        self._ports.background(lambda: self._bus.post(self._refine(job, prepared, fronts)))
+        self._ports.background(lambda: self._bus.post(self._refine(job, prepared, pools)))
 
-    def _refine(self, job: str, prepared: Prepared, fronts: Fronts) -> _Refined:
+    def _refine(self, job: str, prepared: Prepared, pools: Pools) -> _Refined:
         """Make the equations; runs in the background. When that breaks, the selected members stay as they are."""
         try:
-            return _Refined(job, self._ports.refiner(prepared.dataset, prepared.config, fronts))
+            return _Refined(job, self._ports.refiner(prepared.preparation, prepared.config, pools))
         except Exception as error:  # the job is done all the same
             _LOG.exception("refining broke job=%s", job)
-            return _Refined(job, {}, (f"Refining broke ({type(error).__name__}: {error}); equations are as found.",))
+            sentence = f"Refining broke ({type(error).__name__}: {error}); equations are as found."
+            return _Refined(job, Refinement(warnings=(sentence,)))
 
     def _put(self, key: str, message: Control) -> None:
         self._bus.put(key, encode(message))
@@ -209,7 +209,7 @@ class Service:
             case _Unprepared():
                 self.conductor.job_failed(item.job, item.fault, item.sentence, now)
             case _Refined():
-                self.conductor.refined(item.job, item.equations, now, item.warnings)
+                self.conductor.refined(item.job, item.refinement, now)
 
     @_on.register
     def _on_link(self, event: Link) -> None:

@@ -23,11 +23,12 @@ from island_worker.evolution.formula import (
     reductions,
     to_program,
 )
-from island_worker.evolution.kernels_offers import SIMPLE, refit, refit_offers
+from island_worker.evolution.kernels_offers import SIMPLE, choose_near, choose_offers, refit, refit_chosen
 from island_worker.evolution.kernels_rows import padded_rows
 from island_worker.evolution.kernels_tape import canonical_tape
+from island_worker.evolution.runners import RunnersUp
 from island_worker.evolution.setting import Setting
-from island_worker.evolution.structures import MOST_FITTED, MOST_TERMS, Fit, Lists, Rows
+from island_worker.evolution.structures import MOST_FITTED, MOST_TERMS, Fit, Lists, Rows, empty_book
 
 REFIT_STEPS = 10
 POLISH_STEPS = 4
@@ -37,9 +38,13 @@ MOST_NODES = 200
 _NEAR = 2.0
 _NEAR_EXACT = 1e-6
 _PROMISING = 10.0
+_SLACK = 1.2
+"""Where runners-up are kept: how far above the useful loss an individual may be that steps are spent on."""
 
 Counters = npt.NDArray[np.int64]
 Tag = tuple[int, int, int]
+Additions = tuple[list[FrontEntry], list[FrontEntry]]
+"""What improved the front, and what the runners-up, each in the order found."""
 
 
 class Front:
@@ -80,15 +85,21 @@ class Front:
 
 
 class Offering:
-    """Offers individuals to a front. `offered` and `offered_loss` (by size) remember the last structure offered.
+    """Offers individuals to a front, and to the runners-up beside it where these are kept.
 
-    `sample` are rows spread evenly over all.
+    `offered` and `offered_loss` (by size) remember the last structure offered to the front; `sample` are rows spread
+    evenly over all.
     """
 
-    def __init__(self, setting: Setting, front: Front) -> None:
+    def __init__(self, setting: Setting, front: Front, runners_up: RunnersUp) -> None:
         self._setting = setting
         self._front = front
-        sizes = setting.scratch.best_of_size.shape[0]
+        self._runners_up = runners_up
+        sizes, nodes = setting.scratch.best_of_size.shape[0], setting.scratch.book.code.shape[1]
+        population = setting.config.evolution.population
+        self._book = empty_book(sizes + population, nodes) if runners_up.most else setting.scratch.book
+        self._chosen = np.zeros(len(self._book.size), np.int64)
+        self._candidates: list[FrontEntry] = []
         self.offered = np.zeros(sizes, np.uint64)
         self.offered_loss = np.full(sizes, math.inf)
         self._scale = np.zeros(1 + MOST_TERMS)
@@ -97,26 +108,58 @@ class Offering:
         self._largest = setting.config.space.max_size or MOST_NODES
         self.sample = _spread(setting.every)
 
-    def offer(self, lists: Lists, fitness: npt.NDArray[np.float64], counters: Counters, tag: Tag) -> list[FrontEntry]:
-        """Measure the best of each size on all rows and offer it; return what improved the front."""
-        setting, scratch = self._setting, self._setting.scratch
-        count = refit_offers(
-            lists, fitness, setting.every, setting.fit, REFIT_STEPS if setting.fit.steps else 0, scratch,
-            self.offered, self.offered_loss, self._front.least_by_size(len(self.offered)), scratch.book, counters,
+    def offer(
+        self,
+        lists: Lists,
+        fitness: npt.NDArray[np.float64],
+        counters: Counters,
+        tag: Tag,
+        looks_beside: bool = False,
+    ) -> Additions:
+        """Measure the best of each size on all rows and offer it; return what improved front and runners-up.
+
+        With `looks_beside`, the next best of each size are offered as well where runners-up are kept.
+        """
+        setting = self._setting
+        looks_beside = looks_beside and self._runners_up.most > 0
+        number, least = self._choose(lists, fitness, looks_beside)
+        count = refit_chosen(
+            lists, self._chosen, number, setting.every, setting.fit, REFIT_STEPS if setting.fit.steps else 0,
+            setting.scratch, least, _SLACK if looks_beside else math.inf, self._book, counters,
         )  # fmt: skip
-        found: list[FrontEntry] = []
+        before, found = self._front.entries(), list[FrontEntry]()
         for k in range(count):
             found += self._offer_one(k, counters, tag)
-        return found
+        if not self._candidates:
+            return found, []
+        candidates, self._candidates = self._candidates, []
+        return found, self._runners_up.take(self._front.entries(), (*before, *candidates), (*before, *found))
+
+    def _choose(
+        self, lists: Lists, fitness: npt.NDArray[np.float64], looks_beside: bool
+    ) -> tuple[int, npt.NDArray[np.float64]]:
+        """Choose individuals; return their number and, by size, the loss below which one is worth offering."""
+        scratch, chosen, runners_up = self._setting.scratch, self._chosen, self._runners_up
+        number = int(choose_offers(lists, fitness, scratch, self.offered, self.offered_loss, chosen))
+        if not looks_beside:
+            return number, self._front.least_by_size(len(self.offered))
+        order = np.argsort(fitness, kind="stable")
+        number = int(choose_near(lists, fitness, order, runners_up.most, scratch, runners_up.known, chosen, number))
+        return number, runners_up.limits(len(self.offered))
 
     def _offer_one(self, k: int, counters: Counters, tag: Tag) -> Iterator[FrontEntry]:
-        book = self._setting.scratch.book
+        """Offer every way to write a program down; what does not improve the front may be a runner-up."""
+        book, keeps = self._book, self._runners_up.most > 0
         loss = float(book.loss[k])
-        if not loss < self._front.error_at(int(book.size[k])):
+        if not (keeps or loss < self._front.error_at(int(book.size[k]))):
             return
         for variant in self._variants(from_book(book, k), k, _NEAR * loss + _NEAR_EXACT * self._setting.deviation):
             entry = self._measured(variant, counters, tag)
-            if entry is not None and self._front.add(entry):
+            if entry is None:
+                continue
+            if keeps:
+                self._candidates.append(entry)
+            if self._front.add(entry):
                 yield entry
 
     def _error(self) -> float:
@@ -129,7 +172,7 @@ class Offering:
         With the shift or without it, those near 1 and -1 as they are or exact. Where sizes are limited all of these may
         be too large, so that the formula as it stands is among them.
         """
-        book = self._setting.scratch.book
+        book = self._book
         number = int(book.number[k])
         if not self._setting.fit.terms:
             return [formula]
@@ -138,12 +181,20 @@ class Offering:
         plain = [math.copysign(1.0, a) if abs(abs(a) - 1.0) < SIMPLE else a for a in coefficients]
         variants: dict[Formula, None] = {}
         for index, loss in enumerate(book.variants[k].tolist()):
-            if loss <= limit:
+            if index & 2 and plain == coefficients:
+                break
+            if loss <= limit and self._may_be_kept(loss, int(book.size[k]), 2 * number + (0 if index & 1 else 2)):
                 written = plain if index & 2 else coefficients
                 variants[combined(formula, terms, written, 0.0 if index & 1 else shift)] = None
         if self._setting.config.space.max_size is not None:
             variants[formula] = None
         return list(variants)
+
+    def _may_be_kept(self, loss: float, size: int, growth: int) -> bool:
+        """Return whether a program of that size, which grows by its coefficients, may improve front or runners-up."""
+        if not self._runners_up.most:
+            return True
+        return loss < max(self._runners_up.limit(size + growth), self._front.error_at(size))
 
     def _measured(self, formula: Formula, counters: Counters, tag: Tag) -> FrontEntry | None:
         """Return an entry for `formula`, its constants refined, or None when it is too large or not finite."""

@@ -6,7 +6,7 @@ No clock, no I/O, no global random state, no thread order in it (DESIGN section 
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -24,8 +24,12 @@ from island_worker.evolution.front import Front, Offering
 from island_worker.evolution.guessing import begin_with_guesses
 from island_worker.evolution.kernels_coevolution import train
 from island_worker.evolution.kernels_generation import OFFSPRING, PARTS, measure_all, random_population
+from island_worker.evolution.runners import RunnersUp
 from island_worker.evolution.setting import Setting
 from island_worker.evolution.structures import Lists, empty_lists
+
+LOOKS_BESIDE = 5
+"""Slices from one look at the next best of each size to the next; the last one of an epoch looks as well."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,8 @@ class Hit:
 class EpochOutcome:
     """What one island has to say of one epoch, as far as it has come with it.
 
-    `additions` are the entries that improved the island's own front in this epoch, in the order found; `evaluations`
+    `additions` are the entries that improved the island's own front in this epoch, in the order found, `runners_up`
+    those that came to be its runners-up without ever having been on its front; `evaluations`
     are *cumulative* point evaluations by part since epoch 0, `tallies` the same at the end of each slice of this epoch,
     by generation; `best_error` is the smallest normalized error on all rows so far (None: none finite yet); `digest` is
     the hex digest of the state.
@@ -50,6 +55,7 @@ class EpochOutcome:
     generations: int
     hit: Hit | None
     additions: tuple[FrontEntry, ...]
+    runners_up: tuple[FrontEntry, ...]
     evaluations: Mapping[str, int]
     tallies: Mapping[int, Mapping[str, int]]
     best_error: float | None
@@ -74,7 +80,8 @@ class Island:
         self._coevolution = self._setting.empty_coevolution()
         self._counters = np.zeros(len(PARTS), np.int64)
         self._front = Front()
-        self._offering = Offering(self._setting, self._front)
+        self._runners_up = RunnersUp(self._setting.runners_up)
+        self._offering = Offering(self._setting, self._front, self._runners_up)
         self.epoch = 0
         self._start_epoch()
 
@@ -88,6 +95,7 @@ class Island:
         self._hit: Hit | None = None
         self._begun = False
         self._additions: list[FrontEntry] = []
+        self._near: list[FrontEntry] = []
         self._tallies: dict[int, dict[str, int]] = {}
         setting = self._setting
         key = stream_key(setting.config.seed, setting.variable, setting.island, self.epoch, "generations")
@@ -135,8 +143,12 @@ class Island:
         self._generation += generations
 
     def _offer(self) -> None:
-        found = self._offering.offer(self._lists, self._fitness, self._counters, self._tag())
+        config = self._setting.config
+        every, last = LOOKS_BESIDE * config.evolution.refit_interval, config.migration.generations
+        looks_beside = self._generation % every == 0 or self._generation == last
+        found, near = self._offering.offer(self._lists, self._fitness, self._counters, self._tag(), looks_beside)
         self._additions += found
+        self._near += near
         least = self._front.least_error()
         target = self._setting.target
         if least is not None and least <= target:
@@ -157,6 +169,7 @@ class Island:
             self._generation,
             self._hit,
             tuple(self._setting.outward(entry) for entry in self._additions),
+            tuple(self._setting.outward(entry) for entry in self._near),
             self._evaluations(),
             dict(self._tallies),
             best if math.isfinite(best) else None,
@@ -206,6 +219,7 @@ class Island:
             "counters": self._counters,
             "offered": self._offering.offered,
             "offered loss": self._offering.offered_loss,
+            "known": self._runners_up.known,
         }
 
     def to_bytes(self) -> bytes:
@@ -213,10 +227,8 @@ class Island:
         if self._begun:
             raise LocalProtocolError("an island is written between epochs only, before generation 0")
         arrays = {k: a.astype(np.int32) if a.dtype == np.int16 else a for k, a in self._state_arrays().items()}
-        entries = [
-            [e.complexity, e.error, e.mse, e.epoch, e.generation, e.island, e.program] for e in self._front.entries()
-        ]
-        return encode_arrays({"epoch": self.epoch, "front": entries}, arrays)
+        front, near = _listed(self._front.entries()), _listed(self._runners_up.entries())
+        return encode_arrays({"epoch": self.epoch, "front": front, "runners up": near}, arrays)
 
     @classmethod
     def from_bytes(cls, data: bytes, problem: Problem, config: JobConfig, island: int) -> Self:
@@ -230,6 +242,7 @@ class Island:
                 mine[...] = arrays[name]
             made.epoch = int(header["epoch"])
             made._front.replace(FrontEntry(*entry) for entry in header["front"])
+            made._runners_up.replace(FrontEntry(*entry) for entry in header["runners up"])
         except (KeyError, ValueError, TypeError) as error:
             raise RemoteProtocolError(f"the state of an island does not fit its job: {error}") from error
         made._check()
@@ -265,6 +278,10 @@ class Island:
                     setting.scratch.work,
                     uncounted,
                 )
+
+
+def _listed(entries: Iterable[FrontEntry]) -> list[list[object]]:
+    return [[e.complexity, e.error, e.mse, e.epoch, e.generation, e.island, e.program] for e in entries]
 
 
 senders = migration.senders

@@ -1,5 +1,7 @@
 """Which individuals deserve to be measured on all rows, and what their constants are there."""
 
+from typing import Final
+
 import numpy as np
 
 from common.expression.kernels import forward
@@ -11,6 +13,9 @@ from island_worker.evolution.structures import Book, Fit, Floats, Hashes, Ints, 
 
 SIMPLE = 1e-4
 """A coefficient as near to 1 or -1 as that is also tried as 1 or -1."""
+
+_SAME: Final = 1e-6
+"""Predicted fitnesses that differ by no more than this share count as those of one function."""
 
 _PRIME = np.uint64(0x100000001B3)
 _BASIS = np.uint64(0xCBF29CE484222325)
@@ -73,6 +78,44 @@ def choose_offers(
 
 
 @kernel
+def choose_near(
+    lists: Lists, fitness: Floats, order: Ints, most: int, scratch: Scratch, known: Hashes, chosen: Ints, count: int
+) -> int:
+    """Add to the `count` individuals in `chosen` the next best of each size; return the number of all.
+
+    So many are taken of a size that `most` are chosen of it, `chosen` ones that were not there counted; none has the
+    fitness of one before it, nor a structure in the table `known`, which all that are chosen enter: (a power of two,)
+    uint64, a structure's place is given by its last bits and the next one there displaces it.
+
+    Args:
+        order: (P,) individuals by rising fitness.
+    """
+    taken, last = scratch.chosen, scratch.best_of_size
+    mask = np.uint64(known.shape[0] - 1)
+    for n in range(taken.shape[0]):
+        taken[n] = 0
+        last[n] = -1
+    for c in range(count):
+        hashed = scratch.hashes[chosen[c]]
+        known[np.int64(hashed & mask)] = hashed
+    for k in range(order.shape[0]):
+        p = order[k]
+        if not np.isfinite(fitness[p]):
+            break
+        n = canonical(lists, p, scratch)
+        place = np.int64(scratch.hashes[p] & mask)
+        if taken[n] >= most or (last[n] >= 0 and fitness[p] <= fitness[last[n]] * (1.0 + _SAME)):
+            continue
+        last[n] = p
+        taken[n] += 1
+        if known[place] != scratch.hashes[p]:
+            known[place] = scratch.hashes[p]
+            chosen[count] = p
+            count += 1
+    return count
+
+
+@kernel
 def refit(
     count: int,
     rows: Rows,
@@ -117,31 +160,34 @@ def _measure_variants(count: int, rows: Rows, options: Fit, tape: Tape, work: Wo
 
 
 @kernel
-def refit_offers(
+def refit_chosen(
     lists: Lists,
-    fitness: Floats,
+    chosen: Ints,
+    number: int,
     rows: Rows,
     options: Fit,
     steps: int,
     scratch: Scratch,
-    offered: Hashes,
-    offered_loss: Floats,
     least: Floats,
+    slack: float,
     book: Book,
     counters: Ints,
 ) -> int:
-    """Fit the best individual of each size to all `rows`; write to `book` those that improve; return their number.
+    """Fit the first `number` individuals in `chosen` to all `rows`; book those that improve; return how many do.
 
-    Improving is a loss below `least` (sizes,), the least so far of programs no larger.
+    Improving is a loss below `least` (sizes,), for example the least so far of programs no larger. Those take no steps
+    whose loss, terms fitted, is more than `slack` times that: steps rarely gain as much.
     """
     work, tape = scratch.work, scratch.canonical
-    chosen = choose_offers(lists, fitness, scratch, offered, offered_loss, scratch.chosen)
     count = 0
-    for c in range(chosen):
-        size = canonical(lists, scratch.chosen[c], scratch)
+    for c in range(number):
+        size = canonical(lists, chosen[c], scratch)
         scale = book.scale[count]
+        ceiling = slack * least[size] if slack < INFINITY else INFINITY
+        if options.loss > 0:
+            ceiling *= ceiling
         counters[REFITTING] += fit(
-            tape, size, rows, options, rows.length // 4, steps, INFINITY, work, scale, scratch.result
+            tape, size, rows, options, rows.length // 4, steps, ceiling, work, scale, scratch.result
         )
         loss = loss_of(scratch.result, options)
         if not loss < least[size]:

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from common.config import JobConfig
-from common.dataset import FloatArray, Problem
+from common.dataset import FloatArray, Problem, Target
 from common.errors import LocalProtocolError
 from common.expression.kernels import functions_address
 from common.expression.operators import COS, SIN
@@ -32,6 +32,9 @@ LEAST_INNER = 2
 EXACT_TARGET = 1e-9
 """Normalized error below which an equation counts as found when nothing else is asked for."""
 
+UNREACHABLE_TARGET = -1.0
+"""Stands for a target that nothing meets."""
+
 
 class Setting:
     """Everything about one island that follows from problem and configuration, as kernels want it."""
@@ -46,7 +49,7 @@ class Setting:
         self.names = problem.names
         self.island = island
         self.deviation = problem.target.deviation
-        self.target = target_error(config, problem.target.floor) * self.deviation
+        self.target = target_error(config, problem.target) * self.deviation
         self.space = _space(problem, config)
         self.allowed = frozenset(int(code) for code in self.space.operators)
         keeps_waves = bool(self.allowed & {SIN, COS})
@@ -64,6 +67,7 @@ class Setting:
             evolution.constant_fit_steps, evolution.linear_terms, LEAST_INNER, int(evolution.loss != "mae"),
             evolution.constant_fit_gate,
         )  # fmt: skip
+        self.runners_up = evolution.runners_up or 0
         variables = problem.inputs.shape[0]
         self.rows = self.every
         if self.coevolving.enabled:
@@ -111,10 +115,17 @@ def _shared_scratch(thread: int, population: int, nodes: int, variables: int, sa
     return empty_scratch(population, nodes, variables, sample, rows)
 
 
-def target_error(config: JobConfig, floor: float) -> float:
-    """Return the normalized error at which an equation has converged (DESIGN section 8, "Which equation")."""
+def target_error(config: JobConfig, target: Target) -> float:
+    """Return the normalized error at which the search for an equation ends.
+
+    Where nothing is asked for and the target has no noise, that is where an equation has converged (DESIGN section 8,
+    "Which equation"). A noisy target is met within its noise by many an equation, most of them wrong: no error ends
+    that search (ADR 0018), and the number returned is less than any error.
+    """
     asked = config.budget.target_error
-    return asked if asked is not None else max(EXACT_TARGET, 2.0 * floor)
+    if asked is not None:
+        return asked
+    return UNREACHABLE_TARGET if target.is_noisy else max(EXACT_TARGET, 2.0 * target.floor)
 
 
 def _space(problem: Problem, config: JobConfig) -> Space:

@@ -285,16 +285,17 @@ def empty_scratch(population: int, nodes: int, variables: int, sample: int, rows
         best_of_size=np.zeros(space, np.int64),
         chosen=np.zeros(space, np.int64),
         hashes=np.zeros(population, np.uint64),
-        book=_empty_book(space),
+        book=empty_book(space, space),
     )
 
 
-def _empty_book(nodes: int) -> Book:
-    code, left, right = (np.zeros((nodes, nodes), np.int64) for _ in range(3))
+def empty_book(programs: int, nodes: int) -> Book:
+    """Return room for `programs` programs of at most `nodes` nodes each."""
+    code, left, right = (np.zeros((programs, nodes), np.int64) for _ in range(3))
     return Book(
-        np.zeros(nodes, np.int64), code, left, right, np.zeros((nodes, nodes)), np.zeros(nodes, np.int64),
-        np.zeros((nodes, MOST_TERMS), np.int64), np.zeros((nodes, 1 + MOST_TERMS)), np.zeros(nodes),
-        np.zeros((nodes, 4)),
+        np.zeros(programs, np.int64), code, left, right, np.zeros((programs, nodes)), np.zeros(programs, np.int64),
+        np.zeros((programs, MOST_TERMS), np.int64), np.zeros((programs, 1 + MOST_TERMS)), np.zeros(programs),
+        np.zeros((programs, 4)),
     )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ CONFIG = JobConfig(
 
 def answer(path: Path) -> dict[str, object]:
     """Return the digest of the prepared data, and all digests, errors and counters of two epochs of two islands."""
-    dataset = prepare(read_table([path], CONFIG.data), CONFIG)
+    dataset = prepare(read_table([path], CONFIG.data), CONFIG).dataset
     searches = search_all(dataset, resolve(CONFIG, dataset), epochs=2)
     return {
         "dataset": dataset.digest,

@@ -78,7 +78,7 @@ def test_tables_become_sound_datasets_or_one_sentence(table, config, preset):
     objection: AtollError | None = None
     try:
         described = describe(table, job)
-        dataset = prepare(table, job)
+        dataset = prepare(table, job).dataset
     except AtollError as error:
         objection = error
     if objection is not None:

@@ -97,5 +97,5 @@ def test_the_strogatz_equations_are_found(request: pytest.FixtureRequest) -> Non
 
 def _is_found(path: Path) -> bool:
     config = JobConfig(data=DataConfig(target="label"), budget=BudgetConfig(target_error=1e-4))
-    dataset = prepare(read_table([path], config.data), config)
+    dataset = prepare(read_table([path], config.data), config).dataset
     return search(dataset.problem("label"), resolve(config, dataset), 60).has_hit

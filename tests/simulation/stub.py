@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from common.config import JobConfig
 from common.errors import RemoteProtocolError
+from common.expression.operators import CONSTANT, COS, SIN, TANH
 from common.seeding import Stream, stream_key
 from common.slices import Course, Position
 from common.wire.messages import Addition, HitStatement, IslandReport, Tally
@@ -86,6 +87,7 @@ class StubWork:
         self._config = config
         self._hits = hits_of(config, task.key.variable)
         self._additions: list[Addition] = []
+        self._near: list[Addition] = []
         self._tallies: list[Tally] = []
         self._hit: HitStatement | None = None
 
@@ -98,6 +100,8 @@ class StubWork:
         self._tallies.append(Tally(generation=self.generation, evaluations=evaluations))
         if island.state[5] < 80:
             self._additions.append(addition_of(key.epoch, self.generation, island.state))
+        elif island.state[5] < 180:
+            self._near.append(addition_of(key.epoch, self.generation, island.state))
         if Position(key.epoch, self.generation, key.island) in self._hits:
             self._hit = HitStatement(generation=self.generation, error=1e-12)
         return self._hit is not None or self.generation >= GENERATIONS
@@ -109,6 +113,7 @@ class StubWork:
             generations=self.generation,
             hit=self._hit,
             additions=tuple(self._additions),
+            runners_up=tuple(self._near),
             tallies=tuple(self._tallies),
             best_error=state[1] / 256.0,
             digest=state.hex(),
@@ -232,5 +237,6 @@ def parse_slots(blocks: Mapping[int, bytes]) -> dict[int, bytes]:
 def addition_of(epoch: int, generation: int, state: bytes) -> Addition:
     """Return an addition whose every field depends on the state."""
     error = (1 + state[1]) / (256.0 * (epoch + generation / GENERATIONS))
-    program = bytes([1, 1]) + bytes(4) + struct.pack("<d", error)
+    function = (SIN, COS, TANH)[state[3] % 3]
+    program = bytes([2, CONSTANT, function, *bytes(8)]) + struct.pack("<d", error)
     return Addition(complexity=1 + state[2] % 6, error=error, mse=error * error, generation=generation, program=program)

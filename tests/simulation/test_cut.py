@@ -18,6 +18,7 @@ from tests.simulation.world import World
 
 SEEDS = range(10)
 EPOCHS = 4
+RUNNERS_UP = 2
 
 
 @pytest.fixture(autouse=True)
@@ -28,7 +29,7 @@ def early_hits(monkeypatch: pytest.MonkeyPatch) -> None:
 def config(seed: int, joining: int | None, islands: int = 5) -> JobConfig:
     return JobConfig(
         seed=seed,
-        evolution=EvolutionConfig(islands=islands),
+        evolution=EvolutionConfig(islands=islands, runners_up=RUNNERS_UP),
         migration=MigrationConfig(joining=joining),
         budget=BudgetConfig(max_epochs=EPOCHS, stagnation=1000),
     )
@@ -108,6 +109,15 @@ def test_the_answer_is_what_the_definition_says(joining: int | None) -> None:
             expected = definition(ours, variable)
             assert [answered(each, variable) for each in answers] == [expected] * 2, (seed, variable)
         assert answers[0]["digest"] == answers[1]["digest"]
+
+
+def test_runners_up_take_part_in_the_digest() -> None:
+    digests = set()
+    for most in (0, 1, RUNNERS_UP):
+        ours = config(3, None)
+        ours = ours.model_copy(update={"evolution": ours.evolution.model_copy(update={"runners_up": most})})
+        digests.add(World(workers=2, seed=3).run(ours)["digest"])
+    assert len(digests) == 3
 
 
 def test_one_worker_computes_nothing_beyond_the_cut() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from common.dataset import Dataset, Target
 from common.wire.faults import Plan
+from coordinator.data.recording import Preparation
 from island_worker.agenda import Work
 from island_worker.engine import Engine
 from island_worker.events import ShareKey, Task
@@ -21,14 +22,14 @@ CONFIG = JobConfig(
 )
 
 
-def prepare(table: bytes, config: JobConfig) -> Dataset:
+def prepare(table: bytes, config: JobConfig) -> Preparation:
     """Return the equations of a made-up system of two variables, one of them beyond the reach of a few epochs."""
     names = tuple(table.decode().split(","))
     row = np.arange(60)
     x, y = 1.0 + (row % 7) / 4.0, 0.5 + (row % 11) / 6.0
     values = {"x": x * (3.0 - x - 2.0 * y), "y": np.sqrt(x * y + 1.0) / (x + y)}
     targets = tuple(Target(name, f"d{name}/dt", values[name], 0.0, float(values[name].std())) for name in names)
-    return Dataset(names, np.stack([x, y]), targets, {name: name for name in names})
+    return Preparation(Dataset(names, np.stack([x, y]), targets, {name: name for name in names}))
 
 
 @dataclass

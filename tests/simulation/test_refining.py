@@ -1,27 +1,27 @@
 """Between the last cut and the result: what is made of the fronts, and what happens when that breaks."""
 
-from collections.abc import Mapping
-
 from common.config import BudgetConfig, JobConfig
-from common.dataset import Dataset
 from common.expression.parse import from_infix
-from coordinator.model.refine import Fronts, Refined
+from coordinator.data.recording import Preparation
+from coordinator.model.refinement import Constant, Pools, Refined, Refinement
 from tests.simulation.world import World
 
 CONFIG = JobConfig(budget=BudgetConfig(max_epochs=2))
 
 
-def nothing(dataset: Dataset, config: JobConfig, fronts: Fronts) -> Mapping[str, Refined]:
-    return {}
+def nothing(preparation: Preparation, config: JobConfig, pools: Pools) -> Refinement:
+    return Refinement()
 
 
-def made(dataset: Dataset, config: JobConfig, fronts: Fronts) -> Mapping[str, Refined]:
-    assert all(fronts[variable] for variable in dataset.variables)
-    program = from_infix("0.5*x", dataset.names)
-    return {"x": Refined(0, program, 0.25, 0.125, (0.49,), (0.01,))}
+def made(preparation: Preparation, config: JobConfig, pools: Pools) -> Refinement:
+    assert all(pools[variable].front for variable in preparation.dataset.variables)
+    program = from_infix("0.5*x", preparation.dataset.names)
+    constants = (Constant(0.5, 0.49, 0.01, (0.47, 0.51), identifiable=False),)
+    equation = Refined(0, program, 0.25, 0.125, constants, grade="doubtful", reason="Because.")
+    return Refinement({"x": equation}, warnings=("It was hard.",))
 
 
-def broken(dataset: Dataset, config: JobConfig, fronts: Fronts) -> Mapping[str, Refined]:
+def broken(preparation: Preparation, config: JobConfig, pools: Pools) -> Refinement:
     raise ZeroDivisionError("planted")
 
 
@@ -40,13 +40,16 @@ def test_the_equation_is_the_refined_one_and_the_front_and_digest_stay() -> None
     assert refined["digest"] == plain["digest"]
     first, second = refined["equations"]
     assert (first["expression"], first["error"], first["complexity"]) == ("0.5*x", 0.25, 3)
-    assert first["constants"] == [{"value": 0.5, "std_error": 0.01, "fitted": 0.49}]
+    (constant,) = first["constants"]
+    assert (constant["value"], constant["fitted"], constant["std_error"]) == (0.5, 0.49, 0.01)
+    assert (constant["interval"], constant["identifiable"]) == ([0.47, 0.51], False)
+    assert (first["verdict"], first["reason"]) == ("doubtful", "Because.")
     assert [member["selected"] for member in first["front"]].index(True) == 0
     assert [each["expression"] for each in first["front"]] == [
         each["expression"] for each in plain["equations"][0]["front"]
     ]
     assert second == plain["equations"][1]
-    assert refined["warnings"] == []
+    assert refined["warnings"] == ["It was hard."]
 
 
 def test_a_job_whose_refining_breaks_is_done_with_the_equations_as_found() -> None:

@@ -18,6 +18,7 @@ from common.wire.faults import Plan
 from common.wire.simulated_bus import SimulatedBus, SimulatedNetwork
 from common.wire.views import FINAL_STATES, JobView
 from coordinator.client import Client
+from coordinator.data.recording import Preparation
 from coordinator.model.refine import refine_all
 from coordinator.service.ports import Ports, Preparer, Refiner
 from coordinator.service.service import Service
@@ -29,12 +30,12 @@ LIMIT_S = 600.0
 T = TypeVar("T")
 
 
-def prepare(table: bytes, config: JobConfig) -> Dataset:
+def prepare(table: bytes, config: JobConfig) -> Preparation:
     """Return a dataset of the variables that the table's text lists."""
     names = tuple(table.decode().split(","))
     values = np.linspace(0.0, 1.0, 20)
     targets = tuple(Target(name, f"d{name}/dt", values, 0.0, 0.3) for name in names)
-    return Dataset(names, np.stack([values] * len(names)), targets, {name: name for name in names})
+    return Preparation(Dataset(names, np.stack([values] * len(names)), targets, {name: name for name in names}))
 
 
 class World:

@@ -50,7 +50,7 @@ def test_the_papers_figures_stand_by_their_equations():
 def test_given_derivatives_are_the_truth_on_the_papers_400_points():
     table = with_slopes("lotka_volterra", trajectories("lotka_volterra", 0.1, 0))
     config = configured(options(), 3, ("lotka_volterra", "y"), "given")
-    dataset = prepare(table, config)
+    dataset = prepare(table, config).dataset
     (target,) = dataset.targets
     x, y = dataset.inputs
     assert (target.variable, target.floor, len(x)) == ("y", 0.0, 400)

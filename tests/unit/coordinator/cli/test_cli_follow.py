@@ -165,6 +165,7 @@ FOUND = (VariableView(variable="x", lhs="dx/dt", epoch=1),)
         ({"state": "preparing"}, [READY], "preparing"),
         ({"state": "running"}, [READY, READY], "searching"),
         ({"state": "running", "variables": FOUND}, [READY, LOADING], "searching"),
+        ({"state": "refining", "variables": FOUND}, [READY], "refining"),
     ],
 )
 def test_time_goes_into_phases(changes: dict[str, object], workers: list[dict[str, object]], name: str) -> None:

@@ -73,3 +73,12 @@ def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
         refuse_existing_result(tmp_path / "out")
     with pytest.raises(UsageError, match="cannot be written"):
         write_result(tmp_path / "out" / "deeper", {})
+
+
+def test_rows_of_numbers_stand_on_one_line_and_stay_the_same():
+    value = {"times": [1.0, 2.5e-7, None], "nested": [[1, 2], []], "texts": ["[\n 1,\n 2]"], "objects": [{"a": [3]}]}
+    text = as_json(value)
+    assert json.loads(text) == value
+    assert '"times": [1.0, 2.5e-07, null]' in text
+    assert "    [1, 2]," in text
+    assert "3" in next(line for line in text.splitlines() if '"a"' in line)

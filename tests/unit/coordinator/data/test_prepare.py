@@ -16,7 +16,7 @@ from tests.unit.coordinator.data.tables import oscillator, table_of
 
 
 def prepared(columns, starts=(0,), preset="default", **options):
-    return prepare(table_of(columns, starts), JobConfig(preset=preset, data=DataConfig(**options)))
+    return prepare(table_of(columns, starts), JobConfig(preset=preset, data=DataConfig(**options))).dataset
 
 
 def true_slopes(system, dataset):
@@ -156,7 +156,7 @@ def test_the_paper_preset_keeps_all_rows():
 
 def test_the_dataset_is_the_same_every_time():
     table = table_of_samples(trajectories("glider", 0.1, noise=0.02))
-    assert prepare(table, JobConfig()).digest == prepare(table, JobConfig()).digest
+    assert prepare(table, JobConfig()).dataset.digest == prepare(table, JobConfig()).dataset.digest
 
 
 @pytest.mark.parametrize("scales", [(1e-6, 1e6, 0.0), (1.0, 1.0, 1900.0), (1e6, 1e-3, 1e9)])
@@ -164,9 +164,9 @@ def test_units_and_origin_of_time_change_nothing_but_the_scale(scales):
     sampled = trajectories("lotka_volterra", 0.02)
     table = table_of_samples(sampled)
     columns = dict(zip(table.names, table.columns, strict=True))
-    plain = prepare(table_of(columns, table.starts), JobConfig())
+    plain = prepare(table_of(columns, table.starts), JobConfig()).dataset
     columns = {"t": columns["t"] + scales[2], "x": columns["x"] * scales[0], "y": columns["y"] * scales[1]}
-    moved = prepare(table_of(columns, table.starts), JobConfig())
+    moved = prepare(table_of(columns, table.starts), JobConfig()).dataset
     assert abs(moved.inputs.shape[1] - plain.inputs.shape[1]) <= 10  # rows at the limit fall to either side of it
     unscaled = moved.inputs / np.array(scales[:2])[:, None]
     apart = np.abs(unscaled[:, :, None] - plain.inputs[:, None, :]).max(axis=0)
@@ -182,7 +182,7 @@ def test_units_and_origin_of_time_change_nothing_but_the_scale(scales):
 @pytest.mark.parametrize("system", [name for name in SYSTEMS if name != "pendulum"])
 def test_the_truth_is_within_the_floor(system, step, seed):
     """With room: a search ends at twice the floor. Few rows are left out, and the floor admits no rough likeness."""
-    dataset = prepare(table_of_samples(trajectories(system, step, seed)), JobConfig())
+    dataset = prepare(table_of_samples(trajectories(system, step, seed)), JobConfig()).dataset
     truths = true_slopes(system, dataset)
     for target in dataset.targets:
         error = np.abs(target.values - truths[target.variable]).mean() / target.deviation
@@ -193,7 +193,7 @@ def test_the_truth_is_within_the_floor(system, step, seed):
 
 
 def test_rows_by_a_singularity_are_left_out_and_counted():
-    dataset = prepare(table_of_samples(trajectories("shear_flow", 0.02, 4)), JobConfig())
+    dataset = prepare(table_of_samples(trajectories("shear_flow", 0.02, 4)), JobConfig()).dataset
     assert any("change too fast for the sampling step" in warning for warning in dataset.warnings)
 
 
@@ -201,7 +201,7 @@ def test_slightly_rounded_data_keep_most_rows():
     """Their derivatives are uncertain by more than is always good enough, but all of them alike."""
     table = table_of_samples(trajectories("bar_magnets", 0.02))
     columns = {name: np.round(column, 8) for name, column in zip(table.names, table.columns, strict=True)}
-    dataset = prepare(table_of(columns, table.starts), JobConfig())
+    dataset = prepare(table_of(columns, table.starts), JobConfig()).dataset
     assert dataset.inputs.shape[1] > 0.95 * 2000
     assert all(target.noise < 1e-6 for target in dataset.targets)
 

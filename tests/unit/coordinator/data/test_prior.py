@@ -87,7 +87,7 @@ def test_an_equation_too_long_to_print_is_refused():
 
 def test_a_known_equation_is_prepared_beside_the_only_one_sought():
     config = config_of(known={"dy/dt": "-x"}, data=DataConfig(only=("x",)))
-    dataset = prepare(table_of(oscillator()), config)
+    dataset = prepare(table_of(oscillator()), config).dataset
     assert dataset.variables == ("x", "y")
     programs = known_programs(dataset, resolve(config, dataset))
     assert [(name, to_infix(program, dataset.names)) for name, program in programs.items()] == [("y", "-x")]
@@ -95,7 +95,7 @@ def test_a_known_equation_is_prepared_beside_the_only_one_sought():
 
 def test_guesses_are_programs_as_well():
     config = config_of(guesses={"dy": ("2*3*x", "x/y")})
-    dataset = prepare(table_of(oscillator()), config)
+    dataset = prepare(table_of(oscillator()), config).dataset
     programs = guessed_programs(dataset, resolve(config, dataset))
     assert [to_infix(program, dataset.names) for program in programs.pop("y")] == ["6.0*x", "x/y"]
     assert programs == {}
@@ -111,13 +111,13 @@ def test_velocities_are_variables_of_second_order():
     config = config_of(
         guesses={"d2x": ("-x - 0.1*x_dot",)}, variables_of={"x": ("x", "x_dot")}, data=DataConfig(order=2)
     )
-    dataset = prepare(table_of(oscillator()), config)
+    dataset = prepare(table_of(oscillator()), config).dataset
     assert resolve(config, dataset).space.columns_for("x", dataset.names) == (0, 2)
 
 
 def test_an_explicit_regression_has_no_derivatives():
     config = config_of(known={"y": "2*x"}, data=DataConfig(target="y"))
-    assert prepare(table_of(oscillator()), config).variables == ("y",)
+    assert prepare(table_of(oscillator()), config).dataset.variables == ("y",)
     with pytest.raises(UsageError, match="as it stands"):
         prepare(table_of(oscillator()), config_of(known={"dy": "2*x"}, data=DataConfig(target="y")))
 

@@ -8,6 +8,7 @@ import pytest
 from common.config import EvolutionConfig, JobConfig, PriorConfig
 from common.dataset import Dataset, Target
 from common.expression.parse import from_infix
+from coordinator.data.recording import Preparation
 from coordinator.model.digest import result_digest
 from coordinator.model.known import known_entries
 from coordinator.model.render import render_text
@@ -42,7 +43,7 @@ def test_one_without_a_value_everywhere_has_no_finite_error():
 def result(text="-x/10"):
     entry = entries(y=text)["y"]
     outcomes = [VariableOutcome("x", (), 0), VariableOutcome("y", (entry,), 0, why=KNOWN)]
-    return build_result("j", JobConfig(), DATASET, outcomes, Account("done", 1.0, 1.0)), outcomes
+    return build_result("j", JobConfig(), Preparation(DATASET, None), outcomes, Account("done", 1.0, 1.0)), outcomes
 
 
 def test_it_stands_in_the_result_with_its_error_and_the_cause():
@@ -66,6 +67,7 @@ def test_the_digest_covers_what_was_searched_alone():
 
 
 def test_people_read_that_it_was_known():
-    text = render_text(result()[0])
-    assert "dy/dt = -0.1*x\n    known: error 0.02 of the target's deviation" in text
-    assert "dy/dt = log(x)\n    known: error ? of the target's deviation" in render_text(result("log(x)")[0])
+    lines = render_text(result()[0]).split("\n")
+    assert "dy/dt = -0.1*x" in lines
+    assert "    known: error 0.02 of the target's deviation" in lines
+    assert "    known: error ? of the target's deviation" in render_text(result("log(x)")[0]).split("\n")

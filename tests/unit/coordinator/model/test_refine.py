@@ -9,10 +9,12 @@ import pytest
 from common.config import BudgetConfig, EvolutionConfig, SpaceConfig
 from common.expression.program import Program
 from common.pareto import FrontEntry
+from coordinator.data.recording import Preparation
 from coordinator.model import shorten
 from coordinator.model.criterion import Criterion
 from coordinator.model.polish import Polisher
-from coordinator.model.refine import Refined, refine, refine_all
+from coordinator.model.refine import refine, refine_all
+from coordinator.model.refinement import Pool, Refined
 from coordinator.model.snap import snapped
 from tests.unit.coordinator.model.fitting import CONFIG, dataset, entry, parsed, problem, shown
 
@@ -98,9 +100,10 @@ def test_standard_errors_are_those_of_the_fit_and_the_fitted_values_stay_known()
     refined = refine(its, CONFIG, [entry("2.8*x - 0.9*y", its)])
     assert refined is not None
     expected, *_ = np.linalg.lstsq(its.inputs.T, its.target.values, rcond=None)
-    assert sorted(np.abs(refined.fitted)) == pytest.approx(sorted(np.abs(expected)), rel=1e-6)
+    assert sorted(abs(each.fitted) for each in refined.constants) == pytest.approx(sorted(np.abs(expected)), rel=1e-6)
     covariance = np.linalg.inv(its.inputs @ its.inputs.T) * refined.mse
-    assert sorted(refined.std_errors) == pytest.approx(sorted(np.sqrt(np.diag(covariance))), rel=1e-6)
+    errors = sorted(each.std_error for each in refined.constants)
+    assert errors == pytest.approx(sorted(np.sqrt(np.diag(covariance))), rel=1e-6)
     assert sorted(np.abs(refined.program.constants))[-2:] == [0.7, 3.0]
 
 
@@ -136,12 +139,24 @@ def test_many_rows_are_compared_on_some_and_measured_on_all():
     assert refined.mse == pytest.approx(entry(LOTKA.replace("**2", "*x"), its).mse, rel=1e-9)
 
 
+def test_constants_fitted_to_given_left_hand_sides_have_intervals():
+    data = dataset(lambda x, y: 3.0 * x + 0.002 * y, noise=0.1)
+    front = (entry("2.9*x + 0.1*y", data.problem("label")),)
+    constants = refine_all(Preparation(data), CONFIG, {"label": Pool(front)}).equations["label"].constants
+    assert all(each.identifiable for each in constants)
+    for each in constants:
+        low, high = each.interval
+        assert (low + high) / 2.0 == pytest.approx(each.fitted)
+        assert high - low == pytest.approx(3.92 * each.std_error, rel=1e-3)
+
+
 def test_an_empty_front_stays_empty_and_all_variables_are_refined():
     data = dataset(lotka)
     its = data.problem("label")
     assert refine(its, CONFIG, []) is None
-    assert refine_all(data, CONFIG, {"label": ()}) == {}
-    assert set(refine_all(data, CONFIG, {"label": (entry("2.0*x", its),)})) == {"label"}
+    preparation = Preparation(data)
+    assert refine_all(preparation, CONFIG, {"label": Pool(())}).equations == {}
+    assert set(refine_all(preparation, CONFIG, {"label": Pool((entry("2.0*x", its),))}).equations) == {"label"}
 
 
 def test_a_member_without_a_finite_value_is_not_shown():

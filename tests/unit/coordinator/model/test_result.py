@@ -15,7 +15,9 @@ from common.errors import UsageError
 from common.expression.algebra import complexity
 from common.expression.parse import from_infix
 from common.pareto import FrontEntry
+from coordinator.data.recording import Preparation
 from coordinator.model.digest import result_digest
+from coordinator.model.refinement import Constant, Correlation, Refined, Refinement, Simulated, Simulation
 from coordinator.model.render import parse_picks, pick, render, render_text
 from coordinator.model.result import Account, VariableOutcome, build_result
 
@@ -35,6 +37,9 @@ def dataset(floor: float = 0.0) -> Dataset:
     return Dataset(NAMES, np.ones((3, 50)), targets, SYMBOLS, ("two rows were dropped",))
 
 
+PREPARATION = Preparation(dataset())
+
+
 def outcomes() -> list[VariableOutcome]:
     front = (entry("1.5", 1.0), entry("2.0*x", 0.4), entry(TRUTH, 1e-13, epoch=2, generation=85))
     first = VariableOutcome("x", front, 3, 285, {"offspring": 2000, "fitting": 130}, 0.05, "target")
@@ -43,7 +48,7 @@ def outcomes() -> list[VariableOutcome]:
 
 def result(**changes: object) -> dict:
     account = Account("done", 1.9, 0.4)
-    return build_result("job-1", JobConfig(seed=7), dataset(), outcomes(), replace(account, **changes))
+    return build_result("job-1", JobConfig(seed=7), PREPARATION, outcomes(), replace(account, **changes))
 
 
 def test_the_equation_says_what_was_found_when_and_at_what_cost():
@@ -54,7 +59,7 @@ def test_the_equation_says_what_was_found_when_and_at_what_cost():
     assert (equation["epoch"], equation["generation"], equation["why"]) == (3, 285, "target")
     assert equation["error"] == 1e-13
     assert equation["normalized_error"] == 1e-13 / 1.25
-    unknown = {"std_error": None, "fitted": None}
+    unknown = {"std_error": None, "fitted": None, "interval": None, "identifiable": True}
     assert equation["constants"] == [{"value": 3.0, **unknown}, {"value": 2.0, **unknown}]
     assert equation["point_evaluations"] == 2130
     assert equation["point_evaluations_by_part"] == {"fitting": 130, "offspring": 2000}
@@ -67,6 +72,17 @@ def test_the_front_marks_exactly_the_selected_member():
     assert {member["holdout_error"] for member in front} == {None}
 
 
+def test_the_front_is_measured_on_held_out_rows_as_well():
+    seen = dataset()
+    rows = np.array([[1.0, 2.0, 4.0], [0.0, 0.0, 0.0], [1.0, 1.0, 0.0]])
+    targets = tuple(replace(target, values=np.array([2.0, 4.0, 5.0])) for target in seen.targets)
+    unseen = replace(seen, inputs=rows, targets=targets)
+    front = (entry("2.0*x", 0.4), entry("1.0/v", 0.3))
+    given = Preparation(seen, held_out=unseen)
+    built = build_result("j", JobConfig(), given, [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
+    assert [member["holdout_error"] for member in built["equations"][0]["front"]] == [1.0, None]
+
+
 def test_an_equation_without_a_front_is_null_and_not_converged():
     equation = result(state="running")["equations"][1]
     assert equation["expression"] is None
@@ -76,14 +92,23 @@ def test_an_equation_without_a_front_is_null_and_not_converged():
 
 def test_a_generation_without_a_hit_is_that_of_the_selected_member():
     changed = [replace(outcomes()[0], generation=None), outcomes()[1]]
-    built = build_result("j", JobConfig(), dataset(), changed, Account("done", 1.0, 1.0))
+    built = build_result("j", JobConfig(), PREPARATION, changed, Account("done", 1.0, 1.0))
     assert built["equations"][0]["generation"] == 285
+
+
+def test_a_result_says_how_far_its_model_can_be_trusted():
+    built = result()
+    assert (built["noise"], built["correlations"], built["simulation"]) == ({}, [], None)
+    found, empty = built["equations"]
+    assert (found["verdict"], empty["verdict"]) == ("exact", "no model")
+    assert found["candidates"] == []
+    assert result(state="running")["equations"][0]["verdict"] is None
 
 
 def test_numbers_that_are_not_finite_become_null():
     strange = replace(entry("x", 0.5), mse=math.inf)
     built = build_result(
-        "j", JobConfig(), dataset(), [VariableOutcome("x", (strange,), 1)], Account("done", math.inf, 1.0)
+        "j", JobConfig(), PREPARATION, [VariableOutcome("x", (strange,), 1)], Account("done", math.inf, 1.0)
     )
     text = json.dumps(built, allow_nan=False)
     assert json.loads(text)["seconds"] is None
@@ -93,10 +118,10 @@ def test_numbers_that_are_not_finite_become_null():
 def test_an_explicit_target_error_decides_what_has_converged():
     config = JobConfig(budget=BudgetConfig(target_error=0.5))
     front = (entry("2.0*x", 0.4),)
-    built = build_result("j", config, dataset(), [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
+    built = build_result("j", config, PREPARATION, [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
     assert built["equations"][0]["converged"] is True
     stricter = JobConfig(budget=BudgetConfig(target_error=0.1))
-    built = build_result("j", stricter, dataset(), [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
+    built = build_result("j", stricter, PREPARATION, [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
     assert built["equations"][0]["converged"] is False
 
 
@@ -105,7 +130,7 @@ def test_an_expression_too_long_to_print_is_left_out():
     for _ in range(15):
         text = f"sin({text})/({text})" if len(text) < 40_000 else text
     huge = entry(text, 1e-3)
-    built = build_result("j", JobConfig(), dataset(), [VariableOutcome("x", (huge,), 1)], Account("done", 1.0, 1.0))
+    built = build_result("j", JobConfig(), PREPARATION, [VariableOutcome("x", (huge,), 1)], Account("done", 1.0, 1.0))
     assert built["equations"][0]["front"] == []
 
 
@@ -117,6 +142,7 @@ def test_an_expression_too_long_to_print_is_left_out():
         {"evaluations": {"offspring": 2001, "fitting": 130}},
         {"front": (entry("1.5", 1.0), entry("2.0000000000000004*x", 0.4), outcomes()[0].front[2])},
         {"front": outcomes()[0].front[:2]},
+        {"runners_up": outcomes()[0].front[:1]},
         {"front": (replace(outcomes()[0].front[0], error=math.nextafter(1.0, 2.0)), *outcomes()[0].front[1:])},
     ],
 )
@@ -137,6 +163,43 @@ def test_text_shows_rounded_equations_and_the_front_on_request():
     assert "pick" not in plain
     table = render_text(result(), fronts=True)
     assert [line.split()[0] for line in table.splitlines() if line.strip()[:1].isdigit()][:3] == ["0", "1", "2"]
+
+
+def test_text_of_clean_data_says_the_verdict_and_is_short():
+    first = render_text(result()).split("dv/dt")[0].splitlines()
+    assert len(first) == 3
+    assert first[1].strip().startswith("exact: ")
+    assert "exact" not in render_text(result(state="running"))
+
+
+def refined_result() -> dict:
+    constants = (Constant(3.0, 2.981, 0.018, (2.945, 3.016)), Constant(2.0, 2.04, 0.05))
+    shown = Refined(2, from_infix(TRUTH, NAMES), 0.1, 0.02, constants, grade="doubtful", reason="It may be another.")
+    curve = Simulated("1", False, np.arange(3.0), np.ones((1, 3)), None, (0.99,))
+    model = Refinement({"x": shown}, Simulation(("x",), (curve,)), (Correlation(("x", 0), ("x", 1), 0.99),))
+    outcome = replace(outcomes()[0], refined=shown)
+    return build_result("job-1", JobConfig(), PREPARATION, [outcome], Account("done", 1.0, 1.0), model)
+
+
+def test_text_of_a_refined_model_has_constants_verdict_and_tables():
+    run = render_text(refined_result())
+    assert "    constants: 3 (2.981 ± 0.018), 2 (2.040 ± 0.050)\n    doubtful: It may be another.\n" in run
+    assert "simulation: R2 at least 0.9900 on 1 trajectory" in run
+    tables = render_text(refined_result(), fronts=True)
+    assert "2.945 to 3.016" in tables
+    assert "R2 of simulations" in tables
+    assert "correlation 0.990" in tables
+
+
+def test_text_of_a_result_from_before_verdicts_is_shown_as_it_is():
+    old = result()
+    for key in ("noise", "correlations", "simulation"):
+        del old[key]
+    for equation in old["equations"]:
+        for key in ("verdict", "reason", "candidates"):
+            del equation[key]
+    assert "exact" not in render_text(old, fronts=True)
+    assert "3*x" in render_text(old)
 
 
 def test_csv_has_one_line_for_each_member():
@@ -182,7 +245,16 @@ def test_picking_takes_another_member():
     assert equation["expression"] == "2.0*x"
     assert equation["converged"] is False
     assert [member["selected"] for member in equation["front"]] == [False, True, False]
+    assert (equation["verdict"], equation["reason"]) == (None, None)
     assert result()["equations"][0]["expression"] == TRUTH
+
+
+def test_what_refining_found_out_does_not_belong_to_a_picked_member():
+    picked = pick(refined_result(), {"x": 1})
+    assert (picked["simulation"], picked["correlations"]) == (None, [])
+    text = render_text(picked, fronts=True)
+    assert "doubtful" not in text
+    assert "±" not in text
 
 
 @pytest.mark.parametrize("picks", [{"x": 3}, {"v": 0}, {"q": 0}])

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import pytest
 from hypothesis import given
@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 from common.errors import RemoteProtocolError
 from common.pareto import FrontEntry, merge
 from common.slices import Course
+from common.wire.codec import decode, encode
 from common.wire.messages import Addition, HitStatement, IslandReport, Tally
 from coordinator.service.collector import Collector, DivergedError, Limits, additions_of
+from coordinator.service.cut import Cut
 
 COURSE = Course(generations=100, stride=10, joining=8)
 LIMITS = Limits(islands=2, epochs=50, stagnation=5, course=COURSE)
@@ -39,6 +41,7 @@ def report(
     count: int = 10,
     generations: int = 100,
     found_at: tuple[int, ...] = (4,),
+    near: Iterable[Addition] = (),
 ) -> IslandReport:
     """Return a report of an island that counts `count` / 10 evaluations a slice, those of earlier epochs apart."""
     reached = hit or generations
@@ -51,6 +54,7 @@ def report(
             Addition(complexity=3 + order, error=error / (1 + order), mse=error, generation=at, program=b"p")
             for order, at in enumerate(found_at)
         ),
+        runners_up=tuple(near),
         tallies=tuple(
             Tally(generation=end, evaluations={"offspring": count * end // 100, "fit": 2 * count * end // 100})
             for end in ends
@@ -303,6 +307,69 @@ def test_the_order_of_arrival_and_repetitions_do_not_matter(order: list[tuple[in
         return collector.cut
 
     assert cut_of(order + [order[index] for index in repeated]) == cut_of(sorted(order))
+
+
+def runner_up(complexity: int, error: float, code: int, generation: int = 10) -> Addition:
+    program = bytes([1, code, 0, 0, 0, 0])
+    return Addition(complexity=complexity, error=error, mse=error * error, generation=generation, program=program)
+
+
+def collected(epochs: list[list[IslandReport]], order: list[tuple[int, int]]) -> Collector:
+    """Return a collector of two runners-up that was told of (epoch, island) in that order."""
+    collector = Collector("x", Limits(2, len(epochs), 9, COURSE, runners_up=2), best_error)
+    for epoch, island in order:
+        collector.receive("w", epoch, [epochs[epoch][island]], 1.0)
+    collector.validate()
+    return collector
+
+
+@given(st.permutations(list(itertools.product(range(3), range(2)))))
+def test_runners_up_of_all_islands_are_merged_whatever_comes_first(order: list[tuple[int, int]]) -> None:
+    epochs = [
+        [
+            report(0, error=1.0 - 0.1 * epoch, near=[runner_up(3, 2.0 - 0.2 * epoch, 3 + epoch), runner_up(5, 3.0, 9)]),
+            report(1, error=1.5, near=[runner_up(3, 1.7, 8), runner_up(3, 1.9, 7), runner_up(4, 1.7, 6)]),
+        ]
+        for epoch in range(3)
+    ]
+    cut = collected(epochs, order).cut
+    assert cut is not None
+    assert cut == collected(epochs, sorted(order)).cut
+    errors = [(entry.complexity, entry.error) for entry in cut.pool().runners_up]
+    assert errors == [(3, 1.6), (3, 1.7), (5, 3.0)]
+    assert cut.pool().front == cut.entries()
+
+
+def test_a_member_of_the_front_that_is_displaced_becomes_a_runner_up() -> None:
+    first, second = runner_up(3, 1.0, 1), runner_up(3, 0.9, 2)
+    better = [report(0, found_at=()).model_copy(update={"additions": (each,)}) for each in (first, second)]
+    epochs = [[each, report(1, found_at=())] for each in better]
+    pool = collected(epochs, [(0, 0), (0, 1), (1, 0), (1, 1)]).progress
+    assert [entry.error for entry in pool.front] == [0.9]
+    assert [entry.error for entry in pool.runners_up] == [1.0]
+
+
+def test_runners_up_found_after_the_hit_do_not_count() -> None:
+    near = [runner_up(3, 2.0, 3, generation=10), runner_up(3, 1.9, 4, generation=30)]
+    epochs = [[report(0, near=near), report(1, hit=20)]]
+    cut = collected(epochs, [(0, 0), (0, 1)]).cut
+    assert cut is not None
+    assert [entry.generation for entry in cut.pool().runners_up] == [10]
+
+
+def test_without_a_number_no_runners_up_are_kept(collector: Collector) -> None:
+    fill(collector, 0, report(0, near=[runner_up(3, 2.0, 3)]), report(1))
+    assert collector.progress.runners_up == ()
+
+
+def test_a_cut_comes_back_from_the_store_with_its_pool() -> None:
+    epochs = [[report(0, near=[runner_up(3, 2.0, 3)]), report(1)]]
+    cut = collected(epochs, [(0, 0), (0, 1)]).cut
+    assert cut is not None
+    restored = decode(encode(cut), Cut)
+    assert restored == cut
+    assert restored.pool() == cut.pool()
+    assert len(cut.pool().runners_up) == 1
 
 
 def test_missing_reports_are_found(collector: Collector) -> None:

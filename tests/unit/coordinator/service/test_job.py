@@ -1,13 +1,18 @@
 """Jobs: the states of the table, and what is to be done when something happens."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from common.config import BudgetConfig, EvolutionConfig, JobConfig
 from common.dataset import Dataset, Target
 from common.errors import LocalProtocolError, RemoteProtocolError
+from common.pareto import FrontEntry
 from common.wire.messages import Addition, EpochReport, Holding, IslandReport, Placement, Tally
 from common.wire.views import FINAL_STATES
+from coordinator.data.recording import Preparation
+from coordinator.model.refinement import Pool, Refinement
 from coordinator.service.cut import Cut
 from coordinator.service.job import (
     JOB_TRANSITIONS,
@@ -19,6 +24,7 @@ from coordinator.service.job import (
     TellCommit,
     check_program,
     course_of,
+    measure_of,
 )
 
 VALUES = np.linspace(0.0, 1.0, 30)
@@ -39,7 +45,7 @@ def job_with(**budget: object) -> Job:
 def running(**budget: object) -> Job:
     job = job_with(**budget)
     job.prepare()
-    job.begin(Prepared(DATASET, job.config, BLOB, 100), {})
+    job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {})
     for archipelago in job.archipelagos.values():
         archipelago.place(
             Placement(
@@ -88,9 +94,9 @@ def test_a_job_runs_until_every_variable_is_cut() -> None:
         assert any(isinstance(action, Refine) for action in actions) == (variable == "y")
     assert job.state == "refining"
     job.validate()
-    assert job.take_refined({}) == [Conclude()]
+    assert job.take_refined(Refinement()) == [Conclude()]
     assert job.state == "done"
-    assert job.take_refined({}) == []
+    assert job.take_refined(Refinement()) == []
 
 
 def test_the_fronts_of_all_variables_are_refined_before_a_job_is_done() -> None:
@@ -99,7 +105,8 @@ def test_the_fronts_of_all_variables_are_refined_before_a_job_is_done() -> None:
         job.receive("w0", report(0, 0, variable), 1.0)
         *_, last = job.receive("w1", report(1, 0, variable), 2.0)
     assert isinstance(last, Refine)
-    assert {name: [entry.error for entry in front] for name, front in last.fronts.items()} == {"x": [0.5], "y": [0.5]}
+    errors = {name: [entry.error for entry in pool.front] for name, pool in last.pools.items()}
+    assert errors == {"x": [0.5], "y": [0.5]}
 
 
 def test_a_job_can_be_cancelled_while_it_is_refined() -> None:
@@ -222,18 +229,39 @@ def test_cuts_that_were_committed_before_a_restart_stand() -> None:
     job = job_with()
     job.prepare()
     cut = Cut(variable="x", epochs=3, generation=None, why="max-time", front=(), evaluations={}, seconds=1.0)
-    assert job.begin(Prepared(DATASET, job.config, BLOB, 100), {"x": cut}) == []
+    assert job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"x": cut}) == []
     assert [each.variable for each in job.open_archipelagos] == ["y"]
     other = job_with()
     other.prepare()
     both = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
-    assert other.begin(Prepared(DATASET, job.config, BLOB, 100), both) == [Refine({"x": (), "y": ()})]
+    assert other.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), both) == [
+        Refine({"x": Pool(()), "y": Pool(())})
+    ]
+
+
+def test_a_noisy_target_s_search_goes_on_below_its_floor() -> None:
+    """Many a wrong equation lies below the floor; that they get better is progress all the same."""
+    found = [(FrontEntry(3, error, error * error, 0, 0, 0, bytes([1, 0, 0, 0, 0, 0])),) for error in (0.05, 0.01)]
+    clean = Target("x", "dx/dt", VALUES, 9e-4, 300.0)
+    noisy = replace(clean, noise=0.1)
+    assert measure_of(clean)(found[1]) == measure_of(clean)(found[0])
+    assert measure_of(noisy)(found[1]) < measure_of(noisy)(found[0]) - 1.0
+    assert measure_of(noisy)(()) == float("inf")
+
+
+def test_the_number_of_runners_up_and_the_patience_are_those_of_the_configuration() -> None:
+    job = job_with(stagnation=7)
+    job.prepare()
+    config = job.config.model_copy(update={"evolution": job.config.evolution.model_copy(update={"runners_up": 3})})
+    job.begin(Prepared(DATASET, config, BLOB, 100), {})
+    limits = job.archipelagos["x"].collector.limits
+    assert (limits.runners_up, limits.stagnation) == (3, 7)
 
 
 def test_impossible_steps_are_our_bug() -> None:
     job = job_with()
     with pytest.raises(LocalProtocolError, match="queued and cannot prepared"):
-        job.begin(Prepared(DATASET, job.config, BLOB, 100), {})
+        job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {})
     with pytest.raises(LocalProtocolError, match="before it is prepared"):
         job.announcement()
 

@@ -15,9 +15,11 @@ from common.expression.text import to_infix
 from common.pareto import FrontEntry
 from island_worker.evolution.front import Front, Offering
 from island_worker.evolution.kernels_generation import PARTS, REFITTING
+from island_worker.evolution.runners import RunnersUp
 from island_worker.evolution.setting import Setting
 from island_worker.evolution.structures import empty_lists
-from tests.oracles.tapes import list_of
+from tests.oracles import fitting
+from tests.oracles.tapes import list_of, node_values
 
 QUICK = settings(max_examples=200, deadline=None, derandomize=True, database=None)
 ERRORS = st.one_of(st.sampled_from([0.0, 1.0, math.inf, math.nan]), st.floats(0.0, 3.0))
@@ -68,7 +70,7 @@ def test_a_saved_front_is_the_same(entries):
 class Arena:
     """A front, and a way to offer it expressions, on 100 rows of a problem."""
 
-    def __init__(self, truth, steps=4, **space):
+    def __init__(self, truth, steps=4, runners_up=0, **space):
         number = np.arange(100)
         self.x, self.y = 0.5 + number * 37 % 41 / 20.0, 0.25 + number * 29 % 43 / 25.0
         values = truth(self.x, self.y)
@@ -81,11 +83,17 @@ class Arena:
         )
         self.setting = Setting(Problem(NAMES, np.stack([self.x, self.y]), target), config, 0)
         self.front = Front()
-        self.offering = Offering(self.setting, self.front)
+        self.runners_up = RunnersUp(runners_up)
+        self.offering = Offering(self.setting, self.front, self.runners_up)
         self.counters = np.zeros(len(PARTS), np.int64)
+        self.additions = []
 
     def offer(self, text):
-        """Offer one individual that is the expression `text`."""
+        """Offer one individual that is the expression `text`; return what improved the front."""
+        return self.offer_all(text)[0]
+
+    def offer_all(self, text):
+        """Offer likewise; return what improved the front and the runners-up."""
         program, nodes = list_of(from_infix(text, NAMES)), self.setting.space.nodes
         lists, room = empty_lists(1, nodes), nodes - program.code.shape[1]
         for mine, theirs in zip(lists[:4], program[:4], strict=True):
@@ -93,7 +101,9 @@ class Arena:
         is_operator = lists.code[0] > 1
         lists.left[0, is_operator] += room
         lists.right[0, is_operator] += room
-        return self.offering.offer(lists, np.ones(1), self.counters, (0, 10, 0))
+        found = self.offering.offer(lists, np.ones(1), self.counters, (0, 10, 0), looks_beside=True)
+        self.additions += found[0]
+        return found
 
     def texts(self):
         return [to_infix(Program.from_bytes(e.program, 2), NAMES) for e in self.front.entries()]
@@ -163,3 +173,57 @@ def test_the_paper_s_preset_prunes_nothing():
     arena = Arena(lambda x, y: x * y, steps=0)
     arena.offer("x*y + x - x")
     assert arena.offering.prune(1e-9, arena.counters, (0, 10, 0)) == []
+
+
+def noisy(x, y):
+    """Return values that no equation meets: the seventh digit decides nothing, the first does."""
+    return 3.0 * x - 2.0 * x * y + 0.3 * np.sin(1e3 * (x + 7.0 * y))
+
+
+def offered(arena, texts):
+    for text in texts:
+        arena.offer(text)
+    return arena.runners_up.entries()
+
+
+BESIDE = (
+    "3.0*x - 2.0*x*y", "x*(1.5 - y)", "x*y + x + y", "x - x*(y + 0.2)", "2.0*x - x*y - y*x", "sin(x) - x*y", "x/y",
+    "x/y - y", "(x*x - x*y)/x", "y - x", "x - y", "x*y", "y*x - 0.1", "x*x - y", "cos(x) - x*y*y", "x + sin(y)*x",
+)  # fmt: skip
+
+
+def test_runners_up_are_measured_on_all_rows_and_no_two_are_one_function():
+    """Their errors are those of their programs, and no two programs agree at every row, whatever they look like."""
+    arena = Arena(noisy, runners_up=4)
+    near, front = offered(arena, BESIDE), arena.front.entries()
+    values = []
+    for entry in (*near, *front):
+        program = Program.from_bytes(entry.program, 2)
+        output = np.broadcast_to(node_values(program, arena.setting.every.inputs[:, :100])[-1], 100)
+        absolute, squared = fitting.errors(output, arena.setting.every.target[0, :100])
+        assert (entry.error, entry.mse) == (pytest.approx(absolute), pytest.approx(squared))
+        values.append(output)
+    assert len(near) > 4
+    tolerance = 1e-6 * arena.setting.deviation
+    for i, output in enumerate(values):
+        assert not any(np.abs(output - other).max() < tolerance for other in values[i + 1 :]), i
+    sizes = [entry.complexity for entry in near]
+    assert max(sizes.count(size) for size in sizes) <= 4
+    assert all(entry.error >= arena.front.error_at(entry.complexity) for entry in near)
+
+
+def test_with_runners_up_the_front_is_no_worse():
+    with_them, without = Arena(noisy, runners_up=3), Arena(noisy)
+    assert offered(with_them, BESIDE)
+    assert not offered(without, BESIDE)
+    for entry in without.front.entries():
+        assert with_them.front.error_at(entry.complexity) <= entry.error * (1.0 + 1e-9)
+
+
+def test_what_comes_to_be_a_runner_up_is_reported_once():
+    arena = Arena(noisy, runners_up=3)
+    reported = [entry for text in (*BESIDE, *BESIDE) for entry in arena.offer_all(text)[1]]
+    assert len(reported) == len({entry.key for entry in reported})
+    displaced = {entry.key for entry in arena.runners_up.entries()} - {entry.key for entry in reported}
+    ever_on_front = {entry.key for entry in arena.additions}
+    assert displaced <= ever_on_front

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -103,6 +104,41 @@ def test_an_island_written_and_read_between_epochs_goes_on_with_the_same_bits(pr
         ended = [advance(island) for island in islands]
         reshuffle(islands, config, "x")
     assert tuple(ended) == run(config, epochs=3).outcomes[-2:]
+
+
+NEAR = config_of(evolution=EvolutionConfig(islands=2, population=16, runners_up=3), generations=50)
+
+
+def test_runners_up_are_part_of_an_island_that_is_written_and_read():
+    islands = [Island(PROBLEM, NEAR, number) for number in range(2)]
+    for _ in range(3):
+        islands = [Island.from_bytes(each.to_bytes(), PROBLEM, NEAR, k) for k, each in enumerate(islands)]
+        ended = [advance(island) for island in islands]
+        reshuffle(islands, NEAR, "x")
+    assert tuple(ended) == run(NEAR, epochs=3).outcomes[-2:]
+    assert any(outcome.runners_up for outcome in ended)
+
+
+def test_looking_for_runners_up_changes_nothing_in_the_population():
+    """Without predictors, whose effort goes by all evaluations, evolution is the same, whoever looks on."""
+    still = PredictorConfig(rows=8, enabled=False)
+    with_them = run(NEAR.model_copy(update={"predictors": still}))
+    without = run(config_of(generations=50, predictors=still))
+    assert not any(outcome.runners_up for outcome in without.outcomes)
+    for theirs, ours in zip(with_them.outcomes, without.outcomes, strict=True):
+        for part in ("offspring", "constant_fitting", "reevaluation"):
+            assert theirs.evaluations[part] == ours.evaluations[part]
+        assert theirs.evaluations["refitting"] > ours.evaluations["refitting"]
+
+
+@pytest.mark.parametrize(("noise", "floor"), [(0.1, 0.0), (0.0, 0.05)])
+def test_nothing_but_an_explicit_target_error_ends_the_search_for_a_noisy_target(noise, floor):
+    clean = problem_of(truth=lambda x, y: x * y)
+    noisy = Problem(clean.names, clean.inputs, replace(clean.target, noise=noise, floor=floor))
+    budget = BudgetConfig()
+    assert run(config_of(budget=budget), clean).has_hit
+    assert not run(config_of(budget=budget), noisy).has_hit
+    assert run(config_of(budget=BudgetConfig(target_error=0.2)), noisy).has_hit
 
 
 def test_bytes_are_the_same_after_reading_and_writing():

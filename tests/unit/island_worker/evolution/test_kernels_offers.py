@@ -9,7 +9,15 @@ from common.expression.algebra import complexity
 from common.expression.operators import MULTIPLY, VARIABLE
 from island_worker.evolution.formula import from_book, from_tape, to_program
 from island_worker.evolution.kernels_generation import PARTS, REFITTING
-from island_worker.evolution.kernels_offers import SIMPLE, canonical, choose_offers, refit, refit_offers, structure_hash
+from island_worker.evolution.kernels_offers import (
+    SIMPLE,
+    canonical,
+    choose_near,
+    choose_offers,
+    refit,
+    refit_chosen,
+    structure_hash,
+)
 from island_worker.evolution.kernels_rows import padded_rows
 from island_worker.evolution.kernels_tape import compile_tape
 from island_worker.evolution.structures import MOST_TERMS, Fit, empty_scratch, empty_tape
@@ -36,6 +44,17 @@ class Arena:
         chosen = np.zeros(len(self.offered), np.int64)
         count = choose_offers(self.lists, self.fitness, self.scratch, self.offered, self.losses, chosen)
         return chosen[:count].tolist()
+
+    def choose_near(self, most, known):
+        """Return the individuals chosen for the front, and those beside it."""
+        chosen = np.zeros(len(self.offered) + POPULATION, np.int64)
+        count = choose_offers(self.lists, self.fitness, self.scratch, self.offered, self.losses, chosen)
+        order = np.argsort(self.fitness, kind="stable")
+        number = choose_near(self.lists, self.fitness, order, most, self.scratch, known, chosen, count)
+        return chosen[:count].tolist(), chosen[count:number].tolist()
+
+    def hash(self, p):
+        return int(structure_hash(self.scratch.canonical, canonical(self.lists, p, self.scratch)))
 
     def size(self, p):
         tape = empty_tape(SPACE.nodes)
@@ -65,6 +84,51 @@ def test_the_same_structure_is_offered_again_only_when_its_loss_has_halved():
     assert arena.choose() == []
     arena.fitness[chosen[-1]] *= 0.6
     assert arena.choose() == [chosen[-1]]
+
+
+def near_by_definition(arena, offered, most, known):
+    """Return who is next best of each size, by fitness, fitnesses and structures being new."""
+    chosen, structures = [], {arena.hash(p) for p in offered} | set(known)
+    taken, fitnesses = {}, {}
+    for p in np.argsort(arena.fitness, kind="stable").tolist():
+        size = arena.size(p)
+        is_same = fitnesses.get(size) == arena.fitness[p]
+        if is_same or taken.get(size, 0) >= most or not math.isfinite(arena.fitness[p]):
+            continue
+        fitnesses[size] = arena.fitness[p]
+        taken[size] = taken.get(size, 0) + 1
+        if arena.hash(p) not in structures:
+            structures.add(arena.hash(p))
+            chosen.append(p)
+    return chosen
+
+
+@pytest.mark.parametrize("most", [1, 2, 5])
+def test_the_next_best_of_each_size_are_chosen_beside_the_best(most):
+    arena = Arena()
+    arena.fitness[arena.fitness > 5.5] = math.inf
+    for first, second in ((3, 4), (10, 11), (20, 21)):
+        arena.lists.code[second] = arena.lists.code[first]
+        arena.lists.left[second], arena.lists.right[second] = arena.lists.left[first], arena.lists.right[first]
+        arena.lists.constants[second] = arena.lists.constants[first]
+    arena.fitness[11] = arena.fitness[10]
+    offered, near = arena.choose_near(most, np.zeros(1 << 16, np.uint64))
+    assert near == near_by_definition(arena, offered, most, ())
+    assert len(near) > 3 or most == 1
+
+
+def test_a_structure_is_chosen_once_beside_the_front():
+    arena, known = Arena(), np.zeros(1 << 16, np.uint64)
+    first = arena.choose_near(4, known)
+    assert len(first[1]) > 3
+    assert arena.choose_near(4, known) == ([], [])
+
+
+def test_a_table_too_small_for_all_structures_only_makes_some_come_again():
+    arena, known = Arena(), np.zeros(4, np.uint64)
+    first = arena.choose_near(4, known)
+    again = arena.choose_near(4, known)
+    assert 0 < len(again[1]) <= len(first[0]) + len(first[1])
 
 
 def test_individuals_without_a_finite_loss_are_not_offered():
@@ -102,7 +166,7 @@ def test_refits_are_counted_and_leave_a_quarter_of_the_rows_for_each_constant():
 
 
 class Offers:
-    """What `refit_offers` finds in a population on 40 rows."""
+    """What `refit_chosen` finds in a population on 40 rows."""
 
     def __init__(self, options=FITTED, lists=None, target=None):
         inputs = np.random.default_rng(6).uniform(0.5, 2.0, (2, 40))
@@ -117,13 +181,15 @@ class Offers:
         self.book, self.sizes = self.scratch.book, len(self.scratch.best_of_size)
         self.counters = np.zeros(len(PARTS), np.int64)
 
-    def refit(self, least=None):
+    def refit(self, least=None, slack=math.inf):
         """Return how many programs improve on `least`, as if none had been offered before."""
         least = np.full(self.sizes, math.inf) if least is None else least
-        return refit_offers(
-            self.lists, self.fitness, self.rows, self.options, 4, self.scratch, np.zeros(self.sizes, np.uint64),
-            np.full(self.sizes, math.inf), least, self.book, self.counters,
-        )  # fmt: skip
+        chosen, none = np.zeros(self.sizes, np.int64), np.zeros(self.sizes, np.uint64)
+        unknown = np.full(self.sizes, math.inf)
+        number = choose_offers(self.lists, self.fitness, self.scratch, none, unknown, chosen)
+        return refit_chosen(
+            self.lists, chosen, number, self.rows, self.options, 4, self.scratch, least, slack, self.book, self.counters
+        )
 
     def loss(self, k, shift, coefficients):
         """Return the loss of entry `k` with other coefficients, by its definition."""
@@ -175,6 +241,19 @@ def test_only_what_improves_is_booked():
     least[sizes[1]] = np.nextafter(losses[1], math.inf)
     assert offers.refit(least) == 1
     assert (offers.book.size[0], offers.book.loss[0]) == (sizes[1], losses[1])
+
+
+def test_no_steps_are_spent_where_the_loss_is_far_from_useful():
+    offers = Offers()
+    assert offers.refit() > 3
+    spent = offers.counters[REFITTING]
+    offers.counters[:] = 0
+    assert offers.refit(np.full(offers.sizes, 1e-9), slack=1.5) == 0
+    assert 0 < offers.counters[REFITTING] < spent / 2
+    assert offers.counters[REFITTING] % 40 == 0
+    offers.counters[:] = 0
+    assert offers.refit(np.full(offers.sizes, math.inf), slack=1.5) > 3
+    assert offers.counters[REFITTING] == spent
 
 
 def test_coefficients_next_to_one_are_also_measured_as_one():

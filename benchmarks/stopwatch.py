@@ -1,0 +1,72 @@
+"""How long a job was in each of its states, how much memory that took, and an end to it when it takes too long."""
+
+import os
+import resource
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from common.wire.views import FINAL_STATES, JobView
+
+JOB_LIMIT_S: Final = 1800.0
+"""No job of these benchmarks takes longer, whatever it does."""
+
+_MB: Final = 2**20
+_UNIT: Final = 1024
+"""Of `resource.getrusage`, on Linux."""
+
+
+@dataclass
+class Stopwatch:
+    """Takes the time of one job; `watch` is called several times a second.
+
+    `seconds` are those in which the job was seen in each state. With `weighs`, `most_memory_mb` is the largest sum of
+    the resident memory of all processes below this one (shared pages counted once for each), where /proc tells.
+    """
+
+    limit_s: float = JOB_LIMIT_S
+    weighs: bool = False
+    seconds: dict[str, float] = field(default_factory=dict)
+    most_memory_mb: float = 0.0
+    _begun: float = field(default_factory=time.monotonic)
+    _last: float | None = None
+
+    def watch(self, view: JobView) -> None:
+        """Add the time since the last look to the state that the job is in.
+
+        Raises:
+            TimeoutError: the job takes longer than the limit.
+        """
+        now = time.monotonic()
+        if self._last is not None and view.state not in FINAL_STATES:
+            self.seconds[view.state] = self.seconds.get(view.state, 0.0) + now - self._last
+        self._last = now
+        if self.weighs:
+            self.most_memory_mb = max(self.most_memory_mb, resident_mb())
+        if now - self._begun > self.limit_s:
+            raise TimeoutError(f"it was still {view.state} after {self.limit_s:.0f} s")
+
+
+def resident_mb() -> float:
+    """Return the resident memory of all processes below this one in MB, 0 where /proc does not tell."""
+    parents: dict[int, int] = {}
+    sizes: dict[int, float] = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            state = (folder / "stat").read_text("utf-8").rpartition(")")[2].split()
+            pages = int((folder / "statm").read_text("utf-8").split()[1])
+        except (OSError, IndexError, ValueError):
+            continue
+        parents[int(folder.name)] = int(state[1])
+        sizes[int(folder.name)] = pages * resource.getpagesize() / _MB
+    below, found = {os.getpid()}, 0.0
+    while children := {pid for pid, parent in parents.items() if parent in below and pid not in below}:
+        found += sum(sizes[pid] for pid in children)
+        below |= children
+    return found
+
+
+def largest_child_mb() -> float:
+    """Return the largest memory that any ended process below this one ever had, in MB."""
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * _UNIT / _MB

@@ -1,0 +1,76 @@
+"""The recording of a job, put together from what was measured and how it was smoothed. Pure."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from common.dataset import FloatArray
+from coordinator.data.derivatives import Estimate
+from coordinator.data.inputs import input_slopes
+from coordinator.data.measured import Measured
+from coordinator.data.recording import Recording, Smoothing, Trajectory
+
+
+def recorded(
+    its: Measured,
+    velocities: Sequence[str],
+    inputs: Sequence[Sequence[FloatArray]],
+    symbols: Mapping[str, str],
+    estimates: Sequence[Estimate],
+) -> Recording:
+    """Return the recording of measured states.
+
+    Args:
+        its: with trajectories.
+        velocities: column names of the velocities that are variables.
+        inputs: for each input, its values along each trajectory.
+        symbols: by column name, the name in expressions.
+        estimates: one for each state.
+    """
+    assert its.trajectories is not None
+    slopes = [input_slopes(its.trajectories.times, parts) for parts in inputs]
+    if its.roles.time in its.roles.inputs:
+        slopes[its.roles.inputs.index(its.roles.time)] = [np.ones(len(times)) for times in its.trajectories.times]
+    return Recording(
+        its.roles.states,
+        tuple(symbols[name] for name in its.roles.states),
+        tuple(symbols[name] for name in velocities),
+        its.roles.inputs,
+        tuple(symbols[name] for name in its.roles.inputs),
+        its.config.order,
+        its.trajectories.offset,
+        tuple(_smoothing(name, each) for name, each in zip(its.roles.states, estimates, strict=True)),
+        tuple(_trajectory(its, run, inputs, slopes, estimates) for run in range(len(its.trajectories.runs))),
+    )
+
+
+def _smoothing(state: str, its: Estimate) -> Smoothing:
+    if its.choice is None:
+        return Smoothing(state, "interpolation", its.error, its.relative)
+    return Smoothing(state, "loess", its.error, its.relative, its.choice.span, its.choice.degree)
+
+
+def _trajectory(
+    its: Measured,
+    run: int,
+    inputs: Sequence[Sequence[FloatArray]],
+    slopes: Sequence[Sequence[FloatArray]],
+    estimates: Sequence[Estimate],
+) -> Trajectory:
+    assert its.trajectories is not None
+    first, last = its.trajectories.runs[run]
+    rows = last - first
+    return Trajectory(
+        its.trajectories.names[run],
+        its.trajectories.times[run],
+        _stacked([its.states[name][run] for name in its.roles.states], rows),
+        _stacked([each.values[first:last] for each in estimates], rows),
+        _stacked([each.velocity[first:last] for each in estimates], rows),
+        _stacked([parts[run] for parts in inputs], rows),
+        _stacked([parts[run] for parts in slopes], rows),
+    )
+
+
+def _stacked(parts: Sequence[FloatArray], rows: int) -> FloatArray:
+    """Return `parts` as the rows of one array, which has no rows where there are no parts."""
+    return np.ascontiguousarray(np.array(parts, dtype=np.float64).reshape(len(parts), rows))

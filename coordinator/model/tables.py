@@ -1,0 +1,203 @@
+"""What people are shown beside the equations: constants, contenders, noise, simulations. Lines of text.
+
+Works on the dictionary of ``result.json``; what a result does not have is not shown.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+MOST_LINES: Final = 12
+"""Trajectories and pairs of constants listed one by one; of more, the worst are."""
+
+_EXACT_SHARE: Final = 1e-6
+"""Standard errors below this share of their constants are those of rounding, and not worth a line."""
+
+
+def columns(heads: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "") -> list[str]:
+    """Return rows under their heads, right-aligned but for the last column, which is not padded."""
+    lines = [tuple(heads), *map(tuple, rows)]
+    widths = [max(len(line[column]) for line in lines) for column in range(len(heads) - 1)]
+    padded = (
+        "  ".join([*(cell.rjust(width) for cell, width in zip(line, widths, strict=False)), line[-1]]) for line in lines
+    )
+    return [f"{indent}{line}".rstrip() for line in padded]
+
+
+def r2_text(value: float | None) -> str:
+    """Return R2 in four decimals, never rounded up to 1; ``-`` for None."""
+    if value is None:
+        return "-"
+    return "1" if value == 1.0 else f"{math.floor(value * 1e4) / 1e4:.4f}" if value > -10.0 else f"{value:.2g}"
+
+
+def percent(share: float | None) -> str:
+    """Return a share such as 0.0512 as ``5.1 %``; ``?`` for None."""
+    return "?" if share is None else f"{100.0 * share:.2g} %" if share < 0.995 else f"{100.0 * share:.0f} %"
+
+
+# ------------------------------------------------------------------------------------------------- constants
+
+
+def plus_minus(value: float, error: float) -> str:
+    """Return ``2.981 ± 0.018``, or ``1.21e-07 ± 3.0e-09``: an error in two digits, the value with as many decimals."""
+    if not error > 0.0:
+        return f"{value:.6g}"
+    size = math.floor(math.log10(max(abs(value), error)))
+    decimals = 1 - math.floor(math.log10(error))
+    if -4 <= size < 6:
+        return f"{value:.{max(decimals, 0)}f} ± {error:.{max(decimals, 0)}f}"
+    return f"{value:.{max(decimals + size, 0)}e} ± {error:.1e}"
+
+
+def constants_line(constants: Sequence[Mapping[str, Any]]) -> str | None:
+    """Return all constants with their standard errors in a line; None when these are not known, or are rounding."""
+    known = [each for each in constants if each["std_error"] is not None]
+    if all(each["std_error"] <= _EXACT_SHARE * abs(each["value"]) for each in known):
+        return None
+    return "constants: " + ", ".join(_constant_text(each) for each in known)
+
+
+def _constant_text(constant: Mapping[str, Any]) -> str:
+    fitted = constant["value"] if constant["fitted"] is None else constant["fitted"]
+    text = plus_minus(fitted, constant["std_error"])
+    shown = f"{constant['value']:.6g}"
+    remark = "" if constant.get("identifiable", True) else "not determined"
+    if text.startswith(f"{shown} "):
+        return f"{text} ({remark})" if remark else text
+    return f"{shown} ({', '.join([text, remark] if remark else [text])})"
+
+
+def constants_table(constants: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a line for each constant whose standard error is known, with a head; nothing when there is none."""
+    known = [each for each in constants if each["std_error"] is not None]
+    heads = ("constant", "fitted ± std error", "95 % interval", "")
+    rows = [
+        (
+            f"{each['value']:.6g}",
+            plus_minus(each["value"] if each["fitted"] is None else each["fitted"], each["std_error"]),
+            _interval(each.get("interval")),
+            "" if each.get("identifiable", True) else "not determined by the data",
+        )
+        for each in known
+    ]
+    return columns(heads, rows, "    ") if rows else []
+
+
+def _interval(bounds: Sequence[float | None] | None) -> str:
+    low, high = bounds or (None, None)
+    if low is None or high is None:
+        return "-"
+    spread = high - low
+    digits = 6 if spread <= 0.0 else 3 + max(0, math.floor(math.log10(max(abs(low), abs(high)) / spread)))
+    return f"{low:.{digits}g} to {high:.{digits}g}"
+
+
+# ------------------------------------------------------------------------------------------------ contenders
+
+
+def contenders_table(candidates: Sequence[Mapping[str, Any]], display: Callable[[str], str]) -> list[str]:
+    """Return the contenders, the one shown first, by how much longer a description they are; nothing for one alone."""
+    if len(candidates) < 2:
+        return []
+    is_held_out = any(each["held_out_r2"] is not None for each in candidates)
+    heads = ("contender", "nats", "R2", *(("held out",) if is_held_out else ()), "size", "expression")
+    rows = [
+        (
+            "*" if each["selected"] else "",
+            "?" if each["nats"] is None else f"{each['nats']:.1f}",
+            r2_text(each["r2"]),
+            *((r2_text(each["held_out_r2"]),) if is_held_out else ()),
+            str(each["complexity"]),
+            display(each["expression"]),
+        )
+        for each in candidates
+    ]
+    return columns(heads, rows, "    ")
+
+
+# ---------------------------------------------------------------------------------------- the model as a whole
+
+
+def summary(result: Mapping[str, Any]) -> list[str]:
+    """Return the noise in a line and the simulations in another; nothing for what is exact or not known."""
+    noisy = {state: its for state, its in result.get("noise", {}).items() if its["method"] != "interpolation"}
+    lines = []
+    if noisy:
+        parts = ", ".join(f"{state} {percent(its['relative'])}" for state, its in noisy.items())
+        lines.append(f"noise: {parts} of the deviation")
+    if any(equation.get("verdict") != "exact" for equation in result["equations"]):
+        lines += _simulation_line(_trajectories(result))
+    return lines
+
+
+def _simulation_line(trajectories: Sequence[Mapping[str, Any]]) -> list[str]:
+    whole = [each for each in trajectories if None not in each["r2"].values()]
+    parts: list[str] = []
+    for held_out in (False, True):
+        chosen = [each for each in whole if each["held_out"] is held_out]
+        if chosen:
+            what = "held out" if held_out else "trajectory" if len(chosen) == 1 else "trajectories"
+            least = min(value for each in chosen for value in each["r2"].values())
+            parts.append(f"{'' if parts else 'R2 at least '}{r2_text(least)} on {len(chosen)} {what}")
+    if len(whole) < len(trajectories):
+        parts.append(f"{len(trajectories) - len(whole)} not to the end")
+    return [f"simulation: {', '.join(parts)}"] if parts else []
+
+
+def noise_lines(result: Mapping[str, Any]) -> list[str]:
+    """Return a line for each state: how noisy it is, and how it was smoothed."""
+    return [f"noise of {state}: {_noise_text(its)}" for state, its in result.get("noise", {}).items()]
+
+
+def _noise_text(its: Mapping[str, Any]) -> str:
+    if its["method"] == "interpolation":
+        text = "none to speak of; interpolated"
+    else:
+        size = "?" if its["sd"] is None else f"{its['sd']:.3g}"
+        text = f"{size}, {percent(its['relative'])} of its deviation; {its['method']}"
+        text += f" of degree {its['degree']} over {its['span']} rows"
+    if its["doubtful_rows"]:
+        text += f"; derivatives doubtful on {its['doubtful_rows']} rows"
+    many = "1 outlier" if its["outliers"] == 1 else f"{its['outliers']} outliers"
+    return f"{text}; {many}" if its["outliers"] else text
+
+
+def simulation_table(result: Mapping[str, Any]) -> list[str]:
+    """Return R2 of every simulated trajectory and state; of many trajectories the worst."""
+    trajectories = _trajectories(result)
+    if not trajectories:
+        return []
+    shown = sorted(trajectories, key=_worst)[:MOST_LINES] if len(trajectories) > MOST_LINES else trajectories
+    states = [*trajectories[0]["r2"]]
+    rows = [
+        (each["name"], *(r2_text(each["r2"][state]) for state in states), "held out" if each["held_out"] else "")
+        for each in shown
+    ]
+    head = "R2 of simulations from fitted initial values"
+    rest = [f"the {MOST_LINES} worst of {len(trajectories)}"] if len(shown) < len(trajectories) else []
+    return [head, *columns(("trajectory", *states, ""), rows, "    "), *(f"    {line}" for line in rest)]
+
+
+def _worst(trajectory: Mapping[str, Any]) -> float:
+    return min((-math.inf if value is None else value for value in trajectory["r2"].values()), default=math.inf)
+
+
+def _trajectories(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    simulation = result.get("simulation")
+    return [] if simulation is None else list(simulation["trajectories"])
+
+
+def correlation_lines(result: Mapping[str, Any]) -> list[str]:
+    """Return a line for each pair of constants that the data hardly tell apart, the closest first."""
+    constants = {equation["variable"]: equation["constants"] for equation in result["equations"]}
+
+    def named(place: Mapping[str, Any]) -> str:
+        return f"{constants[place['variable']][place['constant']]['value']:.6g} of {place['variable']}"
+
+    pairs = sorted(result.get("correlations", ()), key=lambda each: -abs(each["value"] or 0.0))
+    return [
+        f"hardly told apart: {named(pair['first'])} and {named(pair['second'])}, correlation {pair['value']:.3f}"
+        for pair in pairs[:MOST_LINES]
+        if pair["value"] is not None
+    ]
