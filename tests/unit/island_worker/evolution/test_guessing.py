@@ -116,12 +116,17 @@ NARROW = {"variables_of": {"x": ("y",)}}
 
 def test_an_equation_keeps_to_its_variables_in_all_that_leaves_the_island():
     problem = problem_of()
-    config = with_prior(space=NARROW, predictors=PredictorConfig(rows=8, effort=0.2, renewal=5))
+    config = with_prior(
+        space=NARROW,
+        predictors=PredictorConfig(rows=8, effort=0.2, renewal=5),
+        evolution=EvolutionConfig(islands=2, population=16, runners_up=3),
+    )
     result = search(problem, config, epochs=2)
+    assert any(outcome.runners_up for outcome in result.outcomes)
     assert len(result.front) > 3
     used = set()
     for outcome in result.outcomes:
-        for entry in outcome.additions:
+        for entry in (*outcome.additions, *outcome.runners_up):
             program = Program.from_bytes(entry.program, 2)
             used |= set(program.left[program.operators == VARIABLE].tolist())
     assert used == {1}
