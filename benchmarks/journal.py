@@ -45,7 +45,7 @@ class Journal:
 
     def add(self, outcome: Outcome, answer: Mapping[str, Any] | None = None) -> None:
         """Take in a search that has ended, with the contents of its result.json if it has one."""
-        kept = {name: answer[name] for name in KEPT if name in answer} if answer else None
+        kept = _kept(answer) if answer else None
         self.outcomes[outcome.key] = outcome
         if kept is not None:
             self.answers[outcome.key] = kept
@@ -84,6 +84,16 @@ class Journal:
         self.outcomes[outcome.key] = outcome
         if value.get("answer") is not None:
             self.answers[outcome.key] = value["answer"]
+
+
+def _kept(answer: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parts of a result that judging and reading need; of simulations R² without the curves."""
+    kept = {name: answer[name] for name in KEPT if name in answer}
+    if kept.get("simulation"):
+        trajectories = kept["simulation"].get("trajectories") or []
+        fields = ("name", "held_out", "r2")
+        kept["simulation"] = {"trajectories": [{name: each.get(name) for name in fields} for each in trajectories]}
+    return kept
 
 
 def outcome_from(value: Mapping[str, Any]) -> Outcome:

@@ -28,6 +28,7 @@ from benchmarks.noise_search import search
 from benchmarks.noise_tables import by_equation, by_grade, by_level, line, misses, summarized
 from benchmarks.noisy_data import VARIANTS, Key, Variant, case
 from benchmarks.options import positive, whole
+from benchmarks.pysindy_models import METHODS, require, solve
 from benchmarks.reporting import load, plain_errors, seeds
 from benchmarks.services import Searches, searching
 from benchmarks.systems import TABLE_III
@@ -51,9 +52,7 @@ def keys(options: argparse.Namespace) -> Iterator[Key]:
 def _methods(options: argparse.Namespace) -> tuple[str, ...]:
     if options.versus is None:
         return (OURS,)
-    from benchmarks.pysindy_models import METHODS
-
-    return (*METHODS,) if options.only_versus else (OURS, *METHODS)
+    return METHODS if options.only_versus else (OURS, *METHODS)
 
 
 def campaign(options: argparse.Namespace, journal: Journal) -> list[Outcome]:
@@ -79,8 +78,6 @@ def _one(searches: Searches | None, key: Key, options: argparse.Namespace, journ
         assert searches is not None
         journal.add(*search(searches, key, its, options.max_time))
     else:
-        from benchmarks.pysindy_models import solve
-
         answer = solve(key, its)
         journal.add(outcome(key, its, answer, {}), answer)
 
@@ -98,11 +95,13 @@ def show(outcomes: Sequence[Outcome], options: argparse.Namespace, arguments: Se
     summaries = summarized(outcomes)
     say(by_level(summaries))
     say("\n" + by_equation(outcomes))
-    say("\n" + by_grade([each for each in outcomes if each.key.method == OURS]))
-    expected = goals([each for each in outcomes if (each.key.method, each.key.variant) == (OURS, "plain")])
+    ours = [each for each in outcomes if each.key.method == OURS]
+    if ours:
+        say("\n" + by_grade(ours))
+    expected = goals([each for each in ours if each.key.variant == "plain"])
     if expected:
         say("\n" + shown(expected))
-    missed = misses([each for each in outcomes if each.key.method == OURS])
+    missed = misses(ours)
     if missed:
         say("\nmissed:\n" + "\n".join(missed))
     figures = {
@@ -131,8 +130,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _check(options: argparse.Namespace) -> None:
     if options.versus is not None:
-        from benchmarks.pysindy_models import require
-
         require()
     elif options.only_versus:
         raise UsageError("--only-versus leaves our searches out; name the other program with --versus pysindy")

@@ -42,7 +42,8 @@ class EquationOutcome:
     constant of the normal form that the truth and the equation have in common (None when their terms differ),
     `own_error` that of a constant as it stands in the equation; `function_error` is the error on fresh points in the
     range of the data, `path_error` that along the fresh trajectory, over the target's deviation there. `elsewhere` says
-    where the true form is when it is not the one shown: "front", "contenders" or None. `constants` are those whose true
+    where the true form is when it is not the one shown: "front", "contenders" (and how much longer the description of
+    the data is with it), or None. `constants` are those whose true
     values are known (None: the structure has none). `r2` is that of the state's simulation from fresh initial
     conditions.
     """
@@ -158,7 +159,10 @@ def _form(case: Case, name: str, text: str | None) -> FormVerdict:
 
 def _constants(case: Case, name: str, equation: Mapping[str, Any]) -> tuple[Covered, ...] | None:
     listed = [each for each in equation.get("constants") or [] if each.get("value") is not None]
-    found = covered(equation["expression"], listed, case.clean, case.slope(name))
+    try:
+        found = covered(equation["expression"], listed, case.clean, case.slope(name))
+    except UsageError:  # too long to be read back with constants that are all different
+        return None
     return None if found is None else tuple(found)
 
 
@@ -179,9 +183,10 @@ def _path_error(case: Case, name: str, text: str | None) -> float | None:
 def _elsewhere(case: Case, name: str, equation: Mapping[str, Any]) -> str | None:
     """Say where the true form is among what was not shown."""
     for place, key in (("contenders", "candidates"), ("front", "front")):
-        texts = [each.get("expression") for each in equation.get(key) or []][:MOST_CONTENDERS]
-        if any(_form(case, name, text).exact for text in texts):
-            return place
+        for each in (equation.get(key) or [])[:MOST_CONTENDERS]:
+            if _form(case, name, each.get("expression")).exact:
+                nats = each.get("nats")
+                return place if nats is None else f"{place} ({nats:+.1f} nats)"
     return None
 
 

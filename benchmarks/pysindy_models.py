@@ -12,7 +12,7 @@ import itertools
 import math
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -23,7 +23,13 @@ from benchmarks.generalisation import field_of, simulated
 from benchmarks.noisy_data import Case, Key, Path
 from common.errors import UsageError
 
-DEGREES: Final = (1, 2, 3, 4)
+PLAIN_LIBRARIES: Final = ((1, 0, False), (2, 0, False), (3, 0, False), (4, 0, False))
+"""Degree of the polynomials, multiples of sines and cosines, and whether those of two states are multiplied."""
+
+WAVY_LIBRARIES: Final = (
+    *((degree, 1, False) for degree in (1, 2, 3, 4)),
+    *((degree, multiples, True) for degree in (1, 2) for multiples in (1, 2)),
+)
 THRESHOLDS: Final = (0.01, 0.03, 0.07, 0.15, 0.3, 0.6)
 DOMAINS: Final = 100
 """Test functions of the weak form."""
@@ -36,7 +42,10 @@ WORST: Final = 1e6
 """Mean square error over the variance of a model that cannot be simulated."""
 
 POLYNOMIALS, WAVES, WEAK, MANY = METHODS = ("pysindy", "pysindy fourier", "pysindy weak", "pysindy ensemble")
-"""Polynomials; those and sines and cosines; the weak form with either; polynomials, fitted to an ensemble."""
+"""Polynomials; those with sines and cosines; the weak form of either; polynomials, fitted to an ensemble."""
+
+
+_Library = tuple[int, int, bool]
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,13 +141,13 @@ class _Problem:
         return coefficients if np.isfinite(coefficients).all() else None
 
 
-def _differentiated(data: _Data, has_waves: bool) -> Iterator[_Problem]:
+def _differentiated(data: _Data, libraries: Sequence[_Library]) -> Iterator[_Problem]:
     """Yield the problems of derivatives by finite differences, and of smoothed ones."""
     import pysindy as ps
 
     for method in (ps.FiniteDifference(), ps.SmoothedFiniteDifference()):
-        for degree in DEGREES:
-            yield _problem(data, data.times, _library(degree, has_waves, True), method)
+        for each in libraries:
+            yield _problem(data, data.times, _library(each, True), method)
 
 
 def _weak(data: _Data) -> Iterator[_Problem]:
@@ -148,9 +157,9 @@ def _weak(data: _Data) -> Iterator[_Problem]:
     times = data.times[0]
     if any(len(each) != len(times) or not np.array_equal(each, times) for each in data.times):
         return
-    for has_waves, degree in itertools.product((False, True), DEGREES):
+    for each in (*PLAIN_LIBRARIES, *WAVY_LIBRARIES):
         library = ps.WeakPDELibrary(
-            function_library=_library(degree, has_waves, False),
+            function_library=_library(each, False),
             spatiotemporal_grid=times,
             include_bias=True,
             K=DOMAINS,
@@ -169,14 +178,48 @@ def _problem(data: _Data, times: Any, library: Any, differentiation: Any) -> _Pr
 
 
 def _problems(method: str, data: _Data) -> Iterator[_Problem]:
-    return _weak(data) if method == WEAK else _differentiated(data, method == WAVES)
+    if method == WEAK:
+        return _weak(data)
+    return _differentiated(data, WAVY_LIBRARIES if method == WAVES else PLAIN_LIBRARIES)
 
 
-def _library(degree: int, has_waves: bool, has_bias: bool) -> Any:
+def _library(library: _Library, has_bias: bool) -> Any:
     import pysindy as ps
 
-    polynomials = ps.PolynomialLibrary(degree=degree, include_bias=has_bias)
-    return ps.ConcatLibrary([polynomials, ps.FourierLibrary(n_frequencies=1)]) if has_waves else polynomials
+    degree, multiples, has_products = library
+    parts = [ps.PolynomialLibrary(degree=degree, include_bias=has_bias)]
+    if multiples:
+        parts.append(ps.FourierLibrary(n_frequencies=multiples))
+    if has_products:
+        parts.append(_products(multiples))
+    return ps.ConcatLibrary(parts) if len(parts) > 1 else parts[0]
+
+
+def _products(multiples: int) -> Any:
+    """Return the library of sin or cos of multiples of one state times the same of another."""
+    import pysindy as ps
+
+    waves = [(wave, times) for times in range(1, multiples + 1) for wave in ("sin", "cos")]
+    functions, names = zip(*(_product(*pair) for pair in itertools.product(waves, waves)), strict=True)
+    return ps.CustomLibrary(list(functions), list(names), interaction_only=True)
+
+
+_WAVES: Final = {"sin": np.sin, "cos": np.cos}
+
+
+def _product(
+    first: tuple[str, int], second: tuple[str, int]
+) -> tuple[Callable[[FloatArray, FloatArray], FloatArray], Callable[[str, str], str]]:
+    """Return a function of two states, and the function from their names to its name."""
+    (one, times), (other, others) = first, second
+
+    def values(x: FloatArray, y: FloatArray) -> FloatArray:
+        return np.asarray(_WAVES[one](times * x) * _WAVES[other](others * y), dtype=np.float64)
+
+    def name(x: str, y: str) -> str:
+        return f"{one}({times} {x}) {other}({others} {y})"
+
+    return values, name
 
 
 def _optimizer(threshold: float, is_ensemble: bool) -> Any:

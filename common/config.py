@@ -44,6 +44,10 @@ class DataConfig(Model):
     order: Literal[1, 2] = Field(1, description="2: positions are measured, the second derivative is sought")
     angles: tuple[Angle, ...] = ()
     only: tuple[str, ...] | None = Field(None, description="search these equations only")
+    robust: bool = Field(False, description="smooth so that outliers lose their weight")
+    holdout: Annotated[int, Field(ge=1)] | Annotated[str, Field(pattern=r"^.+=.+$")] | None = Field(
+        None, description="trajectories kept from the search: so many last ones, or COLUMN=VALUE"
+    )
     missing: Literal["refuse", "drop"] = Field("refuse", description="what to do with rows holding NaN or infinity")
 
 
@@ -101,7 +105,7 @@ class EvolutionConfig(Model):
     scaled_constants: bool = Field(True, description="draw constants over the data's scales, not from [-10, 10]")
     refit_interval: Annotated[int, Field(ge=1)] = Field(10, description="generations between offers to the front")
     runners_up: Annotated[int, Field(ge=0, le=64)] | None = Field(
-        None, description="next best of each complexity kept beside the front; None: 0, or 5 with noisy targets"
+        None, description="next best of each complexity kept beside the front; None: 0, or 8 with noisy targets"
     )
 
 
@@ -131,7 +135,7 @@ class BudgetConfig(Model):
     max_epochs_of: dict[str, PositiveInt] = Field(default_factory=dict, description="per variable; overrides")
     max_time: Annotated[float, Field(gt=0.0)] | None = Field(None, description="seconds")
     stagnation: PositiveInt | None = Field(
-        None, description="epochs without a better equation after which a search ends; None: 60, or 8 where noisy"
+        None, description="epochs without a better equation after which a search ends; None: 60, or 6 where noisy"
     )
 
 

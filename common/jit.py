@@ -21,6 +21,7 @@ _SOURCES = (
     "island_worker/evolution",
     "island_worker/evolution/structures.py",
     "coordinator/data",
+    "coordinator/model/trajectory",
 )
 """Folders with kernels, and the files whose constants and types are compiled into them."""
 

@@ -25,7 +25,7 @@ HANDLERS: Final = {
 """The module of each verb. Its function of the verb's name takes the parsed options and returns the exit code."""
 
 LATER_VERBS: Final = ("logs", "doctor", "simulate", "analyse", "analyze", "report", "export")
-LATER_OPTIONS: Final = ("--holdout", "--weights")
+LATER_OPTIONS: Final = ("--weights",)
 
 EXIT_CODES: Final = (
     "exit codes: 0 done, 1 job failed, 2 bad usage or bad data, 3 coordinator not reachable,\n"
@@ -208,6 +208,10 @@ def _add_data(group: Any) -> None:
     group.add_argument("--only", metavar="x", help="search these equations only; the other states stay usable")
     group.add_argument(
         "--missing", metavar="refuse|drop", help="what to do with rows holding NaN or infinity (default: refuse)"
+    )
+    group.add_argument("--robust", action="store_true", help="smooth so that outliers lose their weight")
+    group.add_argument(
+        "--holdout", metavar="K|run=4", help="keep K last trajectories, or that one, from the search, to judge by them"
     )
 
 

@@ -74,6 +74,16 @@ def _whole(text: str, option: str) -> int:
         raise UsageError(f"{option} must be a whole number, but {text!r} was given") from None
 
 
+def _holdout(text: str, option: str) -> int | str:
+    """Return the number of trajectories, or ``COLUMN=VALUE`` as it is."""
+    if "=" in text:
+        return text
+    try:
+        return int(text)
+    except ValueError:
+        raise UsageError(f"{option} must be a number of trajectories or COLUMN=VALUE, but {text!r} was given") from None
+
+
 def _number(text: str, option: str) -> float:
     try:
         return float(text)
@@ -98,6 +108,7 @@ _OPTIONS: Final[Mapping[str, tuple[str, _Reader]]] = {
     "order": ("data.order", _whole),
     "only": ("data.only", names),
     "missing": ("data.missing", _text),
+    "holdout": ("data.holdout", _holdout),
     "max_size": ("space.max_size", _whole),
     "islands": ("evolution.islands", _whole),
     "max_time": ("budget.max_time", seconds),
@@ -126,6 +137,8 @@ def _given(options: argparse.Namespace) -> dict[str, Any]:
         text = getattr(options, option)
         if text is not None:
             values[key] = read(text, _flag(option))
+    if options.robust:
+        values["data.robust"] = True
     if options.angle is not None:
         values["data.angles"] = [_angle(text) for text in options.angle]
     values |= prior_settings({_flag(option): getattr(options, option) for option in _PRIOR})
@@ -202,6 +215,7 @@ def _check(config: JobConfig) -> None:
     for operators in (config.space.operators, *config.space.operators_of.values()):
         _check_operators(operators)
     _check_modes(config.data)
+    _check_holdout(config.data)
     _check_columns(config.data)
     _check_angles(config.data)
 
@@ -226,6 +240,11 @@ def _check_modes(data: DataConfig) -> None:
     if data.derivatives is not None and data.states is not None and len(data.derivatives) != len(data.states):
         counts = f"{len(data.derivatives)} columns for {len(data.states)} states"
         raise UsageError(f"--derivatives gives {counts}; give one for each state, in the same order")
+
+
+def _check_holdout(data: DataConfig) -> None:
+    if data.holdout is not None and data.target is not None:
+        raise UsageError("--holdout and --target contradict each other: an explicit regression has no trajectories")
 
 
 def _check_columns(data: DataConfig) -> None:

@@ -74,9 +74,11 @@ def row(variable: VariableView) -> tuple[str, ...]:
 
 
 def standing(variable: VariableView) -> str:
-    """Return in a word or two how the search of one equation stands."""
+    """Return in a word or two how the search of one equation stands; after it, how far the equation can be trusted."""
     if variable.why == "known":
         return "known"
+    if variable.verdict:
+        return variable.verdict
     if variable.converged:
         return "converged"
     if not variable.finished:
@@ -161,6 +163,7 @@ class LiveDisplay:
         for head in _HEADS:
             grid.add_column(head, justify="right" if head in ("epoch", "size") else "left", overflow="fold")
         for variable in view.variables:
-            style = "green" if variable.converged else ""
+            is_found = variable.verdict in ("exact", "good") if variable.verdict else variable.converged
+            style = "green" if is_found else ""
             grid.add_row(*(Text(cell) for cell in row(variable)), style=style)
         return Group(Text(headline(view, workers, self._hint)), *([grid] if view.variables else []))

@@ -94,6 +94,9 @@ def without_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
     single = {part: getattr(config, part) for part in ("time", "trajectory", "target")}
     changes: dict[str, object] = {part: plain(name) for part, name in single.items() if name is not None}
     changes |= {part: several(getattr(config, part)) for part in ("states", "inputs", "derivatives", "only")}
+    if isinstance(config.holdout, str):
+        name, _, value = config.holdout.rpartition("=")
+        changes["holdout"] = f"{plain(name.strip())}={value.strip()}"
     changes["angles"] = tuple(angle.model_copy(update={"column": plain(angle.column)}) for angle in config.angles)
     return config.model_copy(update=changes)
 
@@ -134,6 +137,10 @@ def check_options(config: DataConfig) -> None:
         raise UsageError("--target and --derivatives exclude each other; give the one column set that is sought")
     if config.order == 2 and config.target is not None:
         raise UsageError("--order 2 and --target exclude each other; explicit regression has no time derivative")
+    if config.holdout is not None and config.target is not None:
+        raise UsageError(
+            "--holdout and --target exclude each other; rows of an explicit regression are no trajectories"
+        )
     if config.order == 2 and config.derivatives is not None:
         raise UsageError("--order 2 and --derivatives exclude each other; the velocity has to be derived from the data")
     if config.derivatives is not None and config.states is not None and len(config.derivatives) != len(config.states):

@@ -9,12 +9,13 @@ polynomial through the 3 to 15 nearest rows, each row taking the stencil whose s
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
 from common.dataset import FloatArray
-from coordinator.data.kernels_smoothing import HALF_WIDTHS, best_stencil_into, differences_into, left_out_into, moments
+from coordinator.data.kernels_stencils import HALF_WIDTHS, best_stencil_into, differences_into, left_out_into, moments
+from coordinator.data.robust import has_heavy_tails, outliers, retrusted, trusted
 from coordinator.data.smoothing import Choice, Run, Smoothed, choose, noise_of, smooth
 
 DEGREES_TRIED: Final = (3, 4)
@@ -30,6 +31,8 @@ JUDGED_SHARES: Final = (0.95, 0.75)
 rows at rest. Without noise interpolation wins by either; with noise it loses by a factor near 1.5 by both."""
 SMALLEST_NOISE: Final = 1e-9
 """Noise, as a share of the state's standard deviation, below which data count as free of it."""
+NARROWER: Final = 0.6
+"""The bias of a derivative is told by its difference from that with a span as many times as wide."""
 LARGEST_NOISE: Final = 3e-4
 """Noise, as a share of the state's standard deviation, beyond which data are never interpolated."""
 
@@ -39,17 +42,24 @@ class Estimate:
     """What is known of one state over all its rows, in the order of the runs. All arrays are (R,).
 
     `values` are interpolated (as measured) or smoothed; `derivative` is the one sought, `velocity` the first one;
-    `uncertainty` belongs to `derivative`; `error` is the estimated standard deviation of the measurement errors and
-    `deviation` that of the measurements; `choice` is None where the state was interpolated.
+    `uncertainty` belongs to `derivative`, and so does `doubt`, the uncertainty with an estimate of the bias, zeros
+    where the state was interpolated. `error` is the estimated standard deviation of the measurement errors and
+    `deviation` that of the measurements; `choice` is None where the state was interpolated. `outliers`, how many
+    rows have no weight, and `trust` (R,), the weights, are None unless loess was robust; `has_heavy_tails` advises that
+    it should be.
     """
 
     values: FloatArray
     velocity: FloatArray
     derivative: FloatArray
     uncertainty: FloatArray
+    doubt: FloatArray
     error: float
     deviation: float
     choice: Choice | None
+    outliers: int | None = None
+    trust: FloatArray | None = None
+    has_heavy_tails: bool = False
 
     @property
     def interpolated(self) -> bool:
@@ -67,17 +77,35 @@ class Estimate:
         return 0.0 if self.interpolated or self.relative < SMALLEST_NOISE else self.relative
 
 
-def estimate(runs: Sequence[Run], order: int, *, paper: bool = False) -> Estimate:
-    """Return values and derivatives of one state.
+@dataclass(frozen=True)
+class Way:
+    """How a state is differentiated.
+
+    `order` is 1 or 2, the derivative sought; `paper`: as in the paper, loess of degree 2 and no interpolation;
+    `robust`: outliers lose their weight.
+    """
+
+    order: Literal[1, 2] = 1
+    paper: bool = False
+    robust: bool = False
+
+    @property
+    def degrees(self) -> tuple[int, ...]:
+        """Degrees of loess among which one is chosen."""
+        return PAPER_DEGREES if self.paper else DEGREES_TRIED
+
+
+def estimate(runs: Sequence[Run], way: Way, held_out: Sequence[bool] = ()) -> Estimate:
+    """Return values and derivatives of one state, over all rows of all runs.
 
     Args:
         runs: the state along each trajectory, 5 rows or more each.
-        order: 1 or 2, the derivative sought.
-        paper: as in the paper: loess of degree 2, no interpolation.
+        way: how.
+        held_out: for each run, whether it takes no part in any choice; empty: all do.
     """
     _, exponent = math.frexp(max(float(np.max(np.abs(run.values))) for run in runs))
     scaled = [Run(run.times, np.ldexp(run.values, -exponent)) for run in runs]
-    return _rescaled(_estimate(scaled, order, paper=paper), exponent)
+    return _rescaled(_estimate(scaled, way, held_out or [False] * len(runs)), exponent)
 
 
 def _rescaled(its: Estimate, exponent: int) -> Estimate:
@@ -89,20 +117,29 @@ def _rescaled(its: Estimate, exponent: int) -> Estimate:
             velocity=np.ldexp(its.velocity, exponent),
             derivative=np.ldexp(its.derivative, exponent),
             uncertainty=np.ldexp(its.uncertainty, exponent),
+            doubt=np.ldexp(its.doubt, exponent),
             error=float(np.ldexp(its.error, exponent)),
             deviation=float(np.ldexp(its.deviation, exponent)),
         )
 
 
-def _estimate(runs: Sequence[Run], order: int, *, paper: bool) -> Estimate:
-    choice = choose(runs, PAPER_DEGREES if paper else DEGREES_TRIED)
-    smoothed = [smooth(run, choice) for run in runs]
-    if not paper:
-        errors, gains = _left_out(runs)
+def _estimate(runs: Sequence[Run], way: Way, held_out: Sequence[bool]) -> Estimate:
+    seen = [run for run, is_held_out in zip(runs, held_out, strict=True) if not is_held_out]
+    choice = choose(seen, way.degrees)
+    smoothed = [smooth(run, choice) for run in seen]
+    is_tailed = has_heavy_tails(seen, smoothed)
+    if not way.paper and not (way.robust and is_tailed):
+        errors, gains = _left_out(seen)
         noise = _value_noise(errors, gains)
-        if noise <= LARGEST_NOISE * _deviation(runs) and _is_better(runs, errors, smoothed):
-            return _interpolated(runs, order, noise)
-    return _by_loess(runs, smoothed, choice, order)
+        if noise <= LARGEST_NOISE * _deviation(seen) and _is_better(seen, errors, smoothed):
+            return _interpolated(runs, way.order, noise, _deviation(seen))
+    its = trusted(seen, way.degrees) if way.robust else None
+    if its is None or not outliers(its.runs):
+        return replace(_by_loess(runs, choice, way, seen), has_heavy_tails=is_tailed)
+    rest = iter(its.runs)
+    weighed = [retrusted(run, its) if out else next(rest) for run, out in zip(runs, held_out, strict=True)]
+    trust = np.concatenate([run.weights for run in weighed])
+    return replace(_by_loess(weighed, its.choice, way, its.runs), outliers=outliers(its.runs), trust=trust)
 
 
 def end_rows(lengths: Sequence[int]) -> FloatArray:
@@ -117,15 +154,26 @@ def end_rows(lengths: Sequence[int]) -> FloatArray:
     return ends
 
 
-def _by_loess(runs: Sequence[Run], smoothed: Sequence[Smoothed], choice: Choice, order: int) -> Estimate:
-    noise = noise_of(runs, smoothed)
+def _by_loess(runs: Sequence[Run], choice: Choice, way: Way, seen: Sequence[Run]) -> Estimate:
+    """Return what loess gives of `runs`, with the noise that is `seen`."""
+    noise = noise_of(seen, [smooth(run, choice) for run in seen])
+    fits, gains = _joined([smooth(run, choice) for run in runs])
+    narrower = replace(choice, span=max(int(NARROWER * choice.span), choice.degree + 2))
+    apart = fits[way.order] - _joined([smooth(run, narrower) for run in runs])[0][way.order]
+    uncertainty = noise * gains[way.order]
+    doubt = np.sqrt(uncertainty * uncertainty + apart * apart)
+    return Estimate(fits[0], fits[1], fits[way.order], uncertainty, doubt, noise, _deviation(seen), choice)
+
+
+def _joined(smoothed: Sequence[Smoothed]) -> tuple[FloatArray, FloatArray]:
+    """Return fits and gains over the rows of all runs."""
     fits = np.concatenate([its.fits for its in smoothed], axis=1)
-    gains = np.concatenate([its.gains for its in smoothed], axis=1)
-    return Estimate(fits[0], fits[1], fits[order], noise * gains[order], noise, _deviation(runs), choice)
+    return fits, np.concatenate([its.gains for its in smoothed], axis=1)
 
 
 def _deviation(runs: Sequence[Run]) -> float:
-    return moments(np.concatenate([run.values for run in runs]))[1]
+    """Return the standard deviation of all values but outliers."""
+    return moments(np.concatenate([run.values[run.weights > 0.0] for run in runs]))[1]
 
 
 def _left_out(runs: Sequence[Run]) -> tuple[FloatArray, FloatArray]:
@@ -173,13 +221,13 @@ def _value_noise(errors: FloatArray, gains: FloatArray) -> float:
     return min(float(noise) for noise in noises if not math.isnan(float(noise)))
 
 
-def _interpolated(runs: Sequence[Run], order: int, noise: float) -> Estimate:
+def _interpolated(runs: Sequence[Run], order: int, noise: float, deviation: float) -> Estimate:
     velocity, uncertainty = _differentiated(runs, 1, noise)
     derivative = velocity
     if order == 2:
         derivative, uncertainty = _differentiated(runs, 2, noise)
     values = np.concatenate([run.values for run in runs])
-    return Estimate(values, velocity, derivative, uncertainty, noise, _deviation(runs), None)
+    return Estimate(values, velocity, derivative, uncertainty, np.zeros(len(values)), noise, deviation, None)
 
 
 def _differentiated(runs: Sequence[Run], order: int, noise: float) -> tuple[FloatArray, FloatArray]:

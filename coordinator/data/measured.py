@@ -12,6 +12,7 @@ from common.dataset import FloatArray
 from common.table import Table
 from coordinator.data import checks
 from coordinator.data.columns import Roles, resolve, without_units
+from coordinator.data.holdout import held_out_runs
 from coordinator.data.trajectories import Trajectories, in_radians, runs_of, trajectories_of, unwrapped
 
 
@@ -19,22 +20,25 @@ from coordinator.data.trajectories import Trajectories, in_radians, runs_of, tra
 class Measured:
     """The rows kept of a table and what its columns mean.
 
-    `rows` are indices into the table; `trajectories` is None where the left-hand sides are given; `states[name][i]` is
-    a state along trajectory i, angles unwrapped; `warnings` are sentences for the user.
+    `rows` are indices into the table; `runs` half-open ranges into `rows`, one per trajectory, and `held_out` says of
+    each whether it is kept from the search; `trajectories` is None where the left-hand sides are given;
+    `states[name][i]` is a state along trajectory i, angles unwrapped; `warnings` are sentences for the user.
     """
 
     table: Table
     config: DataConfig
     roles: Roles
     rows: tuple[int, ...]
+    runs: tuple[tuple[int, int], ...]
+    held_out: tuple[bool, ...]
     trajectories: Trajectories | None
     states: dict[str, list[FloatArray]]
     warnings: tuple[str, ...]
 
-    @property
-    def runs(self) -> tuple[tuple[int, int], ...]:
-        """Half-open ranges into `rows`, one per trajectory."""
-        return runs_of(self.table, self.rows, self.roles.trajectory)
+    def indices(self, *, held_out: bool) -> list[int]:
+        """Return the indices into `rows` of those that are held out, or of those that are not."""
+        chosen = [run for run, is_held_out in zip(self.runs, self.held_out, strict=True) if is_held_out == held_out]
+        return [index for first, last in chosen for index in range(first, last)]
 
     def column(self, name: str, angle_of: str | None = None) -> FloatArray:
         """Return column `name` at the rows kept, in radians if it (or the state `angle_of`) is an angle in degrees."""
@@ -60,16 +64,19 @@ def measured(table: Table, config: DataConfig) -> Measured:
     roles = resolve(table, config)
     checks.check_rows(table, table.rows)
     rows, dropped = checks.finite_rows(table, roles, config.missing == "drop")
-    checks.check_rows(table, len(rows))
+    runs = runs_of(table, rows, roles.trajectory)
+    held_out = held_out_runs(config.holdout, table, roles, rows, runs)
+    seen = [row for (first, last), out in zip(runs, held_out, strict=True) if not out for row in rows[first:last]]
+    checks.check_rows(table, len(seen))
     for name in roles.derivatives or roles.equations:
         part = "state" if name in roles.states else "derivative" if roles.derivatives else "target"
-        checks.check_varies(table, name, table.column(name)[rows], part)
+        checks.check_varies(table, name, table.column(name)[seen], part)
     warnings = (*([dropped] if dropped else []), *_remarks(table, roles, rows, config))
     if roles.target is not None or roles.derivatives:
-        return Measured(table, config, roles, tuple(rows), None, {}, warnings)
+        return Measured(table, config, roles, tuple(rows), runs, held_out, None, {}, warnings)
     trajectories = trajectories_of(table, roles, rows)
     states = {name: _along(table, name, trajectories, config) for name in roles.states}
-    return Measured(table, config, roles, tuple(rows), trajectories, states, warnings)
+    return Measured(table, config, roles, tuple(rows), runs, held_out, trajectories, states, warnings)
 
 
 def _angle(config: DataConfig, name: str) -> Angle | None:

@@ -1,7 +1,8 @@
 """From a raw table to the regression problems of a job: the one place where measurements become a `Dataset`. Pure."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -11,35 +12,24 @@ from common.dataset import Dataset, FloatArray, Target
 from common.errors import DataError
 from common.table import Table
 from coordinator.data.checks import MIN_ROWS
-from coordinator.data.columns import Roles, left_hand_side, variable_columns, velocity_columns
-from coordinator.data.derivatives import END_ROWS, Estimate, end_rows, estimate
+from coordinator.data.columns import left_hand_side, variable_columns, velocity_columns
+from coordinator.data.derivatives import Estimate, Way, estimate
 from coordinator.data.describe import describe
-from coordinator.data.kernels_smoothing import moments
+from coordinator.data.gaps import split_at_gaps
+from coordinator.data.kernels_stencils import HALF_WIDTHS, moments
 from coordinator.data.measured import Measured, measured
 from coordinator.data.prior import resolve_roles
 from coordinator.data.recorded import recorded
 from coordinator.data.recording import Preparation
+from coordinator.data.rows import Kept, kept_rows
 from coordinator.data.smoothing import Run
+from coordinator.data.spread import finite_spread
 from coordinator.data.symbols import symbols_for
 
 __all__ = ["describe", "prepare"]
 
-
-GOOD_ENOUGH: Final = 1e-5
-"""Rows whose derivative is uncertain by less than this share of its standard deviation are always kept."""
-FAR_OUT: Final = 5.0
-"""Rows whose uncertainty is less than this many times the median one are kept as well."""
-LEAST_KEPT: Final = 0.7
-"""Share of the rows that is kept however uncertain they are."""
-MOST_UNEVEN: Final = 2.0
-"""Root mean square of the uncertainty over its mean, at most, on the rows kept."""
-LEAST_SPREAD: Final = 1e-3
-"""A derivative that varies less than this share of its mean is judged by the mean: it may well be constant."""
-ROUNDING: Final = 1e-12
-SMALLEST: Final = 1e-150
-"""Numbers below this, or above its inverse, have no square that can be told from zero or infinity."""
-PASSES: Final = 3
-"""A wild row swells the standard deviation by which rows are judged, so that they are judged again without it."""
+MANY_OUTLIERS: Final = 0.1
+"""Share of the rows beyond which outliers are hardly errors of measurement."""
 
 
 def prepare(table: Table, config: JobConfig) -> Preparation:
@@ -51,139 +41,123 @@ def prepare(table: Table, config: JobConfig) -> Preparation:
     """
     its = measured(table, config.data)
     _, equations = resolve_roles(config.model_copy(update={"data": its.config}), its.roles)
+    its = replace(its, config=its.config.model_copy(update={"only": equations}))
     if its.trajectories is None:
-        return Preparation(_given(its, equations))
-    return _differentiated(its, equations, paper=config.preset == "paper")
+        return _given(its)
+    way = Way(its.config.order, config.preset == "paper", its.config.robust)
+    estimates = _estimated(its, way)
+    pieces = split_at_gaps(its, max(_span(each) for each in estimates))
+    if pieces.runs != its.runs:
+        estimates = _estimated(pieces, way)
+    return _differentiated(pieces, estimates, paper=way.paper)
 
 
-def _given(its: Measured, equations: Sequence[str]) -> Dataset:
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """What the variables are: their symbols by column name, and their values (V, R) at all rows."""
+
+    symbols: Mapping[str, str]
+    values: FloatArray
+
+
+def _given(its: Measured) -> Preparation:
     """Prepare a table that holds the left-hand sides: labels or derivatives, taken as exact."""
     names = variable_columns(its.roles, its.config.order)
-    symbols = symbols_for(names)
+    columns = _Columns(symbols_for(names), np.array([its.column(name) for name in names]))
+    seen, held_out = its.indices(held_out=False), its.indices(held_out=True)
     targets = []
     for name, column in zip(its.roles.equations, its.roles.derivatives or its.roles.equations, strict=True):
         values = its.column(column, angle_of=name)
-        deviation = _finite_spread(column, values)
+        deviation = finite_spread(column, values[seen])
         targets.append(Target(name, left_hand_side(its.roles, name, its.config.order), values, 0.0, deviation))
-    inputs = np.array([its.column(name) for name in names])
-    return Dataset(tuple(symbols[name] for name in names), inputs, _chosen(targets, equations), symbols, its.warnings)
+    return Preparation(
+        _dataset(its, columns, targets, seen), None, _dataset(its, columns, targets, held_out) if held_out else None
+    )
 
 
-def _chosen(targets: Sequence[Target], equations: Sequence[str]) -> tuple[Target, ...]:
-    return tuple(target for target in targets if target.variable in equations)
+def _dataset(its: Measured, columns: _Columns, targets: Sequence[Target], rows: list[int]) -> Dataset:
+    """Return the problems that are sought, of some rows; `targets` have the values of all rows."""
+    chosen = [target for target in targets if not its.config.only or target.variable in its.config.only]
+    return Dataset(
+        tuple(columns.symbols.values()),
+        np.ascontiguousarray(columns.values[:, rows]),
+        tuple(replace(target, values=np.ascontiguousarray(target.values[rows])) for target in chosen),
+        dict(columns.symbols),
+        its.warnings,
+    )
 
 
-def _differentiated(its: Measured, equations: Sequence[str], *, paper: bool) -> Preparation:
-    """Prepare measured states: smooth or interpolate them, and differentiate."""
+def _estimated(its: Measured, way: Way) -> list[Estimate]:
+    """Smooth or interpolate measured states, and differentiate them."""
     assert its.trajectories is not None
-    times = its.trajectories.times
     estimates = []
     for name in its.roles.states:
-        runs = [Run(each, part) for each, part in zip(times, its.states[name], strict=True)]
-        estimates.append(estimate(runs, its.config.order, paper=paper))
-        _finite_spread(f"derivative of {name}", estimates[-1].derivative)
-    kept, warnings = _kept(estimates, [len(each) for each in times], its.roles)
+        runs = [Run(each, part) for each, part in zip(its.trajectories.times, its.states[name], strict=True)]
+        estimates.append(estimate(runs, way, its.held_out))
+        finite_spread(f"derivative of {name}", estimates[-1].derivative)
+    return estimates
+
+
+def _span(its: Estimate) -> int:
+    """Return how many rows are looked at together."""
+    return its.choice.rows if its.choice is not None else 2 * HALF_WIDTHS + 1
+
+
+def _differentiated(its: Measured, estimates: Sequence[Estimate], *, paper: bool) -> Preparation:
+    """Return the problems and the recording that smoothed and differentiated states make."""
+    lengths = [last - first for first, last in its.runs]
+    kept = kept_rows(estimates, lengths, its.indices(held_out=False), its.indices(held_out=True), paper=paper)
+    its = replace(its, warnings=(*its.warnings, *kept.warnings, *_remarks(its, estimates, kept)))
     velocities = velocity_columns(its.roles, its.config.order)
     inputs = [its.along(name) for name in its.roles.inputs]
     symbols = symbols_for(variable_columns(its.roles, its.config.order))
-    targets = [
-        _target(name, left_hand_side(its.roles, name, its.config.order), each, kept)
-        for name, each in zip(its.roles.states, estimates, strict=True)
-    ]
     values = [each.values for each in estimates]
     values += [each.velocity for each in estimates if velocities]
     values += [np.concatenate(parts) for parts in inputs]
-    dataset = Dataset(
-        tuple(symbols.values()),
-        np.ascontiguousarray(np.array(values)[:, kept]),
-        _chosen(targets, equations),
-        symbols,
-        (*its.warnings, *warnings),
+    columns = _Columns(symbols, np.array(values))
+    targets = [
+        _target(name, left_hand_side(its.roles, name, its.config.order), each, kept.seen)
+        for name, each in zip(its.roles.states, estimates, strict=True)
+    ]
+    return Preparation(
+        _dataset(its, columns, targets, kept.seen),
+        recorded(its, velocities, inputs, symbols, estimates, kept.doubtful),
+        _dataset(its, columns, targets, kept.held_out) if kept.held_out else None,
     )
-    return Preparation(dataset, recorded(its, velocities, inputs, symbols, estimates))
 
 
-def _kept(estimates: Sequence[Estimate], lengths: Sequence[int], roles: Roles) -> tuple[list[int], list[str]]:
-    """Return the rows that every target uses, and sentences about what was left out.
-
-    Where a state is interpolated, the ends of trajectories and rows of very uncertain derivatives are left out: jumps
-    and passages by a singularity that the sampling does not resolve.
-    """
-    uncertain = [each for each in estimates if each.interpolated]
-    everything = list(range(sum(lengths)))
-    if not uncertain:
-        return everything, []
-    warnings = []
-    ends = end_rows(lengths)
-    inner = [row for row in everything if ends[row] == 0.0]
-    if len(inner) < len(everything):
-        rows = f"{END_ROWS} rows at each end of a trajectory"
-        warnings.append(f"Data without noise are interpolated, not smoothed; {rows} are left out.")
-    kept = _certain(uncertain, inner)
-    if len(kept) < len(inner):
-        count = len(inner) - len(kept)
-        warnings.append(f"{count} of {len(inner)} rows change too fast for the sampling step and are left out.")
-    if len(kept) < MIN_ROWS:
-        states = ", ".join(roles.states)
-        raise DataError(f"only {len(kept)} rows of {states} can be differentiated; sample more of them")
-    return kept, warnings
+def _remarks(its: Measured, estimates: Sequence[Estimate], kept: Kept) -> list[str]:
+    """Return sentences about what smoothing met; raises DataError when it left too little."""
+    if len(kept.seen) < MIN_ROWS:
+        states = ", ".join(its.roles.states)
+        raise DataError(f"only {len(kept.seen)} rows of {states} can be differentiated; sample more of them")
+    named = list(zip(its.roles.states, estimates, strict=True))
+    remarks = [_outliers(name, each.outliers, len(each.values)) for name, each in named if each.outliers]
+    tailed = [name for name, each in named if each.has_heavy_tails]
+    if tailed:
+        remarks.append(
+            f"Some measurements of {', '.join(tailed)} look like outliers; --robust takes their weight away."
+        )
+    if any(its.held_out) and not kept.held_out:
+        remarks.append("No row that was held out can be differentiated well; equations are not judged by them.")
+    return remarks
 
 
-def _certain(estimates: Sequence[Estimate], inner: list[int]) -> list[int]:
-    """Return the rows of `inner` whose relative uncertainty, the worst of all states, is small enough."""
-    kept = inner
-    for _ in range(PASSES):
-        worst = np.zeros(len(inner))
-        for its in estimates:
-            worst = np.maximum(worst, its.uncertainty[inner] / _spread(its.derivative[kept], LEAST_SPREAD))
-        ordered = np.sort(worst).tolist()
-        limit = max(GOOD_ENOUGH, FAR_OUT * ordered[len(inner) // 2], ordered[math.ceil(LEAST_KEPT * len(inner)) - 1])
-        kept = [row for row, uncertainty in zip(inner, worst.tolist(), strict=True) if uncertainty <= limit]
-    return _evenly_uncertain(estimates, kept, math.ceil(LEAST_KEPT * len(inner)))
-
-
-def _evenly_uncertain(estimates: Sequence[Estimate], kept: list[int], least: int) -> list[int]:
-    """Return `kept` without the rows that alone would decide a mean square, at least `least` of them.
-
-    The floor of a target is the mean uncertainty, yet equations are compared by mean squared error: where a few rows
-    are far more uncertain than the others, their errors exceed the floor and a wrong term that mends them pays. So the
-    most uncertain rows go until, for every state, the root mean square is at most `MOST_UNEVEN` times the mean.
-    """
-    for its in estimates:
-        uncertainty = its.uncertainty[kept].tolist()
-        ordered = sorted(uncertainty)
-        total, square, enough = 0.0, 0.0, 0
-        for count, value in enumerate(ordered, start=1):
-            total += value
-            square += value * value
-            if count <= least or square * count <= (MOST_UNEVEN * total) ** 2:
-                enough = count
-        limit = ordered[enough - 1] if enough else math.inf
-        kept = [row for row, value in zip(kept, uncertainty, strict=True) if value <= limit]
-    return kept
+def _outliers(state: str, count: int, rows: int) -> str:
+    """Return a sentence about the outliers of a state."""
+    sentence = f"State '{state}' has {count} {'outlier' if count == 1 else 'outliers'} without weight"
+    many = "; so many suggest that rows are too far apart for --robust, not that they are wrong"
+    return sentence + (many if count > MANY_OUTLIERS * rows else "") + "."
 
 
 def _target(name: str, lhs: str, its: Estimate, kept: list[int]) -> Target:
+    """Return the target over all rows, with floor and deviation of those `kept`."""
     values = np.ascontiguousarray(its.derivative[kept])
-    deviation = _finite_spread(f"derivative of {name}", values)
+    deviation = finite_spread(f"derivative of {name}", values)
     floor, _ = moments(np.ascontiguousarray(its.uncertainty[kept] / deviation))
     if not math.isfinite(floor):
         raise DataError(f"the uncertainty of the derivative of '{name}' cannot be told; sample more often")
     _, spread = moments(values)
     if spread < deviation:  # constant but for rounding, of which a comparison of two orders sees only a part
         floor = max(floor, spread / deviation)
-    return Target(name, lhs, values, floor, deviation, its.noise)
-
-
-def _finite_spread(name: str, values: FloatArray) -> float:
-    """Return the standard deviation; raises DataError when it is beyond the range of numbers."""
-    spread = _spread(values, ROUNDING)
-    if not SMALLEST < spread < 1.0 / SMALLEST:
-        raise DataError(f"the values of '{name}' are too large or too small to compute with; choose another unit")
-    return spread
-
-
-def _spread(values: FloatArray, least: float) -> float:
-    """Return the standard deviation, or `least` times the mean's size where the values hardly vary."""
-    mean, deviation = moments(values)
-    return max(deviation, least * abs(mean), SMALLEST)
+    return Target(name, lhs, its.derivative, floor, deviation, its.noise)

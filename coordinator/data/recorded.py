@@ -8,7 +8,7 @@ from common.dataset import FloatArray
 from coordinator.data.derivatives import Estimate
 from coordinator.data.inputs import input_slopes
 from coordinator.data.measured import Measured
-from coordinator.data.recording import Recording, Smoothing, Trajectory
+from coordinator.data.recording import Method, Recording, Smoothing, Trajectory
 
 
 def recorded(
@@ -17,6 +17,7 @@ def recorded(
     inputs: Sequence[Sequence[FloatArray]],
     symbols: Mapping[str, str],
     estimates: Sequence[Estimate],
+    doubtful: Sequence[int],
 ) -> Recording:
     """Return the recording of measured states.
 
@@ -26,6 +27,7 @@ def recorded(
         inputs: for each input, its values along each trajectory.
         symbols: by column name, the name in expressions.
         estimates: one for each state.
+        doubtful: for each state, how many rows the search does not see for its sake.
     """
     assert its.trajectories is not None
     slopes = [input_slopes(its.trajectories.times, parts) for parts in inputs]
@@ -39,15 +41,17 @@ def recorded(
         tuple(symbols[name] for name in its.roles.inputs),
         its.config.order,
         its.trajectories.offset,
-        tuple(_smoothing(name, each) for name, each in zip(its.roles.states, estimates, strict=True)),
+        tuple(_smoothing(*each) for each in zip(its.roles.states, estimates, doubtful, strict=True)),
         tuple(_trajectory(its, run, inputs, slopes, estimates) for run in range(len(its.trajectories.runs))),
     )
 
 
-def _smoothing(state: str, its: Estimate) -> Smoothing:
+def _smoothing(state: str, its: Estimate, doubtful: int) -> Smoothing:
     if its.choice is None:
-        return Smoothing(state, "interpolation", its.error, its.relative)
-    return Smoothing(state, "loess", its.error, its.relative, its.choice.span, its.choice.degree)
+        return Smoothing(state, "interpolation", its.error, its.relative, doubtful=doubtful)
+    method: Method = "loess" if its.outliers is None else "robust loess"
+    span, degree = its.choice.rows, its.choice.degree
+    return Smoothing(state, method, its.error, its.relative, span, degree, doubtful, its.outliers or 0)
 
 
 def _trajectory(
@@ -68,7 +72,16 @@ def _trajectory(
         _stacked([each.velocity[first:last] for each in estimates], rows),
         _stacked([parts[run] for parts in inputs], rows),
         _stacked([parts[run] for parts in slopes], rows),
+        its.held_out[run],
+        _trust(estimates, first, last),
     )
+
+
+def _trust(estimates: Sequence[Estimate], first: int, last: int) -> FloatArray | None:
+    if all(each.trust is None for each in estimates):
+        return None
+    whole = np.ones(last - first)
+    return _stacked([whole if each.trust is None else each.trust[first:last] for each in estimates], last - first)
 
 
 def _stacked(parts: Sequence[FloatArray], rows: int) -> FloatArray:

@@ -19,7 +19,8 @@ class Trajectory:
     `name` is what the user knows it by: its number from 1, or the value of the trajectory column. `times` (R,) ascend
     strictly, centred over all trajectories; `measured`, `smoothed` and `slopes` are (S, R), angles unwrapped and in
     radians; `slopes` are first derivatives. `inputs` and `input_slopes` are (U, R): an input between rows is the cubic
-    with these values and slopes. `held_out` trajectories were kept from the search and from every fit.
+    with these values and slopes. `held_out` trajectories were kept from the search and from every fit. `trust` (S, R)
+    says between 0 (an outlier) and 1 how much a measurement counts; None: all count wholly.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Trajectory:
     inputs: FloatArray
     input_slopes: FloatArray
     held_out: bool = False
+    trust: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -76,8 +78,8 @@ class Recording:
 class Preparation:
     """What preparing a table gives.
 
-    `dataset` is what the search sees; `recording` is None where the left-hand sides were given. `held_out` has the rows
-    of the held-out trajectories, with the same variables and targets; None when there are none.
+    `dataset` is what the search sees; `recording` is None where the left-hand sides were given; `held_out` has the same
+    targets over rows of held-out trajectories, with floor, deviation and noise of `dataset`, None where there are none.
     """
 
     dataset: Dataset

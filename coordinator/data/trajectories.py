@@ -86,11 +86,14 @@ def plain_number(value: float) -> str:
 
 def distinguished(names: Sequence[str]) -> tuple[str, ...]:
     """Return `names` with a letter behind each that came before: 2, 2b, 2c, …, 2z, 2aa."""
-    count: dict[str, int] = {}
-    result = []
+    result: list[str] = []
+    taken: set[str] = set()
     for name in names:
-        result.append(name + _letters(count.get(name, 0)))
-        count[name] = count.get(name, 0) + 1
+        number = 0
+        while name + _letters(number) in taken:
+            number += 1
+        result.append(name + _letters(number))
+        taken.add(result[-1])
     return tuple(result)
 
 

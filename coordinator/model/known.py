@@ -4,7 +4,7 @@ from common.config import JobConfig
 from common.dataset import Dataset
 from common.pareto import FrontEntry
 from coordinator.data.prior import known_programs
-from coordinator.model.refine import errors_on
+from coordinator.model.errors import errors_on
 
 
 def known_entries(dataset: Dataset, config: JobConfig) -> dict[str, FrontEntry]:

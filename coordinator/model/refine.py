@@ -11,26 +11,33 @@ from typing import Final
 
 import numpy as np
 
-from common.config import JobConfig, Loss
+from common.config import JobConfig
 from common.dataset import Problem
 from common.expression.operators import BY_NAME
 from common.expression.program import Program
 from common.expression.text import PRINTABLE_SIZE, tree_size
 from common.pareto import FrontEntry
+from coordinator.data.prior import known_programs
 from coordinator.data.recording import Preparation
 from coordinator.model.criterion import Criterion
-from coordinator.model.derivative import values_of
+from coordinator.model.errors import errors_on
 from coordinator.model.polish import Polisher
 from coordinator.model.refinement import LOOSE, NORMAL_95, Constant, Pools, Refined, Refinement
 from coordinator.model.rewrite import constant_places
 from coordinator.model.select import threshold
 from coordinator.model.shorten import Candidate, Shortening
 from coordinator.model.snap import snapped
+from coordinator.model.trajectory.conclude import concluded
+from coordinator.model.trajectory.model import Field, chosen
 
 COMPARED_ROWS: Final = 2_000
 """Structures are compared on at most so many rows, spread evenly; constants are then decided on more."""
 
 DECIDING_ROWS: Final = 100_000
+
+NOT_SIMULATED: Final = (
+    "No system of equations could be simulated along the measured trajectories; those shown fit the derivatives alone."
+)
 
 _ATTEMPTS: Final = 4
 
@@ -38,11 +45,24 @@ _ATTEMPTS: Final = 4
 def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Refinement:
     """Return the refined equation of each variable; those are missing of which the front has nothing better."""
     problems = {name: preparation.dataset.problem(name) for name in pools}
-    found = {name: refine(problems[name], config, pool.front) for name, pool in pools.items()}
-    made = {name: refined for name, refined in found.items() if refined is not None}
-    if preparation.recording is None:  # errors of given left-hand sides are independent, those of smoothed ones are not
-        made = {name: _with_intervals(refined) for name, refined in made.items()}
-    return Refinement(made)
+    if preparation.recording is None:
+        found = {name: refine(problems[name], config, pool.front) for name, pool in pools.items()}
+        # errors of given left-hand sides are independent, those of smoothed ones are not: only here there are intervals
+        return Refinement({name: _with_intervals(refined) for name, refined in found.items() if refined is not None})
+    clean = {
+        name: refine(problems[name], config, pools[name].front) for name in pools if not problems[name].target.is_noisy
+    }
+    settled = {name: refined for name, refined in clean.items() if refined is not None}
+    known = known_programs(preparation.dataset, config)
+    variables = tuple(name for name in preparation.dataset.variables if name in pools or name in known)
+    field = Field(preparation.dataset, preparation.recording, config, variables, known)
+    choice = chosen(field, pools, settled)
+    model = None if choice is None else concluded(field, choice, pools)
+    if model is not None:
+        return model
+    rest = {name: refine(problems[name], config, pools[name].front) for name in pools if name not in clean}
+    settled |= {name: refined for name, refined in rest.items() if refined is not None}
+    return Refinement(settled, warnings=(NOT_SIMULATED,))
 
 
 def refine(problem: Problem, config: JobConfig, front: Sequence[FrontEntry]) -> Refined | None:
@@ -105,21 +125,6 @@ def _constants(program: Program, fitted: Program, std_errors: Sequence[float]) -
     places = constant_places(program)
     values, before = program.constants[places].tolist(), fitted.constants[places].tolist()
     return tuple(map(Constant, values, before, std_errors))
-
-
-def errors_on(problem: Problem, program: Program, loss: Loss) -> tuple[float, float]:
-    """Return loss and mean squared error on all rows, infinite when one is not finite; in parts, to save memory."""
-    rows = len(problem.target.values)
-    total, square = 0.0, 0.0
-    for start in range(0, rows, DECIDING_ROWS):
-        part = slice(start, start + DECIDING_ROWS)
-        errors = values_of(program, problem.inputs[:, part]) - problem.target.values[part]
-        total += float(np.sum(np.abs(errors)))
-        square += float(errors @ errors)
-    mse = square / rows
-    if not math.isfinite(mse):
-        return math.inf, math.inf
-    return (total / rows if loss == "mae" else math.sqrt(mse)), mse
 
 
 def _as_found(refined: Refined, front: Sequence[FrontEntry], programs: Sequence[Program]) -> Refined:

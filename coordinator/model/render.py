@@ -189,7 +189,7 @@ def _front_lines(front: Sequence[Mapping[str, Any]], names: Sequence[str]) -> li
         mark = "*" if member["selected"] else " "
         unseen = f" {_number(_unseen(member)):>10}" if is_held_out else ""
         figures = f"{member['complexity']:>4} {_number(member['normalized_error']):>10}{unseen}"
-        figures += f" {_number(member['r2'], 6):>9}"
+        figures += f" {_rounded(member['r2']):>9}"
         lines.append(f"    {number:>4} {mark} {figures}  {display(member['expression'], names)}")
     return lines
 
@@ -202,6 +202,10 @@ def _unseen(member: Mapping[str, Any]) -> float | None:
 
 def _number(value: float | None, digits: int = 3) -> str:
     return "?" if value is None else f"{value:.{digits}g}"
+
+
+def _rounded(value: float | None) -> str:
+    return "?" if value is None else f"{round(value, 6):.6g}"
 
 
 def _count(value: int) -> str:

@@ -23,7 +23,7 @@ from common.pareto import FrontEntry
 from common.wire.views import JobState
 from coordinator.data.recording import Preparation
 from coordinator.model.digest import result_digest
-from coordinator.model.refine import errors_on
+from coordinator.model.errors import errors_on
 from coordinator.model.refinement import Constant, Refined, Refinement
 from coordinator.model.select import select, threshold
 from coordinator.model.trust import candidates, correlations, finite, noise, simulation, verdict

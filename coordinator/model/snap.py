@@ -35,7 +35,7 @@ class Model:
 
 
 @dataclass(frozen=True, eq=False)
-class _Decision:
+class Decision:
     """Some constants decided, by their number in node order; where the others lie now, and their covariance."""
 
     numbers: tuple[tuple[int, float], ...]
@@ -58,26 +58,25 @@ def snapped(fitted: Fitted, criterion: Criterion, polisher: Polisher) -> Model:
     places = constant_places(fitted.program)
     if not 0 < len(places) <= MOST_CONSTANTS or not math.isfinite(best.length):
         return best
-    for decision in _decisions(fitted, places, criterion):
+    for decision in decisions(fitted.program.constants[places], criterion.covariance(fitted)):
         model = _measured(fitted.program, places, decision, criterion, polisher)
         if model.length <= best.length:
             best = model
     return best
 
 
-def _decisions(fitted: Fitted, places: list[int], criterion: Criterion) -> list[_Decision]:
-    """Return the most promising decisions, whole or partial."""
-    means = fitted.program.constants[places]
-    beam = [_Decision((), 0.0, tuple(range(len(places))), means, criterion.covariance(fitted))]
-    found: list[_Decision] = []
+def decisions(means: FloatArray, covariance: FloatArray) -> list[Decision]:
+    """Return the most promising decisions, whole or partial, on constants with these `means` (K,) and `covariance`."""
+    beam = [Decision((), 0.0, tuple(range(len(means))), means, covariance)]
+    found: list[Decision] = []
     while beam:
         following = {each.numbers: each for decision in beam for each in _next(decision)}
-        beam = sorted(following.values(), key=_Decision.length)[:BEAM]
+        beam = sorted(following.values(), key=Decision.length)[:BEAM]
         found += beam
-    return sorted(found, key=_Decision.length)[:MEASURED]
+    return sorted(found, key=Decision.length)[:MEASURED]
 
 
-def _next(decision: _Decision) -> Iterator[_Decision]:
+def _next(decision: Decision) -> Iterator[Decision]:
     """Yield `decision` with one more constant decided."""
     for k, index in enumerate(decision.open):
         variance = float(decision.covariance[k, k])
@@ -92,13 +91,13 @@ def _next(decision: _Decision) -> Iterator[_Decision]:
             yield _decided(decision, k, index, number, priced[number])
 
 
-def _decided(decision: _Decision, k: int, index: int, number: float, nats: float) -> _Decision:
+def _decided(decision: Decision, k: int, index: int, number: float, nats: float) -> Decision:
     """Return `decision` with constant `index`, the k-th of the open ones, fixed; the others move along."""
     column = np.delete(decision.covariance[:, k], k)
     rest = np.delete(np.delete(decision.covariance, k, 0), k, 1)
     variance = decision.covariance[k, k]
     means = np.delete(decision.means, k) + column * ((number - decision.means[k]) / variance)
-    return _Decision(
+    return Decision(
         numbers=tuple(sorted((*decision.numbers, (index, number)))),
         decided=decision.decided + nats,
         open=(*decision.open[:k], *decision.open[k + 1 :]),
@@ -108,7 +107,7 @@ def _decided(decision: _Decision, k: int, index: int, number: float, nats: float
 
 
 def _measured(
-    program: Program, places: list[int], decision: _Decision, criterion: Criterion, polisher: Polisher
+    program: Program, places: list[int], decision: Decision, criterion: Criterion, polisher: Polisher
 ) -> Model:
     """Return the model of a decision, its open constants fitted and its neutral ones gone."""
     values = {places[index]: number for index, number in decision.numbers}

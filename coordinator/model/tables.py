@@ -71,12 +71,13 @@ def _constant_text(constant: Mapping[str, Any]) -> str:
 def constants_table(constants: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a line for each constant whose standard error is known, with a head; nothing when there is none."""
     known = [each for each in constants if each["std_error"] is not None]
-    heads = ("constant", "fitted ± std error", "95 % interval", "")
+    has_intervals = any(each.get("interval") is not None for each in known)
+    heads = ("constant", "fitted ± std error", *(("95 % interval",) if has_intervals else ()), "")
     rows = [
         (
             f"{each['value']:.6g}",
             plus_minus(each["value"] if each["fitted"] is None else each["fitted"], each["std_error"]),
-            _interval(each.get("interval")),
+            *((_interval(each.get("interval")),) if has_intervals else ()),
             "" if each.get("identifiable", True) else "not determined by the data",
         )
         for each in known

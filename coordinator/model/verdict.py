@@ -32,6 +32,8 @@ LEAST_R2: Final = 0.5
 """A simulation that explains less is no model."""
 GOOD_R2: Final = 0.9
 """A simulation that explains less of what is not noise is doubtful."""
+LARGEST_FLOOR: Final = 0.01
+"""A target that is more uncertain cannot tell a law from nonsense of the same error; trajectories can."""
 LEAST_TARGET_R2: Final = 0.1
 """An equation that explains less of its target is no better than a constant."""
 
@@ -87,7 +89,7 @@ def _by_simulation(its: Evidence) -> tuple[Grade, str]:
     found = check(its.residuals, its.noise, its.parameters, is_robust=its.has_outliers)
     left = found.deviation / its.deviation
     r2 = 1.0 - left * left
-    if r2 < LEAST_R2:
+    if not r2 >= LEAST_R2:  # NaN explains nothing
         return "no model", f"Its simulation explains too little of the measurements (R2 {_r2(r2)})."
     doubts = [*_doubts_of_simulation(its, found), *_doubts_of_model(its)]
     if doubts:
@@ -137,7 +139,7 @@ def _doubts_of_simulation(its: Evidence, found: Check) -> Iterator[str]:
 def _doubts_of_target(its: Evidence, *, is_at_floor: bool) -> Iterator[str]:
     if its.target_r2 is not None and its.target_r2 < GOOD_R2 and not is_at_floor:
         yield f"it explains the target with R2 {_r2(its.target_r2)} only"
-    elif is_at_floor and its.floor > 1.0 - GOOD_R2:
+    if its.floor > LARGEST_FLOOR:
         yield f"the target itself is uncertain by {_percent(its.floor)} of its deviation"
 
 

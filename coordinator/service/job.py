@@ -251,7 +251,7 @@ class Job:
             return []
         self._step("searched")
         cuts = {name: each.cut for name, each in self.archipelagos.items()}
-        return [Refine({name: Pool(cut.entries()) for name, cut in cuts.items() if cut is not None})]
+        return [Refine({name: cut.pool() for name, cut in cuts.items() if cut is not None})]
 
 
 def course_of(config: JobConfig) -> Course:

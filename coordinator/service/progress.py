@@ -8,6 +8,7 @@ from common.expression.text import to_infix
 from common.wire.views import JobState, JobView, VariableView
 from coordinator.model.result import KNOWN, Account, VariableOutcome, build_result, equation_of
 from coordinator.model.select import threshold
+from coordinator.model.trust import verdict
 from coordinator.service.archipelago import Archipelago
 from coordinator.service.cut import Why
 from coordinator.service.job import Job, Prepared
@@ -69,7 +70,7 @@ def job_view(job: Job, membership: Membership, now: float) -> JobView:
     outcomes = outcomes_of(job)
     evaluations = sum(sum(outcome.evaluations.values()) for outcome in outcomes)
     seconds = job.search_seconds(now)
-    variables = tuple(_variable_view(job.prepared, each) for each in outcomes) if job.prepared else ()
+    variables = tuple(_variable_view(job.prepared, each, job.state) for each in outcomes) if job.prepared else ()
     return JobView(
         job=job.id,
         name=job.name,
@@ -110,7 +111,7 @@ def ended_view(record: JobRecord, result: str | None) -> JobView:
     )
 
 
-def _variable_view(prepared: Prepared, outcome: VariableOutcome) -> VariableView:
+def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState) -> VariableView:
     target = prepared.dataset.problem(outcome.variable).target
     target_error = prepared.config.budget.target_error
     view = VariableView(
@@ -122,6 +123,7 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome) -> VariableView
         why=cast(Why | Literal["known"] | None, outcome.why),
     )
     shown = equation_of(outcome, prepared.dataset, prepared.config)
+    view = view.model_copy(update={"verdict": verdict(shown, target, state)["verdict"]})
     if shown is None:
         return view
     normalized = shown.error / target.deviation if target.deviation else None
@@ -138,7 +140,7 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome) -> VariableView
 
 def _stored_variable_view(equation: dict[str, Any]) -> VariableView:
     fields = ("variable", "lhs", "epoch", "error", "normalized_error", "complexity", "expression", "converged", "why")
-    known = {name: equation[name] for name in fields}
+    known = {name: equation[name] for name in fields} | {"verdict": equation.get("verdict")}
     return VariableView(**known, point_evaluations=equation["point_evaluations"], finished=True)
 
 

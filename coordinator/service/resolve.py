@@ -8,9 +8,9 @@ from coordinator.data.prior import resolve_prior
 
 ROWS_CLEAN: Final = 16
 ROWS_NOISY: Final = 64
-RUNNERS_UP_NOISY: Final = 5
+RUNNERS_UP_NOISY: Final = 8
 STAGNATION_CLEAN: Final = 60
-STAGNATION_NOISY: Final = 8
+STAGNATION_NOISY: Final = 6
 
 
 def resolve(config: JobConfig, dataset: Dataset) -> JobConfig:

@@ -23,7 +23,14 @@ from island_worker.evolution.formula import (
     reductions,
     to_program,
 )
-from island_worker.evolution.kernels_offers import SIMPLE, choose_near, choose_offers, refit, refit_chosen
+from island_worker.evolution.kernels_offers import (
+    SIMPLE,
+    choose_near,
+    choose_offers,
+    refit,
+    refit_chosen,
+    structure_hash,
+)
 from island_worker.evolution.kernels_rows import padded_rows
 from island_worker.evolution.kernels_tape import canonical_tape
 from island_worker.evolution.runners import RunnersUp
@@ -38,6 +45,9 @@ MOST_NODES = 200
 _NEAR = 2.0
 _NEAR_EXACT = 1e-6
 _PROMISING = 10.0
+_POLISHED = 0.95
+"""Share of its loss that a program may have left when its constants are refined once more."""
+
 _SLACK = 1.2
 """Where runners-up are kept: how far above the useful loss an individual may be that steps are spent on."""
 
@@ -100,6 +110,7 @@ class Offering:
         self._book = empty_book(sizes + population, nodes) if runners_up.most else setting.scratch.book
         self._chosen = np.zeros(len(self._book.size), np.int64)
         self._candidates: list[FrontEntry] = []
+        self._measured_loss: dict[int, float] = {}
         self.offered = np.zeros(sizes, np.uint64)
         self.offered_loss = np.full(sizes, math.inf)
         self._scale = np.zeros(1 + MOST_TERMS)
@@ -153,8 +164,9 @@ class Offering:
         loss = float(book.loss[k])
         if not (keeps or loss < self._front.error_at(int(book.size[k]))):
             return
-        for variant in self._variants(from_book(book, k), k, _NEAR * loss + _NEAR_EXACT * self._setting.deviation):
-            entry = self._measured(variant, counters, tag)
+        limit = _NEAR * loss + _NEAR_EXACT * self._setting.deviation
+        for variant, expected in self._variants(from_book(book, k), k, limit).items():
+            entry = self._measured(variant, expected, counters, tag)
             if entry is None:
                 continue
             if keeps:
@@ -166,8 +178,8 @@ class Offering:
         """Return the loss of the last measurement, in the target's units."""
         return float(self._result[0]) if self._setting.fit.loss == 0 else math.sqrt(float(self._result[1]))
 
-    def _variants(self, formula: Formula, k: int, limit: float) -> list[Formula]:
-        """Return the ways to write down the coefficients just fitted that leave the loss within `limit`.
+    def _variants(self, formula: Formula, k: int, limit: float) -> dict[Formula, float]:
+        """Return the ways to write down the coefficients just fitted that leave the loss within `limit`, and that loss.
 
         With the shift or without it, those near 1 and -1 as they are or exact. Where sizes are limited all of these may
         be too large, so that the formula as it stands is among them.
@@ -175,32 +187,45 @@ class Offering:
         book = self._book
         number = int(book.number[k])
         if not self._setting.fit.terms:
-            return [formula]
+            return {formula: float(book.loss[k])}
         terms = book.terms[k, :number].tolist()
         shift, *coefficients = book.scale[k, : 1 + number].tolist()
         plain = [math.copysign(1.0, a) if abs(abs(a) - 1.0) < SIMPLE else a for a in coefficients]
-        variants: dict[Formula, None] = {}
+        variants: dict[Formula, float] = {}
         for index, loss in enumerate(book.variants[k].tolist()):
             if index & 2 and plain == coefficients:
                 break
-            if loss <= limit and self._may_be_kept(loss, int(book.size[k]), 2 * number + (0 if index & 1 else 2)):
+            if loss <= limit:
                 written = plain if index & 2 else coefficients
-                variants[combined(formula, terms, written, 0.0 if index & 1 else shift)] = None
+                variants.setdefault(combined(formula, terms, written, 0.0 if index & 1 else shift), loss)
         if self._setting.config.space.max_size is not None:
-            variants[formula] = None
-        return list(variants)
+            variants.setdefault(formula, float(book.loss[k]))
+        return variants
 
-    def _may_be_kept(self, loss: float, size: int, growth: int) -> bool:
-        """Return whether a program of that size, which grows by its coefficients, may improve front or runners-up."""
+    def _is_wanted(self, size: int, loss: float) -> bool:
+        """Return whether the program on the canonical tape, of about that loss, is worth measuring.
+
+        Where runners-up are kept many are offered that are none: no better than what is there, or a structure that was
+        measured in this epoch.
+        """
         if not self._runners_up.most:
             return True
-        return loss < max(self._runners_up.limit(size + growth), self._front.error_at(size))
+        loss *= _POLISHED
+        structure = int(structure_hash(self._setting.scratch.canonical, size))
+        if not loss < min(self._runners_up.limit(size), self._measured_loss.get(structure, math.inf)):
+            return loss < self._front.error_at(size)
+        self._measured_loss[structure] = loss
+        return True
 
-    def _measured(self, formula: Formula, counters: Counters, tag: Tag) -> FrontEntry | None:
+    def begin_epoch(self) -> None:
+        """Forget what need not outlast an epoch."""
+        self._measured_loss.clear()
+
+    def _measured(self, formula: Formula, expected: float, counters: Counters, tag: Tag) -> FrontEntry | None:
         """Return an entry for `formula`, its constants refined, or None when it is too large or not finite."""
         setting, scratch = self._setting, self._setting.scratch
         size = self._canonical(formula)
-        if size > self._largest:
+        if size > self._largest or not self._is_wanted(size, expected):
             return None
         self._refit(size, setting.every, POLISH_STEPS if setting.fit.steps else 0, counters)
         program = to_program(from_tape(scratch.canonical, size))

@@ -97,6 +97,7 @@ class Island:
         self._additions: list[FrontEntry] = []
         self._near: list[FrontEntry] = []
         self._tallies: dict[int, dict[str, int]] = {}
+        self._offering.begin_epoch()
         setting = self._setting
         key = stream_key(setting.config.seed, setting.variable, setting.island, self.epoch, "generations")
         self._stream = np.array([key], np.uint64)

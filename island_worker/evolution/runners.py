@@ -19,9 +19,6 @@ KNOWN = 4096
 _WRITTEN = 2 * MOST_TERMS + 2
 """Nodes by which a program may grow when its coefficients are worked into it."""
 
-_FOLDED = 3
-"""Nodes by which it may stay behind that, as constants are folded and coefficients of 1 left out."""
-
 
 class RunnersUp:
     """At most `most` entries of each complexity beside the front.
@@ -62,8 +59,8 @@ class RunnersUp:
         return np.array([max(worst[size : size + _WRITTEN + 1]) for size in range(sizes)])
 
     def limit(self, complexity: int) -> float:
-        """Return the useful loss of a program of about that complexity, its coefficients written."""
-        return max(self._worst.get(each, math.inf) for each in range(complexity - _FOLDED, complexity + 1))
+        """Return the useful loss of a program of that complexity."""
+        return self._worst.get(complexity, math.inf)
 
     def _note_worst(self) -> None:
         """Note the largest error of each complexity that is full."""

@@ -32,6 +32,9 @@ LEAST_INNER = 2
 EXACT_TARGET = 1e-9
 """Normalized error below which an equation counts as found when nothing else is asked for."""
 
+LEAST_SHARE = 2
+"""Runners-up of each complexity that an island keeps at least, if so many are wanted."""
+
 UNREACHABLE_TARGET = -1.0
 """Stands for a target that nothing meets."""
 
@@ -67,7 +70,7 @@ class Setting:
             evolution.constant_fit_steps, evolution.linear_terms, LEAST_INNER, int(evolution.loss != "mae"),
             evolution.constant_fit_gate,
         )  # fmt: skip
-        self.runners_up = evolution.runners_up or 0
+        self.runners_up = island_share(evolution.runners_up or 0, evolution.islands)
         variables = problem.inputs.shape[0]
         self.rows = self.every
         if self.coevolving.enabled:
@@ -113,6 +116,14 @@ def _shared_scratch(thread: int, population: int, nodes: int, variables: int, sa
     """
     del thread  # only tells scratch arrays of different threads apart
     return empty_scratch(population, nodes, variables, sample, rows)
+
+
+def island_share(runners_up: int, islands: int) -> int:
+    """Return how many runners-up an island keeps of each complexity so that all islands find that many.
+
+    Solutions are reshuffled, so that islands see much the same: together they keep twice as many as are wanted.
+    """
+    return min(runners_up, max(LEAST_SHARE, -(-2 * runners_up // islands)))
 
 
 def target_error(config: JobConfig, target: Target) -> float:

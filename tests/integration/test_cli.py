@@ -97,7 +97,8 @@ def test_run_finds_the_equations_writes_the_result_and_leaves_no_process(tmp_pat
     assert printed == json.loads((tmp_path / "out" / "result.json").read_text())
     assert (printed["schema"], printed["state"]) == (1, "done")
     assert [equation["converged"] for equation in printed["equations"]] == [True, True]
-    for words in ("4 trajectories", "states: x, y", "converged", "total", "result in out/result.json"):
+    assert [equation["verdict"] for equation in printed["equations"]] == ["exact", "exact"]
+    for words in ("4 trajectories", "states: x, y", "(exact)", "total", "result in out/result.json"):
         assert words in done.stderr
     assert workers_of(tmp_path) == []
     again = coordinator("run", DATA, "--out", "out", cwd=tmp_path)

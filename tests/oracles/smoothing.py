@@ -32,13 +32,15 @@ def left_out_error(times: FloatArray, values: FloatArray, row: int, count: int) 
     return float(values[row] - weights @ values[rows]), float(np.sqrt(1.0 + weights @ weights))
 
 
-def loess(times: FloatArray, values: FloatArray, row: int, span: int, degree: int) -> tuple[FloatArray, FloatArray]:
+def loess(
+    times: FloatArray, values: FloatArray, trust: FloatArray, row: int, span: int, degree: int
+) -> tuple[FloatArray, FloatArray]:
     """Return value, slope and curvature of a local polynomial, and the norms of their weights with the leverage."""
     window = min(span, len(times))
     rows = sorted(sorted(range(len(times)), key=lambda each: (abs(times[each] - times[row]), -each))[:window])
     bandwidth = max(abs(times[rows] - times[row])) * (1 + 1 / window) * max(1.0, span / window)
     offsets = (times[rows] - times[row]) / bandwidth
-    roots = np.sqrt((1 - abs(offsets) ** 3) ** 3)
+    roots = np.sqrt(trust[rows] * (1 - abs(offsets) ** 3) ** 3)
     powers = np.vander(offsets, degree + 1, increasing=True)
     influence = np.linalg.pinv(roots[:, None] * powers) * roots
     scales = np.array([factorial(order) / bandwidth**order for order in range(degree + 1)])

@@ -14,19 +14,22 @@ NAMES = ("t", "x", "y", "trajectory", "lambda")
 names = st.sampled_from((*NAMES, "nowhere"))
 some = st.lists(names, max_size=2).map(tuple)
 sensible = st.builds(
-    lambda options, missing: DataConfig(**options, missing=missing),
+    lambda options, missing, robust: DataConfig(**options, missing=missing, robust=robust),
     st.sampled_from(
         (
             {"states": ("x",)},
             {"states": ("x",), "inputs": ("t", "y")},
             {"states": ("x",), "order": 2},
             {"states": ("x", "y"), "trajectory": "trajectory", "order": 2},
+            {"states": ("x", "y"), "inputs": ("lambda",), "trajectory": "trajectory", "holdout": 1},
+            {"states": ("x",), "trajectory": "trajectory", "holdout": "trajectory=1"},
             {"target": "x"},
             {"states": ("x",), "derivatives": ("y",)},
             {"states": ("x",), "angles": (Angle(column="x", degrees=True),)},
         )
     ),
     st.sampled_from(("drop", "drop", "refuse")),
+    st.booleans(),
 )
 wild = st.builds(
     DataConfig,
@@ -40,6 +43,8 @@ wild = st.builds(
     angles=st.just(()) | st.builds(Angle, column=names, degrees=st.booleans()).map(lambda angle: (angle,)),
     only=st.none() | some,
     missing=st.sampled_from(("refuse", "drop")),
+    robust=st.booleans(),
+    holdout=st.sampled_from((None, None, 1, 2, "trajectory=2", "x=1")),
 )
 
 
@@ -48,7 +53,8 @@ def tables(draw):
     """Draw tables from the tame to the wild: smooth, noisy, constant, enormous, with gaps."""
     rows = draw(st.integers(1, 40))
     rng = np.random.default_rng(draw(st.integers(0, 99)))
-    steps = draw(st.sampled_from((np.ones(rows), rng.uniform(0.1, 3.0, rows))))
+    gaps = np.where(rng.uniform(size=rows) < 0.1, 60.0, 1.0)
+    steps = draw(st.sampled_from((np.ones(rows), rng.uniform(0.1, 3.0, rows), gaps)))
     columns = {"t": np.cumsum(steps) * draw(st.sampled_from((0.1, 1e-9, 1e9)))}
     for name in ("x", "y", "lambda"):
         kinds = (
@@ -71,6 +77,17 @@ def assert_one_sentence(error):
     assert "\n" not in str(error)
 
 
+def assert_sound(recording):
+    for its in recording.trajectories:
+        rows = len(its.times)
+        assert (np.diff(its.times) > 0.0).all()
+        for array in (its.measured, its.smoothed, its.slopes):
+            assert array.shape == (len(recording.states), rows)
+            assert np.isfinite(array).all()
+        assert its.inputs.shape == its.input_slopes.shape == (len(recording.inputs), rows)
+        assert np.isfinite(its.inputs).all()
+
+
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(table=tables(), config=sensible | wild, preset=st.sampled_from(("default", "default", "paper")))
 def test_tables_become_sound_datasets_or_one_sentence(table, config, preset):
@@ -78,7 +95,7 @@ def test_tables_become_sound_datasets_or_one_sentence(table, config, preset):
     objection: AtollError | None = None
     try:
         described = describe(table, job)
-        dataset = prepare(table, job).dataset
+        preparation = prepare(table, job)
     except AtollError as error:
         objection = error
     if objection is not None:
@@ -86,6 +103,12 @@ def test_tables_become_sound_datasets_or_one_sentence(table, config, preset):
         assert_one_sentence(objection)
         return
     assert described
+    dataset = preparation.dataset
+    if preparation.held_out is not None:
+        assert preparation.held_out.variables == dataset.variables
+        assert np.isfinite(preparation.held_out.inputs).all()
+    if preparation.recording is not None:
+        assert_sound(preparation.recording)
     assert dataset.targets
     assert np.isfinite(dataset.inputs).all()
     assert len(set(dataset.names)) == len(dataset.names) == len(dataset.inputs)

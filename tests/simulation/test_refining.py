@@ -4,6 +4,7 @@ from common.config import BudgetConfig, JobConfig
 from common.expression.parse import from_infix
 from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Constant, Pools, Refined, Refinement
+from coordinator.service.progress import ended_view
 from tests.simulation.world import World
 
 CONFIG = JobConfig(budget=BudgetConfig(max_epochs=2))
@@ -29,8 +30,15 @@ def result_with(refiner) -> dict:
     world = World(refiner=refiner)
     try:
         world.submit(CONFIG)
-        assert world.finish().state == "done"
-        return world.result()
+        view, result = world.finish(), world.result()
+        assert view.state == "done"
+        verdicts = [equation["verdict"] for equation in result["equations"]]
+        assert [variable.verdict for variable in view.variables] == verdicts
+        record = world.store.job("job")
+        assert record is not None
+        after_restart = ended_view(record, world.store.result("job"))
+        assert [variable.verdict for variable in after_restart.variables] == verdicts
+        return result
     finally:
         world.close()
 

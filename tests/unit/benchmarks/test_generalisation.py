@@ -46,6 +46,11 @@ def test_a_model_that_cannot_be_solved_has_no_r2(expression):
     assert foretold({"v": expression, "theta": "1.0"}, ("v", "theta"), GLIDER)["v"] is None
 
 
+def test_an_equation_too_long_to_be_read_is_not_foretold():
+    text = " + ".join(f"{number}.5*v" for number in range(300))
+    assert foretold({"v": text, "theta": "1.0"}, ("v", "theta"), GLIDER) == {"v": None, "theta": None}
+
+
 def test_inputs_are_taken_at_the_time():
     path = Path(TIMES, np.column_stack((1.0 - np.cos(TIMES),)), (math.sin,))
     found = simulated(field_of(["u"], ("x", "u")), path)

@@ -14,7 +14,6 @@ from benchmarks.noise_goals import goals, shown
 from benchmarks.noise_judging import EquationOutcome, Outcome, failed, outcome
 from benchmarks.noise_tables import by_equation, by_grade, by_level, misses, summarized
 from benchmarks.noisy_data import Key, case
-from benchmarks.pysindy_models import as_infix
 from common.errors import DataError, UsageError
 
 KEY = Key("atoll", "plain", "lotka_volterra", 0.05, 100)
@@ -61,6 +60,12 @@ def test_an_equation_that_is_not_in_form_is_looked_for_elsewhere(lotka):
     assert (y.found, y.in_form, y.constants, y.elsewhere, y.contenders) == (False, False, None, "front", 1)
     assert y.function_error > 0.05
     assert "the truth is among the front" in misses([lotka])[0]
+
+
+def test_how_close_the_race_was_is_told():
+    contender = {"expression": "y*(2.0 - x - y)", "nats": 2.34}
+    lost = judged(X, {**Y, "candidates": [{"expression": "2.1*y - 0.3*y**2", "nats": 0.0}, contender]}).equations[1]
+    assert (lost.elsewhere, lost.contenders) == ("contenders (+2.3 nats)", 2)
 
 
 def test_the_system_is_simulated_as_a_whole(lotka):
@@ -174,6 +179,14 @@ def test_an_outcome_is_read_back_as_it_was_written(tmp_path, lotka):
     assert outcome_from(json.loads(json.dumps(dataclasses.asdict(lotka)))) == lotka
 
 
+def test_curves_are_not_kept(tmp_path, lotka):
+    path = tmp_path / "lines.jsonl"
+    simulated = {"name": "1", "held_out": False, "r2": {"x": 0.9}}
+    answer = {"simulation": {"trajectories": [{**simulated, "times": [0.0, 0.1], "values": {"x": [1.0, 2.0]}}]}}
+    Journal(path, False, []).add(lotka, answer)
+    assert Journal(path, True, []).answers == {KEY: {"simulation": {"trajectories": [simulated]}}}
+
+
 def test_a_line_that_was_cut_off_is_done_again(tmp_path, lotka):
     path = tmp_path / "lines.jsonl"
     Journal(path, False, []).add(lotka)
@@ -242,11 +255,6 @@ def test_bad_options_are_one_sentence_and_exit_code_2(words, sentence, capsys):
         noise.main(words)
     assert ended.value.code == 2
     assert sentence in capsys.readouterr().err
-
-
-def test_pysindys_terms_become_our_expressions():
-    assert as_infix(["1", "x", "x^2 y", "sin(1 x)"], [0.5, 0.0, -2.0, 1.5]) == "0.5 + -2.0*x**2*y + 1.5*sin(1*x)"
-    assert as_infix(["x"], [0.0]) == "0.0"
 
 
 def test_a_driven_system_has_its_input_behind_its_states():

@@ -61,6 +61,7 @@ def test_a_row_has_epoch_error_size_and_best_equation() -> None:
         ({"finished": True, "why": "stagnation"}, "ended: stagnation"),
         ({"converged": True, "finished": True, "why": "target"}, "converged"),
         ({"converged": True, "finished": True, "why": "known"}, "known"),
+        ({"converged": True, "finished": True, "why": "target", "verdict": "doubtful"}, "doubtful"),
     ],
 )
 def test_the_standing_of_an_equation_is_a_word_or_two(changes: dict[str, object], words: str) -> None:

@@ -47,6 +47,8 @@ def test_columns_may_be_named_with_their_units():
     config = DataConfig(
         time="t [s]", states=("v [m/s]",), inputs=("u [N]",), only=("v [m/s]",), angles=(Angle(column="v [m/s]"),)
     )
+    numbered = without_units(DataConfig(trajectory="run [1]", holdout="run [1]=4"), ("t", "run"))
+    assert (numbered.trajectory, numbered.holdout) == ("run", "run=4")
     plain = without_units(config, ("t", "v", "u [N]"))
     assert plain == DataConfig(time="t", states=("v",), inputs=("u [N]",), only=("v",), angles=(Angle(column="v"),))
 
@@ -55,6 +57,7 @@ def test_columns_may_be_named_with_their_units():
     ("options", "message"),
     [
         ({"target": "x", "derivatives": ("y",)}, "--target and --derivatives exclude each other"),
+        ({"target": "x", "holdout": 1}, "--holdout and --target exclude each other"),
         ({"target": "x", "order": 2}, "--order 2 and --target exclude each other"),
         ({"derivatives": ("x",), "order": 2}, "--order 2 and --derivatives exclude each other"),
         ({"states": ("x", "y"), "inputs": ("y",)}, "column 'y' cannot be both a state and an input; name it once"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from coordinator.data.columns import Roles
-from coordinator.data.trajectories import trajectories_of, unwrapped
+from coordinator.data.trajectories import distinguished, plain_number, trajectories_of, unwrapped
 from tests.unit.coordinator.data.tables import oscillator, table_of
 
 ROLES = Roles("t", None, ("x", "y"), ())
@@ -47,3 +47,18 @@ def test_unwrapping_takes_out_jumps_of_more_than_half_a_turn():
     assert unwrapped(np.mod(angles + np.pi, 2 * np.pi) - np.pi) - angles == pytest.approx(
         np.full(100, round(-angles[0] / (2 * np.pi)) * 2 * np.pi), abs=1e-9
     )
+
+
+def test_names_that_come_again_get_letters():
+    assert distinguished(["2", "2", "3", "2"]) == ("2", "2b", "3", "2c")
+    assert distinguished(["7", "7", "7b"]) == ("7", "7b", "7bb")
+    many = distinguished(["1"] * 28)
+    assert (many[25], many[26], many[27]) == ("1z", "1aa", "1ab")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(4.0, "4"), (-3.0, "-3"), (0.5, "0.5"), (1e300, "1e+300"), (-0.0, "-0"), (1e15, "1000000000000000.0")],
+)
+def test_numbers_are_written_plainly(value, text):
+    assert plain_number(value) == text

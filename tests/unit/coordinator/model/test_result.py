@@ -81,6 +81,9 @@ def test_the_front_is_measured_on_held_out_rows_as_well():
     given = Preparation(seen, held_out=unseen)
     built = build_result("j", JobConfig(), given, [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
     assert [member["holdout_error"] for member in built["equations"][0]["front"]] == [1.0, None]
+    heads, first, second = render_text(built, fronts=True).splitlines()[3:6]
+    assert heads.split()[:5] == ["pick", "size", "error", "held", "out"]
+    assert (first.split()[3], second.split()[4]) == ("0.8", "?")
 
 
 def test_an_equation_without_a_front_is_null_and_not_converged():

@@ -95,6 +95,7 @@ def test_the_table_of_constants_has_intervals() -> None:
     assert first.split() == ["3", "2.981", "±", "0.018", "2.946", "to", "3.016"]
     assert second.endswith("-  not determined by the data")
     assert constants_table([constant(7.0, None, None)]) == []
+    assert "interval" not in constants_table([constant(3.0, 2.981, 0.018)])[0]
 
 
 def test_contenders_show_how_close_the_race_was() -> None:

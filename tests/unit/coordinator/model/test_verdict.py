@@ -72,6 +72,7 @@ def test_two_doubts_are_enough() -> None:
     ("change", "said"),
     [
         ({"residuals": noise(1.9)}, "explains too little"),
+        ({"residuals": (np.array([0.1, np.nan, 0.1]),)}, "explains too little"),
         ({"residuals": (), "failed": 4}, "4 of 4 trajectories"),
         ({"residuals": noise(0.1)[:2], "failed": 2}, "2 of 4 trajectories"),
     ],
@@ -87,7 +88,8 @@ def test_a_simulation_that_explains_little_or_does_not_end_is_no_model(change: d
     [
         (Evidence(3e-14, 0.0, 1.0), "exact", "level of rounding"),
         (Evidence(1e-7, 1e-7, 1.0), "exact", "level of rounding"),
-        (Evidence(0.05, 0.04, 0.99, constants=KNOWN), "good", "that of the target itself"),
+        (Evidence(0.009, 0.008, 0.99, constants=KNOWN), "good", "that of the target itself"),
+        (Evidence(0.05, 0.04, 0.99, constants=KNOWN), "doubtful", "uncertain by 4 %"),
         (Evidence(0.05, 0.0, 0.99, constants=KNOWN), "good", "R2 0.99; how much of the rest is noise"),
         (Evidence(0.05, 0.0), "good", "5 % of the target's deviation"),
         (Evidence(0.4, 0.0, 0.8), "doubtful", "R2 0.8 only"),

@@ -13,7 +13,7 @@ from common.wire.messages import Addition, EpochReport, Holding, IslandReport, P
 from common.wire.views import FINAL_STATES
 from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pool, Refinement
-from coordinator.service.cut import Cut
+from coordinator.service.cut import Cut, stored
 from coordinator.service.job import (
     JOB_TRANSITIONS,
     Conclude,
@@ -253,7 +253,7 @@ def test_the_number_of_runners_up_and_the_patience_are_those_of_the_configuratio
     job = job_with(stagnation=7)
     job.prepare()
     config = job.config.model_copy(update={"evolution": job.config.evolution.model_copy(update={"runners_up": 3})})
-    job.begin(Prepared(DATASET, config, BLOB, 100), {})
+    job.begin(Prepared(Preparation(DATASET), config, BLOB, 100), {})
     limits = job.archipelagos["x"].collector.limits
     assert (limits.runners_up, limits.stagnation) == (3, 7)
 
@@ -270,3 +270,22 @@ def test_programs_are_checked() -> None:
     check_program(bytes([1, 0, 1, 0, 0, 0]), 2)
     with pytest.raises(RemoteProtocolError):
         check_program(bytes([1, 0, 2, 0, 0, 0]), 2)
+
+
+def test_runners_up_are_handed_on_beside_the_front() -> None:
+    job = job_with()
+    job.prepare()
+    best, next_best = (FrontEntry(1, error, error, 0, 5, 0, bytes([1, 0, 0, 0, 0, 0])) for error in (0.5, 0.6))
+    cut = Cut(
+        variable="x",
+        epochs=3,
+        generation=None,
+        why="stagnation",
+        front=(stored(best),),
+        runners_up=(stored(next_best),),
+        evaluations={},
+        seconds=1.0,
+    )
+    cuts = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
+    (refine,) = job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), cuts)
+    assert refine == Refine({name: Pool((best,), (next_best,)) for name in ("x", "y")})

@@ -46,12 +46,12 @@ def test_a_loss_is_useful_while_some_complexity_it_may_come_to_has_room():
     assert limits[13] == 87.0
 
 
-def test_a_program_written_down_is_judged_by_the_complexities_it_may_have():
-    kept = RunnersUp(1)
-    kept.replace(entry(size, 100.0 - size, size) for size in range(3, 12))
-    assert kept.limit(8) == 95.0
-    assert math.isinf(kept.limit(12))
+def test_a_complexity_without_room_has_the_error_of_its_last_as_limit():
+    kept = RunnersUp(2)
+    kept.replace((entry(3, 1.1, 3), entry(3, 1.2, 4), entry(5, 0.6, 5)))
+    assert kept.limit(3) == 1.2
     assert math.isinf(kept.limit(5))
+    assert math.isinf(kept.limit(4))
 
 
 def test_without_runners_up_nothing_is_remembered():

@@ -1,8 +1,8 @@
-"""Compiled numerics of smoothing and differentiating one trajectory: local interpolation and loess.
+"""Compiled numerics of differentiating one trajectory by local interpolation.
 
 Everything here feeds the search and must give the same bits everywhere: plain loops in a fixed order, no library
-reductions. Letters: R rows of one trajectory, H half widths of a stencil, K rows of a loess window, D degrees. Times
-ascend strictly. Oracles written from the definitions stand in ``tests/oracles/smoothing.py``.
+reductions. Letters: R rows of one trajectory, H half widths of a stencil. Times ascend strictly. Oracles written from
+the definitions stand in ``tests/oracles/smoothing.py``.
 """
 
 import numpy as np
@@ -12,9 +12,6 @@ from common.jit import allocating_kernel, inlined
 
 HALF_WIDTHS = 7
 """Largest half width of an interpolation stencil: 15 rows, error of order step**14."""
-
-DEGREES = 5
-"""Loess fits degrees 0 to 4 in one pass."""
 
 
 @inlined
@@ -154,146 +151,6 @@ def best_stencil_into(
             if estimate < uncertainty[row]:
                 uncertainty[row] = estimate
                 slope[row] = slopes[row, width]
-
-
-@inlined
-def window_start(start: int, row: int, span: int, times: FloatArray) -> int:
-    """Move `start` right until rows [start, start + span) are the ones nearest in time to `row`."""
-    while start + span < len(times) and times[start + span] - times[row] < times[row] - times[start]:
-        start += 1
-    return start
-
-
-@inlined
-def weigh_window(offsets: FloatArray, weights: FloatArray, row: int, start: int, span: int, times: FloatArray) -> float:
-    """Fill offsets (in bandwidths) and tricube weights of rows [start, start + window); return the bandwidth.
-
-    Cleveland 1979, eq. 2.1; the bandwidth lies half a row beyond the farthest one so that each row counts, and grows
-    in proportion where the span exceeds the trajectory.
-    """
-    window = min(span, len(times))
-    reach = max(times[row] - times[start], times[start + window - 1] - times[row])
-    bandwidth = reach * (1.0 + 1.0 / window) * max(1.0, span / window)
-    for j in range(window):
-        offset = (times[start + j] - times[row]) / bandwidth
-        distance = abs(offset)
-        rest = 1.0 - distance * distance * distance
-        offsets[j] = offset
-        weights[j] = rest * rest * rest
-    return float(bandwidth)
-
-
-@inlined
-def next_polynomial(
-    at_zero: FloatArray, current: FloatArray, last: FloatArray, offsets: FloatArray, alpha: float, beta: float
-) -> None:
-    """Advance the discrete orthogonal polynomials by one degree (Forsythe 1957): p' = (u - alpha) p - beta p_last.
-
-    `at_zero` (2, 3) holds value, slope and curvature at 0 of the current and the last polynomial; `current` and `last`
-    their values at the offsets. All are updated in place.
-    """
-    for j in range(len(offsets)):
-        new = (offsets[j] - alpha) * current[j] - beta * last[j]
-        last[j] = current[j]
-        current[j] = new
-    for derivative in range(2, -1, -1):
-        new = -alpha * at_zero[0, derivative] - beta * at_zero[1, derivative]
-        if derivative > 0:
-            new += derivative * at_zero[0, derivative - 1]
-        at_zero[1, derivative] = at_zero[0, derivative]
-        at_zero[0, derivative] = new
-
-
-@allocating_kernel
-def validate_into(sums: FloatArray, times: FloatArray, values: FloatArray, span: int, every: int) -> None:
-    """Add to `sums` (3, D), for loess of degrees 0 to 4 at every `every`-th row, what cross-validation needs.
-
-    Row 0 sums squared residuals, row 1 leverages, row 2 squared leave-one-out residuals. `span` is the number of
-    nearest rows. A degree that a window cannot bear adds infinity.
-    """
-    rows = len(times)
-    window = min(span, rows)
-    offsets, weights = np.empty(window), np.empty(window)
-    current, last = np.empty(window), np.empty(window)
-    at_zero = np.empty((2, 3))
-    start = 0
-    for row in range(0, rows, every):
-        start = window_start(start, row, window, times)
-        weigh_window(offsets, weights, row, start, span, times)
-        at_zero[:] = 0.0
-        at_zero[0, 0] = 1.0
-        current[:] = 1.0
-        last[:] = 0.0
-        fit, leverage, norm_before = 0.0, 0.0, 1.0
-        for degree in range(sums.shape[1]):
-            norm, moment, product = 0.0, 0.0, 0.0
-            for j in range(window):
-                weighted = weights[j] * current[j]
-                norm += weighted * current[j]
-                moment += weighted * current[j] * offsets[j]
-                product += weighted * (values[start + j] - values[row])
-            if window < degree + 2 or not norm > 0.0:
-                sums[:, degree] = np.inf
-                continue
-            fit += product / norm * at_zero[0, 0]
-            leverage += at_zero[0, 0] * at_zero[0, 0] / norm
-            sums[0, degree] += fit * fit
-            sums[1, degree] += leverage
-            left_out = fit / (1.0 - leverage)
-            sums[2, degree] += left_out * left_out
-            beta = norm / norm_before if degree > 0 else 0.0
-            next_polynomial(at_zero, current, last, offsets, moment / norm, beta)
-            norm_before = norm
-
-
-@allocating_kernel
-def loess_into(
-    fits: FloatArray, gains: FloatArray, times: FloatArray, values: FloatArray, span: int, degrees: int
-) -> None:
-    """Fill `fits` (3, R) with the value, slope and curvature of loess over the `span` nearest rows.
-
-    `gains` (4, R) receives their noise gains, the roots of the sums of squared weights with which the values enter, and
-    the leverage, the weight of a row's own value in its fit. `degrees` counts the degrees used: 3 is a parabola.
-    """
-    rows = len(times)
-    offsets, weights = np.empty(rows), np.empty(rows)
-    current, last = np.empty(rows), np.empty(rows)
-    influence = np.empty((3, rows))
-    at_zero = np.empty((2, 3))
-    start = 0
-    window = min(span, rows)
-    for row in range(rows):
-        start = window_start(start, row, window, times)
-        bandwidth = weigh_window(offsets, weights, row, start, span, times)
-        at_zero[:] = 0.0
-        at_zero[0, 0] = 1.0
-        current[:window] = 1.0
-        last[:window] = 0.0
-        influence[:, :window] = 0.0
-        norm_before = 1.0
-        for degree in range(degrees):
-            norm, moment = 0.0, 0.0
-            for j in range(window):
-                weighted = weights[j] * current[j]
-                norm += weighted * current[j]
-                moment += weighted * current[j] * offsets[j]
-            for derivative in range(3):
-                share = at_zero[0, derivative] / norm
-                for j in range(window):
-                    influence[derivative, j] += share * weights[j] * current[j]
-            beta = norm / norm_before if degree > 0 else 0.0
-            next_polynomial(at_zero, current, last, offsets[:window], moment / norm, beta)
-            norm_before = norm
-        gains[3, row] = influence[0, row - start]
-        unit = 1.0
-        for derivative in range(3):
-            total, gain = 0.0, 0.0
-            for j in range(window):
-                total += influence[derivative, j] * (values[start + j] - values[row])
-                gain += influence[derivative, j] * influence[derivative, j]
-            fits[derivative, row] = total * unit + (values[row] if derivative == 0 else 0.0)
-            gains[derivative, row] = np.sqrt(gain) * unit
-            unit /= bandwidth
 
 
 @allocating_kernel

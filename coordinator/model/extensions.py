@@ -1,0 +1,57 @@
+"""Programs with one more part, next to nothing at first: what a fit near a given program can grow into."""
+
+from collections.abc import Collection, Iterator, Sequence
+from typing import Final
+
+from common.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, SIN, VARIABLE
+from common.expression.program import Program
+from coordinator.model.rewrite import Node, nodes_of, rebuilt, structure
+
+SMALL: Final = 1e-3
+"""Size of a new part beside what it is joined to."""
+
+
+def extensions(program: Program, scales: Sequence[float], operators: Collection[int]) -> Iterator[Program]:
+    """Yield programs that differ from `program` by a small part at one node, tidied; each structure once.
+
+    A node n becomes n + c, n + c v, n + c v w, n + c/v, n + c sin v, n (1 + c v) or n/(1 + c v) with variables v and w
+    and a small constant c, by the `operators` (codes) that are allowed. Their constants want to be fitted.
+
+    Args:
+        program: over as many variables as there are `scales`.
+        scales: the size of each variable; 0 for those that may not be used.
+        operators: codes of operators that may be brought in.
+    """
+    nodes = nodes_of(program)
+    known = {structure(program)}
+    for index in range(len(nodes)):
+        for made in _joined(index, scales):
+            if any(ARITY[code] and code not in operators for code, *_ in made):
+                continue
+            changed = rebuilt(nodes, index, made)
+            if structure(changed) not in known:
+                known.add(structure(changed))
+                yield changed
+
+
+def _joined(index: int, scales: Sequence[float]) -> Iterator[list[Node]]:
+    """Yield the nodes to put behind node `index`, the first of which is `index` + 1."""
+    a, b, c, d, e = range(index + 1, index + 6)
+    yield [(CONSTANT, 0, 0, SMALL), (ADD, index, a, 0.0)]
+    for v, scale in enumerate(scales):
+        if not scale > 0.0:
+            continue
+        small: Node = (CONSTANT, 0, 0, SMALL / scale)
+        leaf: Node = (VARIABLE, v, 0, 0.0)
+        part: list[Node] = [small, leaf, (MULTIPLY, a, b, 0.0)]
+        yield [*part, (ADD, index, c, 0.0)]
+        yield [*part, (CONSTANT, 0, 0, 1.0001), (ADD, d, c, 0.0), (DIVIDE, index, e, 0.0)]
+        yield [*part, (CONSTANT, 0, 0, 1.0001), (ADD, d, c, 0.0), (MULTIPLY, index, e, 0.0)]
+        yield [(CONSTANT, 0, 0, SMALL * scale), leaf, (DIVIDE, a, b, 0.0), (ADD, index, c, 0.0)]
+        for code in (SIN, COS):
+            yield [(CONSTANT, 0, 0, SMALL), leaf, (code, b, 0, 0.0), (MULTIPLY, a, c, 0.0), (ADD, index, d, 0.0)]
+        for w, other in enumerate(scales[: v + 1]):
+            if other > 0.0:
+                size: Node = (CONSTANT, 0, 0, SMALL / (scale * other))
+                pair: list[Node] = [size, leaf, (VARIABLE, w, 0, 0.0), (MULTIPLY, b, c, 0.0), (MULTIPLY, a, d, 0.0)]
+                yield [*pair, (ADD, index, e, 0.0)]

@@ -1,0 +1,43 @@
+"""Candidates for one variable's equation, the best first: its trajectories alone, the other states as smoothed."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from common.dataset import Problem
+from common.expression.program import Program
+from coordinator.model.polish import Polisher
+from coordinator.model.rewrite import structure, tidied
+from coordinator.model.trajectory.contest import Contest, distinct
+from coordinator.model.trajectory.libraries import eliminated, libraries
+
+KEPT: Final = 60
+"""Candidates of which longer segments are fitted, the best by short ones."""
+
+_POLISH_STEPS: Final = 15
+_SEGMENT: Final = 10
+_LONGER: Final = 30
+
+
+def ranked(contest: Contest, problem: Problem, programs: Sequence[Program], library: Sequence[int],
+           operators: frozenset[int]) -> list[Program]:  # fmt: skip
+    """Return what becomes of `programs` and of libraries over the variables `library`, by rising description length.
+
+    Args:
+        contest: for this variable alone.
+        problem: by which constants are fitted first.
+        programs: candidates; of equal structures the first counts.
+        library: variables (indices) that terms of libraries are made of; none: no libraries.
+        operators: codes that may be used by libraries.
+    """
+    polisher = Polisher(problem)
+    unique = {structure(program): program for program in reversed([tidied(each) for each in programs])}
+    polished = [polisher.fit(program, steps=_POLISH_STEPS) for program in reversed(unique.values())]
+    started = [each.program for each in polished if np.isfinite(each.mse)]
+    found = contest.map(lambda program: contest.stand([program], 4, (_SEGMENT,)), started)[:KEPT]
+    if library:
+        found += [each for terms in libraries(library, operators) for each in eliminated(contest, problem, terms)]
+    chosen = {structure(each.programs[0]): each.programs[0] for each in found}
+    longer = contest.map(lambda program: contest.stand([program], 6, (_LONGER,)), chosen.values())
+    return [each.programs[0] for each in distinct(longer)]

@@ -1,0 +1,134 @@
+"""Sum up what a fit needs of sensitivities and residuals, and solve for its step, block by block.
+
+Letters as in `kernels_integrate`: P fitted constants, D states, G segments, N rows, O measured states. The matrix of
+the normal equations has an arrow's shape: the constants' block, and for each segment a block of its initial state.
+"""
+
+import math
+
+from common.dataset import FloatArray
+from common.expression.kernels import Ints
+from common.jit import allocating_kernel, kernel
+
+SMALLEST = 1e-200
+"""Least curvature that counts: below it a direction is flat."""
+RIDGE = 1e-13
+
+
+@kernel
+def normal_equations(segments: Ints, observed: Ints, residuals: FloatArray, weights: FloatArray,
+                     gradients: FloatArray, fitted: int, normal: FloatArray, coupling: FloatArray, own: FloatArray,
+                     gradient: FloatArray, own_gradient: FloatArray) -> None:  # fmt: skip
+    """Sum up J'WJ and J'Wr by blocks: constants (P, P), (G, P, D), and each segment's initial state (G, D, D).
+
+    `residuals` and `weights` are (O, N) for the `observed` (O,) states; a weight of zero leaves a number out.
+    """
+    states = gradients.shape[1]
+    for g in range(segments.shape[0]):
+        for row in range(segments[g, 0], segments[g, 1]):
+            for o in range(observed.shape[0]):
+                w = weights[o, row]
+                if w == 0.0:
+                    continue
+                s, r = observed[o], residuals[o, row]
+                for p in range(fitted):
+                    wj = w * gradients[row, s, p]
+                    gradient[p] += wj * r
+                    for q in range(p + 1):
+                        normal[p, q] += wj * gradients[row, s, q]
+                    for d in range(states):
+                        coupling[g, p, d] += wj * gradients[row, s, fitted + d]
+                for d in range(states):
+                    wj = w * gradients[row, s, fitted + d]
+                    own_gradient[g, d] += wj * r
+                    for e in range(states):
+                        own[g, d, e] += wj * gradients[row, s, fitted + e]
+    for p in range(fitted):
+        for q in range(p):
+            normal[q, p] = normal[p, q]
+
+
+@kernel
+def factorize(matrix: FloatArray, size: int, scale: FloatArray, damping: float) -> bool:
+    """Overwrite the lower triangle of a symmetric `matrix` by its Cholesky factor, diagonal scaled to 1 + damping.
+
+    `scale` (size,) takes the square roots of the diagonal. Returns False when it is not positive definite.
+    """
+    for i in range(size):
+        scale[i] = math.sqrt(max(matrix[i, i], SMALLEST))
+    for i in range(size):
+        for j in range(i):
+            matrix[i, j] /= scale[i] * scale[j]
+        matrix[i, i] = 1.0 + damping + RIDGE
+    for i in range(size):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                matrix[i, i] = math.sqrt(total)
+            else:
+                matrix[i, j] = total / matrix[j, j]
+    return True
+
+
+@kernel
+def substitute(factor: FloatArray, size: int, scale: FloatArray, vector: FloatArray) -> None:
+    """Overwrite `vector` (size,) by the solution of the system that `factorize` prepared."""
+    for i in range(size):
+        total = vector[i] / scale[i]
+        for k in range(i):
+            total -= factor[i, k] * vector[k]
+        vector[i] = total / factor[i, i]
+    for i in range(size - 1, -1, -1):
+        total = vector[i]
+        for k in range(i + 1, size):
+            total -= factor[k, i] * vector[k]
+        vector[i] = total / factor[i, i]
+    for i in range(size):
+        vector[i] /= scale[i]
+
+
+@allocating_kernel
+def solve_step(normal: FloatArray, coupling: FloatArray, own: FloatArray, gradient: FloatArray,
+               own_gradient: FloatArray, damping: float, change: FloatArray, moves: FloatArray) -> bool:  # fmt: skip
+    """Write the step of the constants into `change` (P,) and of the initial states into `moves` (G, D).
+
+    The initial states are eliminated first (Schur's complement). Returns False when the matrix is singular.
+    """
+    fitted, groups, states = gradient.shape[0], own.shape[0], own.shape[1]
+    reduced, factors = normal.copy(), own.copy()
+    scales = own[:, 0, :].copy()
+    scale, column = gradient.copy(), own_gradient[0].copy()
+    carried = coupling.copy()
+    for p in range(fitted):
+        reduced[p, p] *= 1.0 + damping
+        change[p] = gradient[p]
+    for g in range(groups):
+        if not factorize(factors[g], states, scales[g], damping):
+            return False
+        for p in range(fitted):
+            for d in range(states):
+                column[d] = coupling[g, p, d]
+            substitute(factors[g], states, scales[g], column)
+            for d in range(states):
+                carried[g, p, d] = column[d]
+        for p in range(fitted):
+            for d in range(states):
+                change[p] -= carried[g, p, d] * own_gradient[g, d]
+                for q in range(p + 1):
+                    reduced[p, q] -= carried[g, p, d] * coupling[g, q, d]
+    if not factorize(reduced, fitted, scale, 0.0):
+        return False
+    substitute(reduced, fitted, scale, change)
+    for g in range(groups):
+        for d in range(states):
+            column[d] = own_gradient[g, d]
+            for p in range(fitted):
+                column[d] -= coupling[g, p, d] * change[p]
+        substitute(factors[g], states, scales[g], column)
+        for d in range(states):
+            moves[g, d] = column[d]
+    return True

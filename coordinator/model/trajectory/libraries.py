@@ -1,0 +1,105 @@
+"""Candidates beside those of the search: libraries of terms, from which the least significant go one after another.
+
+A sum of all products of variables up to some degree, with or without sines and cosines, is fitted to one state's
+trajectories, the others as smoothed; then the term of least coefficient over standard error is left out, and so on
+(backward elimination by Wald's test). Every sum on the way is a candidate: what a greedy search by derivative error
+does not reach, or what it buries in terms that describe the smoother's errors.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
+from itertools import combinations_with_replacement
+from typing import Final
+
+import numpy as np
+
+from common.dataset import FloatArray, Problem
+from common.expression.operators import ADD, CONSTANT, COS, MULTIPLY, SIN, VARIABLE
+from common.expression.program import Program
+from coordinator.model.rewrite import Node, tidied
+from coordinator.model.trajectory.contest import Contest, Standing, covariance
+
+MOST_TERMS: Final = 24
+"""Larger libraries are not tried."""
+
+Term = tuple[int, ...]
+"""Variables of a product by index; sine and cosine of variable v stand as -2 v - 1 and -2 v - 2."""
+
+
+def libraries(variables: Sequence[int], operators: Collection[int]) -> Iterator[list[Term]]:
+    """Yield libraries over these variables, as far as the operators (codes) allow them, the constant term first."""
+    if not {ADD, MULTIPLY} <= set(operators):
+        return
+    for degree in (2, 3):
+        terms = [each for order in range(degree + 1) for each in combinations_with_replacement(variables, order)]
+        if len(terms) <= MOST_TERMS:
+            yield terms
+    waves: list[Term] = [(-2 * v - kind,) for v in variables for kind in (1, 2)]
+    terms = [each for order in range(3) for each in combinations_with_replacement(variables, order)]
+    if {SIN, COS} <= set(operators) and len(terms) + len(waves) <= MOST_TERMS:
+        yield [*terms, *waves]
+
+
+def sum_of(terms: Sequence[Term], coefficients: Sequence[float]) -> Program:
+    """Return the tidied program of the sum of `terms` with these coefficients, none of which is 0, 1 or -1."""
+    nodes: list[Node] = []
+    total: int | None = None
+    for term, coefficient in zip(terms, coefficients, strict=True):
+        nodes.append((CONSTANT, 0, 0, float(coefficient)))
+        part = len(nodes) - 1
+        for factor in term:
+            nodes.append((VARIABLE, factor if factor >= 0 else (-1 - factor) // 2, 0, 0.0))
+            if factor < 0:
+                nodes.append((SIN if factor % 2 else COS, len(nodes) - 1, 0, 0.0))
+            nodes.append((MULTIPLY, part, len(nodes) - 1, 0.0))
+            part = len(nodes) - 1
+        if total is not None:
+            nodes.append((ADD, total, part, 0.0))
+        total = len(nodes) - 1
+    codes, lefts, rights, values = zip(*nodes, strict=True)
+    return tidied(
+        Program(np.array(codes, np.int8), np.array(lefts, np.int16), np.array(rights, np.int16), np.array(values))
+    )
+
+
+def column_of(term: Term, inputs: FloatArray) -> FloatArray:
+    """Return the values of a term (R,) at `inputs` (V, R)."""
+    column = np.ones(inputs.shape[1])
+    for factor in term:
+        if factor >= 0:
+            column = column * inputs[factor]
+        else:
+            column = column * (np.sin if factor % 2 else np.cos)(inputs[(-1 - factor) // 2])
+    return column
+
+
+def eliminated(contest: Contest, problem: Problem, terms: list[Term], steps: int = 6) -> list[Standing]:
+    """Return the fits on the way from the sum of all `terms` to a single one; `contest` is for this state alone."""
+    found: list[Standing] = []
+    scales = [max(float(np.abs(column_of(term, problem.inputs)).max()), 1e-300) for term in terms]
+    columns = np.array([column_of(term, problem.inputs) for term in terms])
+    while terms:
+        coefficients = _fitted(columns, scales, problem.target.values)
+        standing = contest.stand([sum_of(terms, coefficients)], steps, (10,))
+        if standing is not None:
+            found.append(standing)
+        index = _least(standing, columns, coefficients)
+        terms = [*terms[:index], *terms[index + 1 :]]
+        scales = [*scales[:index], *scales[index + 1 :]]
+        columns = np.delete(columns, index, axis=0)
+    return found
+
+
+def _fitted(columns: FloatArray, scales: Sequence[float], target: FloatArray) -> list[float]:
+    """Return least-squares coefficients, a little off the numbers that would not stay."""
+    unit = columns / np.array(scales)[:, None]
+    solution, *_ = np.linalg.lstsq(unit.T, target, rcond=1e-10)
+    return [float(value / scale) + 1e-9 * float(np.abs(target).max()) / scale
+            for value, scale in zip(solution, scales, strict=True)]  # fmt: skip
+
+
+def _least(standing: Standing | None, columns: FloatArray, coefficients: Sequence[float]) -> int:
+    """Return the index of the least significant term: by its fit, without one by its size."""
+    if standing is None or len(standing.shot.system.places) != len(coefficients):
+        return int(np.argmin(np.abs(coefficients) * columns.std(axis=1)))
+    errors = np.sqrt(np.maximum(np.diag(covariance(standing.shot)), 1e-300))
+    return int(np.argmin(np.abs(standing.shot.system.values) / errors))

@@ -1,0 +1,199 @@
+"""The measured trajectories laid out for fits: all rows one after another, and what is simulated of them. Pure.
+
+Letters: N rows of all trajectories, S states, D of them with an equation here, O measured ones, U inputs, B pieces.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from common.dataset import FloatArray
+from common.expression.kernels import Ints
+from coordinator.data.recording import Recording, Trajectory
+
+ROOM: Final = 3.0
+"""A simulated state may leave the measured range by so many times its width before it counts as blown up."""
+
+PIECE: Final = 500
+"""Rows of a trajectory that are simulated at a stretch; the misfit of longer ones has too many minima to be fitted."""
+
+FAR_OUT: Final = 4.5
+"""Measurements this many standard errors of noise from the smoothed state count as outliers where there are any."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Rows of trajectories for a system of D equations.
+
+    `bounds` (B, 2) are the half-open row ranges of the pieces that are simulated at a stretch, `owners` (B,) the
+    trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), a weight of zero leaves
+    a number out; `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured. `scales` (D,) are the
+    states' standard deviations, `noise` (O,) the smoother's estimate of that of the measurement errors. `input_slopes`
+    belong to `inputs` (U, N). `variables` names the numbers of a point: D states, then U inputs.
+    """
+
+    bounds: Ints
+    owners: Ints
+    times: FloatArray
+    measured: FloatArray
+    weights: FloatArray
+    smoothed: FloatArray
+    observed: Ints
+    inputs: FloatArray
+    input_slopes: FloatArray
+    scales: FloatArray
+    noise: FloatArray
+    variables: tuple[str, ...]
+    names: tuple[str, ...]
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of all trajectories."""
+        return len(self.times)
+
+    @property
+    def relative_noise(self) -> FloatArray:
+        """The noise over the states' standard deviations (O,)."""
+        return np.asarray(self.noise / self.scales[self.observed])
+
+    @cached_property
+    def limits(self) -> FloatArray:
+        """Range (D, 2) outside of which a simulated state has blown up."""
+        low, high = self.smoothed.min(axis=1), self.smoothed.max(axis=1)
+        width = np.maximum(high - low, 1e-12 * np.maximum(np.abs(high), np.abs(low)))
+        return np.ascontiguousarray(np.stack([low - ROOM * width, high + ROOM * width], axis=1))
+
+    @cached_property
+    def sizes(self) -> FloatArray:
+        """Mean absolute value (D + U,) of each number of a point."""
+        return np.asarray(np.abs(np.concatenate([self.smoothed, self.inputs])).mean(axis=1))
+
+    def segments(self, length: int | None) -> Ints:
+        """Return row ranges (G, 2) of about `length` rows each that cover all pieces; whole ones for None."""
+        ranges: list[tuple[int, int]] = []
+        for first, end in self.bounds.tolist():
+            count = 1 if length is None else max(1, round((end - first) / length))
+            ranges += _cut(first, end, count)
+        return np.array(ranges, dtype=np.int64)
+
+    def thinned(self, most: int) -> "Measurements":
+        """Return pieces of the trajectories, spread evenly, of at most about `most` rows together."""
+        if self.rows <= most:
+            return self
+        length = max(2, min(PIECE // 2, most // len(self.bounds)))
+        pieces = [
+            (first, min(first + length, end), owner)
+            for (first, end), owner in zip(self.bounds.tolist(), self.owners.tolist(), strict=True)
+            for first, end in _cut(first, end, max(1, (end - first) // length))
+        ]
+        count = max(1, most // length)
+        kept = [pieces[index * len(pieces) // count] for index in range(min(count, len(pieces)))]
+        rows = np.concatenate([np.arange(first, end) for first, end, _ in kept])
+        lengths = np.array([end - first for first, end, _ in kept])
+        ends = np.cumsum(lengths)
+        return replace(
+            self,
+            bounds=np.stack([ends - lengths, ends], axis=1).astype(np.int64),
+            owners=np.array([owner for *_, owner in kept], dtype=np.int64),
+            times=np.ascontiguousarray(self.times[rows]),
+            measured=np.ascontiguousarray(self.measured[:, rows]),
+            weights=np.ascontiguousarray(self.weights[:, rows]),
+            smoothed=np.ascontiguousarray(self.smoothed[:, rows]),
+            inputs=np.ascontiguousarray(self.inputs[:, rows]),
+            input_slopes=np.ascontiguousarray(self.input_slopes[:, rows]),
+        )
+
+
+def measurements_of(recording: Recording, modelled: Sequence[int], *, held_out: bool = False) -> Measurements:
+    """Return the measurements for a system whose equations are those of the `modelled` states (indices).
+
+    The other states, as smoothed, are inputs behind the recording's own. With order 2 the velocities of the modelled
+    states are states, too, behind the positions, and not measured.
+
+    Raises:
+        ValueError: there are no such trajectories.
+    """
+    parts = [each for each in recording.trajectories if each.held_out == held_out]
+    others = [index for index in range(len(recording.states)) if index not in modelled]
+    chosen = list(modelled)
+    measured = _stacked(part.measured[chosen] for part in parts)
+    positions = _stacked(part.smoothed[chosen] for part in parts)
+    states = [positions]
+    inputs, slopes = [_stacked(part.inputs for part in parts)], [_stacked(part.input_slopes for part in parts)]
+    inputs.append(_stacked(part.smoothed[others] for part in parts))
+    slopes.append(_stacked(part.slopes[others] for part in parts))
+    if recording.order == 2:
+        states.append(_stacked(part.slopes[chosen] for part in parts))
+        inputs.append(_stacked(part.slopes[others] for part in parts))
+        slopes.append(_stacked(_gradients(part, others) for part in parts))
+    smoothed = np.concatenate(states)
+    noise = np.array([recording.smoothing[index].noise for index in chosen])
+    bounds, owners = _pieces([len(part.times) for part in parts])
+    return Measurements(
+        bounds=bounds,
+        owners=owners,
+        times=np.concatenate([part.times for part in parts]),
+        measured=measured,
+        weights=_weights(measured, positions, noise, [recording.smoothing[index].method for index in chosen]),
+        smoothed=np.ascontiguousarray(smoothed),
+        observed=np.arange(len(chosen), dtype=np.int64),
+        inputs=np.ascontiguousarray(np.concatenate(inputs)),
+        input_slopes=np.ascontiguousarray(np.concatenate(slopes)),
+        scales=np.maximum(smoothed.std(axis=1), 1e-300),
+        noise=noise,
+        variables=_variables(recording, chosen, others),
+        names=tuple(part.name for part in parts),
+    )
+
+
+def _variables(recording: Recording, chosen: list[int], others: list[int]) -> tuple[str, ...]:
+    def of(symbols: Sequence[str], indices: list[int]) -> list[str]:
+        return [symbols[index] for index in indices] if symbols else []
+
+    return (
+        *of(recording.state_symbols, chosen),
+        *of(recording.velocity_symbols, chosen),
+        *recording.input_symbols,
+        *of(recording.state_symbols, others),
+        *of(recording.velocity_symbols, others),
+    )
+
+
+def _weights(measured: FloatArray, smoothed: FloatArray, noise: FloatArray, methods: Sequence[str]) -> FloatArray:
+    """Return 1 for what is measured, 0 for what is missing, and for outliers where smoothing was robust."""
+    weights = np.isfinite(measured).astype(np.float64)
+    for state, method in enumerate(methods):
+        if method == "robust loess":
+            weights[state, np.abs(measured[state] - smoothed[state]) > FAR_OUT * noise[state]] = 0.0
+    return weights
+
+
+def _stacked(arrays: Iterator[FloatArray]) -> FloatArray:
+    return np.ascontiguousarray(np.concatenate(list(arrays), axis=1))
+
+
+def _pieces(lengths: Sequence[int]) -> tuple[Ints, Ints]:
+    """Return bounds and owners of the pieces of trajectories that have so many rows."""
+    ranges: list[tuple[int, int]] = []
+    owners: list[int] = []
+    start = 0
+    for owner, length in enumerate(lengths):
+        its = _cut(start, start + length, -(-length // PIECE))
+        ranges += its
+        owners += [owner] * len(its)
+        start += length
+    return np.array(ranges, dtype=np.int64), np.array(owners, dtype=np.int64)
+
+
+def _cut(first: int, end: int, count: int) -> list[tuple[int, int]]:
+    """Return `count` half-open ranges of nearly equal length that cover one."""
+    cuts = [first + (end - first) * index // count for index in range(count + 1)]
+    return list(pairwise(cuts))
+
+
+def _gradients(part: Trajectory, states: list[int]) -> FloatArray:
+    return np.asarray(np.gradient(part.slopes[states], part.times, axis=1)) if states else part.slopes[states]

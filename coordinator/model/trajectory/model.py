@@ -1,0 +1,200 @@
+"""A model of all variables from what the search handed on: chosen, fitted and judged by trajectories (ADR 0021).
+
+Candidates of each variable are ranked alone, then jointly, one variable exchanged at a time; from the best systems the
+descent looks for shorter descriptions nearby; constants are made simple; what remains is assessed. All work is bounded
+by counts, never by the clock.
+"""
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from common.config import JobConfig
+from common.dataset import Dataset, Problem
+from common.expression.operators import BY_NAME
+from common.expression.program import Program
+from common.expression.text import PRINTABLE_SIZE, tree_size
+from coordinator.data.prior import guessed_programs
+from coordinator.data.recording import Recording
+from coordinator.model.extensions import extensions
+from coordinator.model.neighbours import neighbours
+from coordinator.model.refinement import Pool, Refined
+from coordinator.model.rewrite import tidied
+from coordinator.model.trajectory.candidates import ranked
+from coordinator.model.trajectory.contest import Contest, Standing
+from coordinator.model.trajectory.descent import Descent
+from coordinator.model.trajectory.measurements import Measurements, measurements_of
+from coordinator.model.trajectory.shooting import Shooter
+from coordinator.model.trajectory.system import variable_program
+
+COMPARED_ROWS: Final = 1_200
+"""Structures are compared on at most about so many rows; constants are then fitted on all."""
+
+WORK: Final = 60_000_000
+"""Work of all comparisons, see `Shooter.work`: some seconds of one core."""
+
+STARTS: Final = 3
+"""Candidates of each variable that are combined to begin with."""
+
+PRECISION: Final = (1e-10, 1e-4)
+NOISE_SHARE: Final = 0.01
+"""A step of the integration may err by this share of the noise, within `PRECISION` of the standard deviation."""
+
+CLEAN: Final = 1e-7
+_EXCHANGING: Final = ((2, 16), (8, 5), (20, 2))
+_LEAST: Final = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """The system that describes the trajectories in the fewest nats: its fit, and the contest where that was found."""
+
+    contest: Contest
+    standing: Standing
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """What is modelled: the `variables` that have an equation, by their states' indices in the recording."""
+
+    dataset: Dataset
+    recording: Recording
+    config: JobConfig
+    variables: tuple[str, ...]
+    known: Mapping[str, Program]
+
+    @property
+    def states(self) -> list[int]:
+        """Indices of the modelled states."""
+        return [self.recording.states.index(name) for name in self.variables]
+
+    def operators(self, variable: str) -> frozenset[int]:
+        """Return the codes of the operators that the equation of `variable` may be made of."""
+        return frozenset(BY_NAME[name].code for name in self.config.space.operators_for(variable))
+
+    def columns(self, variable: str) -> tuple[int, ...]:
+        """Return the indices of the variables that the equation of `variable` may use."""
+        return self.config.space.columns_for(variable, self.dataset.names)
+
+    def measurements(self, variables: Sequence[str], *, held_out: bool = False) -> Measurements:
+        """Return the measurements of a system for these variables."""
+        states = [self.recording.states.index(name) for name in variables]
+        return measurements_of(self.recording, states, held_out=held_out)
+
+    def contest(self, its: Measurements, variables: Sequence[str]) -> Contest:
+        """Return a contest over these measurements."""
+        precision = float(np.clip(NOISE_SHARE * its.relative_noise.min(), *PRECISION))
+        fixed = [index for index, name in enumerate(variables) if name in self.known]
+        return Contest(Shooter(its, precision), self.dataset.names, fixed, self.leading(variables), _threads())
+
+    def leading(self, variables: Sequence[str]) -> list[Program]:
+        """Return the equations of the positions, whose rates are the velocities; none with order 1."""
+        if self.recording.order == 1:
+            return []
+        velocities = [self.recording.velocity_symbols[self.recording.states.index(name)] for name in variables]
+        return [variable_program(self.dataset.names.index(velocity)) for velocity in velocities]
+
+
+def chosen(field: Field, pools: Mapping[str, Pool], settled: Mapping[str, Refined]) -> Chosen | None:
+    """Return the best system of equations, None when none can be simulated.
+
+    Args:
+        field: what is modelled.
+        pools: what the search handed on.
+        settled: equations by derivatives; those of converged searches without noise are not compared with others.
+    """
+    its = field.measurements(field.variables).thinned(COMPARED_ROWS)
+    contest = field.contest(its, field.variables)
+    lists = [_candidates(field, name, pools, settled) for name in field.variables]
+    if not all(lists):
+        return None
+    best = _combined(contest, lists)
+    if best is None:
+        return None
+    best = _exchanged(contest, best, lists)
+    if not contest.is_exact(best):
+        best = _descended(field, contest, best, lists)
+    best = contest.beside(best, best.programs, 40) or best
+    return Chosen(contest, best)
+
+
+def _candidates(field: Field, name: str, pools: Mapping[str, Pool], settled: Mapping[str, Refined]) -> list[Program]:
+    """Return the candidates of one variable, the best first."""
+    if name in field.known:
+        return [field.known[name]]
+    problem = field.dataset.problem(name)
+    programs = [settled[name].program] if name in settled else []
+    if programs and not problem.target.is_noisy and settled[name].error <= _enough(problem, field.config):
+        return [tidied(programs[0])]
+    pool = pools[name]
+    entries = [*pool.front, *pool.runners_up]
+    programs += [Program.from_bytes(entry.program, len(problem.names)) for entry in entries]
+    programs += guessed_programs(field.dataset, field.config).get(name, ())
+    its = field.measurements([name]).thinned(COMPARED_ROWS)
+    contest = field.contest(its, [name])
+    return ranked(contest, problem, programs, field.columns(name), field.operators(name))
+
+
+def _enough(problem: Problem, config: JobConfig) -> float:
+    from coordinator.model.select import threshold
+
+    return threshold(problem.target, config.budget.target_error) * problem.target.deviation
+
+
+def _combined(contest: Contest, lists: Sequence[Sequence[Program]]) -> Standing | None:
+    """Return the best of a few systems to begin with: the best of each list, one variable's next ones at a time."""
+    first = [its[0] for its in lists]
+    systems = [first] + [
+        [*first[:index], program, *first[index + 1 :]]
+        for index, its in enumerate(lists)
+        for program in its[1 : STARTS + 1]
+    ]
+    systems += [[its[min(rank, len(its) - 1)] for its in lists] for rank in range(1, STARTS + 1)]
+    found = contest.map(contest.stand, systems)
+    return found[0] if found else None
+
+
+def _exchanged(contest: Contest, best: Standing, lists: Sequence[Sequence[Program]]) -> Standing:
+    """Return the best system that comes of exchanging one variable's program at a time."""
+    while True:
+        before = best.nats
+        for equation, programs in enumerate(lists):
+            if len(programs) > 1:
+                found = contest.halved(best, equation, programs, _EXCHANGING)
+                if found and found[0].nats < best.nats - _LEAST:
+                    best = found[0]
+        if best.nats > before - _LEAST:
+            return best
+
+
+def _descended(field: Field, contest: Contest, best: Standing, lists: Sequence[Sequence[Program]]) -> Standing:
+    """Return the end of the descent from the best system."""
+    sizes = _scales(field, contest.shooter.measurements)
+    largest = field.config.space.max_size or float("inf")
+
+    def around(equation: int, program: Program) -> Iterator[Program]:
+        name = field.variables[equation]
+        operators, columns = field.operators(name), field.columns(name)
+        scales = [size if column in columns else 0.0 for column, size in enumerate(sizes)]
+        for changed in (*extensions(program, scales, operators), *neighbours(program, columns, operators)):
+            if len(changed) <= largest and tree_size(changed) <= PRINTABLE_SIZE:
+                yield changed
+
+    descent = Descent(contest, around, WORK)
+    equations = [index for index, its in enumerate(lists) if index not in contest.fixed]
+    return descent.down(best, equations)
+
+
+def _scales(field: Field, its: Measurements) -> list[float]:
+    """Return the size of each variable of the dataset."""
+    sizes = dict(zip(its.variables, its.sizes.tolist(), strict=True))
+    return [sizes[name] for name in field.dataset.names]
+
+
+def _threads() -> int:
+    if os.environ.get("ONE"):
+        return 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

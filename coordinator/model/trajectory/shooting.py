@@ -1,0 +1,235 @@
+"""Constants and initial states fitted to the measured states: multiple shooting by Levenberg's and Marquardt's method.
+
+Every segment of rows is integrated from an initial state of its own. Segments grow from a few rows to whole
+trajectories: short ones fit well from anywhere, whole ones use all that the data say (Bock 1983). Errors of different
+states are weighted by their variances, which are fitted as well. Letters as in `kernels_integrate`.
+"""
+
+import math
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from common.dataset import FloatArray
+from common.expression.kernels import Ints
+from coordinator.model.trajectory.kernels_integrate import PRECISE, QUICK, shoot
+from coordinator.model.trajectory.kernels_normal import normal_equations, solve_step
+from coordinator.model.trajectory.measurements import Measurements
+from coordinator.model.trajectory.system import System
+
+STEPS_PER_ROW: Final = 40
+"""Integration steps that may be taken for each row, on average: what needs more is too stiff or blows up."""
+
+QUICK_ENOUGH: Final = 1e-5
+"""Errors of a step, over a state's standard deviation, above which the quick method takes less time."""
+
+OVERHEAD: Final = 10
+"""Numbers whose carrying along takes as long as everything else about a row."""
+
+_SETTLED: Final = 1e-7
+_FIRST_DAMPING: Final = 1e-3
+_LARGEST_DAMPING: Final = 1e9
+_SMALLEST_NOISE: Final = 1e-9
+_STEEPEST: Final = 1e60
+"""Sensitivities beyond this have no squares to compute with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """A system fitted to segments.
+
+    `starts` (G, D) are the fitted initial states of `segments` (G, 2); `simulated` (D, N); `residuals` (O, N) measured
+    minus simulated; `sigmas` (O,) the standard deviations that errors were weighted by; `squares` (O,) their mean
+    squares; `normal`, `coupling` and `own` the blocks of the normal equations at the end, weighted.
+    """
+
+    system: System
+    segments: Ints
+    starts: FloatArray
+    simulated: FloatArray
+    residuals: FloatArray
+    sigmas: FloatArray
+    squares: FloatArray
+    normal: FloatArray
+    coupling: FloatArray
+    own: FloatArray
+    gradients: FloatArray
+
+    @property
+    def reduced(self) -> FloatArray:
+        """The normal matrix (P, P) of the constants, initial states eliminated."""
+        own = _inverses(self.own, 0.0)
+        return np.asarray(self.normal - np.einsum("gpd,gde,gqe->pq", self.coupling, own, self.coupling))
+
+
+@dataclass(frozen=True, eq=False)
+class _Equations:
+    """The misfit and its normal equations at one point."""
+
+    cost: float
+    simulated: FloatArray
+    residuals: FloatArray
+    normal: FloatArray
+    coupling: FloatArray
+    own: FloatArray
+    gradient: FloatArray
+    own_gradient: FloatArray
+    gradients: FloatArray
+
+
+class Shooter:
+    """Fits systems to `measurements`; `work` counts rows times numbers carried along, of all integrations."""
+
+    def __init__(self, measurements: Measurements, precision: float) -> None:
+        """`precision` is the error of a step over a state's standard deviation."""
+        self._table = PRECISE if precision < QUICK_ENOUGH else QUICK
+        self.measurements: Final = measurements
+        self._measured = np.where(measurements.weights > 0.0, measurements.measured, 0.0)
+        self._tolerance = precision * measurements.scales
+        self._smallest = np.maximum(_SMALLEST_NOISE * measurements.scales[measurements.observed], 1e-300)
+        self.work = 0
+        self._lock = threading.Lock()
+
+    def fit(
+        self, system: System, length: int | None, steps: int, starts: FloatArray | None = None,
+        sigmas: FloatArray | None = None,
+    ) -> Shot | None:  # fmt: skip
+        """Return `system` fitted to segments of about `length` rows, None when it cannot be integrated from `starts`.
+
+        Args:
+            system: where the fit begins.
+            length: rows of a segment; None for whole trajectories.
+            steps: most steps, successful or not.
+            starts: initial states (G, D); the smoothed ones unless given.
+            sigmas: what errors are weighted by (O,); the smoother's noise, or what the residuals are, unless given.
+        """
+        its = self.measurements
+        segments = its.segments(length)
+        if starts is None:
+            starts = np.ascontiguousarray(its.smoothed[:, segments[:, 0]].T)
+        if sigmas is None:
+            sigmas = np.maximum(its.noise, 1e-4 * its.scales[its.observed])
+        here = self._equations(system, segments, starts, sigmas)
+        if here is None:
+            return None
+        damping = _FIRST_DAMPING
+        for _ in range(steps):
+            step = _solved(here, damping)
+            there = None
+            if step is not None:
+                moved, new_starts = system.with_values(system.values + step[0]), starts + step[1]
+                there = self._equations(moved, segments, new_starts, sigmas, here.cost)
+            if there is None:
+                damping *= 10.0
+                if damping > _LARGEST_DAMPING:
+                    break
+                continue
+            is_settled = there.cost >= here.cost * (1.0 - _SETTLED)
+            system, starts, here = moved, new_starts, there
+            damping = max(damping * 0.1, 1e-12)
+            sigmas, here = self._reweighted(here, segments, sigmas)
+            if is_settled:
+                break
+        squares = self._squares(here.residuals)
+        return Shot(
+            system, segments, starts, here.simulated, here.residuals, sigmas, squares, here.normal, here.coupling,
+            here.own, here.gradients,
+        )  # fmt: skip
+
+    def _squares(self, residuals: FloatArray) -> FloatArray:
+        total = self.measurements.weights.sum(axis=1)
+        return np.asarray((self.measurements.weights * residuals * residuals).sum(axis=1) / total)
+
+    def _reweighted(self, here: _Equations, segments: Ints, sigmas: FloatArray) -> tuple[FloatArray, _Equations]:
+        """Return new variances and the equations under them; the states' errors may be of very different size."""
+        new = np.maximum(np.sqrt(self._squares(here.residuals)), self._smallest)
+        if np.all(np.abs(new / sigmas - 1.0) < 1e-3):
+            return sigmas, here
+        return new, self._weighed(here.simulated, here.gradients, here.residuals, segments, new)
+
+    def _equations(
+        self, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray, below: float = math.inf
+    ) -> _Equations | None:
+        """Return the equations at a point; None where it cannot be integrated or the cost is not below `below`."""
+        its = self.measurements
+        states, fitted = len(system.outputs), len(system.places)
+        simulated = np.full((states, its.rows), np.nan)
+        gradients = np.zeros((its.rows, states, fitted + states))
+        with self._lock:
+            self.work += its.rows * (OVERHEAD + states * (1 + fitted + states))
+        done = shoot(
+            self._table, system.code, system.left, system.right, system.constants, system.outputs, system.parameters,
+            system.owners, its.times, its.inputs, its.input_slopes, segments, starts, self._tolerance, its.limits,
+            200 + STEPS_PER_ROW * its.rows, True, simulated, gradients,
+        )  # fmt: skip
+        if done < len(segments) or not np.abs(gradients).max(initial=0.0) < _STEEPEST:
+            return None
+        residuals = self._measured - simulated[its.observed]
+        cost = float((self.measurements.weights * (residuals / sigmas[:, None]) ** 2).sum())
+        if not cost < below:
+            return None
+        return self._weighed(simulated, gradients, residuals, segments, sigmas)
+
+    def _weighed(
+        self, simulated: FloatArray, gradients: FloatArray, residuals: FloatArray, segments: Ints, sigmas: FloatArray
+    ) -> _Equations:
+        states = simulated.shape[0]
+        fitted = gradients.shape[2] - states
+        groups = len(segments)
+        weights = self.measurements.weights / (sigmas * sigmas)[:, None]
+        blocks = (
+            np.zeros((fitted, fitted)), np.zeros((groups, fitted, states)), np.zeros((groups, states, states)),
+            np.zeros(fitted), np.zeros((groups, states)),
+        )  # fmt: skip
+        normal_equations(segments, self.measurements.observed, residuals, weights, gradients, fitted, *blocks)
+        cost = float((weights * residuals * residuals).sum())
+        return _Equations(cost, simulated, residuals, *blocks, gradients)
+
+
+def _solved(here: _Equations, damping: float) -> tuple[FloatArray, FloatArray] | None:
+    """Return the step of the constants (P,) and of the initial states (G, D); None when there is none."""
+    change, moves = np.empty_like(here.gradient), np.empty_like(here.own_gradient)
+    solved = solve_step(
+        here.normal, here.coupling, here.own, here.gradient, here.own_gradient, damping, change, moves
+    )  # fmt: skip
+    return (change, moves) if solved and np.isfinite(change).all() and np.isfinite(moves).all() else None
+
+
+def _inverses(own: FloatArray, damping: float) -> FloatArray:
+    """Return the inverses (G, D, D) of the damped blocks of the initial states."""
+    diagonals = np.einsum("gdd->gd", own)
+    scale = np.sqrt(np.maximum(diagonals, 1e-200))
+    unit = own / (scale[:, :, None] * scale[:, None, :])
+    unit = unit + (damping + 1e-13) * np.eye(own.shape[1])
+    return np.asarray(np.linalg.inv(unit) / (scale[:, :, None] * scale[:, None, :]))
+
+
+def misfit(shot: Shot, floors: FloatArray, counts: FloatArray) -> float:
+    """Return minus the log-likelihood in nats, up to a constant: each state's variance fitted, never below its floor.
+
+    `floors` (O,) are standard deviations, `counts` (O,) the numbers measured of each state.
+    """
+    total = 0.0
+    for square, floor, count in zip(shot.squares.tolist(), floors.tolist(), counts.tolist(), strict=True):
+        variance = max(square, floor * floor)
+        total += 0.5 * count * (math.log(variance) + square / variance - 1.0)
+    return total
+
+
+def staged(shooter: Shooter, system: System, lengths: Sequence[int | None], steps: int) -> Shot | None:
+    """Return `system` fitted to segments of growing `lengths`, each fit begun where the one before ended."""
+    shot: Shot | None = None
+    for length in lengths:
+        starts = None
+        if shot is not None:
+            starts = np.ascontiguousarray(shot.simulated[:, shooter.measurements.segments(length)[:, 0]].T)
+        following = shooter.fit(
+            system if shot is None else shot.system, length, steps, starts, None if shot is None else shot.sigmas
+        )
+        if following is None:
+            return None
+        shot = following
+    return shot
