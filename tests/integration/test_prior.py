@@ -37,5 +37,6 @@ def test_a_guess_a_known_equation_and_allowed_variables_come_together(tmp_path: 
     assert x["generation"] == 10, "the guess has the right form, so that nothing needs to be searched"
     assert (y["expression"], y["why"], y["converged"]) == ("-x/10.0", "known", True)
     assert y["point_evaluations"] == 0
+    assert [member["selected"] for member in y["front"]] == [True]
     assert "dy/dt = -0.1*x\n" in done.stdout
     assert "    known: error" in done.stdout
