@@ -16,8 +16,7 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
 
     A node n becomes n + c, n + c v, n + c v w, n + c/v, n + c sin v, n (1 + c v) or n/(1 + c v) with variables v and w
     and a small constant c; or, which is no small change, n sin v or n/sin v, or a variable its sine; cosines likewise.
-    Only the `operators`
-    (codes) that are allowed are brought in. Constants want to be fitted.
+    Only the `operators` (codes) that are allowed are brought in. Constants want to be fitted.
 
     Args:
         program: over as many variables as there are `scales`.

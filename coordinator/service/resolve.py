@@ -10,7 +10,7 @@ ROWS_CLEAN: Final = 16
 ROWS_NOISY: Final = 32
 RUNNERS_UP_NOISY: Final = 8
 STAGNATION_CLEAN: Final = 60
-STAGNATION_NOISY: Final = 6
+STAGNATION_NOISY: Final = 3
 
 
 def resolve(config: JobConfig, dataset: Dataset) -> JobConfig:
