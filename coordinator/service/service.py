@@ -153,7 +153,15 @@ class Service:
 
     def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
         """See `Outlet.prepare`."""
-        self._ports.background(lambda: self._bus.post(self._prepare(job, table, config)))
+        self._ports.background(lambda: self._prepare_ahead(job, table, config))
+
+    def _prepare_ahead(self, job: str, table: bytes, config: JobConfig) -> None:
+        """Prepare the job; then, while it is searched, what refining it will need. Runs in the background."""
+        self._bus.post(self._prepare(job, table, config))
+        try:
+            self._ports.warm_up()
+        except Exception:  # refining meets the same trouble and tells it
+            _LOG.exception("warm-up failed")
 
     def _prepare(self, job: str, table: bytes, config: JobConfig) -> _Ready | _Unprepared:
         """Smooth and differentiate; runs in the background."""

@@ -38,6 +38,9 @@ from common.expression.operators import (
 )
 from common.jit import allocating_kernel, inlined, kernel
 
+LARGEST_EXPONENT: Final = 709.0
+"""exp has no finite value far beyond."""
+
 Table = tuple[FloatArray, FloatArray, FloatArray, float]
 """An embedded Runge-Kutta method whose last stage is the next step's first: coefficients (S, S - 1), times (S,), error
 weights (S,), and the order of the error estimate."""
@@ -99,7 +102,7 @@ def rates(code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: I
         elif op == NEGATE:
             values[i] = -a
         elif op == EXP:
-            values[i] = math.exp(a)
+            values[i] = math.exp(a) if a < LARGEST_EXPONENT else math.inf
         elif op == LOG:
             values[i] = math.log(a) if a > 0.0 else math.nan
         elif op == SQRT:
@@ -236,7 +239,7 @@ def advance(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatA
             for s in range(last + 1):
                 off += errors[s] * rate[s, d]
             off = abs(h * off) / tolerance[d]
-            error = off if not off <= error else error
+            error = error if off <= error or math.isnan(error) else off
         if not error <= 1.0:
             step = h * (max(0.1, 0.9 * error ** (-1.0 / order)) if error < 1e300 else 0.1)
             if step < 1e-10 * width:
