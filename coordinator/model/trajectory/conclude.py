@@ -25,6 +25,7 @@ from coordinator.model.trajectory.assess import (
 )
 from coordinator.model.trajectory.contest import Contest, Standing
 from coordinator.model.trajectory.model import Chosen, Field
+from coordinator.model.trajectory.pieces import on_all_rows, remarks
 from coordinator.model.trajectory.rounding import rounded
 from coordinator.model.verdict import Evidence, judge
 
@@ -35,7 +36,6 @@ SAME: Final = 1e-3
 """Equations whose values differ by less than this share of their deviation, root mean square, are the same function."""
 
 _STEPS: Final = 20
-_FULL_LENGTHS: Final = (25, None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +58,12 @@ class _HeldOut:
     r2: tuple[float | None, ...]
 
 
-def concluded(field: Field, choice: Chosen, pools: Mapping[str, Pool]) -> Refinement | None:
+def concluded(choice: Chosen, pools: Mapping[str, Pool]) -> Refinement | None:
     """Return the refinement that the chosen system gives; None when it cannot be simulated on all rows."""
-    final = _finalized(field, choice)
+    final = _finalized(choice)
     if final is None:
         return None
+    field = final.field
     errors = errors_of(final.contest, final.free)
     constants = constants_of(final.contest, final.shown, errors)
     out = _held_out(field, final.shown)
@@ -76,25 +77,22 @@ def concluded(field: Field, choice: Chosen, pools: Mapping[str, Pool]) -> Refine
         equations,
         Simulation(field.variables, (*trajectories, *(out.trajectories if out is not None else ()))),
         correlations_of(final.contest, field.variables, final.shown, errors),
+        tuple(remarks(field)),
     )
 
 
-def _finalized(field: Field, choice: Chosen) -> _Final | None:
+def _finalized(choice: Chosen) -> _Final | None:
     """Fit the chosen system to all rows, make its constants simple, and fit what is shown again."""
-    contest, best = choice.contest, choice.standing
-    its = field.measurements(field.variables)
-    if its.rows > contest.shooter.measurements.rows:
-        contest = field.contest(its, field.variables)
-        wider = contest.stand(best.programs, _STEPS, _FULL_LENGTHS)
-        if wider is None:
-            return None
-        best = wider
+    whole = on_all_rows(choice)
+    if whole is None:
+        return None
+    contest, best = whole.contest, whole.standing
     shown = rounded(contest, best)
     free = contest.beside(best, shown, _STEPS)
     shot = held(contest, shown, best.shot)
     if free is None or shot is None:
         return None
-    return _Final(field, choice, contest, shown, free, contest.measured(shown, shot))
+    return _Final(whole.field, choice, contest, shown, free, contest.measured(shown, shot))
 
 
 def _held_out(field: Field, shown: Sequence[Program]) -> _HeldOut | None:
