@@ -3,7 +3,7 @@
 Letters: N rows of all trajectories, S states, D of them with an equation here, O measured ones, U inputs, B pieces.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -95,6 +95,15 @@ class Measurements:
         ]
         count = min(max(1, most * len(pieces) // self.rows), len(pieces))
         kept = [pieces[index * len(pieces) // count] for index in range(count)]
+        return self._of(kept)
+
+    def part(self, owners: Collection[int]) -> "Measurements":
+        """Return the pieces of these trajectories (indices of `names`)."""
+        bounds = zip(self.bounds.tolist(), self.owners.tolist(), strict=True)
+        return self._of([(first, end, owner) for (first, end), owner in bounds if owner in owners])
+
+    def _of(self, kept: Sequence[tuple[int, int, int]]) -> "Measurements":
+        """Return the pieces `kept`: first row, end, owner."""
         rows = np.concatenate([np.arange(first, end) for first, end, _ in kept])
         lengths = np.array([end - first for first, end, _ in kept])
         ends = np.cumsum(lengths)
@@ -117,7 +126,8 @@ def measurements_of(
     """Return the measurements for a system whose equations are those of the `modelled` states (indices).
 
     The other states, as smoothed, are inputs behind the recording's own. With order 2 the velocities of the modelled
-    states are states, too, behind the positions, and not measured. `piece` is how many rows are simulated at a stretch, at most.
+    states are states, too, behind the positions, and not measured. At most `piece` rows are simulated at
+    a stretch.
 
     Raises:
         ValueError: there are no such trajectories.

@@ -88,6 +88,7 @@ class Shooter:
 
     def __init__(self, measurements: Measurements, precision: float) -> None:
         """`precision` is the error of a step over a state's standard deviation."""
+        self.precision: Final = precision
         self._table = PRECISE if precision < QUICK_ENOUGH else QUICK
         self.measurements: Final = measurements
         self._measured = np.where(measurements.weights > 0.0, measurements.measured, 0.0)
@@ -215,8 +216,13 @@ def misfit(shot: Shot, floors: FloatArray, counts: FloatArray) -> float:
 
     `floors` (O,) are standard deviations, `counts` (O,) the numbers measured of each state.
     """
+    return nats_of(shot.squares, floors, counts)
+
+
+def nats_of(squares: FloatArray, floors: FloatArray, counts: FloatArray) -> float:
+    """Return the same of mean squares (O,) of errors."""
     total = 0.0
-    for square, floor, count in zip(shot.squares.tolist(), floors.tolist(), counts.tolist(), strict=True):
+    for square, floor, count in zip(squares.tolist(), floors.tolist(), counts.tolist(), strict=True):
         variance = max(square, floor * floor)
         total += 0.5 * count * (math.log(variance) + square / variance - 1.0)
     return total
