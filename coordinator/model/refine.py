@@ -28,7 +28,8 @@ from coordinator.model.select import threshold
 from coordinator.model.shorten import Candidate, Shortening
 from coordinator.model.snap import snapped
 from coordinator.model.trajectory.conclude import concluded
-from coordinator.model.trajectory.model import Field, chosen
+from coordinator.model.trajectory.model import Field
+from coordinator.model.trajectory.pieces import chosen
 
 COMPARED_ROWS: Final = 2_000
 """Structures are compared on at most so many rows, spread evenly; constants are then decided on more."""
@@ -57,7 +58,7 @@ def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Ref
     variables = tuple(name for name in preparation.dataset.variables if name in pools or name in known)
     field = Field(preparation.dataset, preparation.recording, config, variables, known)
     choice = chosen(field, pools, settled)
-    model = None if choice is None else concluded(field, choice, pools)
+    model = None if choice is None else concluded(choice, pools)
     if model is not None:
         return model
     rest = {name: refine(problems[name], config, pools[name].front) for name in pools if name not in clean}

@@ -7,7 +7,7 @@ by counts, never by the clock.
 
 import os
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -27,7 +27,7 @@ from coordinator.model.rewrite import tidied
 from coordinator.model.trajectory.candidates import ranked
 from coordinator.model.trajectory.contest import Contest, Standing
 from coordinator.model.trajectory.descent import Descent
-from coordinator.model.trajectory.measurements import Measurements, measurements_of
+from coordinator.model.trajectory.measurements import PIECE, Measurements, measurements_of
 from coordinator.model.trajectory.shooting import Shooter
 from coordinator.model.trajectory.system import variable_program
 
@@ -55,19 +55,24 @@ _LEAST: Final = 1e-3
 class Chosen:
     """The system that describes the trajectories in the fewest nats: its fit, and the contest where that was found."""
 
+    field: "Field"
     contest: Contest
     standing: Standing
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """What is modelled: the `variables` that have an equation, by their states' indices in the recording."""
+    """What is modelled: the `variables` that have an equation, by their states' indices in the recording.
+
+    `known` are their equations as far as they are given; `piece` is how many rows are simulated at a stretch, at most.
+    """
 
     dataset: Dataset
     recording: Recording
     config: JobConfig
     variables: tuple[str, ...]
     known: Mapping[str, Program]
+    piece: int = PIECE
 
     @property
     def states(self) -> list[int]:
@@ -85,7 +90,7 @@ class Field:
     def measurements(self, variables: Sequence[str], *, held_out: bool = False) -> Measurements:
         """Return the measurements of a system for these variables."""
         states = [self.recording.states.index(name) for name in variables]
-        return measurements_of(self.recording, states, held_out=held_out)
+        return measurements_of(self.recording, states, held_out=held_out, piece=self.piece)
 
     def contest(self, its: Measurements, variables: Sequence[str]) -> Contest:
         """Return a contest over these measurements."""
@@ -101,27 +106,41 @@ class Field:
         return [variable_program(self.dataset.names.index(velocity)) for velocity in velocities]
 
 
-def chosen(field: Field, pools: Mapping[str, Pool], settled: Mapping[str, Refined]) -> Chosen | None:
-    """Return the best system of equations, None when none can be simulated.
+def candidates_of(field: Field, pools: Mapping[str, Pool], settled: Mapping[str, Refined]) -> list[list[Program]]:
+    """Return the candidates of each variable, the best first.
 
     Args:
         field: what is modelled.
         pools: what the search handed on.
         settled: equations by derivatives; those of converged searches without noise are not compared with others.
     """
+    return [_candidates(field, name, pools, settled) for name in field.variables]
+
+
+def selected(
+    field: Field,
+    lists: Sequence[Sequence[Program]],
+    begun: Sequence[Program] | None = None,
+    is_hopeless: Callable[[Chosen], bool] = lambda _: False,
+) -> Chosen | None:
+    """Return the best system of equations, None when none can be simulated.
+
+    Args:
+        field: what is modelled.
+        lists: candidates of each variable, the best first.
+        begun: a system to begin with; the best of a few unless given.
+        is_hopeless: tells of the best of the candidates when its neighbours need not be looked at.
+    """
     its = field.measurements(field.variables).thinned(COMPARED_ROWS)
     contest = field.contest(its, field.variables)
-    lists = [_candidates(field, name, pools, settled) for name in field.variables]
-    if not all(lists):
-        return None
-    best = _combined(contest, lists)
+    best = _combined(contest, lists) if begun is None else contest.stand(begun)
     if best is None:
         return None
     best = _exchanged(contest, best, lists)
-    if not contest.is_exact(best):
+    if not contest.is_exact(best) and not is_hopeless(Chosen(field, contest, best)):
         best = _descended(field, contest, best, lists)
     best = contest.beside(best, best.programs, 40) or best
-    return Chosen(contest, best)
+    return Chosen(field, contest, best)
 
 
 def _candidates(field: Field, name: str, pools: Mapping[str, Pool], settled: Mapping[str, Refined]) -> list[Program]:
