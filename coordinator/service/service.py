@@ -36,6 +36,7 @@ from common.wire.messages import (
     WorkerStatus,
 )
 from common.wire.rejects import Rejects
+from coordinator.model.known import known_entries
 from coordinator.model.refinement import Pools, Refinement
 from coordinator.service.conductor import Conductor, WorkerWord
 from coordinator.service.desk import Body, Desk
@@ -168,7 +169,9 @@ class Service:
             preparation = self._ports.preparer(table, config)
             data = dataset_to_bytes(preparation.dataset)
             blob = hashlib.sha256(data).hexdigest()
-            prepared = Prepared(preparation, resolve(config, preparation.dataset), blob, len(data))
+            resolved = resolve(config, preparation.dataset)
+            known = known_entries(preparation.dataset, resolved)
+            prepared = Prepared(preparation, resolved, blob, len(data), known)
             return _Ready(job, prepared, data)
         except (DataError, UsageError, RemoteProtocolError) as error:
             return _Unprepared(job, "data", str(error))

@@ -8,7 +8,6 @@ import numpy as np
 
 from common.dataset import FloatArray, Problem
 from common.expression.program import Program
-from coordinator.model.derivative import values_of
 from coordinator.model.errors import errors_on
 from coordinator.model.refinement import Constant, Contender, Pool, Refined, Refinement, Simulated, Simulation
 from coordinator.model.rewrite import structure
@@ -24,26 +23,27 @@ from coordinator.model.trajectory.assess import (
     simulated,
 )
 from coordinator.model.trajectory.contest import Contest, Standing
+from coordinator.model.trajectory.measurements import Measurements
 from coordinator.model.trajectory.model import Chosen, Field
+from coordinator.model.trajectory.pieces import on_all_rows, remarks
+from coordinator.model.trajectory.rivals import VALIDATED_NATS, Race, decided
 from coordinator.model.trajectory.rounding import rounded
+from coordinator.model.trajectory.shooting import Shot
 from coordinator.model.verdict import Evidence, judge
 
-CONTENDERS: Final = 8
-"""Contenders of a variable that are reported, at most."""
-
-SAME: Final = 1e-3
-"""Equations whose values differ by less than this share of their deviation, root mean square, are the same function."""
-
 _STEPS: Final = 20
-_FULL_LENGTHS: Final = (25, None)
 
 
 @dataclass(frozen=True, eq=False)
 class _Final:
-    """The model on all rows: `shown` programs, their fit with all constants free, and as they are shown."""
+    """The model on all rows: `shown` programs, their fit with all constants free, and as they are shown.
+
+    `unseen` is a contest over the held-out trajectories, None when there are none.
+    """
 
     field: Field
-    choice: Chosen
+    race: Race
+    unseen: Contest | None
     contest: Contest
     shown: tuple[Program, ...]
     free: Standing
@@ -58,16 +58,17 @@ class _HeldOut:
     r2: tuple[float | None, ...]
 
 
-def concluded(field: Field, choice: Chosen, pools: Mapping[str, Pool]) -> Refinement | None:
+def concluded(choice: Chosen, pools: Mapping[str, Pool]) -> Refinement | None:
     """Return the refinement that the chosen system gives; None when it cannot be simulated on all rows."""
-    final = _finalized(field, choice)
+    final = _finalized(decided(choice, choice.field.dataset.inputs))
     if final is None:
         return None
+    field = final.field
     errors = errors_of(final.contest, final.free)
     constants = constants_of(final.contest, final.shown, errors)
-    out = _held_out(field, final.shown)
+    out = None if final.unseen is None else _held_out(final.unseen, final.shown)
     equations = {
-        name: _refined(final, index, constants[index], None if out is None else out.r2[index], pools.get(name))
+        name: _refined(final, index, constants[index], _foretold(final, out, index), pools.get(name))
         for index, name in enumerate(field.variables)
     }
     its = final.contest.shooter.measurements
@@ -76,35 +77,37 @@ def concluded(field: Field, choice: Chosen, pools: Mapping[str, Pool]) -> Refine
         equations,
         Simulation(field.variables, (*trajectories, *(out.trajectories if out is not None else ()))),
         correlations_of(final.contest, field.variables, final.shown, errors),
+        tuple(remarks(field)),
     )
 
 
-def _finalized(field: Field, choice: Chosen) -> _Final | None:
+def _finalized(race: Race) -> _Final | None:
     """Fit the chosen system to all rows, make its constants simple, and fit what is shown again."""
-    contest, best = choice.contest, choice.standing
-    its = field.measurements(field.variables)
-    if its.rows > contest.shooter.measurements.rows:
-        contest = field.contest(its, field.variables)
-        wider = contest.stand(best.programs, _STEPS, _FULL_LENGTHS)
-        if wider is None:
-            return None
-        best = wider
+    whole = on_all_rows(race.choice)
+    if whole is None:
+        return None
+    contest, best = whole.contest, whole.standing
     shown = rounded(contest, best)
     free = contest.beside(best, shown, _STEPS)
     shot = held(contest, shown, best.shot)
     if free is None or shot is None:
         return None
-    return _Final(field, choice, contest, shown, free, contest.measured(shown, shot))
+    return _Final(whole.field, race, _unseen(whole.field), contest, shown, free, contest.measured(shown, shot))
 
 
-def _held_out(field: Field, shown: Sequence[Program]) -> _HeldOut | None:
-    """Simulate the held-out trajectories from initial states that are fitted to them; None when there are none."""
+def _unseen(field: Field) -> Contest | None:
+    """Return a contest over the held-out trajectories; None when there are none."""
     if not any(each.held_out for each in field.recording.trajectories):
         return None
-    its = field.measurements(field.variables, held_out=True)
-    shot = held(field.contest(its, field.variables), shown)
+    return field.contest(field.measurements(field.variables, held_out=True), field.variables)
+
+
+def _held_out(unseen: Contest, programs: Sequence[Program]) -> _HeldOut:
+    """Simulate the held-out trajectories from initial states that are fitted to them."""
+    its = unseen.shooter.measurements
+    shot = held(unseen, programs)
     if shot is None:
-        return _HeldOut(tuple(not_simulated(its, held_out=True)), tuple(-np.inf for _ in field.variables))
+        return _HeldOut(tuple(not_simulated(its, held_out=True)), tuple(-np.inf for _ in its.observed))
     return _HeldOut(tuple(simulated(its, shot, None, held_out=True)), tuple(r2_of(its, shot, slice(None))))
 
 
@@ -115,7 +118,7 @@ def _refined(
     name, program = field.variables[index], final.shown[index]
     problem = field.dataset.problem(name)
     error, mse = errors_on(problem, program, field.config.evolution.loss)
-    contenders = _contenders(final, index)
+    contenders = _contenders(final, index, held_out_r2)
     rivals = [each.nats for each in contenders if not each.is_shown]
     variance = problem.target.deviation**2
     smoothing = field.recording.smoothing[field.recording.states.index(name)]
@@ -124,7 +127,7 @@ def _refined(
         error=error / problem.target.deviation,
         floor=problem.target.floor,
         target_r2=1.0 - mse / variance if variance else None,
-        residuals=[final.held.shot.residuals[index, first:end] for first, end in its.bounds.tolist()],
+        residuals=_residuals(its, final.held.shot, index),
         parameters=(len(final.free.shot.system.places) + final.free.shot.starts.size) / len(its.observed),
         noise=0.0 if smoothing.method == "interpolation" else smoothing.noise,
         deviation=float(its.scales[index]),
@@ -139,9 +142,9 @@ def _refined(
 
 
 def _member(program: Program, pool: Pool | None, problem: Problem) -> int | None:
-    """Return the index of the front member of the same structure, if there is one."""
+    """Return the index of the front member of the same structure, if there is one; a known equation is the only one."""
     if pool is None:
-        return None
+        return 0
     key = structure(program)
     for index, entry in enumerate(pool.front):
         if structure(Program.from_bytes(entry.program, len(problem.names))) == key:
@@ -149,34 +152,33 @@ def _member(program: Program, pool: Pool | None, problem: Problem) -> int | None
     return None
 
 
-def _contenders(final: _Final, index: int) -> tuple[Contender, ...]:
+def _residuals(its: Measurements, shot: Shot, index: int) -> list[FloatArray]:
+    """Return what is left of a state along each piece, where it was measured and counts."""
+    pieces = [slice(first, end) for first, end in its.bounds.tolist()]
+    parts = [shot.residuals[index, rows][its.weights[index, rows] > 0.0] for rows in pieces]
+    return [part for part in parts if len(part)]
+
+
+def _foretold(final: _Final, out: _HeldOut | None, index: int) -> float | None:
+    """Return R2 of a state along trajectories that were held out, or else left out one at a time, if any were."""
+    its = out if out is not None else final.race.validated
+    return None if its is None else its.r2[index]
+
+
+def _contenders(final: _Final, index: int, held_out_r2: float | None) -> tuple[Contender, ...]:
     """Return the equation that is shown and what came closest to it, all other equations as they are."""
+    race = final.race
+    contest, best = race.choice.contest, race.choice.standing
     r2 = r2_of(final.contest.shooter.measurements, final.held.shot, slice(None))[index]
-    shown = Contender(final.shown[index], 0.0, r2, is_shown=True)
-    contest, best = final.choice.contest, final.choice.standing
-    if index in contest.fixed:
-        return (shown,)
-    tried = sorted(
-        (each for (equation, _), each in contest.tried.items() if equation == index), key=lambda its: its.nats
-    )
-    programs = {structure(each.programs[index]): each.programs[index] for each in tried}
-    near = contest.halved(best, index, list(programs.values())[: 4 * CONTENDERS], ((12, 3 * CONTENDERS),))
-    inputs = final.field.dataset.inputs
-    functions = [values_of(best.programs[index], inputs)]
-    found = [shown]
-    for each in near:
-        values = values_of(each.programs[index], inputs)
-        if all(_differ(values, other) for other in functions):
-            functions.append(values)
-            r2 = r2_of(contest.shooter.measurements, each.shot, slice(None))[index]
-            found.append(Contender(each.programs[index], max(each.nats - best.nats, 0.0), r2))
-    return tuple(found[: CONTENDERS + 1])
-
-
-def _differ(first: FloatArray, second: FloatArray) -> bool:
-    with np.errstate(all="ignore"):
-        difference = float(np.sqrt(np.mean((first - second) ** 2)))
-        return not difference <= SAME * float(np.std(second))
+    found = [Contender(final.shown[index], 0.0, r2, held_out_r2, is_shown=True)]
+    for rival in race.rivals[index]:
+        program, nats = rival.standing.programs[index], max(rival.standing.nats - best.nats, 0.0)
+        r2 = r2_of(contest.shooter.measurements, rival.standing.shot, slice(None))[index]
+        held_out_r2 = None if rival.validated is None else rival.validated.r2[index]
+        if nats <= VALIDATED_NATS and final.unseen is not None:
+            held_out_r2 = _held_out(final.unseen, rival.standing.programs).r2[index]
+        found.append(Contender(program, nats, r2, held_out_r2))
+    return tuple(found)
 
 
 __all__ = ["Errors", "concluded"]

@@ -3,7 +3,7 @@
 Letters: N rows of all trajectories, S states, D of them with an equation here, O measured ones, U inputs, B pieces.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -20,6 +20,9 @@ ROOM: Final = 3.0
 
 PIECE: Final = 500
 """Rows of a trajectory that are simulated at a stretch; the misfit of longer ones has too many minima to be fitted."""
+
+LEAST_PIECE: Final = 100
+"""Where there are many rows, pieces of so many are compared rather than shorter ones of more trajectories."""
 
 FAR_OUT: Final = 4.5
 """Measurements this many standard errors of noise from the smoothed state count as outliers where there are any."""
@@ -84,14 +87,23 @@ class Measurements:
         """Return pieces of the trajectories, spread evenly, of at most about `most` rows together."""
         if self.rows <= most:
             return self
-        length = max(2, min(PIECE // 2, most // len(self.bounds)))
+        length = min(PIECE // 2, max(LEAST_PIECE, most // len(self.bounds)))
         pieces = [
             (first, min(first + length, end), owner)
             for (first, end), owner in zip(self.bounds.tolist(), self.owners.tolist(), strict=True)
-            for first, end in _cut(first, end, max(1, (end - first) // length))
+            for first, end in _cut(first, end, max(1, round((end - first) / length)))
         ]
-        count = max(1, most // length)
-        kept = [pieces[index * len(pieces) // count] for index in range(min(count, len(pieces)))]
+        count = min(max(1, most * len(pieces) // self.rows), len(pieces))
+        kept = [pieces[index * len(pieces) // count] for index in range(count)]
+        return self._of(kept)
+
+    def part(self, owners: Collection[int]) -> "Measurements":
+        """Return the pieces of these trajectories (indices of `names`)."""
+        bounds = zip(self.bounds.tolist(), self.owners.tolist(), strict=True)
+        return self._of([(first, end, owner) for (first, end), owner in bounds if owner in owners])
+
+    def _of(self, kept: Sequence[tuple[int, int, int]]) -> "Measurements":
+        """Return the pieces `kept`: first row, end, owner."""
         rows = np.concatenate([np.arange(first, end) for first, end, _ in kept])
         lengths = np.array([end - first for first, end, _ in kept])
         ends = np.cumsum(lengths)
@@ -108,11 +120,14 @@ class Measurements:
         )
 
 
-def measurements_of(recording: Recording, modelled: Sequence[int], *, held_out: bool = False) -> Measurements:
+def measurements_of(
+    recording: Recording, modelled: Sequence[int], *, held_out: bool = False, piece: int = PIECE
+) -> Measurements:
     """Return the measurements for a system whose equations are those of the `modelled` states (indices).
 
     The other states, as smoothed, are inputs behind the recording's own. With order 2 the velocities of the modelled
-    states are states, too, behind the positions, and not measured.
+    states are states, too, behind the positions, and not measured. At most `piece` rows are simulated at
+    a stretch.
 
     Raises:
         ValueError: there are no such trajectories.
@@ -132,7 +147,7 @@ def measurements_of(recording: Recording, modelled: Sequence[int], *, held_out: 
         slopes.append(_stacked(_gradients(part, others) for part in parts))
     smoothed = np.concatenate(states)
     noise = np.array([recording.smoothing[index].noise for index in chosen])
-    bounds, owners = _pieces([len(part.times) for part in parts])
+    bounds, owners = _pieces([len(part.times) for part in parts], piece)
     return Measurements(
         bounds=bounds,
         owners=owners,
@@ -176,13 +191,13 @@ def _stacked(arrays: Iterator[FloatArray]) -> FloatArray:
     return np.ascontiguousarray(np.concatenate(list(arrays), axis=1))
 
 
-def _pieces(lengths: Sequence[int]) -> tuple[Ints, Ints]:
+def _pieces(lengths: Sequence[int], most: int) -> tuple[Ints, Ints]:
     """Return bounds and owners of the pieces of trajectories that have so many rows."""
     ranges: list[tuple[int, int]] = []
     owners: list[int] = []
     start = 0
     for owner, length in enumerate(lengths):
-        its = _cut(start, start + length, -(-length // PIECE))
+        its = _cut(start, start + length, -(-length // most))
         ranges += its
         owners += [owner] * len(its)
         start += length

@@ -7,7 +7,7 @@ states are weighted by their variances, which are fitted as well. Letters as in 
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -28,6 +28,9 @@ QUICK_ENOUGH: Final = 1e-5
 
 OVERHEAD: Final = 10
 """Numbers whose carrying along takes as long as everything else about a row."""
+
+LEAP: Final = 5
+"""Segments grow at most so many times from one stage of a fit to the next."""
 
 _SETTLED: Final = 1e-7
 _FIRST_DAMPING: Final = 1e-3
@@ -85,6 +88,7 @@ class Shooter:
 
     def __init__(self, measurements: Measurements, precision: float) -> None:
         """`precision` is the error of a step over a state's standard deviation."""
+        self.precision: Final = precision
         self._table = PRECISE if precision < QUICK_ENOUGH else QUICK
         self.measurements: Final = measurements
         self._measured = np.where(measurements.weights > 0.0, measurements.measured, 0.0)
@@ -212,8 +216,13 @@ def misfit(shot: Shot, floors: FloatArray, counts: FloatArray) -> float:
 
     `floors` (O,) are standard deviations, `counts` (O,) the numbers measured of each state.
     """
+    return nats_of(shot.squares, floors, counts)
+
+
+def nats_of(squares: FloatArray, floors: FloatArray, counts: FloatArray) -> float:
+    """Return the same of mean squares (O,) of errors."""
     total = 0.0
-    for square, floor, count in zip(shot.squares.tolist(), floors.tolist(), counts.tolist(), strict=True):
+    for square, floor, count in zip(squares.tolist(), floors.tolist(), counts.tolist(), strict=True):
         variance = max(square, floor * floor)
         total += 0.5 * count * (math.log(variance) + square / variance - 1.0)
     return total
@@ -222,7 +231,7 @@ def misfit(shot: Shot, floors: FloatArray, counts: FloatArray) -> float:
 def staged(shooter: Shooter, system: System, lengths: Sequence[int | None], steps: int) -> Shot | None:
     """Return `system` fitted to segments of growing `lengths`, each fit begun where the one before ended."""
     shot: Shot | None = None
-    for length in lengths:
+    for length in _gradual(lengths, shooter.measurements):
         starts = None
         if shot is not None:
             starts = np.ascontiguousarray(shot.simulated[:, shooter.measurements.segments(length)[:, 0]].T)
@@ -233,3 +242,19 @@ def staged(shooter: Shooter, system: System, lengths: Sequence[int | None], step
             return None
         shot = following
     return shot
+
+
+def _gradual(lengths: Sequence[int | None], its: Measurements) -> Iterator[int | None]:
+    """Yield `lengths`, and between any two those that it takes for none to be `LEAP` times as long as the one before.
+
+    Errors may grow so much along a trajectory that a fit of short segments is no beginning for one of long ones.
+    """
+    longest = int((its.bounds[:, 1] - its.bounds[:, 0]).max())
+    before: int | None = None
+    for length in lengths:
+        rows = longest if length is None else length
+        while before is not None and rows > LEAP * before:
+            before *= LEAP
+            yield before
+        yield length
+        before = rows
