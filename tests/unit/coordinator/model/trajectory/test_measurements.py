@@ -123,7 +123,7 @@ def test_segments_cover_every_row_once_and_have_about_the_length(rows, length):
         assert sizes.min() >= min(*rows, length / 1.5 - 1)
 
 
-@pytest.mark.parametrize("most", [40, 200, 600])
+@pytest.mark.parametrize("most", [130, 200, 600])
 def test_thinned_rows_are_pieces_of_the_trajectories(most):
     its = measurements_of(recording(SWING, STARTS[:2], lengths_of(1203, 400), noise=0.1), [0, 1])
     thinned = its.thinned(most)
@@ -132,7 +132,7 @@ def test_thinned_rows_are_pieces_of_the_trajectories(most):
     assert thinned.bounds[-1, 1] == thinned.rows
     assert thinned.limits.shape == (2, 2)
     for (first, end), owner in zip(thinned.bounds.tolist(), thinned.owners.tolist(), strict=True):
-        (start,) = np.flatnonzero((its.measured[0] == thinned.measured[0, first]))
+        (start,) = np.flatnonzero(its.measured[0] == thinned.measured[0, first])
         part = slice(start, start + end - first)
         assert its.measured[:, part].tolist() == thinned.measured[:, first:end].tolist()
         assert its.times[part].tolist() == thinned.times[first:end].tolist()
@@ -140,6 +140,23 @@ def test_thinned_rows_are_pieces_of_the_trajectories(most):
         assert its.owners[piece] == owner
         assert start + end - first <= its.bounds[piece, 1]
     assert (thinned.scales.tolist(), thinned.noise.tolist()) == (its.scales.tolist(), its.noise.tolist())
+
+
+def test_some_trajectories_can_be_taken_out():
+    its = measurements_of(swinging(noise=0.1), [0, 1])
+    part = its.part({0, 2})
+    assert part.bounds.tolist() == [[0, 30], [30, 41]]
+    assert part.owners.tolist() == [0, 2]
+    assert part.names == its.names
+    kept = [*range(30), *range(50, 61)]
+    for name in ("times", "measured", "weights", "smoothed", "inputs", "input_slopes"):
+        assert getattr(part, name).tolist() == getattr(its, name)[..., kept].tolist()
+
+
+def test_pieces_are_as_long_as_asked_for_at_most():
+    its = measurements_of(swinging(), [0, 1], piece=15)
+    assert its.bounds.tolist() == [[0, 15], [15, 30], [30, 40], [40, 50], [50, 61]]
+    assert its.owners.tolist() == [0, 0, 1, 1, 2]
 
 
 def test_few_rows_are_not_thinned():
