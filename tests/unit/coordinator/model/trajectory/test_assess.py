@@ -90,6 +90,18 @@ def test_bands_of_a_coupled_system_are_those_of_its_linearisation():
     assert bands(rows, standing, errors) == pytest.approx(expected, rel=1e-4)
 
 
+def test_bands_of_a_system_without_constants_are_those_of_its_initial_states():
+    """x' = -x along one trajectory: the error of the start decays."""
+    bare = Known(("x",), lambda _, z: [-z[0]])
+    rows = measurements_of(recording(bare, ([2.0],), TIMES, NOISE), [0])
+    its = contest(bare, rows, 1e-8)
+    standing = its.stand([bare.parsed("-x")], lengths=(None,))
+    decay = np.exp(-TIMES)
+    error = standing.shot.sigmas[0] * np.sqrt(20.0 / 19.0) / np.sqrt(decay @ decay)
+    assert bands(rows, standing, errors_of(its, standing))[0] == pytest.approx(error * decay, rel=1e-4)
+    assert constants_of(its, standing.programs, errors_of(its, standing)) == [()]
+
+
 def test_a_constant_that_the_data_do_not_determine_is_said_to_be_none():
     """x stays near 1, so that x and x^2 say nearly the same: neither is known, and they are correlated."""
     still = Known(("x",), lambda _, z: [0.5 - 0.5 * z[0]])

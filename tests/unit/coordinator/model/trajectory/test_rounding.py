@@ -48,7 +48,7 @@ def test_the_shorter_number_is_taken_the_less_is_known():
 
 
 def test_a_number_that_is_not_simple_keeps_the_digits_that_are_known():
-    text, standing = shown(0.31415926, 1e-5)
+    text, _ = shown(0.31415926, 1e-5)
     assert float(text.removeprefix("-").removesuffix("*x")) == pytest.approx(0.31415926, abs=1e-5)
     assert text != "-0.3*x"
 
@@ -68,12 +68,12 @@ def test_all_constants_of_a_system_are_decided_together(seed):
     assert set().union(*values) <= {1.0, 2.0, 3.0}
 
 
-def test_what_is_shown_never_costs_more():
-    known, its, standing = decayed(0.0496, 0.03)
+def test_what_is_shown_misses_the_measurements_by_little_more():
+    _, its, standing = decayed(0.0496, 0.03)
     (program,) = rounded(its, standing)
-    free, simple = (its.shooter.fit(its.system([each], [places]), None, 30) for each, places in (
-        (standing.programs[0], ()), (program, range(len(program)))))  # fmt: skip
-    assert its.measured([program], simple).misfit < its.measured(standing.programs, free).misfit + 3.0
+    held = its.system([program], [range(len(program))])
+    simple = its.shooter.fit(held, None, 30)
+    assert standing.misfit <= its.measured([program], simple).misfit < standing.misfit + 3.0
 
 
 def test_a_fixed_equation_is_shown_as_it_is():
