@@ -150,7 +150,8 @@ def test_a_known_equation_stays_as_it_is_given():
 
 
 def test_only_allowed_operators_and_variables_come_in():
-    space = SpaceConfig(operators=("+", "-", "*", "sin", "cos"), operators_of={"x": ("+", "-")}, variables_of={"y": ("y",)})  # fmt: skip
+    all_of_them = ("+", "-", "*", "sin", "cos")
+    space = SpaceConfig(operators=all_of_them, operators_of={"x": ("+", "-")}, variables_of={"y": ("y",)})
     its = refined(LOTKA, LOTKA_STARTS[:2], {"x": ("x",), "y": ("y",)}, noise=0.05, config=JobConfig(space=space))
     codes = set(its.equations["x"].program.operators.tolist())
     assert codes <= {0, 1, *(BY_NAME[name].code for name in ("+", "-", "neg"))}
