@@ -68,7 +68,8 @@ def test_intervals_are_those_of_students_t():
 
 def test_bands_are_the_spread_of_the_simulations(draws):
     spread = np.std([standing.shot.simulated[0] for _, standing in draws], axis=0)
-    found = np.mean([bands(its.shooter.measurements, standing, errors_of(its, standing))[0] for its, standing in draws], axis=0)  # fmt: skip
+    errors = [bands(its.shooter.measurements, standing, errors_of(its, standing))[0] for its, standing in draws]
+    found = np.mean(errors, axis=0)
     assert found == pytest.approx(spread, rel=0.25)
     assert found.mean() == pytest.approx(spread.mean(), rel=0.05)
 
