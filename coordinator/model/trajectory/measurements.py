@@ -1,6 +1,7 @@
 """The measured trajectories laid out for fits: all rows one after another, and what is simulated of them. Pure.
 
-Letters: N rows of all trajectories, S states, D of them with an equation here, O measured ones, U inputs, B pieces.
+Letters: N rows of all trajectories, S states, D of them with an equation here, O measured ones, K of these with an
+offset, U inputs, B pieces.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -36,7 +37,7 @@ class Measurements:
     trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), a weight of zero leaves
     a number out; `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured. `scales` (D,) are the
     states' standard deviations, `noise` (O,) the smoother's estimate of that of the measurement errors. `input_slopes`
-    belong to `inputs` (U, N). `variables` names the numbers of a point: D states, then U inputs.
+    belong to `inputs` (U, N). `offset` (K,) tells which of the states are measured up to an offset. `variables` names the numbers of a point: D states, then U inputs.
     """
 
     bounds: Ints
@@ -50,6 +51,7 @@ class Measurements:
     input_slopes: FloatArray
     scales: FloatArray
     noise: FloatArray
+    offset: Ints
     variables: tuple[str, ...]
     names: tuple[str, ...]
 
@@ -160,6 +162,9 @@ def measurements_of(
         input_slopes=np.ascontiguousarray(np.concatenate(slopes)),
         scales=np.maximum(smoothed.std(axis=1), 1e-300),
         noise=noise,
+        offset=np.array(
+            [place for place, index in enumerate(chosen) if recording.states[index] in recording.offsets], np.int64
+        ),
         variables=_variables(recording, chosen, others),
         names=tuple(part.name for part in parts),
     )

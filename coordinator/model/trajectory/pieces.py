@@ -41,6 +41,8 @@ def chosen(field: Field, pools: Mapping[str, Pool], settled: Mapping[str, Refine
         pools: what the search handed on.
         settled: equations by derivatives; those of converged searches without noise are not compared with others.
     """
+    if field.recording.offsets:
+        field = replace(field, piece=_longest(field))
     lists = candidates_of(field, pools, settled)
     if not all(lists):
         return None

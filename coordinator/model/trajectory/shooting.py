@@ -44,8 +44,9 @@ _STEEPEST: Final = 1e60
 class Shot:
     """A system fitted to segments.
 
-    `starts` (G, D) are the fitted initial states of `segments` (G, 2); `simulated` (D, N); `residuals` (O, N) measured
-    minus simulated; `sigmas` (O,) the standard deviations that errors were weighted by; `squares` (O,) their mean
+    `starts` (G, D) are the fitted initial states of `segments` (G, 2), and behind them, where trajectories are fitted in
+    whole, their K offsets (G, D + K); `simulated` (D, N); `residuals` (O, N) measured
+    minus simulated and offset; `sigmas` (O,) the standard deviations that errors were weighted by; `squares` (O,) their mean
     squares; `normal`, `coupling` and `own` the blocks of the normal equations at the end, weighted.
     """
 
@@ -107,13 +108,14 @@ class Shooter:
             system: where the fit begins.
             length: rows of a segment; None for whole trajectories.
             steps: most steps, successful or not.
-            starts: initial states (G, D); the smoothed ones unless given.
+            starts: initial states (G, D), or with offsets (G, D + K); the smoothed ones unless given.
             sigmas: what errors are weighted by (O,); the smoother's noise, or what the residuals are, unless given.
         """
         its = self.measurements
         segments = its.segments(length)
         if starts is None:
             starts = np.ascontiguousarray(its.smoothed[:, segments[:, 0]].T)
+        starts = self._with_offsets(starts, len(system.outputs), in_whole=length is None)
         if sigmas is None:
             sigmas = np.maximum(its.noise, 1e-4 * its.scales[its.observed])
         here = self._equations(system, segments, starts, sigmas)
@@ -143,6 +145,14 @@ class Shooter:
             here.own, here.gradients,
         )  # fmt: skip
 
+    def _with_offsets(self, starts: FloatArray, states: int, *, in_whole: bool) -> FloatArray:
+        """Return initial states with offsets, which whole trajectories alone determine; as zero if they have none."""
+        count = len(self.measurements.offset) if in_whole else 0
+        missing = states + count - starts.shape[1]
+        if missing <= 0:
+            return np.ascontiguousarray(starts[:, : states + count])
+        return np.concatenate([starts, np.zeros((len(starts), missing))], axis=1)
+
     def _squares(self, residuals: FloatArray) -> FloatArray:
         total = self.measurements.weights.sum(axis=1)
         return np.asarray((self.measurements.weights * residuals * residuals).sum(axis=1) / total)
@@ -152,7 +162,7 @@ class Shooter:
         new = np.maximum(np.sqrt(self._squares(here.residuals)), self._smallest)
         if np.all(np.abs(new / sigmas - 1.0) < 1e-3):
             return sigmas, here
-        return new, self._weighed(here.simulated, here.gradients, here.residuals, segments, new)
+        return new, self._weighed(here.simulated, here.gradients, here.residuals, segments, new, len(here.gradient))
 
     def _equations(
         self, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray, below: float = math.inf
@@ -161,9 +171,10 @@ class Shooter:
         its = self.measurements
         states, fitted = len(system.outputs), len(system.places)
         simulated = np.full((states, its.rows), np.nan)
-        gradients = np.zeros((its.rows, states, fitted + states))
+        local = starts.shape[1]
+        gradients = np.zeros((its.rows, states, fitted + local))
         with self._lock:
-            self.work += its.rows * (OVERHEAD + states * (1 + fitted + states))
+            self.work += its.rows * (OVERHEAD + states * (1 + fitted + local))
         done = shoot(
             self._table, system.code, system.left, system.right, system.constants, system.outputs, system.parameters,
             system.owners, its.times, its.inputs, its.input_slopes, segments, starts, self._tolerance, its.limits,
@@ -172,21 +183,29 @@ class Shooter:
         if done < len(segments) or not np.abs(gradients).max(initial=0.0) < _STEEPEST:
             return None
         residuals = self._measured - simulated[its.observed]
+        for place, state in enumerate(its.offset.tolist() if local > states else []):
+            column = states + place
+            gradients[:, its.observed[state], fitted + column] = 1.0
+            residuals[state] -= np.repeat(starts[:, column], segments[:, 1] - segments[:, 0])
         cost = float((self.measurements.weights * (residuals / sigmas[:, None]) ** 2).sum())
         if not cost < below:
             return None
-        return self._weighed(simulated, gradients, residuals, segments, sigmas)
+        return self._weighed(simulated, gradients, residuals, segments, sigmas, fitted)
 
     def _weighed(
-        self, simulated: FloatArray, gradients: FloatArray, residuals: FloatArray, segments: Ints, sigmas: FloatArray
+        self,
+        simulated: FloatArray,
+        gradients: FloatArray,
+        residuals: FloatArray,
+        segments: Ints,
+        sigmas: FloatArray,
+        fitted: int,
     ) -> _Equations:
-        states = simulated.shape[0]
-        fitted = gradients.shape[2] - states
-        groups = len(segments)
+        groups, local = len(segments), gradients.shape[2] - fitted
         weights = self.measurements.weights / (sigmas * sigmas)[:, None]
         blocks = (
-            np.zeros((fitted, fitted)), np.zeros((groups, fitted, states)), np.zeros((groups, states, states)),
-            np.zeros(fitted), np.zeros((groups, states)),
+            np.zeros((fitted, fitted)), np.zeros((groups, fitted, local)), np.zeros((groups, local, local)),
+            np.zeros(fitted), np.zeros((groups, local)),
         )  # fmt: skip
         normal_equations(segments, self.measurements.observed, residuals, weights, gradients, fitted, *blocks)
         cost = float((weights * residuals * residuals).sum())
