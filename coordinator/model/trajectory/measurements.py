@@ -35,9 +35,10 @@ class Measurements:
 
     `bounds` (B, 2) are the half-open row ranges of the pieces that are simulated at a stretch, `owners` (B,) the
     trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), a weight of zero leaves
-    a number out; `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured. `scales` (D,) are the
-    states' standard deviations, `noise` (O,) the smoother's estimate of that of the measurement errors. `input_slopes`
-    belong to `inputs` (U, N). `offset` (K,) tells which of the states are measured up to an offset. `variables` names the numbers of a point: D states, then U inputs.
+    a number out; `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured, and `offset` (K,)
+    which of these up to an offset. `scales` (D,) are the states' standard deviations, `noise` (O,) the smoother's
+    estimate of that of the measurement errors. `input_slopes` belong to `inputs` (U, N). `variables` names the numbers
+    of a point: D states, then U inputs.
     """
 
     bounds: Ints

@@ -44,10 +44,10 @@ _STEEPEST: Final = 1e60
 class Shot:
     """A system fitted to segments.
 
-    `starts` (G, D) are the fitted initial states of `segments` (G, 2), and behind them, where trajectories are fitted in
-    whole, their K offsets (G, D + K); `simulated` (D, N); `residuals` (O, N) measured
-    minus simulated and offset; `sigmas` (O,) the standard deviations that errors were weighted by; `squares` (O,) their mean
-    squares; `normal`, `coupling` and `own` the blocks of the normal equations at the end, weighted.
+    `starts` (G, D) are the fitted initial states of `segments` (G, 2), and behind them, where trajectories are fitted
+    in whole, their K offsets (G, D + K); `simulated` (D, N); `residuals` (O, N) measured minus simulated and offset;
+    `sigmas` (O,) the standard deviations that errors were weighted by; `squares` (O,) their mean squares; `normal`,
+    `coupling` and `own` the blocks of the normal equations at the end, weighted.
     """
 
     system: System
