@@ -15,13 +15,24 @@ import numpy as np
 
 from common.dataset import FloatArray
 from common.expression.kernels import Ints
+from coordinator.model.trajectory.kernels_implicit import STIFF
 from coordinator.model.trajectory.kernels_integrate import PRECISE, QUICK, shoot
 from coordinator.model.trajectory.kernels_normal import normal_equations, solve_step
+from coordinator.model.trajectory.kernels_rates import Table
 from coordinator.model.trajectory.measurements import Measurements
 from coordinator.model.trajectory.system import System
 
 STEPS_PER_ROW: Final = 40
-"""Integration steps that may be taken for each row, on average: what needs more is too stiff or blows up."""
+"""Integration steps that may be taken for each row, on average: what needs more is stiff or blows up."""
+
+QUICK_STEPS_PER_ROW: Final = 15
+"""The same for the quick method."""
+
+FINEST: Final = 1e-6
+"""Errors of an implicit step, over a state's standard deviation, are not made smaller: its order is low."""
+
+STIFF_WORK: Final = 5
+"""How many times the work it is to find a system stiff, or to integrate a stiff one."""
 
 QUICK_ENOUGH: Final = 1e-5
 """Errors of a step, over a state's standard deviation, above which the quick method takes less time."""
@@ -84,16 +95,29 @@ class _Equations:
     gradients: FloatArray
 
 
+@dataclass(frozen=True, eq=False)
+class _Method:
+    """How to integrate: steps for each row, the error (D,) allowed in one, and how many times the work it is."""
+
+    table: Table
+    steps: int
+    tolerance: FloatArray
+    work: int
+
+
 class Shooter:
     """Fits systems to `measurements`; `work` counts rows times numbers carried along, of all integrations."""
 
     def __init__(self, measurements: Measurements, precision: float) -> None:
         """`precision` is the error of a step over a state's standard deviation."""
         self.precision: Final = precision
-        self._table = PRECISE if precision < QUICK_ENOUGH else QUICK
+        explicit = (PRECISE, STEPS_PER_ROW) if precision < QUICK_ENOUGH else (QUICK, QUICK_STEPS_PER_ROW)
+        self._methods: Final = (
+            _Method(*explicit, precision * measurements.scales, 1),
+            _Method(STIFF, STEPS_PER_ROW, max(precision, FINEST) * measurements.scales, STIFF_WORK),
+        )
         self.measurements: Final = measurements
         self._measured = np.where(measurements.weights > 0.0, measurements.measured, 0.0)
-        self._tolerance = precision * measurements.scales
         self._smallest = np.maximum(_SMALLEST_NOISE * measurements.scales[measurements.observed], 1e-300)
         self.work = 0
         self._lock = threading.Lock()
@@ -118,7 +142,7 @@ class Shooter:
         starts = self._with_offsets(starts, len(system.outputs), in_whole=length is None)
         if sigmas is None:
             sigmas = np.maximum(its.noise, 1e-4 * its.scales[its.observed])
-        here = self._equations(system, segments, starts, sigmas)
+        here, method = self._by(self._methods[0], system, segments, starts, sigmas)
         if here is None:
             return None
         damping = _FIRST_DAMPING
@@ -127,7 +151,7 @@ class Shooter:
             there = None
             if step is not None:
                 moved, new_starts = system.with_values(system.values + step[0]), starts + step[1]
-                there = self._equations(moved, segments, new_starts, sigmas, here.cost)
+                there, method = self._by(method, moved, segments, new_starts, sigmas, here.cost)
             if there is None:
                 damping *= 10.0
                 if damping > _LARGEST_DAMPING:
@@ -164,24 +188,43 @@ class Shooter:
             return sigmas, here
         return new, self._weighed(here.simulated, here.gradients, here.residuals, segments, new, len(here.gradient))
 
+    def _by(
+        self, method: _Method, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray,
+        below: float = math.inf,
+    ) -> tuple[_Equations | None, _Method]:  # fmt: skip
+        """Return the equations at a point, see `_equations`, and the method to go on with.
+
+        That is the one for stiff systems if `method` took too many steps.
+        """
+        found, is_stiff = self._equations(method, system, segments, starts, sigmas, below)
+        if is_stiff and method is self._methods[0]:
+            method = self._methods[1]
+            found, _ = self._equations(method, system, segments, starts, sigmas, below)
+        return found, method
+
     def _equations(
-        self, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray, below: float = math.inf
-    ) -> _Equations | None:
-        """Return the equations at a point; None where it cannot be integrated or the cost is not below `below`."""
+        self, method: _Method, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray,
+        below: float = math.inf,
+    ) -> tuple[_Equations | None, bool]:  # fmt: skip
+        """Return the equations at a point, and whether the method took too many steps.
+
+        None where it cannot be integrated or the cost is not below `below`.
+        """
         its = self.measurements
         states, fitted = len(system.outputs), len(system.places)
         simulated = np.full((states, its.rows), np.nan)
         local = starts.shape[1]
         gradients = np.zeros((its.rows, states, fitted + local))
-        with self._lock:
-            self.work += its.rows * (OVERHEAD + states * (1 + fitted + local))
         done = shoot(
-            self._table, system.code, system.left, system.right, system.constants, system.outputs, system.parameters,
-            system.owners, its.times, its.inputs, its.input_slopes, segments, starts, self._tolerance, its.limits,
-            200 + STEPS_PER_ROW * its.rows, True, simulated, gradients,
+            method.table, system.code, system.left, system.right, system.constants, system.outputs, system.parameters,
+            system.owners, its.times, its.inputs, its.input_slopes, segments, starts, method.tolerance, its.limits,
+            200 + method.steps * its.rows, True, simulated, gradients,
         )  # fmt: skip
+        with self._lock:
+            work = STIFF_WORK if done < 0 else method.work
+            self.work += work * its.rows * (OVERHEAD + states * (1 + fitted + local))
         if done < len(segments) or not np.abs(gradients).max(initial=0.0) < _STEEPEST:
-            return None
+            return None, done < 0
         residuals = self._measured - simulated[its.observed]
         for place, state in enumerate(its.offset.tolist() if local > states else []):
             column = states + place
@@ -189,8 +232,8 @@ class Shooter:
             residuals[state] -= np.repeat(starts[:, column], segments[:, 1] - segments[:, 0])
         cost = float((self.measurements.weights * (residuals / sigmas[:, None]) ** 2).sum())
         if not cost < below:
-            return None
-        return self._weighed(simulated, gradients, residuals, segments, sigmas, fitted)
+            return None, False
+        return self._weighed(simulated, gradients, residuals, segments, sigmas, fitted), False
 
     def _weighed(
         self,
