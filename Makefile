@@ -39,6 +39,7 @@ quick: $(STAMP) kernels
 # Compiled before the first test, whose time is limited.
 kernels: $(STAMP)
 	@$(BIN)/python -c "from island_worker.warmup import warm_up; warm_up(print)"
+	@$(BIN)/python -c "from coordinator.warmup import warm_up; warm_up()"
 
 check: $(STAMP)
 	@$(BIN)/ruff check .

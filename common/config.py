@@ -4,12 +4,16 @@ Two presets: ``default`` (all of Atoll's additions) and ``paper`` (Table II of S
 Fields left ``None`` are resolved from the data when the job is prepared, see `coordinator.service`.
 """
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 Preset = Literal["default", "paper"]
 Loss = Literal["mae", "rmse"]
+
+PAPER_TERMINALS = 7
+TERMINALS_BEYOND_VARIABLES = 5
 
 PositiveInt = Annotated[int, Field(ge=1)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -52,9 +56,38 @@ class SpaceConfig(Model):
     """The space of expressions."""
 
     operators: tuple[str, ...] = ("+", "-", "*", "/", "sin", "cos")
+    operators_of: dict[str, tuple[str, ...]] = Field(default_factory=dict, description="per equation; overrides")
+    variables_of: dict[str, tuple[str, ...]] = Field(
+        default_factory=dict, description="per equation, the variables that it may use; all unless named"
+    )
     terminals: PositiveInt | None = Field(None, description="first nodes of a list; None: max(7, variables + 5)")
     operator_nodes: Annotated[int, Field(ge=1, le=100)] = 25
     max_size: Annotated[int, Field(ge=1, le=120)] | None = Field(None, description="largest complexity on the front")
+
+    def operators_for(self, variable: str) -> tuple[str, ...]:
+        """Return the operators that the equation of `variable` is made of."""
+        return self.operators_of.get(variable, self.operators)
+
+    def columns_for(self, variable: str, names: Sequence[str]) -> tuple[int, ...]:
+        """Return the indices into `names`, the symbols, of what the equation of `variable` may use, ascending."""
+        allowed = self.variables_of.get(variable, names)
+        return tuple(index for index, name in enumerate(names) if name in allowed)
+
+    def terminals_for(self, variables: int) -> int:
+        """Return the number of terminals of a list over so many variables."""
+        return self.terminals or max(PAPER_TERMINALS, variables + TERMINALS_BEYOND_VARIABLES)
+
+
+class PriorConfig(Model):
+    """What is known beforehand, as infix text over the table's symbols, by left-hand side such as `x` or `dx/dt`.
+
+    When a job is prepared, left-hand sides become the names of their variables.
+    """
+
+    guesses: dict[str, tuple[str, ...]] = Field(
+        default_factory=dict, description="expressions among which the islands begin; their constants are fitted"
+    )
+    known: dict[str, str] = Field(default_factory=dict, description="equations that are given, not searched")
 
 
 class EvolutionConfig(Model):
@@ -81,7 +114,7 @@ class PredictorConfig(Model):
     """Coevolved fitness predictors (paper, section 2.3 and Table II)."""
 
     enabled: bool = True
-    rows: Annotated[int, Field(ge=4, le=1024)] | None = Field(None, description="None: 16, or 64 with noisy targets")
+    rows: Annotated[int, Field(ge=4, le=1024)] | None = Field(None, description="None: 16, or 32 with noisy targets")
     predictors: Annotated[int, Field(ge=2, le=64)] = 8
     trainers: Annotated[int, Field(ge=1, le=64)] = 8
     renewal: PositiveInt = Field(50, description="predictor generations between trainer renewals")
@@ -103,7 +136,7 @@ class BudgetConfig(Model):
     max_epochs_of: dict[str, PositiveInt] = Field(default_factory=dict, description="per variable; overrides")
     max_time: Annotated[float, Field(gt=0.0)] | None = Field(None, description="seconds")
     stagnation: PositiveInt | None = Field(
-        None, description="epochs without a better equation after which a search ends; None: 60, or 6 where noisy"
+        None, description="epochs without a better equation after which a search ends; None: 60, or 3 where noisy"
     )
 
 
@@ -114,6 +147,7 @@ class JobConfig(Model):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     data: DataConfig = DataConfig()
     space: SpaceConfig = SpaceConfig()
+    prior: PriorConfig = PriorConfig()
     evolution: EvolutionConfig = EvolutionConfig()
     predictors: PredictorConfig = PredictorConfig()
     migration: MigrationConfig = MigrationConfig()
@@ -122,7 +156,7 @@ class JobConfig(Model):
 
 PAPER = JobConfig(
     preset="paper",
-    space=SpaceConfig(terminals=7),
+    space=SpaceConfig(terminals=PAPER_TERMINALS),
     evolution=EvolutionConfig(constant_fit_steps=0, linear_terms=0, scaled_constants=False, runners_up=0),
     predictors=PredictorConfig(rows=16),
     migration=MigrationConfig(joining=None),

@@ -67,7 +67,7 @@ class Dataset:
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """Names of the equations sought, in their order."""
+        """Names of the equations, in their order; of those that are known as well."""
         return tuple(target.variable for target in self.targets)
 
     def problem(self, variable: str) -> Problem:

@@ -2,8 +2,8 @@
 
 With noise the truth is often not the best of its complexity but one of the next. Hence *runners-up* are kept beside a
 front: the next best of each complexity, distinct in function. Whether two equations are one function is told from what
-was measured: two errors on all rows, each to four digits, agree by chance in one pair of many thousands, and then a
-near copy is lost. Comparisons of numbers alone, so the same on every machine.
+was measured: two errors on all rows, each to four digits, seldom agree by chance, and then one of two equally good ones
+is lost. Comparisons of numbers alone, so the same on every machine.
 """
 
 import math

@@ -36,13 +36,14 @@ _COMMUTATIVE: Final = frozenset({ADD, MULTIPLY})
 _ELEMENTARY: Final = {SIN: "sin", COS: "cos", EXP: "exp", LOG: "log", TANH: "tanh", POW: "pow"}
 
 
-def simplify_program(program: Program) -> Program:
+def simplify_program(program: Program, *, merges_constants: bool = True) -> Program:
     """Return the canonical program of the same function: equal on every row, bit for bit.
 
     Nodes on which the output does not depend go; an operator on constants alone becomes its value, if that is finite;
-    equal nodes become one, where ``a + b`` equals ``b + a`` and ``a*a`` equals ``a**2``. Pure and deterministic.
+    equal nodes become one, where ``a + b`` equals ``b + a`` and ``a*a`` equals ``a**2``; equal constants, too, unless
+    they are to be fitted apart. Pure and deterministic.
     """
-    nodes, output = _distinct_nodes(program)
+    nodes, output = _distinct_nodes(program, merges_constants)
     order = _reading_order(nodes, output)
     place = {index: position for position, index in enumerate(order)}
     rows = [_moved(nodes[index], place) for index in order]
@@ -60,7 +61,7 @@ def complexity(program: Program) -> int:
     return len(_reading_order(*_distinct_nodes(program)))
 
 
-def _distinct_nodes(program: Program) -> tuple[list[_Node], int]:
+def _distinct_nodes(program: Program, merges_constants: bool = True) -> tuple[list[_Node], int]:
     """Return folded nodes without duplicates, and the index of the output among them."""
     nodes: list[_Node] = []
     known: dict[tuple[int, int, int, str | None], int] = {}
@@ -77,7 +78,7 @@ def _distinct_nodes(program: Program) -> tuple[list[_Node], int]:
         if arity:
             node = _folded(node, nodes)
         key = _key(node)
-        if key not in known:
+        if key not in known or (node[0] == CONSTANT and not merges_constants):
             known[key] = len(nodes)
             nodes.append(node)
         place.append(known[key])

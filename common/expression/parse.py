@@ -53,25 +53,28 @@ _Kind = Literal["number", "call", "name", "natural", "operator", "foreign", "end
 _MINUS: Final = "unary minus"
 
 
-def from_infix(text: str, names: Sequence[str]) -> Program:
+def from_infix(text: str, names: Sequence[str], *, merges_constants: bool = True) -> Program:
     """Return the program that `text` writes over the symbols `names`.
+
+    Without `merges_constants` each number is a node of its own, so that equal ones can be fitted apart.
 
     Raises:
         UsageError: the text is no expression over `names`; says what was found and at which character.
     """
-    return _Parser(text, names).parse()
+    return _Parser(text, names, merges_constants).parse()
 
 
 class _Nodes:
-    """The operation list under construction; equal nodes are made once."""
+    """The operation list under construction; equal nodes are made once, constants only if they are to be merged."""
 
-    def __init__(self) -> None:
+    def __init__(self, merges_constants: bool) -> None:
+        self._merges_constants = merges_constants
         self.rows: list[tuple[int, int, int, float]] = []
         self._known: dict[tuple[int, int, int, str], int] = {}
 
     def add(self, code: int, left: int = 0, right: int = 0, value: float = 0.0) -> int:
         key = (code, left, right, value.hex())
-        if key not in self._known:
+        if key not in self._known or (code == CONSTANT and not self._merges_constants):
             self._known[key] = len(self.rows)
             self.rows.append((code, left, right, value))
         return self._known[key]
@@ -110,10 +113,10 @@ class _Token:
 class _Parser:
     """Operator precedence with two stacks (Dijkstra's shunting yard)."""
 
-    def __init__(self, text: str, names: Sequence[str]) -> None:
+    def __init__(self, text: str, names: Sequence[str], merges_constants: bool) -> None:
         self._text = text
         self._variables = {name: index for index, name in enumerate(names)}
-        self._nodes = _Nodes()
+        self._nodes = _Nodes(merges_constants)
         self._values: list[int] = []
         self._pending: list[_Token] = []
 

@@ -12,7 +12,8 @@ WorkerState = Literal["compiling", "ready", "computing", "waiting", "lost"]
 class VariableView(Model):
     """Progress of one equation. `epoch` counts completely reported epochs; `why` says how its search ended.
 
-    `verdict` is given when the job has ended: how far the equation can be trusted.
+    A known equation is not searched: `why` is "known" from the beginning. `verdict` is given when the job has ended:
+    how far the equation can be trusted.
     """
 
     variable: str
@@ -25,7 +26,7 @@ class VariableView(Model):
     point_evaluations: int = 0
     converged: bool = False
     finished: bool = False
-    why: Literal["target", "stagnation", "max-epochs", "max-time", "cancelled"] | None = None
+    why: Literal["target", "stagnation", "max-epochs", "max-time", "cancelled", "known"] | None = None
     verdict: Literal["exact", "good", "doubtful", "no model"] | None = None
 
 

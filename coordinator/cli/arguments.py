@@ -25,7 +25,7 @@ HANDLERS: Final = {
 """The module of each verb. Its function of the verb's name takes the parsed options and returns the exit code."""
 
 LATER_VERBS: Final = ("logs", "doctor", "simulate", "analyse", "analyze", "report", "export")
-LATER_OPTIONS: Final = ("--weights", "--guess")
+LATER_OPTIONS: Final = ("--weights",)
 
 EXIT_CODES: Final = (
     "exit codes: 0 done, 1 job failed, 2 bad usage or bad data, 3 coordinator not reachable,\n"
@@ -221,7 +221,24 @@ def _add_search(group: Any) -> None:
     group.add_argument(
         "--preset", metavar="default|paper", help="paper: Table II of Schmidt & Lipson 2008, nothing added"
     )
-    group.add_argument("--operators", metavar="LIST", help="what expressions are made of (default: +,-,*,/,sin,cos)")
+    group.add_argument(
+        "--operators",
+        action="append",
+        metavar="LIST",
+        help="what expressions are made of (default: +,-,*,/,sin,cos); x=LIST for one equation; repeatable",
+    )
+    group.add_argument(
+        "--allow", action="append", metavar="x=x,y", help="the variables that one equation may use; repeatable"
+    )
+    group.add_argument(
+        "--guess",
+        action="append",
+        metavar="dx=EXPR",
+        help="an equation to begin from, its constants fitted; repeatable",
+    )
+    group.add_argument(
+        "--known", action="append", metavar="dy=EXPR", help="an equation that is given, not searched; repeatable"
+    )
     group.add_argument("--islands", metavar="K", help="islands per state variable (default: 8)")
     group.add_argument("--max-size", metavar="N", help="largest complexity of an equation (default: no limit)")
 

@@ -108,8 +108,7 @@ def exit_code(view: JobView, target_error: float | None) -> int:
         return BAD_INPUT if view.fault == "data" else FAILED
     if view.state == "cancelled":
         return INTERRUPTED
-    missed = target_error is not None and not all(variable.converged for variable in view.variables)
-    return TARGET_MISSED if missed else DONE
+    return TARGET_MISSED if target_error is not None and _missed(view) else DONE
 
 
 def ending(view: JobView, target_error: float | None) -> str | None:
@@ -119,6 +118,10 @@ def ending(view: JobView, target_error: float | None) -> str | None:
     if view.state == "cancelled":
         return f"job {view.job} was cancelled; what it had found is kept"
     if exit_code(view, target_error) == TARGET_MISSED:
-        missed = ", ".join(variable.lhs for variable in view.variables if not variable.converged)
-        return f"--target-error {target_error:g} was not met within the budget by {missed}"
+        return f"--target-error {target_error:g} was not met within the budget by {', '.join(_missed(view))}"
     return None
+
+
+def _missed(view: JobView) -> list[str]:
+    """Return the left-hand sides of the equations that were searched and have not converged."""
+    return [each.lhs for each in view.variables if not each.converged and each.why != "known"]

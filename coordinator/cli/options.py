@@ -4,7 +4,6 @@ Pure apart from reading the job file. Every refusal is one sentence that names t
 """
 
 import argparse
-import csv
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
@@ -16,6 +15,8 @@ from pydantic import ValidationError
 from common.config import PRESETS, DataConfig, JobConfig
 from common.errors import UsageError
 from common.expression.operators import BY_NAME
+from coordinator.cli.name_lists import names
+from coordinator.cli.prior_options import prior_settings
 
 _SECONDS: Final = {"": 1.0, "ms": 1e-3, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 
@@ -34,17 +35,6 @@ def job_config(options: argparse.Namespace) -> JobConfig:
         raise UsageError(_sentence(error, given, options.config)) from error
     _check(config)
     return config
-
-
-def names(text: str, option: str, noun: str = "column") -> tuple[str, ...]:
-    """Split ``x,y`` into names, of columns or another `noun`; a name with a comma is written in double quotes."""
-    parts = tuple(part.strip() for part in next(csv.reader([text], skipinitialspace=True), []))
-    if not parts or not all(parts):
-        raise UsageError(f"{option} must be {noun} names separated by commas, but {text!r} was given")
-    twice = next((part for part in parts if parts.count(part) > 1), None)
-    if twice is not None:
-        raise UsageError(f"{option} names {twice!r} twice; name every {noun} once")
-    return parts
 
 
 def seconds(text: str, option: str = "--max-time") -> float:
@@ -68,10 +58,6 @@ def epochs(text: str, option: str = "--max-epochs") -> dict[str, Any]:
         else:
             budget["max_epochs"] = count
     return budget
-
-
-def _operators(text: str, option: str) -> tuple[str, ...]:
-    return names(text, option, "operator")
 
 
 def _angle(text: str) -> dict[str, Any]:
@@ -124,13 +110,25 @@ _OPTIONS: Final[Mapping[str, tuple[str, _Reader]]] = {
     "offsets": ("data.offsets", names),
     "missing": ("data.missing", _text),
     "holdout": ("data.holdout", _holdout),
-    "operators": ("space.operators", _operators),
     "max_size": ("space.max_size", _whole),
     "islands": ("evolution.islands", _whole),
     "max_time": ("budget.max_time", seconds),
     "target_error": ("budget.target_error", _number),
 }
 """By option: the key of the configuration that it sets, and how its text is read."""
+
+_PRIOR: Final = ("guess", "known", "operators", "allow")
+_FLAGS: Final = {
+    "data.angles": "--angle",
+    "budget.max_epochs": "--max-epochs",
+    "budget.max_epochs_of": "--max-epochs",
+    "space.operators": "--operators",
+    "space.operators_of": "--operators",
+    "space.variables_of": "--allow",
+    "prior.guesses": "--guess",
+    "prior.known": "--known",
+}
+"""By key: the repeatable option that sets it."""
 
 
 def _given(options: argparse.Namespace) -> dict[str, Any]:
@@ -144,6 +142,7 @@ def _given(options: argparse.Namespace) -> dict[str, Any]:
         values["data.robust"] = True
     if options.angle is not None:
         values["data.angles"] = [_angle(text) for text in options.angle]
+    values |= prior_settings({_flag(option): getattr(options, option) for option in _PRIOR})
     if options.max_epochs is not None:
         values |= {f"budget.{key}": value for key, value in epochs(options.max_epochs).items()}
     return values
@@ -210,12 +209,12 @@ def _place(path: Sequence[str], given: Mapping[str, Any], file: str | None) -> s
 
 
 def _flag_of(key: str) -> str:
-    special = {"data.angles": "--angle", "budget.max_epochs": "--max-epochs", "budget.max_epochs_of": "--max-epochs"}
-    return special.get(key) or next(_flag(option) for option, (name, _) in _OPTIONS.items() if name == key)
+    return _FLAGS.get(key) or next(_flag(option) for option, (name, _) in _OPTIONS.items() if name == key)
 
 
 def _check(config: JobConfig) -> None:
-    _check_operators(config.space.operators)
+    for operators in (config.space.operators, *config.space.operators_of.values()):
+        _check_operators(operators)
     _check_modes(config.data)
     _check_holdout(config.data)
     _check_columns(config.data)

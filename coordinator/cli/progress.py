@@ -75,6 +75,8 @@ def row(variable: VariableView) -> tuple[str, ...]:
 
 def standing(variable: VariableView) -> str:
     """Return in a word or two how the search of one equation stands; after it, how far the equation can be trusted."""
+    if variable.why == "known":
+        return "known"
     if variable.verdict:
         return variable.verdict
     if variable.converged:

@@ -42,6 +42,29 @@ class Roles:
         return self.states if self.target is None else (self.target,)
 
 
+def variable_columns(roles: Roles, order: int) -> tuple[str, ...]:
+    """Return what expressions may use: states, for order 2 their velocities, and inputs."""
+    return (*roles.states, *velocity_columns(roles, order), *roles.inputs)
+
+
+def velocity_columns(roles: Roles, order: int) -> tuple[str, ...]:
+    """Return the names of the velocities that are variables: one for each state for order 2, else none."""
+    taken = (*roles.states, *roles.inputs)
+    return tuple(_fresh(f"{name}_dot", taken) for name in roles.states) if order == 2 else ()
+
+
+def left_hand_side(roles: Roles, name: str, order: int) -> str:
+    """Return how the left-hand side of the equation `name` is printed."""
+    if roles.target is not None:
+        return name
+    time = roles.time or "t"
+    return f"d2{name}/d{time}2" if order == 2 else f"d{name}/d{time}"
+
+
+def _fresh(name: str, taken: Sequence[str]) -> str:
+    return _fresh(name + "_", taken) if name in taken else name
+
+
 def mentioned(config: DataConfig) -> frozenset[str]:
     """Return every column name that the options mention."""
     single = [name for name in (config.time, config.trajectory, config.target) if name is not None]

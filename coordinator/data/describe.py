@@ -4,15 +4,23 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from common.config import JobConfig
+from common.config import JobConfig, PriorConfig
 from common.dataset import FloatArray
 from common.table import Table
+from coordinator.data.columns import left_hand_side
 from coordinator.data.measured import Measured, measured
+from coordinator.data.prior import resolve_roles
 
 
 def describe(table: Table, config: JobConfig) -> str:
-    """Return lines on files, trajectories, rows, time and columns; raises what `measured` raises."""
+    """Return lines on files, trajectories, rows, time, columns and what is known beforehand.
+
+    Raises:
+        UsageError: options contradict each other, or what is known beforehand cannot be used.
+        DataError: the measurements cannot be used as they are.
+    """
     its = measured(table, config.data)
+    resolved, _ = resolve_roles(config.model_copy(update={"data": its.config}), its.roles)
     lines = [_size(its)]
     if its.roles.time is not None:
         lines.append(f"time {_with_unit(table, its.roles.time)}: {_times(its.column(its.roles.time), its.runs)}")
@@ -21,7 +29,13 @@ def describe(table: Table, config: JobConfig) -> str:
     if roles.target is not None:
         parts = [("target", (roles.target,)), ("inputs", roles.inputs)]
     lines += [f"{part}: {', '.join(_with_unit(table, name) for name in names)}" for part, names in parts if names]
-    return "\n".join(lines)
+    return "\n".join([*lines, *_prior(resolved.prior, its)])
+
+
+def _prior(prior: PriorConfig, its: Measured) -> list[str]:
+    sides = {name: left_hand_side(its.roles, name, its.config.order) for name in its.roles.equations}
+    known = [f"known: {sides[name]} = {text}" for name, text in prior.known.items()]
+    return known + [f"guess: {sides[name]} = {text}" for name, texts in prior.guesses.items() for text in texts]
 
 
 def _size(its: Measured) -> str:

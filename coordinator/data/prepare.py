@@ -7,17 +7,18 @@ from typing import Final
 
 import numpy as np
 
-from common.config import DataConfig, JobConfig
+from common.config import JobConfig
 from common.dataset import Dataset, FloatArray, Target
 from common.errors import DataError
 from common.table import Table
 from coordinator.data.checks import MIN_ROWS
-from coordinator.data.columns import Roles
+from coordinator.data.columns import left_hand_side, variable_columns, velocity_columns
 from coordinator.data.derivatives import Estimate, Way, estimate
 from coordinator.data.describe import describe
 from coordinator.data.gaps import split_at_gaps
 from coordinator.data.kernels_stencils import HALF_WIDTHS, moments
 from coordinator.data.measured import Measured, measured
+from coordinator.data.prior import resolve_roles
 from coordinator.data.recorded import recorded
 from coordinator.data.recording import Preparation
 from coordinator.data.rows import Kept, kept_rows
@@ -39,6 +40,8 @@ def prepare(table: Table, config: JobConfig) -> Preparation:
         DataError: the measurements cannot be used as they are; the message says where and what to do.
     """
     its = measured(table, config.data)
+    _, equations = resolve_roles(config.model_copy(update={"data": its.config}), its.roles)
+    its = replace(its, config=its.config.model_copy(update={"only": equations}))
     if its.trajectories is None:
         return _given(its)
     way = Way(its.config.order, config.preset == "paper", its.config.robust)
@@ -59,14 +62,14 @@ class _Columns:
 
 def _given(its: Measured) -> Preparation:
     """Prepare a table that holds the left-hand sides: labels or derivatives, taken as exact."""
-    names = (*its.roles.states, *its.roles.inputs)
+    names = variable_columns(its.roles, its.config.order)
     columns = _Columns(symbols_for(names), np.array([its.column(name) for name in names]))
     seen, held_out = its.indices(held_out=False), its.indices(held_out=True)
     targets = []
     for name, column in zip(its.roles.equations, its.roles.derivatives or its.roles.equations, strict=True):
         values = its.column(column, angle_of=name)
         deviation = finite_spread(column, values[seen])
-        targets.append(Target(name, _lhs(name, its.roles, its.config), values, 0.0, deviation))
+        targets.append(Target(name, left_hand_side(its.roles, name, its.config.order), values, 0.0, deviation))
     return Preparation(
         _dataset(its, columns, targets, seen), None, _dataset(its, columns, targets, held_out) if held_out else None
     )
@@ -82,13 +85,6 @@ def _dataset(its: Measured, columns: _Columns, targets: Sequence[Target], rows: 
         dict(columns.symbols),
         its.warnings,
     )
-
-
-def _lhs(name: str, roles: Roles, config: DataConfig) -> str:
-    if roles.target is not None:
-        return name
-    time = roles.time or "t"
-    return f"d2{name}/d{time}2" if config.order == 2 else f"d{name}/d{time}"
 
 
 def _estimated(its: Measured, way: Way) -> list[Estimate]:
@@ -112,15 +108,15 @@ def _differentiated(its: Measured, estimates: Sequence[Estimate], *, paper: bool
     lengths = [last - first for first, last in its.runs]
     kept = kept_rows(estimates, lengths, its.indices(held_out=False), its.indices(held_out=True), paper=paper)
     its = replace(its, warnings=(*its.warnings, *kept.warnings, *_remarks(its, estimates, kept)))
-    velocities = _velocities(its)
+    velocities = velocity_columns(its.roles, its.config.order)
     inputs = [its.along(name) for name in its.roles.inputs]
-    symbols = symbols_for([*its.roles.states, *velocities, *its.roles.inputs])
+    symbols = symbols_for(variable_columns(its.roles, its.config.order))
     values = [each.values for each in estimates]
     values += [each.velocity for each in estimates if velocities]
     values += [np.concatenate(parts) for parts in inputs]
     columns = _Columns(symbols, np.array(values))
     targets = [
-        _target(name, _lhs(name, its.roles, its.config), each, kept.seen)
+        _target(name, left_hand_side(its.roles, name, its.config.order), each, kept.seen)
         for name, each in zip(its.roles.states, estimates, strict=True)
     ]
     return Preparation(
@@ -152,17 +148,6 @@ def _outliers(state: str, count: int, rows: int) -> str:
     sentence = f"State '{state}' has {count} {'outlier' if count == 1 else 'outliers'} without weight"
     many = "; so many suggest that rows are too far apart for --robust, not that they are wrong"
     return sentence + (many if count > MANY_OUTLIERS * rows else "") + "."
-
-
-def _velocities(its: Measured) -> list[str]:
-    """Return the column names of the velocities that are variables: one for each state for order 2, else none."""
-    if its.config.order == 1:
-        return []
-    return [_fresh(f"{name}_dot", (*its.roles.states, *its.roles.inputs)) for name in its.roles.states]
-
-
-def _fresh(name: str, taken: Sequence[str]) -> str:
-    return _fresh(name + "_", taken) if name in taken else name
 
 
 def _target(name: str, lhs: str, its: Estimate, kept: list[int]) -> Target:

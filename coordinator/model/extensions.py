@@ -15,7 +15,8 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
     """Yield programs that differ from `program` by a small part at one node, tidied; each structure once.
 
     A node n becomes n + c, n + c v, n + c v w, n + c/v, n + c sin v, n (1 + c v) or n/(1 + c v) with variables v and w
-    and a small constant c, by the `operators` (codes) that are allowed. Their constants want to be fitted.
+    and a small constant c; or, which is no small change, n sin v or n/sin v, or a variable its sine; cosines likewise.
+    Only the `operators` (codes) that are allowed are brought in. Constants want to be fitted.
 
     Args:
         program: over as many variables as there are `scales`.
@@ -25,7 +26,7 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
     nodes = nodes_of(program)
     known = {structure(program)}
     for index in range(len(nodes)):
-        for made in _joined(index, scales):
+        for made in (*_joined(index, scales), *_wrapped(nodes, index)):
             if any(ARITY[code] and code not in operators for code, *_ in made):
                 continue
             changed = rebuilt(nodes, index, made)
@@ -50,8 +51,18 @@ def _joined(index: int, scales: Sequence[float]) -> Iterator[list[Node]]:
         yield [(CONSTANT, 0, 0, SMALL * scale), leaf, (DIVIDE, a, b, 0.0), (ADD, index, c, 0.0)]
         for code in (SIN, COS):
             yield [(CONSTANT, 0, 0, SMALL), leaf, (code, b, 0, 0.0), (MULTIPLY, a, c, 0.0), (ADD, index, d, 0.0)]
+        for code in (SIN, COS):
+            for join in (MULTIPLY, DIVIDE):
+                yield [leaf, (code, a, 0, 0.0), (join, index, b, 0.0)]
         for w, other in enumerate(scales[: v + 1]):
             if other > 0.0:
                 size: Node = (CONSTANT, 0, 0, SMALL / (scale * other))
                 pair: list[Node] = [size, leaf, (VARIABLE, w, 0, 0.0), (MULTIPLY, b, c, 0.0), (MULTIPLY, a, d, 0.0)]
                 yield [*pair, (ADD, index, e, 0.0)]
+
+
+def _wrapped(nodes: list[Node], index: int) -> Iterator[list[Node]]:
+    """Yield the sine and the cosine of a variable."""
+    if nodes[index][0] == VARIABLE:
+        for code in (SIN, COS):
+            yield [(code, index, 0, 0.0)]

@@ -14,12 +14,12 @@ _NEAR_ZERO: Final = 0.001
 _EXCHANGED: Final = {ADD: SUBTRACT, SUBTRACT: ADD, MULTIPLY: DIVIDE, DIVIDE: MULTIPLY, SIN: COS, COS: SIN}
 
 
-def neighbours(program: Program, variables: int, operators: Collection[int]) -> Iterator[Program]:
+def neighbours(program: Program, variables: Collection[int], operators: Collection[int]) -> Iterator[Program]:
     """Yield programs that differ from `program` in one place, tidied; each structure once. Their constants want to be
     fitted.
 
     At one node a leaf is exchanged for another, an operator for its relative, or a constant or variable is joined to
-    it. Only `operators` (codes) are brought in.
+    it. Only `variables` (their indices) and `operators` (codes) are brought in.
     """
     nodes = nodes_of(program)
     known = {structure(program)}
@@ -33,10 +33,10 @@ def neighbours(program: Program, variables: int, operators: Collection[int]) -> 
                 yield changed
 
 
-def _exchanged(nodes: list[Node], index: int, variables: int) -> Iterator[list[Node]]:
+def _exchanged(nodes: list[Node], index: int, variables: Collection[int]) -> Iterator[list[Node]]:
     code, left, right, _ = nodes[index]
     if code in (VARIABLE, CONSTANT):
-        yield from ([(VARIABLE, other, 0, 0.0)] for other in range(variables) if (code, left) != (VARIABLE, other))
+        yield from ([(VARIABLE, other, 0, 0.0)] for other in variables if (code, left) != (VARIABLE, other))
     if code == VARIABLE:
         yield [(CONSTANT, 0, 0, FRESH)]
     if code in _EXCHANGED:
@@ -47,11 +47,11 @@ def _exchanged(nodes: list[Node], index: int, variables: int) -> Iterator[list[N
         yield from turned(code, index, nodes[left])
 
 
-def _joined(index: int, variables: int) -> Iterator[list[Node]]:
+def _joined(index: int, variables: Collection[int]) -> Iterator[list[Node]]:
     made = index + 1
     yield [(CONSTANT, 0, 0, _NEAR_ZERO), (ADD, index, made, 0.0)]
     yield [(CONSTANT, 0, 0, _NEAR_ONE), (MULTIPLY, made, index, 0.0)]
-    for variable in range(variables):
+    for variable in variables:
         leaf = (VARIABLE, variable, 0, 0.0)
         small = (CONSTANT, 0, 0, _NEAR_ZERO)
         yield [leaf, small, (MULTIPLY, made + 1, made, 0.0), (ADD, index, made + 2, 0.0)]

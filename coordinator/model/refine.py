@@ -17,6 +17,7 @@ from common.expression.operators import BY_NAME
 from common.expression.program import Program
 from common.expression.text import PRINTABLE_SIZE, tree_size
 from common.pareto import FrontEntry
+from coordinator.data.prior import known_programs
 from coordinator.data.recording import Preparation
 from coordinator.model.criterion import Criterion
 from coordinator.model.errors import errors_on
@@ -53,7 +54,9 @@ def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Ref
         name: refine(problems[name], config, pools[name].front) for name in pools if not problems[name].target.is_noisy
     }
     settled = {name: refined for name, refined in clean.items() if refined is not None}
-    field = Field(preparation.dataset, preparation.recording, config, tuple(pools), {})
+    known = known_programs(preparation.dataset, config)
+    variables = tuple(name for name in preparation.dataset.variables if name in pools or name in known)
+    field = Field(preparation.dataset, preparation.recording, config, variables, known)
     choice = chosen(field, pools, settled)
     model = None if choice is None else concluded(choice, pools)
     if model is not None:
@@ -76,8 +79,10 @@ def refine(problem: Problem, config: JobConfig, front: Sequence[FrontEntry]) -> 
         kept = [index for index, entry in enumerate(front) if entry.error <= enough]
     else:
         kept, enough = [*range(len(front))], math.inf
-    operators = frozenset(BY_NAME[name].code for name in config.space.operators)
-    shortening = Shortening(_spread(problem, COMPARED_ROWS), operators)
+    variable = problem.target.variable
+    operators = frozenset(BY_NAME[name].code for name in config.space.operators_for(variable))
+    allowed = config.space.columns_for(variable, problem.names)
+    shortening = Shortening(_spread(problem, COMPARED_ROWS), operators, allowed)
     largest = config.space.max_size or math.inf
     candidates = shortening.candidates([programs[index] for index in kept], looks_around=not has_converged)
     for candidate in candidates[:_ATTEMPTS]:

@@ -171,6 +171,8 @@ def _equation_text(equation: Mapping[str, Any], names: Sequence[str], with_table
 
 
 def _standing(equation: Mapping[str, Any]) -> str:
+    if equation["why"] == "known":
+        return f"known: error {_number(equation['normalized_error'])} of the target's deviation"
     found = "converged" if equation["converged"] else "not converged"
     text = f"{found}: error {_number(equation['normalized_error'])} of the target's deviation"
     text += f", size {equation['complexity']}, epoch {equation['epoch']}"

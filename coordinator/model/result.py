@@ -29,6 +29,8 @@ from coordinator.model.select import select, threshold
 from coordinator.model.trust import candidates, correlations, finite, noise, simulation, verdict
 
 SCHEMA: Final = 1
+KNOWN: Final = "known"
+"""Why there was no search: the equation was given."""
 _PACKAGES: Final = ("eclipse-zenoh", "numpy", "numba", "scipy", "sympy", "msgpack", "pydantic", "polars")
 
 
@@ -41,7 +43,8 @@ class VariableOutcome:
     when none did; `evaluations` the cumulative point evaluations by part, all islands together; `seconds` the time from
     the first epoch's start to the cut's end; `why` how the search ended (None: it has not), as in
     `common.wire.views.VariableView`; `refined` is the equation made of the front after the search (None: none yet);
-    `runners_up` is what was kept beside the front.
+    `runners_up` is what was kept beside the front. A known equation is the only member of its front, and `why` is
+    `KNOWN`.
     """
 
     variable: str
@@ -104,7 +107,7 @@ def build_result(
         "point_evaluations": sum(_total(outcome) for outcome in outcomes),
         "search_seconds": finite(account.search_seconds),
         "seconds": finite(account.seconds),
-        "digest": result_digest(outcomes),
+        "digest": result_digest([outcome for outcome in outcomes if outcome.why != KNOWN]),
         "versions": versions(),
     }
 
@@ -198,7 +201,7 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
 def _course(entry: FrontEntry | None, outcome: VariableOutcome, config: JobConfig) -> dict[str, Any]:
     """Return when the equation was found and what that took."""
     generation = outcome.generation
-    if generation is None and entry is not None:
+    if generation is None and entry is not None and outcome.why != KNOWN:
         generation = entry.epoch * config.migration.generations + entry.generation
     return {
         "epoch": outcome.epoch,

@@ -56,11 +56,11 @@ class Candidate:
 class Shortening:
     """Shortens the front of one problem. Remembers what it has fitted, by structure."""
 
-    def __init__(self, problem: Problem, operators: Collection[int]) -> None:
-        """`operators` are the codes that new programs may use beside those of the front."""
+    def __init__(self, problem: Problem, operators: Collection[int], variables: Collection[int] | None = None) -> None:
+        """`operators` (codes) and `variables` (indices, all unless given) are what new programs may bring in."""
         self.criterion: Final = Criterion.of(problem.target)
         self.polisher: Final = Polisher(problem)
-        self._variables = len(problem.names)
+        self._variables = range(len(problem.names)) if variables is None else variables
         self._operators = operators
         self._fits: dict[bytes, tuple[Fitted, float]] = {}
         self._ends: dict[bytes, Fitted] = {}

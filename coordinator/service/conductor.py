@@ -117,10 +117,11 @@ class Conductor:
         job = self.jobs.get(job_id)
         if job is None or job.state != "preparing":
             return
-        unknown = sorted(set(job.config.budget.max_epochs_of) - set(prepared.dataset.variables))
+        sought = [target.variable for target in prepared.sought]
+        unknown = sorted(set(job.config.budget.max_epochs_of) - set(sought))
         if unknown:
-            sought = ", ".join(prepared.dataset.variables)
-            sentence = f"--max-epochs names {unknown[0]!r}, for which no equation is sought; sought are {sought}"
+            there = ", ".join(sought) or "none"
+            sentence = f"--max-epochs names {unknown[0]!r}, for which no equation is sought; sought are {there}"
             self.job_failed(job_id, "data", sentence, now)
             return
         cuts = {name: decode(data, Cut) for name, data in self._store.cuts(job_id).items()}

@@ -1,7 +1,7 @@
 """One job: its states, its archipelagos, and what is to be done when something happens to it. Pure; time comes in."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, Literal
 
 from common.config import JobConfig
@@ -66,12 +66,21 @@ JobAction = KeepCut | TellCommit | Refine | Conclude
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """What preparing gave, the resolved configuration, and the dataset's bytes by digest and size."""
+    """What preparing gave, the resolved configuration, and the dataset's bytes by digest and size.
+
+    `known` has the known equations by variable, as members of fronts of their own.
+    """
 
     preparation: Preparation
     config: JobConfig
     blob: str
     size: int
+    known: Mapping[str, FrontEntry] = field(default_factory=dict)
+
+    @property
+    def sought(self) -> tuple[Target, ...]:
+        """The targets whose equations are searched."""
+        return tuple(target for target in self.dataset.targets if target.variable not in self.known)
 
     @property
     def dataset(self) -> Dataset:
@@ -117,7 +126,7 @@ class Job:
         return JobAnnouncement(
             job=self.id,
             config=self.prepared.config,
-            variables=self.prepared.dataset.variables,
+            variables=tuple(target.variable for target in self.prepared.sought),
             blob=self.prepared.blob,
             size=self.prepared.size,
             chunks=chunk_count(self.prepared.size),
@@ -131,7 +140,7 @@ class Job:
         """Set up the archipelagos; those of `cuts` have ended before."""
         self._step("prepared")
         self.prepared = prepared
-        for target in prepared.dataset.targets:
+        for target in prepared.sought:
             archipelago = self._archipelago(prepared, target)
             if target.variable in cuts:
                 archipelago.restore(cuts[target.variable])

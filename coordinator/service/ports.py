@@ -6,7 +6,6 @@ from typing import Protocol
 
 from common.config import JobConfig
 from coordinator.data.recording import Preparation
-from coordinator.model.refine import refine_all
 from coordinator.model.refinement import Pools, Refinement
 from coordinator.service.store import JobRecord
 
@@ -66,8 +65,22 @@ the user."""
 Refiner = Callable[[Preparation, JobConfig, Pools], Refinement]
 """Makes the equations that are shown of what the search handed on; see `coordinator.model.refine.refine_all`."""
 
+WarmUp = Callable[[], None]
+"""Makes ready what refining needs, while a job is searched."""
+
 Background = Callable[[Callable[[], None]], None]
 """Has a piece of work done elsewhere than on the caller's thread, and returns at once."""
+
+
+def refine(preparation: Preparation, config: JobConfig, pools: Pools) -> Refinement:
+    """See `coordinator.model.refine.refine_all`, whose kernels are loaded no sooner."""
+    from coordinator.model.refine import refine_all
+
+    return refine_all(preparation, config, pools)
+
+
+def _nothing() -> None:
+    """Have nothing to make ready."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,4 +90,5 @@ class Ports:
     preparer: Preparer
     background: Background
     clock: Callable[[], str]
-    refiner: Refiner = refine_all
+    refiner: Refiner = refine
+    warm_up: WarmUp = _nothing

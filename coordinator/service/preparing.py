@@ -24,6 +24,13 @@ def prepare_table(table: bytes, config: JobConfig) -> Preparation:
     return prepare(Table.from_bytes(table), config)
 
 
+def make_refining_ready() -> None:
+    """Load the kernels of refining, compile them if need be."""
+    from coordinator.model.trajectory.warmup import warm_up
+
+    warm_up()
+
+
 def in_thread(work: Callable[[], None]) -> None:
     """Have `work` done in a thread that keeps no process alive."""
     threading.Thread(target=work, name="preparing", daemon=True).start()
@@ -34,4 +41,4 @@ def iso_now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
-REAL: Final = Ports(prepare_table, in_thread, iso_now)
+REAL: Final = Ports(prepare_table, in_thread, iso_now, warm_up=make_refining_ready)

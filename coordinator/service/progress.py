@@ -2,11 +2,11 @@
 
 import json
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 from common.expression.text import to_infix
 from common.wire.views import JobState, JobView, VariableView
-from coordinator.model.result import Account, VariableOutcome, build_result, equation_of
+from coordinator.model.result import KNOWN, Account, VariableOutcome, build_result, equation_of
 from coordinator.model.select import threshold
 from coordinator.model.trust import verdict
 from coordinator.service.archipelago import Archipelago
@@ -37,9 +37,16 @@ def result_text(result: dict[str, Any]) -> str:
 
 
 def outcomes_of(job: Job) -> list[VariableOutcome]:
-    """Return how the searches of a job stand or ended, with what refinement has made of them."""
-    made = job.refinement.equations
-    return [replace(outcome_of(each), refined=made.get(each.variable)) for each in job.archipelagos.values()]
+    """Return how the searches of a job stand or ended, with what refinement has made of them; known equations as well.
+
+    They come in the order of the dataset.
+    """
+    if job.prepared is None:
+        return []
+    found = {name: outcome_of(each) for name, each in job.archipelagos.items()}
+    found |= {name: VariableOutcome(name, (entry,), 0, why=KNOWN) for name, entry in job.prepared.known.items()}
+    order = [name for name in job.prepared.dataset.variables if name in found]
+    return [replace(found[name], refined=job.refinement.equations.get(name)) for name in order]
 
 
 def outcome_of(archipelago: Archipelago) -> VariableOutcome:
@@ -113,7 +120,7 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState
         epoch=outcome.epoch,
         point_evaluations=sum(outcome.evaluations.values()),
         finished=outcome.why is not None,
-        why=cast(Why | None, outcome.why),
+        why=cast(Why | Literal["known"] | None, outcome.why),
     )
     shown = equation_of(outcome, prepared.dataset, prepared.config)
     view = view.model_copy(update={"verdict": verdict(shown, target, state)["verdict"]})

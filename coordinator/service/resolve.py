@@ -4,23 +4,26 @@ from typing import Final
 
 from common.config import JobConfig
 from common.dataset import Dataset, Target
+from coordinator.data.prior import resolve_prior
 
 ROWS_CLEAN: Final = 16
-ROWS_NOISY: Final = 64
+ROWS_NOISY: Final = 32
 RUNNERS_UP_NOISY: Final = 8
 STAGNATION_CLEAN: Final = 60
-STAGNATION_NOISY: Final = 6
-PAPER_TERMINALS: Final = 7
-TERMINALS_BEYOND_VARIABLES: Final = 5
+STAGNATION_NOISY: Final = 3
 
 
 def resolve(config: JobConfig, dataset: Dataset) -> JobConfig:
-    """Return `config` with all filled in that workers need: rows of a predictor, terminals, runners-up."""
+    """Return `config` with all filled in that workers need: rows of a predictor, terminals, runners-up.
+
+    Left-hand sides that people wrote become the names of their variables; raises UsageError where that cannot be.
+    """
+    config = resolve_prior(config, dataset.variables, dataset.symbols)
     is_noisy = any(target.is_noisy for target in dataset.targets)
     rows, runners_up = config.predictors.rows, config.evolution.runners_up
     rows = rows or (ROWS_NOISY if is_noisy else ROWS_CLEAN)
     runners_up = (RUNNERS_UP_NOISY if is_noisy else 0) if runners_up is None else runners_up
-    terminals = config.space.terminals or max(PAPER_TERMINALS, len(dataset.names) + TERMINALS_BEYOND_VARIABLES)
+    terminals = config.space.terminals_for(len(dataset.names))
     return config.model_copy(
         update={
             "predictors": config.predictors.model_copy(update={"rows": rows}),

@@ -36,6 +36,7 @@ from common.wire.messages import (
     WorkerStatus,
 )
 from common.wire.rejects import Rejects
+from coordinator.model.known import known_entries
 from coordinator.model.refinement import Pools, Refinement
 from coordinator.service.conductor import Conductor, WorkerWord
 from coordinator.service.desk import Body, Desk
@@ -152,7 +153,15 @@ class Service:
 
     def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
         """See `Outlet.prepare`."""
-        self._ports.background(lambda: self._bus.post(self._prepare(job, table, config)))
+        self._ports.background(lambda: self._prepare_ahead(job, table, config))
+
+    def _prepare_ahead(self, job: str, table: bytes, config: JobConfig) -> None:
+        """Prepare the job; then, while it is searched, what refining it will need. Runs in the background."""
+        self._bus.post(self._prepare(job, table, config))
+        try:
+            self._ports.warm_up()
+        except Exception:  # refining meets the same trouble and tells it
+            _LOG.exception("warm-up failed")
 
     def _prepare(self, job: str, table: bytes, config: JobConfig) -> _Ready | _Unprepared:
         """Smooth and differentiate; runs in the background."""
@@ -160,7 +169,9 @@ class Service:
             preparation = self._ports.preparer(table, config)
             data = dataset_to_bytes(preparation.dataset)
             blob = hashlib.sha256(data).hexdigest()
-            prepared = Prepared(preparation, resolve(config, preparation.dataset), blob, len(data))
+            resolved = resolve(config, preparation.dataset)
+            known = known_entries(preparation.dataset, resolved)
+            prepared = Prepared(preparation, resolved, blob, len(data), known)
             return _Ready(job, prepared, data)
         except (DataError, UsageError, RemoteProtocolError) as error:
             return _Unprepared(job, "data", str(error))

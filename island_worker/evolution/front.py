@@ -97,7 +97,8 @@ class Front:
 class Offering:
     """Offers individuals to a front, and to the runners-up beside it where these are kept.
 
-    `offered` and `offered_loss` (by size) remember the last structure offered to the front.
+    `offered` and `offered_loss` (by size) remember the last structure offered to the front; `sample` are rows spread
+    evenly over all.
     """
 
     def __init__(self, setting: Setting, front: Front, runners_up: RunnersUp) -> None:
@@ -116,7 +117,7 @@ class Offering:
         self._result = np.zeros(2)
         self._unscaled = Fit(setting.fit.steps, 0, MOST_FITTED, setting.fit.loss, math.inf)
         self._largest = setting.config.space.max_size or MOST_NODES
-        self._sample = _spread(setting.every)
+        self.sample = _spread(setting.every)
 
     def offer(
         self,
@@ -281,7 +282,7 @@ class Offering:
 
     def _promising(self, size: int, target: float, counters: Counters) -> bool:
         """Return whether the program on the canonical tape comes near `target` on a sample of the rows."""
-        self._refit(size, self._sample, PRUNE_STEPS, counters)
+        self._refit(size, self.sample, PRUNE_STEPS, counters)
         return self._error() <= _PROMISING * target
 
 

@@ -21,6 +21,7 @@ from common.wire.codec import decode_arrays, encode_arrays
 from island_worker.evolution import migration
 from island_worker.evolution.coevolution import begin_coevolution, evolve, use_best_predictor
 from island_worker.evolution.front import Front, Offering
+from island_worker.evolution.guessing import begin_with_guesses
 from island_worker.evolution.kernels_coevolution import train
 from island_worker.evolution.kernels_generation import OFFSPRING, PARTS, measure_all, random_population
 from island_worker.evolution.runners import RunnersUp
@@ -120,6 +121,7 @@ class Island:
         setting, scratch = self._setting, self._setting.scratch
         if self.epoch == 0:
             random_population(self._lists, setting.space, self._stream)
+            begin_with_guesses(self._lists, setting, self._offering.sample, self._counters)
             if setting.coevolving.enabled:
                 begin_coevolution(
                     self._lists, self._coevolution, setting.every, setting.fit, scratch, self._stream, self._counters
@@ -167,8 +169,8 @@ class Island:
             self.epoch,
             self._generation,
             self._hit,
-            tuple(self._additions),
-            tuple(self._near),
+            tuple(self._setting.outward(entry) for entry in self._additions),
+            tuple(self._setting.outward(entry) for entry in self._near),
             self._evaluations(),
             dict(self._tallies),
             best if math.isfinite(best) else None,

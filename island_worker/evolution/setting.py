@@ -11,8 +11,10 @@ from common.dataset import FloatArray, Problem, Target
 from common.errors import LocalProtocolError
 from common.expression.kernels import functions_address
 from common.expression.operators import COS, SIN
+from common.pareto import FrontEntry
 from island_worker.evolution.kernels_rows import gather, padded_rows
 from island_worker.evolution.migration import operator_codes
+from island_worker.evolution.narrowing import narrowed, widened
 from island_worker.evolution.structures import (
     Coevolution,
     Coevolving,
@@ -43,6 +45,11 @@ class Setting:
     def __init__(self, problem: Problem, config: JobConfig, island: int) -> None:
         self.config = config
         self.variable = problem.target.variable
+        self.columns = config.space.columns_for(self.variable, problem.names)
+        self.is_narrowed = len(self.columns) < len(problem.names)
+        if self.is_narrowed:
+            problem = narrowed(problem, self.columns)
+        self.names = problem.names
         self.island = island
         self.deviation = problem.target.deviation
         self.target = target_error(config, problem.target) * self.deviation
@@ -73,6 +80,10 @@ class Setting:
         )
         # What stays known of the population from one call to the next is the island's own: islands take turns.
         self.scratch = shared._replace(settled=np.zeros(evolution.population, np.bool_))
+
+    def outward(self, entry: FrontEntry) -> FrontEntry:
+        """Return a front member as all others know it: its program over all variables, not over those allowed here."""
+        return widened(entry, self.columns) if self.is_narrowed else entry
 
     def gather(self, coevolution: Coevolution) -> None:
         """Fill `rows` with those of the best predictor; nothing to do while predictors are off."""
@@ -136,7 +147,7 @@ def _space(problem: Problem, config: JobConfig) -> Space:
         terminals=terminals,
         nodes=terminals + config.space.operator_nodes,
         variables=problem.inputs.shape[0],
-        operators=np.array(operator_codes(config.space.operators), np.int64),
+        operators=np.array(operator_codes(config.space.operators_for(problem.target.variable)), np.int64),
         scales=_scales(problem) if config.evolution.scaled_constants else np.zeros(0),
         crossover=config.evolution.crossover,
         mutation=config.evolution.mutation,

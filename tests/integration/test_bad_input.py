@@ -84,6 +84,13 @@ def test_a_device_is_not_called_missing(run: Callable[..., str], tmp_path: Path)
         ("--target y --order 2", ["--order 2", "--target"]),
         ("--states x --inputs x", ["'x'", "--states", "--inputs"]),
         ("--max-epochs z=5", ["'z'"]),
+        ("--known dz=x", ["--known", "'dz'", "x, y"]),
+        ("--known d2x=y", ["'d2x'", "--order 2"]),
+        ("--guess x=3*w", ["--guess", "'w'", "x, y"]),
+        ("--guess x=tanh(y)", ["tanh(y)", "'tanh'"]),
+        ("--guess x=1 --known x=2", ["--guess", "'x'", "known"]),
+        ("--allow x=z", ["--allow", "'z'", "x, y"]),
+        ("--operators z=+", ["--operators", "'z'", "x, y"]),
     ],
 )
 def test_bad_options_are_refused_with_one_sentence(run: Callable[..., str], options: str, words: list[str]) -> None:

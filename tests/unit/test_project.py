@@ -19,6 +19,7 @@ import common
 from common.config import PRESETS
 from coordinator.cli import arguments, exits
 from coordinator.cli.options import job_config
+from coordinator.service.resolve import STAGNATION_CLEAN, STAGNATION_NOISY
 from island_worker import cli as worker_cli
 from tests.unit import documents
 from tests.unit.documents import ROOT
@@ -100,13 +101,14 @@ def test_the_job_file_in_the_readme_is_understood(tmp_path: Path) -> None:
     (text,) = re.findall(r"^```toml\n(.*?)^```", DOCUMENTS["README.md"], re.MULTILINE | re.DOTALL)
     (tmp_path / "job.toml").write_text(text)
     config = job_config(arguments.parse(["run", "x.csv", "--config", str(tmp_path / "job.toml")]))
-    assert config.model_dump(exclude_defaults=True) == tomllib.loads(text)
+    assert config.model_dump(mode="json", exclude_defaults=True) == tomllib.loads(text)
 
 
 def test_the_readme_says_when_searches_end() -> None:
     budget, paper = PRESETS["default"].budget, PRESETS["paper"].budget
     text = " ".join(DOCUMENTS["README.md"].split())
-    assert f"none has improved for {budget.stagnation} epochs, or after {budget.max_epochs} epochs" in text
+    assert f"none has improved for {STAGNATION_CLEAN} epochs, or after {budget.max_epochs} epochs" in text
+    assert f"nothing has improved for {STAGNATION_NOISY} epochs" in text
     assert f"({paper.stagnation} and {paper.max_epochs} with preset `paper`)" in text
 
 

@@ -144,9 +144,9 @@ def _refined(
 
 
 def _member(program: Program, pool: Pool | None, problem: Problem) -> int | None:
-    """Return the index of the front member of the same structure, if there is one."""
+    """Return the index of the front member of the same structure, if there is one; a known equation is the only one."""
     if pool is None:
-        return None
+        return 0
     key = structure(program)
     for index, entry in enumerate(pool.front):
         if structure(Program.from_bytes(entry.program, len(problem.names))) == key:

@@ -3,17 +3,24 @@
 from collections.abc import Callable, Iterator
 from typing import Final
 
+import numpy as np
+
 from common.expression.program import Program
-from coordinator.model.rewrite import reductions
-from coordinator.model.trajectory.contest import Contest, Standing
+from coordinator.model.rewrite import constant_places, reductions, tidied
+from coordinator.model.trajectory.contest import Contest, Standing, covariance
 
 LEAST: Final = 0.01
 """Nats by which a description must get shorter to count."""
+
+MOST_SAVED: Final = 12.0
+"""Nats that leaving out one constant may save, at most about."""
 
 FAR: Final = 10.0
 """Systems whose description is longer than the best by more nats are not reduced."""
 
 _REDUCING: Final = ((2, 4), (10, 1))
+_PRUNING_STEPS: Final = 8
+_NEUTRAL: Final = (0.0, 1.0, -1.0)
 _GROWING: Final = ((1, 24), (4, 6), (12, 3))
 
 Around = Callable[[int, Program], Iterator[Program]]
@@ -47,12 +54,47 @@ class Descent:
     def reduced(self, standing: Standing, equation: int) -> Standing:
         """Return `standing` with whatever one equation can do without left out."""
         while not self.is_exhausted:
+            standing = self._pruned(standing, equation)
             programs = reductions(standing.programs[equation])
             found = self._contest.halved(standing, equation, programs, _REDUCING)
             if not found or found[0].nats > standing.nats - LEAST:
                 break
             standing = found[0]
         return standing
+
+    def _pruned(self, standing: Standing, equation: int) -> Standing:
+        """Make constants of one equation neutral as long as that shortens the description, the least needed first.
+
+        What a constant is needed for is told by its distance from 0, 1 or -1 in standard errors (Wald's test), so that
+        each step takes a single fit.
+        """
+        while not self.is_exhausted:
+            following = None
+            for program in self._needless(standing, equation)[:2]:
+                following = self._contest.exchanged(standing, equation, program, _PRUNING_STEPS)
+                if following is not None and following.nats < standing.nats - LEAST:
+                    break
+                following = None
+            if following is None:
+                return standing
+            standing = following
+        return standing
+
+    def _needless(self, standing: Standing, equation: int) -> list[Program]:
+        """Return programs with one constant neutral that promise shorter descriptions, the most promising first."""
+        program = standing.programs[equation]
+        shot = standing.shot
+        own = np.flatnonzero(shot.system.owners == equation + len(self._contest.leading))
+        variances = np.diag(covariance(shot))[own]
+        priced: list[tuple[float, int, float]] = []
+        for place, value, variance in zip(
+            constant_places(program), shot.system.values[own].tolist(), variances.tolist(), strict=True
+        ):
+            for neutral in _NEUTRAL:
+                nats = 0.5 * (value - neutral) ** 2 / max(variance, 1e-300)
+                if nats < MOST_SAVED:
+                    priced.append((nats, place, neutral))
+        return [tidied(program, {place: neutral}) for _, place, neutral in sorted(priced)]
 
     def _improved(self, standing: Standing, equation: int) -> Standing:
         best = self.reduced(standing, equation)

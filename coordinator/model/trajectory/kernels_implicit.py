@@ -107,7 +107,7 @@ def solve_stage(table: Table, code: Ints, left: Ints, right: Ints, constants: Fl
         for d in range(states):
             points[stage, d] += column[d, 0]
             off = abs(column[d, 0]) / tolerance[d]
-            error = off if not off <= error else error
+            error = error if off <= error or math.isnan(error) else off
         if not error < math.inf:
             return False
         if error <= CLOSE:
@@ -207,7 +207,7 @@ def advance_implicitly(table: Table, code: Ints, left: Ints, right: Ints, consta
             error = 0.0
             for d in range(states):
                 off = abs(column[d, 0]) / tolerance[d]
-                error = off if not off <= error else error
+                error = error if off <= error or math.isnan(error) else off
         if not error <= 1.0:
             step = h * (max(0.1, 0.9 * error ** (-1.0 / order)) if error < 1e300 else 0.1)
             continue

@@ -8,6 +8,7 @@ Runge-Kutta steps with error control, clipped at the rows; the sensitivities fol
 Explicit ones here; implicit ones, for stiff systems, in `kernels_implicit`.
 """
 
+import math
 from typing import Final
 
 import numpy as np
@@ -86,7 +87,7 @@ def advance(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatA
             for s in range(last + 1):
                 off += errors[s] * rate[s, d]
             off = abs(h * off) / tolerance[d]
-            error = off if not off <= error else error
+            error = error if off <= error or math.isnan(error) else off
         if not error <= 1.0:
             step = h * (max(0.1, 0.9 * error ** (-1.0 / order)) if error < 1e300 else 0.1)
             if step < 1e-10 * width:

@@ -32,6 +32,9 @@ from common.expression.operators import (
 )
 from common.jit import inlined, kernel
 
+LARGEST_EXPONENT: Final = 709.0
+"""exp has no finite value far beyond."""
+
 Table = tuple[FloatArray, FloatArray, FloatArray, float]
 """An embedded Runge-Kutta method whose last stage is the next step's first: coefficients (S, S - 1), or (S, S) where
 stages are implicit, times (S,), error weights (S,), and the order of the error estimate."""
@@ -74,7 +77,7 @@ def rates(code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: I
         elif op == NEGATE:
             values[i] = -a
         elif op == EXP:
-            values[i] = math.exp(a)
+            values[i] = math.exp(a) if a < LARGEST_EXPONENT else math.inf
         elif op == LOG:
             values[i] = math.log(a) if a > 0.0 else math.nan
         elif op == SQRT:

@@ -7,13 +7,14 @@ does not reach, or what it buries in terms that describe the smoother's errors.
 """
 
 from collections.abc import Collection, Iterator, Sequence
-from itertools import combinations_with_replacement
+from dataclasses import dataclass
+from itertools import combinations, combinations_with_replacement
 from typing import Final
 
 import numpy as np
 
 from common.dataset import FloatArray, Problem
-from common.expression.operators import ADD, CONSTANT, COS, MULTIPLY, SIN, VARIABLE
+from common.expression.operators import ADD, CONSTANT, COS, MULTIPLY, SIN, SUBTRACT, VARIABLE
 from common.expression.program import Program
 from coordinator.model.rewrite import Node, tidied
 from coordinator.model.trajectory.contest import Contest, Standing, covariance
@@ -21,22 +22,49 @@ from coordinator.model.trajectory.contest import Contest, Standing, covariance
 MOST_TERMS: Final = 24
 """Larger libraries are not tried."""
 
-Term = tuple[int, ...]
-"""Variables of a product by index; sine and cosine of variable v stand as -2 v - 1 and -2 v - 2."""
+
+@dataclass(frozen=True)
+class Factor:
+    """A variable (index), or its sum or difference (`join`) with an`other`; as it is, or its sine or cosine."""
+
+    variable: int
+    function: int | None = None
+    other: int | None = None
+    join: int = SUBTRACT
+
+
+Term = tuple[Factor, ...]
+"""A product."""
 
 
 def libraries(variables: Sequence[int], operators: Collection[int]) -> Iterator[list[Term]]:
-    """Yield libraries over these variables, as far as the operators (codes) allow them, the constant term first."""
+    """Yield libraries over these variables, as far as the operators (codes) allow them, the constant term first.
+
+    Powers and products up to the second or third degree; with sines and cosines; products of these; and sines and
+    cosines of sums and differences, by which phases are coupled.
+    """
     if not {ADD, MULTIPLY} <= set(operators):
         return
-    for degree in (2, 3):
-        terms = [each for order in range(degree + 1) for each in combinations_with_replacement(variables, order)]
-        if len(terms) <= MOST_TERMS:
-            yield terms
-    waves: list[Term] = [(-2 * v - kind,) for v in variables for kind in (1, 2)]
-    terms = [each for order in range(3) for each in combinations_with_replacement(variables, order)]
-    if {SIN, COS} <= set(operators) and len(terms) + len(waves) <= MOST_TERMS:
-        yield [*terms, *waves]
+    plain = [Factor(variable) for variable in variables]
+    waves = [Factor(variable, code) for variable in variables for code in (SIN, COS)]
+    coupled = [
+        Factor(one, code, other, join)
+        for one, other in combinations(variables, 2)
+        for join in (SUBTRACT, ADD)
+        for code in (SIN, COS)
+    ]
+    found = [_powers(plain, 2), _powers(plain, 3)]
+    if {SIN, COS} <= set(operators):
+        pairs: list[Term] = [*combinations(waves, 2)]
+        single: list[Term] = [(wave,) for wave in waves]
+        found += [[*_powers(plain, 2), *single], [(), *single, *pairs]]
+        if SUBTRACT in operators:
+            found.append([(), *single, *((wave,) for wave in coupled)])
+    yield from (terms for terms in found if len(terms) <= MOST_TERMS)
+
+
+def _powers(factors: Sequence[Factor], degree: int) -> list[Term]:
+    return [term for order in range(degree + 1) for term in combinations_with_replacement(factors, order)]
 
 
 def sum_of(terms: Sequence[Term], coefficients: Sequence[float]) -> Program:
@@ -47,9 +75,7 @@ def sum_of(terms: Sequence[Term], coefficients: Sequence[float]) -> Program:
         nodes.append((CONSTANT, 0, 0, float(coefficient)))
         part = len(nodes) - 1
         for factor in term:
-            nodes.append((VARIABLE, factor if factor >= 0 else (-1 - factor) // 2, 0, 0.0))
-            if factor < 0:
-                nodes.append((SIN if factor % 2 else COS, len(nodes) - 1, 0, 0.0))
+            _put(factor, nodes)
             nodes.append((MULTIPLY, part, len(nodes) - 1, 0.0))
             part = len(nodes) - 1
         if total is not None:
@@ -61,14 +87,26 @@ def sum_of(terms: Sequence[Term], coefficients: Sequence[float]) -> Program:
     )
 
 
+def _put(factor: Factor, nodes: list[Node]) -> None:
+    """Append the nodes of a factor."""
+    nodes.append((VARIABLE, factor.variable, 0, 0.0))
+    if factor.other is not None:
+        nodes.append((VARIABLE, factor.other, 0, 0.0))
+        nodes.append((factor.join, len(nodes) - 2, len(nodes) - 1, 0.0))
+    if factor.function is not None:
+        nodes.append((factor.function, len(nodes) - 1, 0, 0.0))
+
+
 def column_of(term: Term, inputs: FloatArray) -> FloatArray:
     """Return the values of a term (R,) at `inputs` (V, R)."""
     column = np.ones(inputs.shape[1])
     for factor in term:
-        if factor >= 0:
-            column = column * inputs[factor]
-        else:
-            column = column * (np.sin if factor % 2 else np.cos)(inputs[(-1 - factor) // 2])
+        values = inputs[factor.variable]
+        if factor.other is not None:
+            values = values + inputs[factor.other] if factor.join == ADD else values - inputs[factor.other]
+        if factor.function is not None:
+            values = np.sin(values) if factor.function == SIN else np.cos(values)
+        column = column * values
     return column
 
 

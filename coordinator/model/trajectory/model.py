@@ -6,6 +6,7 @@ by counts, never by the clock.
 """
 
 import os
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -17,6 +18,7 @@ from common.dataset import Dataset, Problem
 from common.expression.operators import BY_NAME
 from common.expression.program import Program
 from common.expression.text import PRINTABLE_SIZE, tree_size
+from coordinator.data.prior import guessed_programs
 from coordinator.data.recording import Recording
 from coordinator.model.extensions import extensions
 from coordinator.model.neighbours import neighbours
@@ -44,6 +46,8 @@ NOISE_SHARE: Final = 0.01
 
 CLEAN: Final = 1e-7
 _EXCHANGING: Final = ((2, 16), (8, 5), (20, 2))
+_RESTARTING: Final = ((2, 60), (8, 60))
+_SIZES: Final = (4, 7, 11)
 _LEAST: Final = 1e-3
 
 
@@ -75,10 +79,13 @@ class Field:
         """Indices of the modelled states."""
         return [self.recording.states.index(name) for name in self.variables]
 
-    @property
-    def operators(self) -> frozenset[int]:
-        """Codes of the operators that the job allows."""
-        return frozenset(BY_NAME[name].code for name in self.config.space.operators)
+    def operators(self, variable: str) -> frozenset[int]:
+        """Return the codes of the operators that the equation of `variable` may be made of."""
+        return frozenset(BY_NAME[name].code for name in self.config.space.operators_for(variable))
+
+    def columns(self, variable: str) -> tuple[int, ...]:
+        """Return the indices of the variables that the equation of `variable` may use."""
+        return self.config.space.columns_for(variable, self.dataset.names)
 
     def measurements(self, variables: Sequence[str], *, held_out: bool = False) -> Measurements:
         """Return the measurements of a system for these variables."""
@@ -147,20 +154,16 @@ def _candidates(field: Field, name: str, pools: Mapping[str, Pool], settled: Map
     pool = pools[name]
     entries = [*pool.front, *pool.runners_up]
     programs += [Program.from_bytes(entry.program, len(problem.names)) for entry in entries]
+    programs += guessed_programs(field.dataset, field.config).get(name, ())
     its = field.measurements([name]).thinned(COMPARED_ROWS)
     contest = field.contest(its, [name])
-    return ranked(contest, problem, programs, _usable(field, problem), field.operators)
+    return ranked(contest, problem, programs, field.columns(name), field.operators(name))
 
 
 def _enough(problem: Problem, config: JobConfig) -> float:
     from coordinator.model.select import threshold
 
     return threshold(problem.target, config.budget.target_error) * problem.target.deviation
-
-
-def _usable(field: Field, problem: Problem) -> list[int]:
-    """Return the variables that libraries are made of."""
-    return [*range(len(problem.names))]
 
 
 def _combined(contest: Contest, lists: Sequence[Sequence[Program]]) -> Standing | None:
@@ -191,18 +194,42 @@ def _exchanged(contest: Contest, best: Standing, lists: Sequence[Sequence[Progra
 
 def _descended(field: Field, contest: Contest, best: Standing, lists: Sequence[Sequence[Program]]) -> Standing:
     """Return the end of the descent from the best system."""
-    operators = field.operators
-    scales = _scales(field, contest.shooter.measurements)
+    sizes = _scales(field, contest.shooter.measurements)
     largest = field.config.space.max_size or float("inf")
 
-    def around(_: int, program: Program) -> Iterator[Program]:
-        for changed in (*extensions(program, scales, operators), *neighbours(program, len(scales), operators)):
+    def around(equation: int, program: Program) -> Iterator[Program]:
+        name = field.variables[equation]
+        operators, columns = field.operators(name), field.columns(name)
+        scales = [size if column in columns else 0.0 for column, size in enumerate(sizes)]
+        for changed in (*extensions(program, scales, operators), *neighbours(program, columns, operators)):
             if len(changed) <= largest and tree_size(changed) <= PRINTABLE_SIZE:
                 yield changed
 
-    descent = Descent(contest, around, WORK)
+    descent = Descent(contest, around, contest.shooter.work + WORK)
     equations = [index for index, its in enumerate(lists) if index not in contest.fixed]
-    return descent.down(best, equations)
+    best = descent.down(best, equations)
+    for equation in equations:
+        best = _restarted(contest, descent, best, equation, lists[equation])
+    return best
+
+
+def _restarted(
+    contest: Contest, descent: Descent, best: Standing, equation: int, programs: Sequence[Program]
+) -> Standing:
+    """Return the best end of descents that begin with other programs for one equation, all others as they are."""
+    others = contest.halved(best, equation, programs, _RESTARTING)
+    by_size = {_size_class(other.programs[equation]): other for other in reversed(others)}
+    for other in sorted(by_size.values(), key=lambda its: its.nats):
+        if descent.is_exhausted:
+            break
+        end = descent.down(other, [equation])
+        if end.nats < best.nats - _LEAST:
+            best = descent.down(end, [*(each for each in range(len(best.programs)) if each not in contest.fixed)])
+    return best
+
+
+def _size_class(program: Program) -> int:
+    return bisect_left(_SIZES, len(program))
 
 
 def _scales(field: Field, its: Measurements) -> list[float]:

@@ -60,7 +60,7 @@ def test_a_wrong_command_line_is_one_sentence_and_exit_code_2(
 
 @pytest.mark.parametrize("line", ["--operators -,+", "--operators=-,+"])
 def test_a_list_of_operators_may_begin_with_minus(line: str) -> None:
-    assert parse(["run", "a.csv", *line.split()]).operators == "-,+"
+    assert parse(["run", "a.csv", *line.split()]).operators == ["-,+"]
 
 
 def test_options_and_files_may_come_in_any_order() -> None:

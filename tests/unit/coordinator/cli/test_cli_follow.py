@@ -170,3 +170,14 @@ FOUND = (VariableView(variable="x", lhs="dx/dt", epoch=1),)
 )
 def test_time_goes_into_phases(changes: dict[str, object], workers: list[dict[str, object]], name: str) -> None:
     assert phase(view_of(**changes), [worker_of(**worker) for worker in workers]) == name
+
+
+def test_a_known_equation_misses_no_target() -> None:
+    known = VariableView(variable="y", lhs="dy/dt", epoch=0, finished=True, why="known", normalized_error=0.5)
+    found = VariableView(variable="x", lhs="dx/dt", epoch=1, finished=True, why="target", converged=True)
+    missed = found.model_copy(update={"converged": False, "why": "max-epochs"})
+    view = view_of(state="done", variables=(known, found))
+    assert (exit_code(view, 1e-6), ending(view, 1e-6)) == (0, None)
+    view = view_of(state="done", variables=(known, missed))
+    assert exit_code(view, 1e-6) == 4
+    assert ending(view, 1e-6) == "--target-error 1e-06 was not met within the budget by dx/dt"

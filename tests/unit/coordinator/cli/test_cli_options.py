@@ -39,6 +39,10 @@ def test_the_paper_preset_is_the_paper_preset() -> None:
         ("--holdout 2", "data", "holdout", 2),
         ("--holdout run=4", "data", "holdout", "run=4"),
         ("--operators +,*,sin", "space", "operators", ("+", "*", "sin")),
+        ("--operators x=+,- --operators dy=*", "space", "operators_of", {"x": ("+", "-"), "dy": ("*",)}),
+        ("--allow x=x,y", "space", "variables_of", {"x": ("x", "y")}),
+        ("--guess dx=x --guess dy/dt=y --guess dx=2*x", "prior", "guesses", {"dx": ("x", "2*x"), "dy/dt": ("y",)}),
+        ("--known y'=-x/10", "prior", "known", {"y'": "-x/10"}),
         ("--max-size 15", "space", "max_size", 15),
         ("--islands 3", "evolution", "islands", 3),
         ("--max-time 1.5h", "budget", "max_time", 5400.0),
@@ -77,6 +81,17 @@ def test_a_job_file_may_choose_the_preset_it_changes(tmp_path: Path) -> None:
     assert (config.predictors.enabled, config.predictors.rows) == (False, 16)
 
 
+def test_a_job_file_may_hold_what_is_known_beforehand(tmp_path: Path) -> None:
+    file = tmp_path / "job.toml"
+    file.write_text(
+        '[prior]\nguesses = {x = ["2*x", "y"]}\nknown = {"dy/dt" = "-x"}\n[space.operators_of]\nx = ["+"]\n'
+    )
+    config = config_of(f"--config {file} --known dz=0 --operators +,-")
+    assert config.prior.guesses == {"x": ("2*x", "y")}
+    assert config.prior.known == {"dz": "0"}
+    assert (config.space.operators_of, config.space.operators) == ({"x": ("+",)}, ("+", "-"))
+
+
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -94,6 +109,16 @@ def test_a_job_file_may_choose_the_preset_it_changes(tmp_path: Path) -> None:
         ("--operators +,foo", ["'foo'", "unknown", "tanh"]),
         ("--operators +,+", ["'+'", "twice", "every operator"]),
         ("--operators ,", ["--operators", "operator names"]),
+        ("--operators x=+,foo", ["'foo'", "unknown", "tanh"]),
+        ("--operators + --operators *", ["--operators", "two lists", "x=+,-,*"]),
+        ("--operators x=+ --operators x=*", ["--operators", "'x'", "twice"]),
+        ("--operators x=", ["--operators", "x=+,-,*", "'x='"]),
+        ("--guess x", ["--guess", "dx=3*x-2*x*y", "'x'"]),
+        ("--guess =x", ["--guess", "dx=3*x-2*x*y", "'=x'"]),
+        ("--known dy=", ["--known", "dy=-x/10", "'dy='"]),
+        ("--known dy=1 --known dy=2", ["--known", "'dy'", "twice"]),
+        ("--allow x", ["--allow", "x=x,y", "'x'"]),
+        ("--allow x=y,y", ["--allow", "'y'", "twice", "every variable"]),
         ("--max-epochs x=3,x=4", ["--max-epochs", "two numbers", "x"]),
         ("--max-epochs 3,4", ["--max-epochs", "two numbers", "all equations"]),
         ("--angle x --angle x:deg", ["--angle", "'x'", "twice"]),
@@ -133,6 +158,9 @@ def test_a_wrong_option_is_one_sentence_that_names_it(line: str, words: list[str
         ('[data]\nstates = "x,y"\n', ["data.states in", "a list"]),
         ("[evolution\n", ["not valid TOML"]),
         ("evolution = 3\n", ["evolution in"]),
+        ('[prior]\nguesses = {x = "2*x"}\n', ["prior.guesses.x in", "a list"]),
+        ('[prior]\nguess = {x = ["2*x"]}\n', ["prior.guess in", "not a known setting", "guesses"]),
+        ("[space]\noperators_of = {x = []}\n", ["the list of operators is empty"]),
         ('preset = "fast"\n', ["preset in", "'default' or 'paper'"]),
     ],
 )

@@ -60,6 +60,7 @@ def test_a_row_has_epoch_error_size_and_best_equation() -> None:
         ({}, "searching"),
         ({"finished": True, "why": "stagnation"}, "ended: stagnation"),
         ({"converged": True, "finished": True, "why": "target"}, "converged"),
+        ({"converged": True, "finished": True, "why": "known"}, "known"),
         ({"converged": True, "finished": True, "why": "target", "verdict": "doubtful"}, "doubtful"),
     ],
 )

@@ -15,10 +15,10 @@ def dataset(variables: int = 2, floor: float = 1e-9, noise: float = 0.0) -> Data
     return Dataset(names, np.stack([values] * variables), (clean, other), {name: name for name in names})
 
 
-def test_clean_data_need_16_rows_and_noisy_ones_64() -> None:
+def test_clean_data_need_16_rows_and_noisy_ones_32() -> None:
     assert resolve(JobConfig(), dataset()).predictors.rows == 16
-    assert resolve(JobConfig(), dataset(floor=0.01)).predictors.rows == 64
-    assert resolve(JobConfig(), dataset(noise=0.01)).predictors.rows == 64
+    assert resolve(JobConfig(), dataset(floor=0.01)).predictors.rows == 32
+    assert resolve(JobConfig(), dataset(noise=0.01)).predictors.rows == 32
 
 
 def test_runners_up_are_kept_as_soon_as_one_target_is_noisy() -> None:

@@ -1,0 +1,42 @@
+"""What is known beforehand through the whole of ``coordinator run``: real processes, real kernels."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks.systems import trajectories, write_csv
+
+ROOT = Path(__file__).resolve().parents[2]
+LIMIT_S = 200
+
+
+def run(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    words = [sys.executable, "-m", "coordinator", "run", "data.csv", "--workers", "1", "--out", "out", *options]
+    return subprocess.run(
+        words, cwd=folder, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False
+    )
+
+
+@pytest.mark.timeout(LIMIT_S + 50)
+def test_a_guess_a_known_equation_and_allowed_variables_come_together(tmp_path: Path) -> None:
+    write_csv(tmp_path / "data.csv", trajectories("van_der_pol", 0.02, seed=100))
+    (tmp_path / "job.toml").write_text(
+        '[prior]\nknown = {"dy/dt" = "-x/10"}\n[space.operators_of]\nx = ["+", "-", "*"]\n'
+    )
+    options = ["--config", "job.toml", "--guess", "dx/dt=2*y-x**3+x", "--allow", "x=x,y", "--islands", "2"]
+    done = run(tmp_path, *options)
+    assert done.returncode == 0, done.stderr
+    assert "known: dy/dt = -x/10\nguess: dx/dt = 2*y-x**3+x\n" in done.stderr
+    x, y = json.loads((tmp_path / "out" / "result.json").read_text())["equations"]
+    assert (x["why"], x["converged"]) == ("target", True)
+    assert x["generation"] == 10, "the guess has the right form, so that nothing needs to be searched"
+    assert (y["expression"], y["why"], y["converged"]) == ("-x/10.0", "known", True)
+    assert y["point_evaluations"] == 0
+    assert [member["selected"] for member in y["front"]] == [True]
+    assert "dy/dt = -0.1*x\n" in done.stdout
+    assert "    known: error" in done.stdout

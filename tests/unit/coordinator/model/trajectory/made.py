@@ -1,0 +1,100 @@
+"""Recordings of known systems, for the tests of what is fitted to trajectories."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from common.dataset import FloatArray
+from common.expression.parse import from_infix
+from common.expression.program import Program
+from common.expression.text import to_infix
+from coordinator.data.recording import Recording, Smoothing, Trajectory
+from coordinator.model.rewrite import tidied
+from coordinator.model.trajectory.contest import Contest
+from coordinator.model.trajectory.measurements import Measurements, measurements_of
+from coordinator.model.trajectory.shooting import Shooter
+
+Rates = Callable[[float, Sequence[float]], Sequence[float]]
+Wave = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True)
+class Known:
+    """A system whose solutions are known: its states' `rates` at (time, states), and `inputs` with their slopes."""
+
+    states: tuple[str, ...]
+    rates: Rates
+    inputs: dict[str, tuple[Wave, Wave]] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (*self.states, *self.inputs)
+
+    def parsed(self, text: str) -> Program:
+        return tidied(from_infix(text, self.names))
+
+    def text(self, program: Program) -> str:
+        return to_infix(program, self.names)
+
+    def values(self, start: Sequence[float], times: FloatArray) -> FloatArray:
+        span = (float(times[0]), float(times[-1]))
+        with np.errstate(all="ignore"):
+            its = solve_ivp(self.rates, span, start, "DOP853", times, rtol=1e-12, atol=1e-13)
+        assert its.success
+        return its.y
+
+
+def lotka(_: float, z: Sequence[float]) -> Sequence[float]:
+    x, y = z
+    return [3.0 * x - 2.0 * x * y - x * x, 2.0 * y - x * y - y * y]
+
+
+LOTKA = Known(("x", "y"), lotka)
+LOTKA_TEXT = ("3*x - 2*x*y - x**2", "2*y - x*y - y**2")
+DECAY = Known(("x",), lambda _, z: [-0.5 * z[0]])
+DRIVEN = Known(
+    ("x",),
+    lambda t, z: [-0.8 * z[0] + 1.5 * np.cos(2.0 * t)],
+    {"u": (lambda t: np.cos(2.0 * t), lambda t: -2.0 * np.sin(2.0 * t))},
+)
+SWING = Known(("x", "y"), lambda _, z: [z[1], -2.0 * z[0] - 0.3 * z[1]])
+
+
+def recording(
+    known: Known,
+    starts: Sequence[Sequence[float]],
+    times: FloatArray | Sequence[FloatArray],
+    noise: float | Sequence[float] = 0.0,
+    seed: int = 0,
+    held_out: Sequence[int] = (),
+) -> Recording:
+    """Return trajectories from `starts`, smoothed without error; `noise` is the standard deviation of each state."""
+    draw = np.random.default_rng(seed)
+    each = times if isinstance(times, list) else [times] * len(starts)
+    deviations = np.broadcast_to(np.asarray(noise, dtype=np.float64), len(known.states))
+    trajectories = []
+    for index, (start, at) in enumerate(zip(starts, each, strict=True)):
+        values = known.values(start, at)
+        slopes = np.array([known.rates(t, z) for t, z in zip(at, values.T, strict=True)]).T
+        measured = values + deviations[:, None] * draw.standard_normal(values.shape)
+        waves = [wave(at) for wave, _ in known.inputs.values()]
+        rises = [rise(at) for _, rise in known.inputs.values()]
+        stacked = [np.array(them).reshape(len(known.inputs), len(at)) for them in (waves, rises)]
+        slopes = np.ascontiguousarray(slopes)
+        trajectories.append(Trajectory(str(index + 1), at, measured, values, slopes, *stacked, index in held_out))
+    smoothing = tuple(
+        Smoothing(name, "loess" if its else "interpolation", float(its) or 1e-9, float(its))
+        for name, its in zip(known.states, deviations.tolist(), strict=True)
+    )
+    inputs = tuple(known.inputs)
+    return Recording(known.states, known.states, (), inputs, inputs, 1, 0.0, smoothing, tuple(trajectories))
+
+
+def measurements(known: Known, starts: Sequence[Sequence[float]], times: FloatArray, **options) -> Measurements:
+    return measurements_of(recording(known, starts, times, **options), range(len(known.states)))
+
+
+def contest(known: Known, its: Measurements, precision: float = 1e-6, **options) -> Contest:
+    return Contest(Shooter(its, precision), known.names, **options)

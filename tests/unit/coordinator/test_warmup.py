@@ -1,0 +1,100 @@
+"""What the coordinator compiles or loads ahead: all its kernels, and when it does so."""
+
+import logging
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+
+from common.config import JobConfig
+from common.wire.simulated_bus import SimulatedNetwork
+from coordinator.service.ports import Ports
+from coordinator.service.preparing import REAL
+from coordinator.service.service import Service
+from coordinator.service.store import Store
+from tests.unit.documents import ROOT
+
+CALLED = {
+    "coordinator.data.kernels_loess": {"loess_into", "spread_into", "thin_into", "validate_into"},
+    "coordinator.data.kernels_stencils": {"best_stencil_into", "differences_into", "left_out_into", "moments"},
+    "coordinator.model.trajectory.kernels_integrate": {"shoot"},
+    "coordinator.model.trajectory.kernels_normal": {"normal_equations", "solve_step"},
+}
+"""Kernels that are called from Python; the others are compiled with them."""
+
+READY = """
+import importlib, sys
+from coordinator.warmup import warm_up
+warm_up()
+for name in sys.argv[1:]:
+    kernels = {name: its for name, its in vars(importlib.import_module(name)).items() if hasattr(its, "signatures")}
+    print(*(f"{name}.{kernel}" for kernel, its in kernels.items() if its.signatures))
+"""
+
+
+def test_every_kernel_is_ready_after_the_warm_up() -> None:
+    ready = python(READY, *CALLED)
+    assert {f"{module}.{kernel}" for module, kernels in CALLED.items() for kernel in kernels} <= ready
+
+
+def python(code: str, *words: str) -> set[str]:
+    """Return the words that a process of its own prints."""
+    command = [sys.executable, "-c", code, *words]
+    return set(subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True).stdout.split())
+
+
+@pytest.mark.parametrize("package", ["coordinator.data", "coordinator.model.trajectory"])
+def test_without_a_compiler_there_is_nothing_to_do(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = __import__(f"{package}.warmup", fromlist=["warm_up"])
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    monkeypatch.setattr(module, "np", None)
+    module.warm_up()
+
+
+def test_a_coordinator_starts_without_the_compiler() -> None:
+    """What a start need not wait for: kernels, and what refining needs."""
+    said = python("import sys, coordinator.service.service; print(*sys.modules)")
+    assert {"numba", "scipy", "sympy", "coordinator.model.refine"}.isdisjoint(said)
+
+
+class Order:
+    """Ports that note what is done in which order."""
+
+    def __init__(self, trouble: Exception | None = None) -> None:
+        self.done: list[str] = []
+        self.trouble = trouble
+
+    def prepare(self, table: bytes, config: JobConfig) -> Any:
+        self.done.append("prepared")
+        raise ValueError("nothing to prepare")
+
+    def warm_up(self) -> None:
+        self.done.append("warmed up")
+        if self.trouble is not None:
+            raise self.trouble
+
+    def run(self) -> list[str]:
+        """Have a service prepare a job; return what was done, in order."""
+        with Store.open(None) as store:
+            bus = SimulatedNetwork(0).bus("coordinator", is_router=True)
+            ports = Ports(self.prepare, lambda work: work(), lambda: "now", warm_up=self.warm_up)
+            Service(bus, store, ports=ports).prepare("j", b"", JobConfig())
+        return self.done
+
+
+def test_refining_is_made_ready_once_the_search_can_begin() -> None:
+    assert Order().run() == ["prepared", "warmed up"]
+
+
+def test_a_warm_up_that_fails_is_told_and_nothing_else(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.ERROR):
+        assert Order(OSError("no space left")).run() == ["prepared", "warmed up"]
+    assert "warm-up failed" in caplog.text
+
+
+def test_a_real_coordinator_warms_up_the_kernels_of_refining(monkeypatch: pytest.MonkeyPatch) -> None:
+    called = []
+    monkeypatch.setattr("coordinator.model.trajectory.warmup.warm_up", lambda: called.append(1))
+    REAL.warm_up()
+    assert called == [1]
