@@ -36,10 +36,10 @@ class Errors:
 def errors_of(contest: Contest, standing: Standing) -> Errors:
     """Return the errors of the constants of a fit, variances corrected for the numbers fitted."""
     shot = standing.shot
-    counts = float(contest.counts.sum())
+    counts = float(contest.counts.sum()) / contest.coherence
     fitted = len(shot.system.places) + shot.starts.size
     freedom = max(counts - fitted, 1.0)
-    return Errors(shot.system.values, covariance(shot) * (counts / freedom), freedom)
+    return Errors(shot.system.values, covariance(shot) * (contest.coherence * counts / freedom), freedom)
 
 
 def constants_of(contest: Contest, shown: Sequence[Program], errors: Errors) -> list[tuple[Constant, ...]]:

@@ -37,8 +37,9 @@ class Measurements:
     trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), a weight of zero leaves
     a number out; `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured, and `offset` (K,)
     which of these up to an offset. `scales` (D,) are the states' standard deviations, `noise` (O,) the smoother's
-    estimate of that of the measurement errors. `input_slopes` belong to `inputs` (U, N). `variables` names the numbers
-    of a point: D states, then U inputs.
+    estimate of that of the measurement errors; `coherence` is along how many rows errors go together, more than one
+    where states without an equation are inputs as smoothed. `input_slopes` belong to `inputs` (U, N). `variables` names
+    the numbers of a point: D states, then U inputs.
     """
 
     bounds: Ints
@@ -55,6 +56,7 @@ class Measurements:
     offset: Ints
     variables: tuple[str, ...]
     names: tuple[str, ...]
+    coherence: float = 1.0
 
     @property
     def rows(self) -> int:
@@ -168,7 +170,13 @@ def measurements_of(
         ),
         variables=_variables(recording, chosen, others),
         names=tuple(part.name for part in parts),
+        coherence=_coherence(recording, others),
     )
+
+
+def _coherence(recording: Recording, others: Sequence[int]) -> float:
+    """Return along how many rows the errors of these states as smoothed go together: about half a span."""
+    return max((0.5 * (recording.smoothing[index].span or 2.0) for index in others), default=1.0)
 
 
 def _variables(recording: Recording, chosen: list[int], others: list[int]) -> tuple[str, ...]:

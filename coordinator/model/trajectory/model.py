@@ -8,7 +8,7 @@ by counts, never by the clock.
 import os
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -155,7 +155,7 @@ def _candidates(field: Field, name: str, pools: Mapping[str, Pool], settled: Map
     entries = [*pool.front, *pool.runners_up]
     programs += [Program.from_bytes(entry.program, len(problem.names)) for entry in entries]
     programs += guessed_programs(field.dataset, field.config).get(name, ())
-    its = field.measurements([name]).thinned(COMPARED_ROWS)
+    its = replace(field.measurements([name]).thinned(COMPARED_ROWS), coherence=1.0)
     contest = field.contest(its, [name])
     return ranked(contest, problem, programs, field.columns(name), field.operators(name))
 
