@@ -230,7 +230,7 @@ def test_when_the_steps_are_used_up_the_rows_before_stay():
     reached = []
     for budget in (100, 400, 1200):
         done, simulated, _ = shot(programs, [1.0, 0.0], budget=budget)
-        assert done == 0
+        assert done == -1
         ended = int(np.isnan(simulated[0]).argmax())
         assert simulated[0, 1:ended] == pytest.approx(WAVE[0, 1:ended], abs=0.01)
         reached.append(ended)
