@@ -157,7 +157,7 @@ def bands(its: Measurements, standing: Standing, errors: Errors) -> FloatArray:
     """
     shot = standing.shot
     fitted = len(shot.system.places)
-    scale = float(np.mean(np.diag(errors.covariance))) / max(float(np.mean(np.diag(covariance(shot)))), 1e-300)
+    scale = float(its.weights.sum()) / errors.freedom
     found = np.zeros((len(its.observed), its.rows))
     for group, (first, end) in enumerate(shot.segments.tolist()):
         own = np.linalg.pinv(shot.own[group], hermitian=True)

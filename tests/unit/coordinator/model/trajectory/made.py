@@ -6,11 +6,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from common.dataset import FloatArray
+from common.dataset import FloatArray, Problem
+from common.expression.algebra import complexity, simplify_program
 from common.expression.parse import from_infix
 from common.expression.program import Program
 from common.expression.text import to_infix
-from coordinator.data.recording import Recording, Smoothing, Trajectory
+from common.pareto import FrontEntry
+from common.table import Table
+from coordinator.data.recording import Preparation, Recording, Smoothing, Trajectory
+from coordinator.model.derivative import values_of
+from coordinator.model.refinement import Pool
 from coordinator.model.rewrite import tidied
 from coordinator.model.trajectory.contest import Contest
 from coordinator.model.trajectory.measurements import Measurements, measurements_of
@@ -90,6 +95,39 @@ def recording(
     )
     inputs = tuple(known.inputs)
     return Recording(known.states, known.states, (), inputs, inputs, 1, 0.0, smoothing, tuple(trajectories))
+
+
+def table(
+    known: Known, starts: Sequence[Sequence[float]], times: FloatArray, noise: float = 0.0, seed: int = 0
+) -> Table:
+    """Return measured trajectories as a user hands them in; `noise` is a share of each state's standard deviation."""
+    draw = np.random.default_rng(seed)
+    values = np.concatenate([known.values(start, times) for start in starts], axis=1)
+    values = values + noise * values.std(axis=1)[:, None] * draw.standard_normal(values.shape)
+    count = values.shape[1]
+    columns = [np.tile(times, len(starts)), *values]
+    columns += [np.tile(wave(times), len(starts)) for wave, _ in known.inputs.values()]
+    rows = np.arange(count, dtype=np.int64)
+    names = ("t", *known.names)
+    starts_at = tuple(range(0, count, len(times)))
+    return Table(names, ("",) * len(names), np.array(columns), starts_at, ("a.csv",), 0 * rows, rows + 2, ())
+
+
+def pools(preparation: Preparation, **texts: Sequence[str]) -> dict[str, Pool]:
+    """Return what a search might hand on of each variable: these equations, by complexity."""
+    found = {}
+    for name, its in texts.items():
+        problem = preparation.dataset.problem(name)
+        entries = [entry(from_infix(text, problem.names), problem) for text in its]
+        found[name] = Pool(tuple(sorted(entries, key=lambda each: each.complexity)))
+    return found
+
+
+def entry(program: Program, problem: Problem) -> FrontEntry:
+    program = simplify_program(program)
+    errors = values_of(program, problem.inputs) - problem.target.values
+    mae, mse = float(np.mean(np.abs(errors))), float(np.mean(errors**2))
+    return FrontEntry(complexity(program), mae, mse, 0, 1, 0, program.to_bytes())
 
 
 def measurements(known: Known, starts: Sequence[Sequence[float]], times: FloatArray, **options) -> Measurements:

@@ -1,0 +1,186 @@
+"""From pools to the refinement that a job shows: chosen, fitted, rounded, assessed and judged by trajectories."""
+
+import math
+
+import numpy as np
+import pytest
+
+from common.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
+from common.expression.operators import BY_NAME
+from coordinator.data.prepare import prepare
+from coordinator.model.refine import NOT_SIMULATED, refine_all
+from coordinator.model.rewrite import constant_places
+from coordinator.model.trajectory import model
+from tests.unit.coordinator.model.trajectory.made import DRIVEN, LOTKA, SWING, Known, pools, table
+
+TIMES = 0.1 * np.arange(40.0)
+ARITHMETIC = SpaceConfig(operators=("+", "-", "*"))
+LOTKA_STARTS = ([1.0, 3.0], [4.0, 1.0], [8.0, 2.0], [3.0, 3.0])
+LOTKA_POOL = {
+    "x": ("x", "1.2*x - x*x", "2.5*x - 1.5*x*y - 0.8*x*x"),
+    "y": ("y", "1.2*y - y*y", "1.5*y - 0.5*x*y - 0.8*y*y"),
+}
+
+
+@pytest.fixture(autouse=True)
+def _little_work(monkeypatch):
+    """Few neighbours are looked at, so that a test takes a second or two."""
+    monkeypatch.setattr(model, "WORK", 2_000_000)
+
+
+def refined(known, starts, pool, *, times=TIMES, noise=0.0, seed=0, config=None):
+    config = config or JobConfig(space=ARITHMETIC)
+    preparation = prepare(table(known, starts, times, noise, seed), config)
+    return refine_all(preparation, config, pools(preparation, **pool))
+
+
+def is_same(known, refinement, **truths):
+    """Tell whether equations have the truths' functions, with simple constants."""
+    draw = np.random.default_rng(5).uniform(0.5, 2.0, (len(known.names), 20))
+    from coordinator.model.derivative import values_of
+
+    return all(
+        np.allclose(values_of(refinement.equations[name].program, draw), values_of(known.parsed(text), draw), rtol=1e-9)
+        for name, text in truths.items()
+    )
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """Five percent of noise; one trajectory is held out."""
+    with pytest.MonkeyPatch.context() as patch, np.errstate(all="raise", under="ignore"):
+        patch.setattr(model, "WORK", 2_000_000)
+        config = JobConfig(space=ARITHMETIC, data=DataConfig(holdout=1))
+        return refined(LOTKA, LOTKA_STARTS, LOTKA_POOL, noise=0.05, seed=101, config=config)
+
+
+def test_noisy_equations_come_out_in_form_with_simple_constants(noisy):
+    assert is_same(LOTKA, noisy, x="3*x - 2*x*y - x**2", y="2*y - x*y - y**2")
+
+
+def test_their_verdict_is_good(noisy):
+    for its in noisy.equations.values():
+        assert its.grade == "good"
+        assert "like the noise" in its.reason
+
+
+def test_fitted_constants_have_intervals_around_them(noisy):
+    for its in noisy.equations.values():
+        assert len(its.constants) == len(constant_places(its.program))
+        for constant in its.constants:
+            low, high = constant.interval
+            assert low < constant.value < high
+            assert low < constant.fitted < high
+            assert constant.identifiable
+
+
+def test_the_equation_shown_is_the_first_contender_and_the_others_are_longer(noisy):
+    for its in noisy.equations.values():
+        first, *others = its.contenders
+        assert (first.program, first.nats, first.is_shown) == (its.program, 0.0, True)
+        assert others
+        assert [each.nats for each in others] == sorted(each.nats for each in others)
+        assert all(each.nats >= 0.0 and not each.is_shown for each in others)
+        assert all(each.r2 <= 1.0 for each in its.contenders)
+
+
+def test_held_out_trajectories_are_simulated_and_judged(noisy):
+    assert [each.held_out for each in noisy.simulation.trajectories] == [False, False, False, True]
+    assert all(r2 > 0.8 for each in noisy.simulation.trajectories for r2 in each.r2)
+    assert noisy.simulation.trajectories[-1].errors is None
+    for index, its in enumerate(noisy.equations.values()):
+        assert its.contenders[0].held_out_r2 == noisy.simulation.trajectories[-1].r2[index]
+
+
+def test_simulations_have_bands_that_hold_the_true_curve(noisy):
+    assert noisy.simulation.states == ("x", "y")
+    for start, its in zip(LOTKA_STARTS, noisy.simulation.trajectories[:-1], strict=False):
+        assert its.errors.shape == its.values.shape == (2, 40)
+        truth = LOTKA.values(start, TIMES)
+        assert (np.abs(its.values - truth) <= 4.5 * its.errors).mean() > 0.95
+
+
+def test_two_refinements_are_the_same_to_the_bit():
+    def programs():
+        pool = {"x": ("y",), "y": ("-x",)}
+        its = refined(SWING, ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0]), pool, noise=0.03, seed=102)
+        return [(each.program, each.constants, each.contenders) for each in its.equations.values()]
+
+    assert programs() == programs()
+
+
+def test_clean_equations_are_exact():
+    starts = ([1.0, 2.0], [0.5, -1.0])
+    its = refined(SWING, starts, {"x": ("y",), "y": ("-x", "-1.9*x - 0.35*y")})
+    assert is_same(SWING, its, x="y", y="-2.0*x - 0.3*y")
+    assert [each.grade for each in its.equations.values()] == ["exact", "exact"]
+    assert its.equations["x"].member == 0
+    assert its.warnings == ()
+    assert all(r2 == pytest.approx(1.0, abs=1e-9) for each in its.simulation.trajectories for r2 in each.r2)
+
+
+def test_what_the_pool_lacks_is_found_nearby():
+    """The damping is missing from all that was handed on, and there are no libraries without sums."""
+    starts = ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0])
+    its = refined(SWING, starts, {"x": ("y",), "y": ("-1.9*x",)}, noise=0.02, seed=103)
+    assert is_same(SWING, its, x="y", y="-2.0*x - 0.3*y")
+    assert its.equations["y"].member is None
+
+
+def test_where_nothing_can_be_simulated_the_fit_to_derivatives_stays():
+    """Only functions that explode are handed on, and nothing may be added to them."""
+    config = JobConfig(space=SpaceConfig(operators=("exp", "*")))
+    pool = {"x": ("exp(9.0*x*x)",), "y": ("exp(9.0*y*y)*exp(3.0*x)",)}
+    its = refined(LOTKA, LOTKA_STARTS[:2], pool, noise=0.05, config=config)
+    assert its.warnings == (NOT_SIMULATED,)
+    assert its.simulation is None
+    assert all(each.contenders == () and each.grade is None for each in its.equations.values())
+    assert all(math.isfinite(each.error) for each in its.equations.values())
+
+
+def test_a_known_equation_stays_as_it_is_given():
+    config = JobConfig(space=ARITHMETIC, prior=PriorConfig(known={"y": "2.0013*y - x*y - 0.9991*y*y"}))
+    pool = {"x": LOTKA_POOL["x"]}
+    its = refined(LOTKA, LOTKA_STARTS[:3], pool, noise=0.02, seed=104, config=config)
+    known = its.equations["y"]
+    assert sorted(np.abs(known.program.constants[constant_places(known.program)]).tolist()) == [0.9991, 2.0013]
+    assert all(each.fitted is None and each.interval is None for each in known.constants)
+    assert len(known.contenders) == 1
+    assert is_same(LOTKA, its, x="3*x - 2*x*y - x**2")
+
+
+def test_only_allowed_operators_and_variables_come_in():
+    all_of_them = ("+", "-", "*", "sin", "cos")
+    space = SpaceConfig(operators=all_of_them, operators_of={"x": ("+", "-")}, variables_of={"y": ("y",)})
+    its = refined(LOTKA, LOTKA_STARTS[:2], {"x": ("x",), "y": ("y",)}, noise=0.05, config=JobConfig(space=space))
+    codes = set(its.equations["x"].program.operators.tolist())
+    assert codes <= {0, 1, *(BY_NAME[name].code for name in ("+", "-", "neg"))}
+    y = its.equations["y"].program
+    assert set(y.left[y.operators == 0].tolist()) <= {1}
+
+
+def test_a_measured_input_is_part_of_the_model():
+    config = JobConfig(space=ARITHMETIC, data=DataConfig(inputs=("u",)))
+    its = refined(DRIVEN, ([2.0], [-1.0]), {"x": ("-0.5*x", "u - x")}, noise=0.03, seed=105, config=config)
+    assert is_same(DRIVEN, its, x="1.5*u - 0.8*x")
+
+
+def test_with_order_2_positions_alone_are_measured():
+    """x'' = -2 x - 0.3 x': what is simulated are positions."""
+    whole = table(SWING, ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0]), TIMES, 0.01, 106)
+    config = JobConfig(space=ARITHMETIC, data=DataConfig(order=2, states=("x",)))
+    preparation = prepare(whole, config)
+    its = refine_all(preparation, config, pools(preparation, x=("-1.5*x", "-1.5*x - 0.1*x_dot")))
+    positions = Known(("x", "x_dot"), SWING.rates)
+    assert is_same(positions, its, x="-2.0*x - 0.3*x_dot")
+    assert its.simulation.states == ("x",)
+    assert all(each.values.shape == (1, 40) for each in its.simulation.trajectories)
+
+
+def test_data_without_a_law_get_no_good_verdict():
+    draw = np.random.default_rng(107)
+    noise = table(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES)
+    noise.columns[1:] = draw.standard_normal(noise.columns[1:].shape)
+    preparation = prepare(noise, JobConfig(space=ARITHMETIC))
+    its = refine_all(preparation, JobConfig(space=ARITHMETIC), pools(preparation, x=("y",), y=("x",)))
+    assert {each.grade for each in its.equations.values()} <= {"no model", "doubtful", None}
