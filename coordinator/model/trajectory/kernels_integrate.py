@@ -133,13 +133,13 @@ def advance(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatA
 def shoot(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: Ints, parameters: Ints,
           owners: Ints, times: FloatArray, inputs: FloatArray, input_slopes: FloatArray, segments: Ints,
           starts: FloatArray, tolerance: FloatArray, limits: FloatArray, budget: int, wants: bool,
-          simulated: FloatArray, gradients: FloatArray) -> int:  # fmt: skip
+          simulated: FloatArray, gradients: FloatArray, taken: Ints) -> int:  # fmt: skip
     """Integrate every segment from its start; write states (D, N) and sensitivities (N, D, Q) at its rows.
 
     `segments` (G, 2) are half-open row ranges, `starts` (G, D) their states at the first row, `budget` the steps that
-    all rows together may take. Returns the number g of segments that were integrated to their end: all, or the rows
-    of the one that was not stay NaN from where it ended, and the later ones are not tried; -1 - g when the budget was
-    used up.
+    all rows together may take, `taken` (1,) gets how many were. Returns the number g of segments that were integrated
+    to their end: all, or the rows of the one that was not stay NaN from where it ended, and the later ones are not
+    tried; -1 - g when the budget was used up.
     """
     stage_count = table[1].shape[0]
     is_implicit = table[0].shape[1] == stage_count
@@ -157,6 +157,8 @@ def shoot(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatArr
     matrix = np.zeros((states, states))
     column = np.zeros((states, 1))
     y = np.zeros(states)
+    given = budget
+    taken[0] = 0
     for g in range(segments.shape[0]):
         first, end = segments[g, 0], segments[g, 1]
         for d in range(states):
@@ -177,7 +179,10 @@ def shoot(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatArr
                     row - 1, tolerance, limits, y, step, budget, sensitivity, wants, points, stages, values, adjoints,
                     jacobian, direct, moved, rate,
                 )  # fmt: skip
-            if budget < 0:
+            if budget >= 0:
+                taken[0] = given - budget
+            else:
+                taken[0] = given if budget == EXHAUSTED else taken[0]
                 return g if budget == BLOWN_UP else -1 - g
             for d in range(states):
                 simulated[d, row] = y[d]

@@ -25,14 +25,14 @@ from coordinator.model.trajectory.system import System
 STEPS_PER_ROW: Final = 40
 """Integration steps that may be taken for each row, on average: what needs more is stiff or blows up."""
 
-QUICK_STEPS_PER_ROW: Final = 15
-"""The same for the quick method."""
+QUICK_STEPS_PER_ROW: Final = 8
+"""The same for the quick method: beyond, implicit steps take less time."""
 
 FINEST: Final = 1e-6
 """Errors of an implicit step, over a state's standard deviation, are not made smaller: its order is low."""
 
-STIFF_WORK: Final = 5
-"""How many times the work it is to find a system stiff, or to integrate a stiff one."""
+FREE: Final = (4.0, 12.0, 1.0)
+"""Steps for each row that do not count as more work, by the quick, the precise and the implicit method."""
 
 QUICK_ENOUGH: Final = 1e-5
 """Errors of a step, over a state's standard deviation, above which the quick method takes less time."""
@@ -97,12 +97,16 @@ class _Equations:
 
 @dataclass(frozen=True, eq=False)
 class _Method:
-    """How to integrate: steps for each row, the error (D,) allowed in one, and how many times the work it is."""
+    """How to integrate: most steps for each row, how many of them are free, the error (D,) allowed in one."""
 
     table: Table
     steps: int
+    free: float
     tolerance: FloatArray
-    work: int
+
+    def work(self, steps: int, rows: int) -> int:
+        """Return what so many steps along so many rows count, one for each row or more."""
+        return max(rows, int(steps / self.free))
 
 
 class Shooter:
@@ -111,10 +115,12 @@ class Shooter:
     def __init__(self, measurements: Measurements, precision: float) -> None:
         """`precision` is the error of a step over a state's standard deviation."""
         self.precision: Final = precision
-        explicit = (PRECISE, STEPS_PER_ROW) if precision < QUICK_ENOUGH else (QUICK, QUICK_STEPS_PER_ROW)
+        quick, precise, implicit = FREE
+        is_quick = precision >= QUICK_ENOUGH
+        explicit = (QUICK, QUICK_STEPS_PER_ROW, quick) if is_quick else (PRECISE, STEPS_PER_ROW, precise)
         self._methods: Final = (
-            _Method(*explicit, precision * measurements.scales, 1),
-            _Method(STIFF, STEPS_PER_ROW, max(precision, FINEST) * measurements.scales, STIFF_WORK),
+            _Method(*explicit, precision * measurements.scales),
+            _Method(STIFF, STEPS_PER_ROW, implicit, max(precision, FINEST) * measurements.scales),
         )
         self.measurements: Final = measurements
         self._measured = np.where(measurements.weights > 0.0, measurements.measured, 0.0)
@@ -215,14 +221,14 @@ class Shooter:
         simulated = np.full((states, its.rows), np.nan)
         local = starts.shape[1]
         gradients = np.zeros((its.rows, states, fitted + local))
+        taken = np.zeros(1, dtype=np.int64)
         done = shoot(
             method.table, system.code, system.left, system.right, system.constants, system.outputs, system.parameters,
             system.owners, its.times, its.inputs, its.input_slopes, segments, starts, method.tolerance, its.limits,
-            200 + method.steps * its.rows, True, simulated, gradients,
+            200 + method.steps * its.rows, True, simulated, gradients, taken,
         )  # fmt: skip
         with self._lock:
-            work = STIFF_WORK if done < 0 else method.work
-            self.work += work * its.rows * (OVERHEAD + states * (1 + fitted + local))
+            self.work += method.work(int(taken[0]), its.rows) * (OVERHEAD + states * (1 + fitted + local))
         if done < len(segments) or not np.abs(gradients).max(initial=0.0) < _STEEPEST:
             return None, done < 0
         residuals = self._measured - simulated[its.observed]

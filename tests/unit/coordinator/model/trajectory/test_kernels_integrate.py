@@ -40,7 +40,7 @@ def shot(
     done = shoot(
         table, system.code, system.left, system.right, system.constants, system.outputs, system.parameters,
         system.owners, times, inputs, input_slopes, segments, starts, np.full(states, tolerance),
-        np.ascontiguousarray(limits[:states]), budget, wants, simulated, gradients,
+        np.ascontiguousarray(limits[:states]), budget, wants, simulated, gradients, np.zeros(1, np.int64),
     )  # fmt: skip
     return done, simulated, gradients
 
