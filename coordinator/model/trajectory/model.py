@@ -34,7 +34,7 @@ from coordinator.model.trajectory.system import variable_program
 COMPARED_ROWS: Final = 1_200
 """Structures are compared on at most about so many rows; constants are then fitted on all."""
 
-WORK: Final = 60_000_000
+WORK: Final = 45_000_000
 """Work of all comparisons, see `Shooter.work`: some seconds of one core."""
 
 STARTS: Final = 3
@@ -46,7 +46,10 @@ NOISE_SHARE: Final = 0.01
 
 CLEAN: Final = 1e-7
 _EXCHANGING: Final = ((1, 16), (6, 5), (20, 2))
-_RESTARTING: Final = ((1, 60), (6, 60))
+_RESTARTING: Final = ((1, 16), (6, 16))
+AGAIN: Final = 30
+"""Candidates of a variable that are tried again after another variable's program has changed."""
+
 _SMALL: Final = 9
 _LEAST: Final = 1e-3
 
@@ -180,16 +183,18 @@ def _combined(contest: Contest, lists: Sequence[Sequence[Program]]) -> Standing 
 
 
 def _exchanged(contest: Contest, best: Standing, lists: Sequence[Sequence[Program]]) -> Standing:
-    """Return the best system that comes of exchanging one variable's program at a time."""
+    """Return the best system that comes of exchanging one variable's program at a time; all of them at first."""
+    tried: Sequence[Sequence[Program]] = lists
     while True:
         before = best.nats
-        for equation, programs in enumerate(lists):
+        for equation, programs in enumerate(tried):
             if len(programs) > 1:
                 found = contest.halved(best, equation, programs, _EXCHANGING)
                 if found and found[0].nats < best.nats - _LEAST:
                     best = found[0]
         if best.nats > before - _LEAST:
             return best
+        tried = [programs[:AGAIN] for programs in lists]
 
 
 def _descended(field: Field, contest: Contest, best: Standing, lists: Sequence[Sequence[Program]]) -> Standing:
