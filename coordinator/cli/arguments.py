@@ -206,6 +206,7 @@ def _add_data(group: Any) -> None:
         "--angle", action="append", metavar="theta[:deg]", help="a state that is an angle, to be unwrapped; repeatable"
     )
     group.add_argument("--only", metavar="x", help="search these equations only; the other states stay usable")
+    group.add_argument("--offsets", metavar="x", help="states measured up to an offset, fitted for each trajectory")
     group.add_argument(
         "--missing", metavar="refuse|drop", help="what to do with rows holding NaN or infinity (default: refuse)"
     )

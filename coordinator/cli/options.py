@@ -107,6 +107,7 @@ _OPTIONS: Final[Mapping[str, tuple[str, _Reader]]] = {
     "derivatives": ("data.derivatives", names),
     "order": ("data.order", _whole),
     "only": ("data.only", names),
+    "offsets": ("data.offsets", names),
     "missing": ("data.missing", _text),
     "holdout": ("data.holdout", _holdout),
     "max_size": ("space.max_size", _whole),

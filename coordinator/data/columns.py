@@ -70,7 +70,7 @@ def mentioned(config: DataConfig) -> frozenset[str]:
     single = [name for name in (config.time, config.trajectory, config.target) if name is not None]
     angles = [angle.column for angle in config.angles]
     several = (*(config.states or ()), *config.inputs, *(config.derivatives or ()), *(config.only or ()))
-    return frozenset((*single, *several, *angles))
+    return frozenset((*single, *several, *angles, *config.offsets))
 
 
 def split_unit(header: str) -> tuple[str, str]:
@@ -93,7 +93,7 @@ def without_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
 
     single = {part: getattr(config, part) for part in ("time", "trajectory", "target")}
     changes: dict[str, object] = {part: plain(name) for part, name in single.items() if name is not None}
-    changes |= {part: several(getattr(config, part)) for part in ("states", "inputs", "derivatives", "only")}
+    changes |= {part: several(getattr(config, part)) for part in ("states", "inputs", "derivatives", "only", "offsets")}
     if isinstance(config.holdout, str):
         name, _, value = config.holdout.rpartition("=")
         changes["holdout"] = f"{plain(name.strip())}={value.strip()}"
@@ -146,6 +146,9 @@ def check_options(config: DataConfig) -> None:
     if config.derivatives is not None and config.states is not None and len(config.derivatives) != len(config.states):
         counts = f"{len(config.states)} states and {len(config.derivatives)} derivatives"
         raise UsageError(f"{counts} were named; give one derivative per state, in the same order")
+    if config.offsets and (config.target is not None or config.derivatives is not None):
+        other = "--target" if config.target is not None else "--derivatives"
+        raise UsageError(f"--offsets and {other} exclude each other; offsets belong to states measured in time")
     _check_parts(config)
 
 
@@ -211,6 +214,9 @@ def _check_equations(roles: Roles, config: DataConfig) -> None:
     for name in config.only or ():
         if name not in roles.equations:
             raise UsageError(f"--only names '{name}', but equations are sought for {', '.join(roles.equations)}")
+    for name in config.offsets:
+        if name not in roles.states:
+            raise UsageError(f"--offsets names '{name}', but the states are {', '.join(roles.states)}; remove it")
 
 
 def _check_angles(roles: Roles, config: DataConfig) -> None:

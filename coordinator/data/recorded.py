@@ -43,6 +43,7 @@ def recorded(
         its.trajectories.offset,
         tuple(_smoothing(*each) for each in zip(its.roles.states, estimates, doubtful, strict=True)),
         tuple(_trajectory(its, run, inputs, slopes, estimates) for run in range(len(its.trajectories.runs))),
+        its.config.offsets,
     )
 
 

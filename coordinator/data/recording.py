@@ -59,8 +59,9 @@ class Recording:
     """All trajectories of a job.
 
     `states` and `inputs` are column names, `state_symbols` and `input_symbols` the names in expressions, in the order
-    of the arrays' rows. With `order` 2 the variables of expressions are the states, then `velocity_symbols`, then the
-    inputs. `offset` is what was taken from the times of the file to centre them.
+    of the arrays' rows; `offsets` are states measured up to an offset that each trajectory has its own. With `order` 2
+    the variables of expressions are the states, then `velocity_symbols`, then the inputs. `offset` is what was taken
+    from the times of the file to centre them.
     """
 
     states: tuple[str, ...]
@@ -72,6 +73,7 @@ class Recording:
     offset: float
     smoothing: tuple[Smoothing, ...]
     trajectories: tuple[Trajectory, ...]
+    offsets: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

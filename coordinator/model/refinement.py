@@ -101,7 +101,8 @@ class Simulated:
 
     `times` (R,) are centred as in the recording; `values` and `errors` (S, R) are the simulated states and the standard
     errors that those of the constants and initial conditions give them (None where the simulation ends early);
-    `r2` has one number for each state, None where it could not be simulated to the end.
+    `r2` has one number for each state, None where it could not be simulated to the end. `offsets` are what was measured
+    minus the state, by the names of the states that have one; `values` include them.
     """
 
     name: str
@@ -110,6 +111,7 @@ class Simulated:
     values: FloatArray | None
     errors: FloatArray | None
     r2: tuple[float | None, ...]
+    offsets: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -113,6 +113,7 @@ def _trajectory(its: Simulated, states: Sequence[str], offset: float, most: int)
         "name": its.name,
         "held_out": its.held_out,
         "r2": dict(zip(states, map(finite, its.r2), strict=True)),
+        "offsets": {state: finite(value) for state, value in its.offsets.items()},
         "times": _curve(its.times[rows] + offset, digits=12),
         "values": _curves(its.values, states, rows),
         "lower": _curves(_beside(its, -NORMAL_95), states, rows),

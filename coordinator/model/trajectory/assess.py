@@ -36,10 +36,10 @@ class Errors:
 def errors_of(contest: Contest, standing: Standing) -> Errors:
     """Return the errors of the constants of a fit, variances corrected for the numbers fitted."""
     shot = standing.shot
-    counts = float(contest.counts.sum())
+    counts = float(contest.counts.sum()) / contest.coherence
     fitted = len(shot.system.places) + shot.starts.size
     freedom = max(counts - fitted, 1.0)
-    return Errors(shot.system.values, covariance(shot) * (counts / freedom), freedom)
+    return Errors(shot.system.values, covariance(shot) * (contest.coherence * counts / freedom), freedom)
 
 
 def constants_of(contest: Contest, shown: Sequence[Program], errors: Errors) -> list[tuple[Constant, ...]]:
@@ -92,19 +92,33 @@ def held(contest: Contest, programs: Sequence[Program], near: Shot | None = None
     return contest.shooter.fit(system, None, _STEPS, starts, sigmas)
 
 
-def simulated(its: Measurements, shot: Shot, errors: FloatArray | None, *, held_out: bool) -> list[Simulated]:
-    """Return the simulations of all trajectories; `errors` are (O, N)."""
+def simulated(
+    its: Measurements, shot: Shot, errors: FloatArray | None, states: Sequence[str], *, held_out: bool
+) -> list[Simulated]:
+    """Return the simulations of all trajectories of `states`; `errors` are (O, N)."""
+    offsets = _offsets(its, shot)
+    values = shot.simulated[its.observed]
+    for state, offset in zip(its.offset.tolist(), offsets, strict=True):
+        values[state] += offset
     return [
         Simulated(
             name,
             held_out,
             its.times[rows],
-            shot.simulated[its.observed][:, rows],
+            values[:, rows],
             None if errors is None else errors[:, rows],
             tuple(r2_of(its, shot, rows)),
+            {states[state]: float(offset[rows].mean()) for state, offset in zip(its.offset, offsets, strict=True)},
         )
         for name, rows in _rows_of(its)
     ]
+
+
+def _offsets(its: Measurements, shot: Shot) -> list[FloatArray]:
+    """Return for each state that has one the offset at every row (N,)."""
+    lengths = shot.segments[:, 1] - shot.segments[:, 0]
+    columns = shot.starts[:, shot.starts.shape[1] - len(its.offset) :].T
+    return [np.repeat(column, lengths) for column in columns]
 
 
 def not_simulated(its: Measurements, *, held_out: bool) -> list[Simulated]:

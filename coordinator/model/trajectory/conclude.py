@@ -66,13 +66,13 @@ def concluded(choice: Chosen, pools: Mapping[str, Pool]) -> Refinement | None:
     field = final.field
     errors = errors_of(final.contest, final.free)
     constants = constants_of(final.contest, final.shown, errors)
-    out = None if final.unseen is None else _held_out(final.unseen, final.shown)
+    out = None if final.unseen is None else _held_out(final, final.unseen, final.shown)
     equations = {
         name: _refined(final, index, constants[index], _foretold(final, out, index), pools.get(name))
         for index, name in enumerate(field.variables)
     }
     its = final.contest.shooter.measurements
-    trajectories = simulated(its, final.held.shot, bands(its, final.free, errors), held_out=False)
+    trajectories = simulated(its, final.held.shot, bands(its, final.free, errors), field.variables, held_out=False)
     return Refinement(
         equations,
         Simulation(field.variables, (*trajectories, *(out.trajectories if out is not None else ()))),
@@ -102,13 +102,15 @@ def _unseen(field: Field) -> Contest | None:
     return field.contest(field.measurements(field.variables, held_out=True), field.variables)
 
 
-def _held_out(unseen: Contest, programs: Sequence[Program]) -> _HeldOut:
+def _held_out(final: _Final, unseen: Contest, programs: Sequence[Program]) -> _HeldOut:
     """Simulate the held-out trajectories from initial states that are fitted to them."""
     its = unseen.shooter.measurements
     shot = held(unseen, programs)
     if shot is None:
         return _HeldOut(tuple(not_simulated(its, held_out=True)), tuple(-np.inf for _ in its.observed))
-    return _HeldOut(tuple(simulated(its, shot, None, held_out=True)), tuple(r2_of(its, shot, slice(None))))
+    return _HeldOut(
+        tuple(simulated(its, shot, None, final.field.variables, held_out=True)), tuple(r2_of(its, shot, slice(None)))
+    )
 
 
 def _refined(
@@ -176,7 +178,7 @@ def _contenders(final: _Final, index: int, held_out_r2: float | None) -> tuple[C
         r2 = r2_of(contest.shooter.measurements, rival.standing.shot, slice(None))[index]
         held_out_r2 = None if rival.validated is None else rival.validated.r2[index]
         if nats <= VALIDATED_NATS and final.unseen is not None:
-            held_out_r2 = _held_out(final.unseen, rival.standing.programs).r2[index]
+            held_out_r2 = _held_out(final, final.unseen, rival.standing.programs).r2[index]
         found.append(Contender(program, nats, r2, held_out_r2))
     return tuple(found)
 

@@ -64,7 +64,8 @@ class Contest:
         self.tried: Final[dict[tuple[int, bytes], Standing]] = {}
         self.counts: Final = its.weights.sum(axis=1)
         self.floors: Final = EXACT * its.scales[its.observed]
-        self.constant_nats: Final = 0.5 * math.log(its.rows)
+        self.coherence: Final = its.coherence
+        self.constant_nats: Final = 0.5 * math.log(max(its.rows / its.coherence, 2.0))
         self._pool = ThreadPoolExecutor(threads)
 
     def map(self, work: Callable[[Item], Standing | None], items: Iterable[Item]) -> list[Standing]:
@@ -121,7 +122,7 @@ class Contest:
 
     def measured(self, programs: Sequence[Program], shot: Shot) -> Standing:
         """Return the standing of a fit of `programs`."""
-        its = misfit(shot, self.floors, self.counts)
+        its = misfit(shot, self.floors, self.counts / self.coherence)
         nats = its + sum(map(structure_nats, programs)) + self.constant_nats * len(shot.system.places)
         fitted = split(shot.system, [*self.leading, *programs])[len(self.leading) :]
         return Standing(tuple(fitted), shot, its, nats)

@@ -1,7 +1,8 @@
 """Sum up what a fit needs of sensitivities and residuals, and solve for its step, block by block.
 
-Letters as in `kernels_integrate`: P fitted constants, D states, G segments, N rows, O measured states. The matrix of
-the normal equations has an arrow's shape: the constants' block, and for each segment a block of its initial state.
+Letters as in `kernels_integrate`: P fitted constants, D states, G segments, N rows, O measured states; L = D + K
+numbers belong to one segment alone, its initial state and K offsets. The matrix of the normal equations has an arrow's
+shape: the constants' block, and for each segment a block of its own numbers.
 """
 
 import math
@@ -19,11 +20,11 @@ RIDGE = 1e-13
 def normal_equations(segments: Ints, observed: Ints, residuals: FloatArray, weights: FloatArray,
                      gradients: FloatArray, fitted: int, normal: FloatArray, coupling: FloatArray, own: FloatArray,
                      gradient: FloatArray, own_gradient: FloatArray) -> None:  # fmt: skip
-    """Sum up J'WJ and J'Wr by blocks: constants (P, P), (G, P, D), and each segment's initial state (G, D, D).
+    """Sum up J'WJ and J'Wr by blocks: constants (P, P), (G, P, L), and what each segment has its own (G, L, L).
 
     `residuals` and `weights` are (O, N) for the `observed` (O,) states; a weight of zero leaves a number out.
     """
-    states = gradients.shape[1]
+    local = gradients.shape[2] - fitted
     for g in range(segments.shape[0]):
         for row in range(segments[g, 0], segments[g, 1]):
             for o in range(observed.shape[0]):
@@ -36,12 +37,12 @@ def normal_equations(segments: Ints, observed: Ints, residuals: FloatArray, weig
                     gradient[p] += wj * r
                     for q in range(p + 1):
                         normal[p, q] += wj * gradients[row, s, q]
-                    for d in range(states):
+                    for d in range(local):
                         coupling[g, p, d] += wj * gradients[row, s, fitted + d]
-                for d in range(states):
+                for d in range(local):
                     wj = w * gradients[row, s, fitted + d]
                     own_gradient[g, d] += wj * r
-                    for e in range(states):
+                    for e in range(local):
                         own[g, d, e] += wj * gradients[row, s, fitted + e]
     for p in range(fitted):
         for q in range(p):
@@ -94,11 +95,11 @@ def substitute(factor: FloatArray, size: int, scale: FloatArray, vector: FloatAr
 @allocating_kernel
 def solve_step(normal: FloatArray, coupling: FloatArray, own: FloatArray, gradient: FloatArray,
                own_gradient: FloatArray, damping: float, change: FloatArray, moves: FloatArray) -> bool:  # fmt: skip
-    """Write the step of the constants into `change` (P,) and of the initial states into `moves` (G, D).
+    """Write the step of the constants into `change` (P,) and of the segments' own numbers into `moves` (G, L).
 
-    The initial states are eliminated first (Schur's complement). Returns False when the matrix is singular.
+    The segments' own numbers are eliminated first (Schur's complement). Returns False when the matrix is singular.
     """
-    fitted, groups, states = gradient.shape[0], own.shape[0], own.shape[1]
+    fitted, groups, local = gradient.shape[0], own.shape[0], own.shape[1]
     reduced, factors = normal.copy(), own.copy()
     scales = own[:, 0, :].copy()
     scale, column = gradient.copy(), own_gradient[0].copy()
@@ -107,16 +108,16 @@ def solve_step(normal: FloatArray, coupling: FloatArray, own: FloatArray, gradie
         reduced[p, p] *= 1.0 + damping
         change[p] = gradient[p]
     for g in range(groups):
-        if not factorize(factors[g], states, scales[g], damping):
+        if not factorize(factors[g], local, scales[g], damping):
             return False
         for p in range(fitted):
-            for d in range(states):
+            for d in range(local):
                 column[d] = coupling[g, p, d]
-            substitute(factors[g], states, scales[g], column)
-            for d in range(states):
+            substitute(factors[g], local, scales[g], column)
+            for d in range(local):
                 carried[g, p, d] = column[d]
         for p in range(fitted):
-            for d in range(states):
+            for d in range(local):
                 change[p] -= carried[g, p, d] * own_gradient[g, d]
                 for q in range(p + 1):
                     reduced[p, q] -= carried[g, p, d] * coupling[g, q, d]
@@ -124,11 +125,11 @@ def solve_step(normal: FloatArray, coupling: FloatArray, own: FloatArray, gradie
         return False
     substitute(reduced, fitted, scale, change)
     for g in range(groups):
-        for d in range(states):
+        for d in range(local):
             column[d] = own_gradient[g, d]
             for p in range(fitted):
                 column[d] -= coupling[g, p, d] * change[p]
-        substitute(factors[g], states, scales[g], column)
-        for d in range(states):
+        substitute(factors[g], local, scales[g], column)
+        for d in range(local):
             moves[g, d] = column[d]
     return True

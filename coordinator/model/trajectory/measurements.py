@@ -1,6 +1,7 @@
 """The measured trajectories laid out for fits: all rows one after another, and what is simulated of them. Pure.
 
-Letters: N rows of all trajectories, S states, D of them with an equation here, O measured ones, U inputs, B pieces.
+Letters: N rows of all trajectories, S states, D of them with an equation here, O measured ones, K of these with an
+offset, U inputs, B pieces.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -34,9 +35,11 @@ class Measurements:
 
     `bounds` (B, 2) are the half-open row ranges of the pieces that are simulated at a stretch, `owners` (B,) the
     trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), a weight of zero leaves
-    a number out; `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured. `scales` (D,) are the
-    states' standard deviations, `noise` (O,) the smoother's estimate of that of the measurement errors. `input_slopes`
-    belong to `inputs` (U, N). `variables` names the numbers of a point: D states, then U inputs.
+    a number out; `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured, and `offset` (K,)
+    which of these up to an offset. `scales` (D,) are the states' standard deviations, `noise` (O,) the smoother's
+    estimate of that of the measurement errors; `coherence` is along how many rows errors go together, more than one
+    where states without an equation are inputs as smoothed. `input_slopes` belong to `inputs` (U, N). `variables` names
+    the numbers of a point: D states, then U inputs.
     """
 
     bounds: Ints
@@ -50,8 +53,10 @@ class Measurements:
     input_slopes: FloatArray
     scales: FloatArray
     noise: FloatArray
+    offset: Ints
     variables: tuple[str, ...]
     names: tuple[str, ...]
+    coherence: float = 1.0
 
     @property
     def rows(self) -> int:
@@ -160,9 +165,18 @@ def measurements_of(
         input_slopes=np.ascontiguousarray(np.concatenate(slopes)),
         scales=np.maximum(smoothed.std(axis=1), 1e-300),
         noise=noise,
+        offset=np.array(
+            [place for place, index in enumerate(chosen) if recording.states[index] in recording.offsets], np.int64
+        ),
         variables=_variables(recording, chosen, others),
         names=tuple(part.name for part in parts),
+        coherence=_coherence(recording, others),
     )
+
+
+def _coherence(recording: Recording, others: Sequence[int]) -> float:
+    """Return along how many rows the errors of these states as smoothed go together: about half a span."""
+    return max((0.5 * (recording.smoothing[index].span or 2.0) for index in others), default=1.0)
 
 
 def _variables(recording: Recording, chosen: list[int], others: list[int]) -> tuple[str, ...]:

@@ -41,6 +41,8 @@ def chosen(field: Field, pools: Mapping[str, Pool], settled: Mapping[str, Refine
         pools: what the search handed on.
         settled: equations by derivatives; those of converged searches without noise are not compared with others.
     """
+    if field.recording.offsets:
+        field = replace(field, piece=_longest(field))
     lists = candidates_of(field, pools, settled)
     if not all(lists):
         return None
@@ -68,12 +70,18 @@ def on_all_rows(choice: Chosen) -> Chosen | None:
 
 
 def remarks(field: Field) -> Iterator[str]:
-    """Yield a sentence for the user if trajectories were not simulated in whole."""
+    """Yield sentences for the user: trajectories were not simulated in whole, states are without an equation."""
     longest = _longest(field)
     if longest > field.piece:
         yield (
             f"Trajectories were simulated in pieces of {field.piece} rows or less, each from an initial state of its "
             f"own, not in whole (up to {longest} rows); beyond a piece the model has not been tested."
+        )
+    others = [state for state in field.recording.states if state not in field.variables]
+    if others:
+        yield (
+            f"Simulations take {', '.join(others)}, without an equation, as smoothed; the errors of that add to what "
+            "they leave."
         )
 
 

@@ -15,13 +15,24 @@ import numpy as np
 
 from common.dataset import FloatArray
 from common.expression.kernels import Ints
+from coordinator.model.trajectory.kernels_implicit import STIFF
 from coordinator.model.trajectory.kernels_integrate import PRECISE, QUICK, shoot
 from coordinator.model.trajectory.kernels_normal import normal_equations, solve_step
+from coordinator.model.trajectory.kernels_rates import Table
 from coordinator.model.trajectory.measurements import Measurements
 from coordinator.model.trajectory.system import System
 
 STEPS_PER_ROW: Final = 40
-"""Integration steps that may be taken for each row, on average: what needs more is too stiff or blows up."""
+"""Integration steps that may be taken for each row, on average: what needs more is stiff or blows up."""
+
+QUICK_STEPS_PER_ROW: Final = 8
+"""The same for the quick method: beyond, implicit steps take less time."""
+
+FINEST: Final = 1e-6
+"""Errors of an implicit step, over a state's standard deviation, are not made smaller: its order is low."""
+
+FREE: Final = (4.0, 12.0, 1.0)
+"""Steps for each row that do not count as more work, by the quick, the precise and the implicit method."""
 
 QUICK_ENOUGH: Final = 1e-5
 """Errors of a step, over a state's standard deviation, above which the quick method takes less time."""
@@ -44,9 +55,10 @@ _STEEPEST: Final = 1e60
 class Shot:
     """A system fitted to segments.
 
-    `starts` (G, D) are the fitted initial states of `segments` (G, 2); `simulated` (D, N); `residuals` (O, N) measured
-    minus simulated; `sigmas` (O,) the standard deviations that errors were weighted by; `squares` (O,) their mean
-    squares; `normal`, `coupling` and `own` the blocks of the normal equations at the end, weighted.
+    `starts` (G, D) are the fitted initial states of `segments` (G, 2), and behind them, where trajectories are fitted
+    in whole, their K offsets (G, D + K); `simulated` (D, N); `residuals` (O, N) measured minus simulated and offset;
+    `sigmas` (O,) the standard deviations that errors were weighted by; `squares` (O,) their mean squares; `normal`,
+    `coupling` and `own` the blocks of the normal equations at the end, weighted.
     """
 
     system: System
@@ -83,16 +95,35 @@ class _Equations:
     gradients: FloatArray
 
 
+@dataclass(frozen=True, eq=False)
+class _Method:
+    """How to integrate: most steps for each row, how many of them are free, the error (D,) allowed in one."""
+
+    table: Table
+    steps: int
+    free: float
+    tolerance: FloatArray
+
+    def work(self, steps: int, rows: int) -> int:
+        """Return what so many steps along so many rows count, one for each row or more."""
+        return max(rows, int(steps / self.free))
+
+
 class Shooter:
     """Fits systems to `measurements`; `work` counts rows times numbers carried along, of all integrations."""
 
     def __init__(self, measurements: Measurements, precision: float) -> None:
         """`precision` is the error of a step over a state's standard deviation."""
         self.precision: Final = precision
-        self._table = PRECISE if precision < QUICK_ENOUGH else QUICK
+        quick, precise, implicit = FREE
+        is_quick = precision >= QUICK_ENOUGH
+        explicit = (QUICK, QUICK_STEPS_PER_ROW, quick) if is_quick else (PRECISE, STEPS_PER_ROW, precise)
+        self._methods: Final = (
+            _Method(*explicit, precision * measurements.scales),
+            _Method(STIFF, STEPS_PER_ROW, implicit, max(precision, FINEST) * measurements.scales),
+        )
         self.measurements: Final = measurements
         self._measured = np.where(measurements.weights > 0.0, measurements.measured, 0.0)
-        self._tolerance = precision * measurements.scales
         self._smallest = np.maximum(_SMALLEST_NOISE * measurements.scales[measurements.observed], 1e-300)
         self.work = 0
         self._lock = threading.Lock()
@@ -107,16 +138,17 @@ class Shooter:
             system: where the fit begins.
             length: rows of a segment; None for whole trajectories.
             steps: most steps, successful or not.
-            starts: initial states (G, D); the smoothed ones unless given.
+            starts: initial states (G, D), or with offsets (G, D + K); the smoothed ones unless given.
             sigmas: what errors are weighted by (O,); the smoother's noise, or what the residuals are, unless given.
         """
         its = self.measurements
         segments = its.segments(length)
         if starts is None:
             starts = np.ascontiguousarray(its.smoothed[:, segments[:, 0]].T)
+        starts = self._with_offsets(starts, len(system.outputs), in_whole=length is None)
         if sigmas is None:
             sigmas = np.maximum(its.noise, 1e-4 * its.scales[its.observed])
-        here = self._equations(system, segments, starts, sigmas)
+        here, method = self._by(self._methods[0], system, segments, starts, sigmas)
         if here is None:
             return None
         damping = _FIRST_DAMPING
@@ -125,7 +157,7 @@ class Shooter:
             there = None
             if step is not None:
                 moved, new_starts = system.with_values(system.values + step[0]), starts + step[1]
-                there = self._equations(moved, segments, new_starts, sigmas, here.cost)
+                there, method = self._by(method, moved, segments, new_starts, sigmas, here.cost)
             if there is None:
                 damping *= 10.0
                 if damping > _LARGEST_DAMPING:
@@ -143,6 +175,14 @@ class Shooter:
             here.own, here.gradients,
         )  # fmt: skip
 
+    def _with_offsets(self, starts: FloatArray, states: int, *, in_whole: bool) -> FloatArray:
+        """Return initial states with offsets, which whole trajectories alone determine; as zero if they have none."""
+        count = len(self.measurements.offset) if in_whole else 0
+        missing = states + count - starts.shape[1]
+        if missing <= 0:
+            return np.ascontiguousarray(starts[:, : states + count])
+        return np.concatenate([starts, np.zeros((len(starts), missing))], axis=1)
+
     def _squares(self, residuals: FloatArray) -> FloatArray:
         total = self.measurements.weights.sum(axis=1)
         return np.asarray((self.measurements.weights * residuals * residuals).sum(axis=1) / total)
@@ -152,41 +192,69 @@ class Shooter:
         new = np.maximum(np.sqrt(self._squares(here.residuals)), self._smallest)
         if np.all(np.abs(new / sigmas - 1.0) < 1e-3):
             return sigmas, here
-        return new, self._weighed(here.simulated, here.gradients, here.residuals, segments, new)
+        return new, self._weighed(here.simulated, here.gradients, here.residuals, segments, new, len(here.gradient))
+
+    def _by(
+        self, method: _Method, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray,
+        below: float = math.inf,
+    ) -> tuple[_Equations | None, _Method]:  # fmt: skip
+        """Return the equations at a point, see `_equations`, and the method to go on with.
+
+        That is the one for stiff systems if `method` took too many steps.
+        """
+        found, is_stiff = self._equations(method, system, segments, starts, sigmas, below)
+        if is_stiff and method is self._methods[0]:
+            method = self._methods[1]
+            found, _ = self._equations(method, system, segments, starts, sigmas, below)
+        return found, method
 
     def _equations(
-        self, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray, below: float = math.inf
-    ) -> _Equations | None:
-        """Return the equations at a point; None where it cannot be integrated or the cost is not below `below`."""
+        self, method: _Method, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray,
+        below: float = math.inf,
+    ) -> tuple[_Equations | None, bool]:  # fmt: skip
+        """Return the equations at a point, and whether the method took too many steps.
+
+        None where it cannot be integrated or the cost is not below `below`.
+        """
         its = self.measurements
         states, fitted = len(system.outputs), len(system.places)
         simulated = np.full((states, its.rows), np.nan)
-        gradients = np.zeros((its.rows, states, fitted + states))
-        with self._lock:
-            self.work += its.rows * (OVERHEAD + states * (1 + fitted + states))
+        local = starts.shape[1]
+        gradients = np.zeros((its.rows, states, fitted + local))
+        taken = np.zeros(1, dtype=np.int64)
         done = shoot(
-            self._table, system.code, system.left, system.right, system.constants, system.outputs, system.parameters,
-            system.owners, its.times, its.inputs, its.input_slopes, segments, starts, self._tolerance, its.limits,
-            200 + STEPS_PER_ROW * its.rows, True, simulated, gradients,
+            method.table, system.code, system.left, system.right, system.constants, system.outputs, system.parameters,
+            system.owners, its.times, its.inputs, its.input_slopes, segments, starts, method.tolerance, its.limits,
+            200 + method.steps * its.rows, True, simulated, gradients, taken,
         )  # fmt: skip
+        with self._lock:
+            self.work += method.work(int(taken[0]), its.rows) * (OVERHEAD + states * (1 + fitted + local))
         if done < len(segments) or not np.abs(gradients).max(initial=0.0) < _STEEPEST:
-            return None
+            return None, done < 0
         residuals = self._measured - simulated[its.observed]
+        for place, state in enumerate(its.offset.tolist() if local > states else []):
+            column = states + place
+            gradients[:, its.observed[state], fitted + column] = 1.0
+            residuals[state] -= np.repeat(starts[:, column], segments[:, 1] - segments[:, 0])
         cost = float((self.measurements.weights * (residuals / sigmas[:, None]) ** 2).sum())
         if not cost < below:
-            return None
-        return self._weighed(simulated, gradients, residuals, segments, sigmas)
+            return None, False
+        return self._weighed(simulated, gradients, residuals, segments, sigmas, fitted), False
 
     def _weighed(
-        self, simulated: FloatArray, gradients: FloatArray, residuals: FloatArray, segments: Ints, sigmas: FloatArray
+        self,
+        simulated: FloatArray,
+        gradients: FloatArray,
+        residuals: FloatArray,
+        segments: Ints,
+        sigmas: FloatArray,
+        fitted: int,
     ) -> _Equations:
-        states = simulated.shape[0]
-        fitted = gradients.shape[2] - states
-        groups = len(segments)
+        groups, local = len(segments), gradients.shape[2] - fitted
         weights = self.measurements.weights / (sigmas * sigmas)[:, None]
         blocks = (
-            np.zeros((fitted, fitted)), np.zeros((groups, fitted, states)), np.zeros((groups, states, states)),
-            np.zeros(fitted), np.zeros((groups, states)),
+            np.zeros((fitted, fitted)), np.zeros((groups, fitted, local)), np.zeros((groups, local, local)),
+            np.zeros(fitted), np.zeros((groups, local)),
         )  # fmt: skip
         normal_equations(segments, self.measurements.observed, residuals, weights, gradients, fitted, *blocks)
         cost = float((weights * residuals * residuals).sum())

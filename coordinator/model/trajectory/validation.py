@@ -59,7 +59,8 @@ class Validation:
             squares += errors
             spread += _spread(its.part(left_out))
         r2 = [1.0 - left / whole if whole > 0.0 else None for left, whole in zip(squares, spread, strict=True)]
-        misfit = nats_of(squares / self._contest.counts, self._contest.floors, self._contest.counts)
+        counts = self._contest.counts
+        misfit = nats_of(squares / counts, self._contest.floors, counts / self._contest.coherence)
         return Validated(tuple(r2), misfit)
 
     def _left(self, standing: Standing, left_out: frozenset[int]) -> FloatArray | None:

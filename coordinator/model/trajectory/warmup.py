@@ -53,6 +53,7 @@ def _small_measurements() -> Measurements:
         input_slopes=np.full_like(inputs, 0.05),
         scales=states.std(axis=1),
         noise=np.array([0.01]),
+        offset=np.zeros(0, dtype=np.int64),
         variables=("x", "u"),
         names=("1",),
     )

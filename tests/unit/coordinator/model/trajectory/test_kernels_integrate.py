@@ -43,7 +43,7 @@ def shot(
     done = shoot(
         table, system.code, system.left, system.right, system.constants, system.outputs, system.parameters,
         system.owners, times, inputs, input_slopes, segments, starts, np.full(states, tolerance),
-        np.ascontiguousarray(limits[:states]), budget, wants, simulated, gradients,
+        np.ascontiguousarray(limits[:states]), budget, wants, simulated, gradients, np.zeros(1, np.int64),
     )  # fmt: skip
     return done, simulated, gradients
 
@@ -233,7 +233,7 @@ def test_when_the_steps_are_used_up_the_rows_before_stay():
     reached = []
     for budget in (100, 400, 1200):
         done, simulated, _ = shot(programs, [1.0, 0.0], budget=budget)
-        assert done == 0
+        assert done == -1
         ended = int(np.isnan(simulated[0]).argmax())
         assert simulated[0, 1:ended] == pytest.approx(WAVE[0, 1:ended], abs=0.01)
         reached.append(ended)
