@@ -15,7 +15,8 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
     """Yield programs that differ from `program` by a small part at one node, tidied; each structure once.
 
     A node n becomes n + c, n + c v, n + c v w, n + c/v, n + c sin v, n (1 + c v) or n/(1 + c v) with variables v and w
-    and a small constant c; or, which is no small change, n sin v or n/sin v, or a variable its sine; cosines likewise.
+    and a small constant c; or, which is no small change, n sin v or n/sin v, or a variable its sine, or a sine
+    its argument's cube (they differ by a multiple of it); cosines likewise.
     Only the `operators` (codes) that are allowed are brought in. Constants want to be fitted.
 
     Args:
@@ -62,7 +63,11 @@ def _joined(index: int, scales: Sequence[float]) -> Iterator[list[Node]]:
 
 
 def _wrapped(nodes: list[Node], index: int) -> Iterator[list[Node]]:
-    """Yield the sine and the cosine of a variable."""
-    if nodes[index][0] == VARIABLE:
+    """Yield the sine and the cosine of a variable; the cube of a sine's argument, the square of a cosine's."""
+    kind, argument, *_ = nodes[index]
+    if kind == VARIABLE:
         for code in (SIN, COS):
             yield [(code, index, 0, 0.0)]
+    if kind in (SIN, COS):
+        square = [(MULTIPLY, argument, argument, 0.0)]
+        yield square if kind == COS else [*square, (MULTIPLY, index + 1, argument, 0.0)]

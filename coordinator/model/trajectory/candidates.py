@@ -22,7 +22,10 @@ _LONGER: Final = 30
 
 def ranked(contest: Contest, problem: Problem, programs: Sequence[Program], library: Sequence[int],
            operators: frozenset[int]) -> list[Program]:  # fmt: skip
-    """Return what becomes of `programs` and of libraries over the variables `library`, by rising description length.
+    """Return what becomes of `programs` and of libraries over the variables `library`, the most promising first.
+
+    Those that do badly with the other states as smoothed come last, in their old order: with the right equations for
+    these they may do well.
 
     Args:
         contest: for this variable alone.
@@ -40,4 +43,6 @@ def ranked(contest: Contest, problem: Problem, programs: Sequence[Program], libr
         found += [each for terms in libraries(library, operators) for each in eliminated(contest, problem, terms)]
     chosen = {structure(each.programs[0]): each.programs[0] for each in found}
     longer = contest.map(lambda program: contest.stand([program], 6, (_LONGER,)), chosen.values())
-    return [each.programs[0] for each in distinct(longer)]
+    best = [each.programs[0] for each in distinct(longer)]
+    known = {structure(program) for program in best}
+    return [*best, *(program for program in started if structure(program) not in known)]

@@ -6,7 +6,6 @@ by counts, never by the clock.
 """
 
 import os
-from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -28,13 +27,14 @@ from coordinator.model.trajectory.candidates import ranked
 from coordinator.model.trajectory.contest import Contest, Standing
 from coordinator.model.trajectory.descent import Descent
 from coordinator.model.trajectory.measurements import PIECE, Measurements, measurements_of
+from coordinator.model.trajectory.plausibility import is_function
 from coordinator.model.trajectory.shooting import Shooter
 from coordinator.model.trajectory.system import variable_program
 
 COMPARED_ROWS: Final = 1_200
 """Structures are compared on at most about so many rows; constants are then fitted on all."""
 
-WORK: Final = 60_000_000
+WORK: Final = 45_000_000
 """Work of all comparisons, see `Shooter.work`: some seconds of one core."""
 
 STARTS: Final = 3
@@ -45,9 +45,12 @@ NOISE_SHARE: Final = 0.01
 """A step of the integration may err by this share of the noise, within `PRECISION` of the standard deviation."""
 
 CLEAN: Final = 1e-7
-_EXCHANGING: Final = ((2, 16), (8, 5), (20, 2))
-_RESTARTING: Final = ((2, 60), (8, 60))
-_SIZES: Final = (4, 7, 11)
+_EXCHANGING: Final = ((1, 16), (6, 5), (20, 2))
+_RESTARTING: Final = ((1, 16), (6, 16))
+AGAIN: Final = 30
+"""Candidates of a variable that are tried again after another variable's program has changed."""
+
+_SMALL: Final = 9
 _LEAST: Final = 1e-3
 
 
@@ -180,16 +183,18 @@ def _combined(contest: Contest, lists: Sequence[Sequence[Program]]) -> Standing 
 
 
 def _exchanged(contest: Contest, best: Standing, lists: Sequence[Sequence[Program]]) -> Standing:
-    """Return the best system that comes of exchanging one variable's program at a time."""
+    """Return the best system that comes of exchanging one variable's program at a time; all of them at first."""
+    tried: Sequence[Sequence[Program]] = lists
     while True:
         before = best.nats
-        for equation, programs in enumerate(lists):
+        for equation, programs in enumerate(tried):
             if len(programs) > 1:
                 found = contest.halved(best, equation, programs, _EXCHANGING)
                 if found and found[0].nats < best.nats - _LEAST:
                     best = found[0]
         if best.nats > before - _LEAST:
             return best
+        tried = [programs[:AGAIN] for programs in lists]
 
 
 def _descended(field: Field, contest: Contest, best: Standing, lists: Sequence[Sequence[Program]]) -> Standing:
@@ -210,7 +215,7 @@ def _descended(field: Field, contest: Contest, best: Standing, lists: Sequence[S
     best = descent.down(best, equations)
     for equation in equations:
         best = _restarted(contest, descent, best, equation, lists[equation])
-    return best
+    return _exchanged(contest, best, lists)
 
 
 def _restarted(
@@ -218,8 +223,8 @@ def _restarted(
 ) -> Standing:
     """Return the best end of descents that begin with other programs for one equation, all others as they are."""
     others = contest.halved(best, equation, programs, _RESTARTING)
-    by_size = {_size_class(other.programs[equation]): other for other in reversed(others)}
-    for other in sorted(by_size.values(), key=lambda its: its.nats):
+    by_kind = {_kind(other.programs[equation]): other for other in reversed(others)}
+    for other in sorted(by_kind.values(), key=lambda its: its.nats):
         if descent.is_exhausted:
             break
         end = descent.down(other, [equation])
@@ -228,8 +233,9 @@ def _restarted(
     return best
 
 
-def _size_class(program: Program) -> int:
-    return bisect_left(_SIZES, len(program))
+def _kind(program: Program) -> tuple[bool, bool]:
+    """Return whether a program has functions, and whether it is large: descents from other kinds end elsewhere."""
+    return any(is_function(code) for code in program.operators.tolist()), len(program) > _SMALL
 
 
 def _scales(field: Field, its: Measurements) -> list[float]:
@@ -239,6 +245,4 @@ def _scales(field: Field, its: Measurements) -> list[float]:
 
 
 def _threads() -> int:
-    if os.environ.get("ONE"):
-        return 1
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -29,16 +29,17 @@ def structure_nats(program: Program) -> float:
     for code, left, right in nodes:
         arguments = (left, right)[: ARITY[code]]
         inner = any(has_function[argument] for argument in arguments)
-        is_function = _is_function(code)
-        has_function.append(inner or is_function)
-        total += _nats(code) + (NESTED if inner and is_function else 0.0)
+        calls = is_function(code)
+        has_function.append(inner or calls)
+        total += _nats(code) + (NESTED if inner and calls else 0.0)
         for argument in arguments:
             uses[argument] += 1
     leaves = [code in (VARIABLE, CONSTANT) for code in program.operators.tolist()]
     return total + sum((LEAF if leaf else AGAIN) * max(count - 1, 0) for count, leaf in zip(uses, leaves, strict=True))
 
 
-def _is_function(code: int) -> bool:
+def is_function(code: int) -> bool:
+    """Tell whether an operator is a function such as a sine, neither algebra nor a leaf."""
     return ARITY[code] == 1 and code not in (SQUARE, NEGATE, INVERSE)
 
 
@@ -51,4 +52,4 @@ def _nats(code: int) -> float:
         return QUOTIENT
     if code in _PLAIN or code in (SQUARE, MULTIPLY):
         return PLAIN
-    return FUNCTION if _is_function(code) or code == POW else PLAIN
+    return FUNCTION if is_function(code) or code == POW else PLAIN
