@@ -104,12 +104,20 @@ def test_constants_that_are_held_stay_and_initial_states_are_fitted():
     assert shot.reduced.shape == (0, 0)
 
 
-@pytest.mark.parametrize("text", ["x*x*x", "log(x - 100.0)", "-1e6*x + 1e6", "1/(x - x)"])
+@pytest.mark.parametrize("text", ["x*x*x", "log(x - 100.0)", "1/(x - x)"])
 def test_what_cannot_be_integrated_is_none(text):
-    """It blows up, has no value, or is too stiff."""
+    """It blows up, or has no value."""
     its = measurements(DECAY, [[3.0], [2.0]], TIMES)
     assert Shooter(its, 1e-6).fit(system(DECAY, text), None, 10) is None
     assert staged(Shooter(its, 1e-6), system(DECAY, text), (8, None), 10) is None
+
+
+def test_a_stiff_system_is_fitted():
+    """Within a microsecond the state is what the equation says."""
+    its = measurements(DECAY, [[3.0], [2.0]], TIMES)
+    fit = Shooter(its, 1e-4).fit(system(DECAY, "-1e6*x + 1e6"), None, 0)
+    assert fit is not None
+    assert fit.simulated[0, 1:50] == pytest.approx(np.ones(49), abs=1e-3)
 
 
 def test_short_segments_hold_where_whole_trajectories_blow_up():
