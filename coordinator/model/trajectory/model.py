@@ -215,7 +215,10 @@ def _descended(field: Field, contest: Contest, best: Standing, lists: Sequence[S
     best = descent.down(best, equations)
     for equation in equations:
         best = _restarted(contest, descent, best, equation, lists[equation])
-    return _exchanged(contest, best, lists)
+    best = _exchanged(contest, best, lists)
+    for equation in equations:
+        best = descent.pruned(best, equation)
+    return best
 
 
 def _restarted(
