@@ -54,7 +54,7 @@ class Descent:
     def reduced(self, standing: Standing, equation: int) -> Standing:
         """Return `standing` with whatever one equation can do without left out."""
         while not self.is_exhausted:
-            standing = self.pruned(standing, equation)
+            standing = self._pruned(standing, equation)
             programs = reductions(standing.programs[equation])
             found = self._contest.halved(standing, equation, programs, _REDUCING)
             if not found or found[0].nats > standing.nats - LEAST:
@@ -62,11 +62,12 @@ class Descent:
             standing = found[0]
         return standing
 
-    def pruned(self, standing: Standing, equation: int) -> Standing:
+    def _pruned(self, standing: Standing, equation: int) -> Standing:
         """Make constants of one equation neutral as long as that shortens the description, the least needed first.
 
         What a constant is needed for is told by its distance from 0, 1 or -1 in standard errors (Wald's test), so that
-        each step takes one or two fits. This is done even when the budget is used up: there are but so many constants.
+        each step takes one or two fits. This is done even when the budget is
+        used up: there are but so many constants.
         """
         while True:
             following = None

@@ -37,6 +37,9 @@ COMPARED_ROWS: Final = 1_200
 WORK: Final = 45_000_000
 """Work of all comparisons, see `Shooter.work`: some seconds of one core."""
 
+LAST_WORK: Final = 15_000_000
+"""Work that may be spent beyond that on leaving out what an equation can do without."""
+
 STARTS: Final = 3
 """Candidates of each variable that are combined to begin with."""
 
@@ -216,8 +219,9 @@ def _descended(field: Field, contest: Contest, best: Standing, lists: Sequence[S
     for equation in equations:
         best = _restarted(contest, descent, best, equation, lists[equation])
     best = _exchanged(contest, best, lists)
+    last = Descent(contest, around, contest.shooter.work + LAST_WORK)
     for equation in equations:
-        best = descent.pruned(best, equation)
+        best = last.reduced(best, equation)
     return best
 
 
