@@ -10,7 +10,7 @@ from common.dataset import FloatArray, Problem
 from common.expression.program import Program
 from coordinator.model.errors import errors_on
 from coordinator.model.refinement import Constant, Contender, Pool, Refined, Refinement, Simulated, Simulation
-from coordinator.model.rewrite import structure
+from coordinator.model.rewrite import structure, tidied
 from coordinator.model.trajectory.assess import (
     Errors,
     bands,
@@ -147,9 +147,9 @@ def _member(program: Program, pool: Pool | None, problem: Problem) -> int | None
     """Return the index of the front member of the same structure, if there is one; a known equation is the only one."""
     if pool is None:
         return 0
-    key = structure(program)
+    key = structure(tidied(program))
     for index, entry in enumerate(pool.front):
-        if structure(Program.from_bytes(entry.program, len(problem.names))) == key:
+        if structure(tidied(Program.from_bytes(entry.program, len(problem.names)))) == key:
             return index
     return None
 

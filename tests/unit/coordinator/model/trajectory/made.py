@@ -25,6 +25,9 @@ Rates = Callable[[float, Sequence[float]], Sequence[float]]
 Wave = Callable[[FloatArray], FloatArray]
 
 
+_SOLVED: dict[tuple[Rates, tuple[float, ...], bytes], FloatArray] = {}
+
+
 @dataclass(frozen=True)
 class Known:
     """A system whose solutions are known: its states' `rates` at (time, states), and `inputs` with their slopes."""
@@ -44,11 +47,15 @@ class Known:
         return to_infix(program, self.names)
 
     def values(self, start: Sequence[float], times: FloatArray) -> FloatArray:
-        span = (float(times[0]), float(times[-1]))
-        with np.errstate(all="ignore"):
-            its = solve_ivp(self.rates, span, start, "DOP853", times, rtol=1e-12, atol=1e-13)
-        assert its.success
-        return its.y
+        """Return the solution (D, R) from `start`; solved once."""
+        key = (self.rates, tuple(start), times.tobytes())
+        if key not in _SOLVED:
+            span = (float(times[0]), float(times[-1]))
+            with np.errstate(all="ignore"):
+                its = solve_ivp(self.rates, span, start, "DOP853", times, rtol=1e-12, atol=1e-13)
+            assert its.success
+            _SOLVED[key] = its.y
+        return _SOLVED[key].copy()
 
 
 def lotka(_: float, z: Sequence[float]) -> Sequence[float]:

@@ -11,10 +11,13 @@ from coordinator.data.prepare import prepare
 from coordinator.model.refine import NOT_SIMULATED, refine_all
 from coordinator.model.rewrite import constant_places
 from coordinator.model.trajectory import model
-from tests.unit.coordinator.model.trajectory.made import DRIVEN, LOTKA, SWING, Known, pools, table
+from tests.unit.coordinator.model.trajectory.made import DECAY, DRIVEN, LOTKA, SWING, Known, pools, table
 
 TIMES = 0.1 * np.arange(40.0)
 ARITHMETIC = SpaceConfig(operators=("+", "-", "*"))
+NO_LIBRARIES = SpaceConfig(operators=("-", "*"))
+"""Without sums there are none, which would take longer than all the rest."""
+
 LOTKA_STARTS = ([1.0, 3.0], [4.0, 1.0], [8.0, 2.0], [3.0, 3.0])
 LOTKA_POOL = {
     "x": ("x", "1.2*x - x*x", "2.5*x - 1.5*x*y - 0.8*x*x"),
@@ -102,21 +105,28 @@ def test_simulations_have_bands_that_hold_the_true_curve(noisy):
 
 def test_two_refinements_are_the_same_to_the_bit():
     def programs():
-        pool = {"x": ("y",), "y": ("-x",)}
-        its = refined(SWING, ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0]), pool, noise=0.03, seed=102)
+        pool = {"x": ("y",), "y": ("-x", "-1.9*x - 0.35*y")}
+        config = JobConfig(space=NO_LIBRARIES)
+        its = refined(SWING, ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0]), pool, noise=0.03, seed=102, config=config)
         return [(each.program, each.constants, each.contenders) for each in its.equations.values()]
 
     assert programs() == programs()
 
 
 def test_clean_equations_are_exact():
-    starts = ([1.0, 2.0], [0.5, -1.0])
-    its = refined(SWING, starts, {"x": ("y",), "y": ("-x", "-1.9*x - 0.35*y")})
+    pool = {"x": ("y",), "y": ("-x", "-1.9*x - 0.35*y")}
+    its = refined(SWING, ([1.0, 2.0], [0.5, -1.0]), pool, config=JobConfig(space=NO_LIBRARIES))
     assert is_same(SWING, its, x="y", y="-2.0*x - 0.3*y")
     assert [each.grade for each in its.equations.values()] == ["exact", "exact"]
-    assert its.equations["x"].member == 0
     assert its.warnings == ()
     assert all(r2 == pytest.approx(1.0, abs=1e-9) for each in its.simulation.trajectories for r2 in each.r2)
+
+
+@pytest.mark.parametrize("text", ["-0.4*x", "x/(-2.5)"])
+def test_the_member_of_the_front_it_was_made_of_is_told_however_it_was_written(text):
+    its = refined(DECAY, ([1.0], [-2.0]), {"x": ("x", text)}, noise=0.02, seed=108)
+    assert is_same(DECAY, its, x="-0.5*x")
+    assert its.equations["x"].member == 1
 
 
 def test_what_the_pool_lacks_is_found_nearby():
@@ -160,15 +170,15 @@ def test_only_allowed_operators_and_variables_come_in():
 
 
 def test_a_measured_input_is_part_of_the_model():
-    config = JobConfig(space=ARITHMETIC, data=DataConfig(inputs=("u",)))
-    its = refined(DRIVEN, ([2.0], [-1.0]), {"x": ("-0.5*x", "u - x")}, noise=0.03, seed=105, config=config)
+    config = JobConfig(space=NO_LIBRARIES, data=DataConfig(inputs=("u",)))
+    its = refined(DRIVEN, ([2.0], [-1.0]), {"x": ("-0.5*x", "1.2*u - 0.5*x")}, noise=0.03, seed=105, config=config)
     assert is_same(DRIVEN, its, x="1.5*u - 0.8*x")
 
 
 def test_with_order_2_positions_alone_are_measured():
     """x'' = -2 x - 0.3 x': what is simulated are positions."""
     whole = table(SWING, ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0]), TIMES, 0.01, 106)
-    config = JobConfig(space=ARITHMETIC, data=DataConfig(order=2, states=("x",)))
+    config = JobConfig(space=NO_LIBRARIES, data=DataConfig(order=2, states=("x",)))
     preparation = prepare(whole, config)
     its = refine_all(preparation, config, pools(preparation, x=("-1.5*x", "-1.5*x - 0.1*x_dot")))
     positions = Known(("x", "x_dot"), SWING.rates)

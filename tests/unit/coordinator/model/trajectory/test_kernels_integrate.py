@@ -16,8 +16,11 @@ from common.expression.parse import from_infix
 from common.expression.program import Program
 from coordinator.model.rewrite import with_constants
 from coordinator.model.trajectory.kernels_integrate import PRECISE, QUICK, shoot
+from coordinator.model.trajectory.shooting import Shooter
 from coordinator.model.trajectory.system import system_of
+from coordinator.model.trajectory.warmup import PRECISIONS
 from tests.oracles.integration import integrate
+from tests.unit.coordinator.model.trajectory.made import DECAY, measurements
 from tests.unit.documents import ROOT
 
 NAMES = ("x", "y", "u")
@@ -273,7 +276,7 @@ sys.stdout.write(json.dumps(numbers()))
 
 
 def numbers():
-    """Return states and sensitivities of some systems, one of which has no finite rates, by both methods."""
+    """Return states and sensitivities of some systems, one of which has no finite rates, and a fit, by both methods."""
     with np.errstate(all="ignore"):
         parts = [
             part
@@ -281,7 +284,15 @@ def numbers():
             for texts in (*SYSTEMS.values(), ("exp(900.0*x)", "tanh(y)"))
             for part in shot(parsed(*texts), [0.7, 0.4], table=table)[1:]
         ]
+        parts += [fitted for precision in PRECISIONS for fitted in small_fit(precision)]
     return np.concatenate([part.ravel() for part in parts]).tolist()
+
+
+def small_fit(precision):
+    times = 0.1 * np.arange(12.0)
+    its = Shooter(measurements(DECAY, [[2.0]], times, noise=0.01), precision)
+    shot = its.fit(system_of([DECAY.parsed("-0.4*x")], DECAY.names, DECAY.names), 6, 5)
+    return shot.system.values, shot.starts, shot.normal, shot.simulated
 
 
 def test_interpreted_kernels_give_the_numbers_of_the_compiled_ones():
