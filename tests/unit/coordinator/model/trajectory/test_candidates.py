@@ -29,7 +29,7 @@ def programs(*texts):
     return [SWING.parsed(text) for text in texts]
 
 
-TEXTS = ("0.5*y", "-2.5*x - 0.1*y", "-1.5*x", "-x - x*y", "exp(9.0*x*x)")
+TEXTS = ("0.5*y", "-2.5*x - 0.1*y", "-1.5*x", "-x - x*y", "exp(exp(exp(x*x)))")
 
 
 def test_the_truth_comes_first_and_what_cannot_be_simulated_not_at_all(alone):
@@ -57,4 +57,4 @@ def test_a_library_of_some_variables_uses_no_other(alone):
 
 
 def test_nothing_comes_of_nothing(alone):
-    assert ranked(*alone, programs("exp(9.0*x*x)"), [], ARITHMETIC) == []
+    assert ranked(*alone, programs("exp(exp(exp(x*x)))"), [], ARITHMETIC) == []

@@ -115,7 +115,7 @@ def test_what_cannot_be_integrated_is_none(text):
 def test_a_stiff_system_is_fitted():
     """Within a microsecond the state is what the equation says."""
     its = measurements(DECAY, [[3.0], [2.0]], TIMES)
-    fit = Shooter(its, 1e-4).fit(system(DECAY, "-1e6*x + 1e6"), None, 0)
+    fit = Shooter(its, 1e-4).fit(system(DECAY, "-1e6*x + 1e6"), None, 0, is_stiff=True)
     assert fit is not None
     assert fit.simulated[0, 1:50] == pytest.approx(np.ones(49), abs=1e-3)
 
