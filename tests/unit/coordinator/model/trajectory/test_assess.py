@@ -161,13 +161,13 @@ def test_simulations_are_by_trajectory():
     its = contest(DECAY, rows, 1e-6)
     standing = its.stand([TRUTH])
     errors = np.arange(60.0)[None]
-    found = simulated(rows, standing.shot, errors, held_out=False)
+    found = simulated(rows, standing.shot, errors, ("x",), held_out=False)
     assert [each.name for each in found] == ["1", "2", "3"]
     assert [len(each.times) for each in found] == [20, 20, 20]
     assert np.concatenate([each.errors[0] for each in found]).tolist() == errors[0].tolist()
     assert np.concatenate([each.values[0] for each in found]).tolist() == standing.shot.simulated[0].tolist()
     assert all(0.5 < each.r2[0] < 1.0 for each in found)
-    assert simulated(rows, standing.shot, None, held_out=True)[0].errors is None
+    assert simulated(rows, standing.shot, None, ("x",), held_out=True)[0].errors is None
 
 
 def test_what_could_not_be_simulated_has_neither_values_nor_r2():

@@ -104,9 +104,9 @@ def test_constants_that_are_held_stay_and_initial_states_are_fitted():
     assert shot.reduced.shape == (0, 0)
 
 
-@pytest.mark.parametrize("text", ["x*x*x", "log(x - 100.0)", "-1e6*x + 1e6", "1/(x - x)"])
+@pytest.mark.parametrize("text", ["x*x*x", "log(x - 100.0)", "1e6*x - 1e6", "1/(x - x)"])
 def test_what_cannot_be_integrated_is_none(text):
-    """It blows up, has no value, or is too stiff."""
+    """It blows up, or has no value."""
     its = measurements(DECAY, [[3.0], [2.0]], TIMES)
     assert Shooter(its, 1e-6).fit(system(DECAY, text), None, 10) is None
     assert staged(Shooter(its, 1e-6), system(DECAY, text), (8, None), 10) is None
