@@ -92,7 +92,8 @@ class Contest:
 
     def beside(self, near: Standing, programs: Sequence[Program], steps: int = 20) -> Standing | None:
         """Return the fitted system of `programs`, begun with the initial states of `near`."""
-        shot = self.shooter.fit(self.system(programs), None, steps, near.shot.starts, near.shot.sigmas)
+        its = near.shot
+        shot = self.shooter.fit(self.system(programs), None, steps, its.starts, its.sigmas, is_stiff=its.is_stiff)
         return None if shot is None else self.measured(programs, shot)
 
     def exchanged(self, near: Standing, equation: int, program: Program, steps: int) -> Standing | None:

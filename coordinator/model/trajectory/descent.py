@@ -66,9 +66,10 @@ class Descent:
         """Make constants of one equation neutral as long as that shortens the description, the least needed first.
 
         What a constant is needed for is told by its distance from 0, 1 or -1 in standard errors (Wald's test), so that
-        each step takes a single fit.
+        each step takes one or two fits. This is done even when the budget is
+        used up: there are but so many constants.
         """
-        while not self.is_exhausted:
+        while True:
             following = None
             for program in self._needless(standing, equation)[:2]:
                 following = self._contest.exchanged(standing, equation, program, _PRUNING_STEPS)

@@ -37,6 +37,9 @@ COMPARED_ROWS: Final = 1_200
 WORK: Final = 45_000_000
 """Work of all comparisons, see `Shooter.work`: some seconds of one core."""
 
+LAST_WORK: Final = 15_000_000
+"""Work that may be spent beyond that on leaving out what an equation can do without."""
+
 STARTS: Final = 3
 """Candidates of each variable that are combined to begin with."""
 
@@ -215,7 +218,11 @@ def _descended(field: Field, contest: Contest, best: Standing, lists: Sequence[S
     best = descent.down(best, equations)
     for equation in equations:
         best = _restarted(contest, descent, best, equation, lists[equation])
-    return _exchanged(contest, best, lists)
+    best = _exchanged(contest, best, lists)
+    last = Descent(contest, around, contest.shooter.work + LAST_WORK)
+    for equation in equations:
+        best = last.reduced(best, equation)
+    return best
 
 
 def _restarted(

@@ -130,10 +130,14 @@ def _fitted(field: Field, programs: Sequence[Program], rows: int) -> Chosen | No
 
 
 def _excess(contest: Contest, standing: Standing) -> float:
-    """Return how many times as large as the noise the residuals are, of the state that is fitted worst."""
+    """Return how many times as large as the noise the residuals are, of the state that is fitted worst.
+
+    Where smoothed states are inputs, their errors are taken to leave as much as the noise again.
+    """
     its = contest.shooter.measurements
     noise = np.maximum(its.noise, SLIGHT * its.scales[its.observed])
-    return float(np.max(np.sqrt(standing.shot.squares) / noise))
+    allowed = noise * (2.0 if its.coherence > 1.0 else 1.0)
+    return float(np.max(np.sqrt(standing.shot.squares) / allowed))
 
 
 def _fields(field: Field) -> list[Field]:

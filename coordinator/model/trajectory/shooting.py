@@ -40,6 +40,9 @@ QUICK_ENOUGH: Final = 1e-5
 OVERHEAD: Final = 10
 """Numbers whose carrying along takes as long as everything else about a row."""
 
+BRIEF: Final = 6
+"""Steps of a fit that only tells whether a candidate is worth more of them."""
+
 LEAP: Final = 5
 """Segments grow at most so many times from one stage of a fit to the next."""
 
@@ -58,7 +61,8 @@ class Shot:
     `starts` (G, D) are the fitted initial states of `segments` (G, 2), and behind them, where trajectories are fitted
     in whole, their K offsets (G, D + K); `simulated` (D, N); `residuals` (O, N) measured minus simulated and offset;
     `sigmas` (O,) the standard deviations that errors were weighted by; `squares` (O,) their mean squares; `normal`,
-    `coupling` and `own` the blocks of the normal equations at the end, weighted.
+    `coupling` and `own` the blocks of the normal equations at the end, weighted; `is_stiff` tells whether the system
+    was integrated as a stiff one.
     """
 
     system: System
@@ -72,6 +76,7 @@ class Shot:
     coupling: FloatArray
     own: FloatArray
     gradients: FloatArray
+    is_stiff: bool = False
 
     @property
     def reduced(self) -> FloatArray:
@@ -130,7 +135,7 @@ class Shooter:
 
     def fit(
         self, system: System, length: int | None, steps: int, starts: FloatArray | None = None,
-        sigmas: FloatArray | None = None,
+        sigmas: FloatArray | None = None, *, is_stiff: bool = False,
     ) -> Shot | None:  # fmt: skip
         """Return `system` fitted to segments of about `length` rows, None when it cannot be integrated from `starts`.
 
@@ -140,6 +145,8 @@ class Shooter:
             steps: most steps, successful or not.
             starts: initial states (G, D), or with offsets (G, D + K); the smoothed ones unless given.
             sigmas: what errors are weighted by (O,); the smoother's noise, or what the residuals are, unless given.
+            is_stiff: whether similar systems are; in a fit of few steps no other is taken for stiff, since most
+                candidates that seem so are bad ones.
         """
         its = self.measurements
         segments = its.segments(length)
@@ -148,7 +155,8 @@ class Shooter:
         starts = self._with_offsets(starts, len(system.outputs), in_whole=length is None)
         if sigmas is None:
             sigmas = np.maximum(its.noise, 1e-4 * its.scales[its.observed])
-        here, method = self._by(self._methods[0], system, segments, starts, sigmas)
+        may_be_stiff = is_stiff or steps > BRIEF
+        here, method = self._begun(system, segments, starts, sigmas, may_be_stiff=may_be_stiff)
         if here is None:
             return None
         damping = _FIRST_DAMPING
@@ -157,7 +165,7 @@ class Shooter:
             there = None
             if step is not None:
                 moved, new_starts = system.with_values(system.values + step[0]), starts + step[1]
-                there, method = self._by(method, moved, segments, new_starts, sigmas, here.cost)
+                there, _ = self._equations(method, moved, segments, new_starts, sigmas, here.cost)
             if there is None:
                 damping *= 10.0
                 if damping > _LARGEST_DAMPING:
@@ -172,7 +180,7 @@ class Shooter:
         squares = self._squares(here.residuals)
         return Shot(
             system, segments, starts, here.simulated, here.residuals, sigmas, squares, here.normal, here.coupling,
-            here.own, here.gradients,
+            here.own, here.gradients, method is self._methods[1],
         )  # fmt: skip
 
     def _with_offsets(self, starts: FloatArray, states: int, *, in_whole: bool) -> FloatArray:
@@ -194,19 +202,18 @@ class Shooter:
             return sigmas, here
         return new, self._weighed(here.simulated, here.gradients, here.residuals, segments, new, len(here.gradient))
 
-    def _by(
-        self, method: _Method, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray,
-        below: float = math.inf,
-    ) -> tuple[_Equations | None, _Method]:  # fmt: skip
-        """Return the equations at a point, see `_equations`, and the method to go on with.
+    def _begun(
+        self, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray, *, may_be_stiff: bool
+    ) -> tuple[_Equations | None, _Method]:
+        """Return the equations where a fit begins, see `_equations`, and the method to go on with.
 
-        That is the one for stiff systems if `method` took too many steps.
+        That is the one for stiff systems if the other took too many steps.
         """
-        found, is_stiff = self._equations(method, system, segments, starts, sigmas, below)
-        if is_stiff and method is self._methods[0]:
-            method = self._methods[1]
-            found, _ = self._equations(method, system, segments, starts, sigmas, below)
-        return found, method
+        explicit, implicit = self._methods
+        found, is_stiff = self._equations(explicit, system, segments, starts, sigmas)
+        if not is_stiff or not may_be_stiff:
+            return found, explicit
+        return self._equations(implicit, system, segments, starts, sigmas)[0], implicit
 
     def _equations(
         self, method: _Method, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray,
