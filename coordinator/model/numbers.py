@@ -1,7 +1,7 @@
 """Simple numbers: how many nats it takes to write one down, and which lie near a fitted constant.
 
-A simple number is a fraction p/q of whole numbers or a decimal m 10^e, whichever is shorter. A fitted constant counts
-as a decimal, too: one with as many digits as its standard error leaves it.
+A simple number is a fraction p/q of whole numbers, a decimal m 10^e or a multiple p/q of pi, whichever is shorter. A
+fitted constant counts as a decimal, too: one with as many digits as its standard error leaves it.
 """
 
 import math
@@ -18,6 +18,11 @@ _FINER: Final = math.log(10.0) + _POWER
 """A decimal that is finer than the error may need one digit more."""
 
 _NEIGHBOURS: Final = 2
+
+PI_NATS: Final = 5.0
+"""What it takes to say that a fraction is one of pi: more than two digits, lest short decimals are taken for one."""
+MOST_OF_PI: Final = 24
+"""Larger numerators of multiples of pi are not considered."""
 
 
 def fraction_length(numerator: int, denominator: int) -> float:
@@ -45,7 +50,7 @@ def simple_numbers(value: float, error: float) -> dict[float, float]:
     """
     reach = max(REACH * error, abs(value) * 4.0 * 2.0**-52)
     found: dict[float, float] = {}
-    for number, length in (*_fractions(value), *_decimals(value, error)):
+    for number, length in (*_fractions(value), *_multiples_of_pi(value), *_decimals(value, error)):
         if number != 0.0 and abs(number - value) <= reach:
             found[number] = min(length, found.get(number, math.inf))
     return found
@@ -59,6 +64,15 @@ def _fractions(value: float) -> Iterator[tuple[float, float]]:
         for numerator in range(nearest - _NEIGHBOURS, nearest + _NEIGHBOURS + 1):
             if math.gcd(numerator, denominator) == 1:
                 yield numerator / denominator, fraction_length(numerator, denominator)
+
+
+def _multiples_of_pi(value: float) -> Iterator[tuple[float, float]]:
+    if abs(value) > MOST_OF_PI * math.pi:
+        return
+    for denominator in DENOMINATORS:
+        numerator = round(value * denominator / math.pi)
+        if 0 < abs(numerator) <= MOST_OF_PI and math.gcd(numerator, denominator) == 1:
+            yield numerator * math.pi / denominator, fraction_length(numerator, denominator) + PI_NATS
 
 
 def _decimals(value: float, error: float) -> Iterator[tuple[float, float]]:
