@@ -20,8 +20,8 @@ INPUTS = np.stack([DRAW.uniform(0.5, 2.0, 40), DRAW.uniform(-2.0, -0.5, 40)])
 
 
 def is_wrapped(program, extended):
-    """Tell whether a function of a variable came in without a small constant, which is no small change."""
-    return len(constant_places(extended)) <= len(constant_places(program)) and waves(extended) > waves(program)
+    """Tell whether a function came in or went without a small constant, which is no small change."""
+    return len(constant_places(extended)) <= len(constant_places(program)) and waves(extended) != waves(program)
 
 
 def waves(program):

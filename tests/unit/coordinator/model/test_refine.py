@@ -194,3 +194,12 @@ def test_a_snapped_model_is_never_longer():
     criterion, polisher = Criterion.of(its.target), Polisher(its)
     fitted = polisher.fit(parsed("2.9*x - 2.0*x*y - x*x"))
     assert snapped(fitted, criterion, polisher).length <= criterion.length(fitted)
+
+
+def test_operators_and_variables_of_one_equation_hold_for_its_refinement():
+    """One step from the front there is the truth, which is not taken where it may not be."""
+    its = problem(lambda x, y: x + y, rows=300)
+    assert refined_text(its, "1.7*x") == "x + y"
+    for space in (SpaceConfig(operators_of={"label": ("*", "/")}), SpaceConfig(variables_of={"label": ("x",)})):
+        refined = refine(its, CONFIG.model_copy(update={"space": space}), [entry("1.7*x", its)])
+        assert refined is None or "y" not in shown(refined.program)

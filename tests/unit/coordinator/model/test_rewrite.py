@@ -74,8 +74,8 @@ def test_reductions_are_smaller_and_told_once():
     assert all(len(each) <= len(program) for each in found)
 
 
-def neighbours_of(text: str, operators=ALL) -> list[str]:
-    return [shown(program) for program in neighbours(parsed(text), 2, operators)]
+def neighbours_of(text: str, operators=ALL, variables=(0, 1)) -> list[str]:
+    return [shown(program) for program in neighbours(parsed(text), variables, operators)]
 
 
 def test_a_constant_may_become_a_quotient():
@@ -91,3 +91,8 @@ def test_leaves_and_operators_are_exchanged_and_constants_joined():
 
 def test_only_operators_that_are_allowed_are_brought_in():
     assert not any("cos" in text or "/" in text for text in neighbours_of("sin(x)*y", frozenset({2, 3, 4})))
+
+
+def test_only_variables_that_are_allowed_are_brought_in():
+    assert any("x" in text for text in neighbours_of("sin(y)"))
+    assert not any("x" in text for text in neighbours_of("sin(y)", variables=(1,)))

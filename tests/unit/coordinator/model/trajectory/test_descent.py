@@ -7,7 +7,7 @@ from common.expression.operators import BY_NAME
 from coordinator.model.extensions import extensions
 from coordinator.model.rewrite import structure
 from coordinator.model.trajectory.descent import LEAST, Descent
-from tests.unit.coordinator.model.trajectory.made import SWING, contest, measurements
+from tests.unit.coordinator.model.trajectory.made import SWING, Known, contest, measurements
 
 TIMES = 0.1 * np.arange(40.0)
 ARITHMETIC = frozenset(BY_NAME[name].code for name in ("+", "-", "*"))
@@ -60,6 +60,20 @@ def test_whatever_is_not_needed_goes(swinging, texts):
     end = Descent(swinging, lambda *_: iter(()), PLENTY).down(start, [0, 1])
     assert forms(end) in TRUE_FORMS
     assert end.nats < start.nats
+
+
+@pytest.mark.parametrize("rate", [1.0, 1.01, 1.02, 1.03, 1.05, 1.1])
+def test_a_constant_goes_only_if_that_shortens_the_description(rate):
+    """x' = -r x, where r is 1 as far as the data can tell, or nearly, or not at all."""
+    known = Known(("x",), lambda _, z: [-rate * z[0]])
+    its = contest(known, measurements(known, ([1.0], [-2.0]), TIMES, noise=0.02, seed=111), 1e-6)
+    start = its.stand([known.parsed("-1.2*x")])
+    end = Descent(its, lambda *_: iter(()), PLENTY).down(start, [0])
+    assert end.nats <= start.nats
+    bare = its.stand([known.parsed("-x")])
+    assert (structure(end.programs[0]) == structure(bare.programs[0])) == (bare.nats < start.nats - LEAST)
+    if rate in (1.0, 1.1):
+        assert (len(end.programs[0]) == 2) == (rate == 1.0)
 
 
 def test_what_is_missing_is_found(swinging):

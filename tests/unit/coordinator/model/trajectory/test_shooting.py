@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from coordinator.model.trajectory.measurements import measurements_of
-from coordinator.model.trajectory.shooting import Shooter, misfit, staged
+from coordinator.model.trajectory.shooting import BRIEF, Shooter, misfit, staged
 from coordinator.model.trajectory.system import system_of, variable_program
 from tests.unit.coordinator.model.trajectory.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, recording
 
@@ -104,7 +104,7 @@ def test_constants_that_are_held_stay_and_initial_states_are_fitted():
     assert shot.reduced.shape == (0, 0)
 
 
-@pytest.mark.parametrize("text", ["x*x*x", "log(x - 100.0)", "1/(x - x)"])
+@pytest.mark.parametrize("text", ["x*x*x", "log(x - 100.0)", "1e6*x - 1e6", "1/(x - x)"])
 def test_what_cannot_be_integrated_is_none(text):
     """It blows up, or has no value."""
     its = measurements(DECAY, [[3.0], [2.0]], TIMES)
@@ -112,12 +112,21 @@ def test_what_cannot_be_integrated_is_none(text):
     assert staged(Shooter(its, 1e-6), system(DECAY, text), (8, None), 10) is None
 
 
-def test_a_stiff_system_is_fitted():
+def test_a_stiff_system_is_simulated():
     """Within a microsecond the state is what the equation says."""
     its = measurements(DECAY, [[3.0], [2.0]], TIMES)
-    fit = Shooter(its, 1e-4).fit(system(DECAY, "-1e6*x + 1e6"), None, 0, is_stiff=True)
-    assert fit is not None
-    assert fit.simulated[0, 1:50] == pytest.approx(np.ones(49), abs=1e-3)
+    shot = Shooter(its, 1e-4).fit(system(DECAY, "-1e6*x + 1e6"), None, 0, is_stiff=True)
+    assert shot is not None
+    assert shot.is_stiff
+    assert shot.simulated[0, 1:50] == pytest.approx(np.ones(49), abs=1e-3)
+
+
+@pytest.mark.parametrize(("steps", "is_fitted"), [(BRIEF, False), (BRIEF + 1, True)])
+def test_what_seems_stiff_gets_implicit_steps_in_a_long_fit_alone(steps, is_fitted):
+    """Most candidates that seem so are bad ones."""
+    its = measurements(DECAY, [[3.0], [2.0]], TIMES)
+    shot = Shooter(its, 1e-4).fit(system(DECAY, "-1e6*x + 1e6"), None, steps)
+    assert (shot is not None) is is_fitted
 
 
 def test_short_segments_hold_where_whole_trajectories_blow_up():
