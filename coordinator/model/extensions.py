@@ -10,21 +10,23 @@ from coordinator.model.rewrite import Node, nodes_of, rebuilt, structure
 SMALL: Final = 1e-3
 """Size of a new part beside what it is joined to."""
 
+_NEAR_ONE: Final = 1.0001
+"""A constant that is going to be fitted; exactly one would not stay."""
+
 
 def extensions(program: Program, scales: Sequence[float], operators: Collection[int]) -> Iterator[Program]:
     """Yield programs that differ from `program` by a small part at one node, tidied; each structure once.
 
     A node n becomes n + c, n + c v, n + c v w, n + c/v, n + c sin v, n (1 + c v) or n/(1 + c v) with variables v and w
-    and a small constant c; or, which is no small change, n sin v or n/sin v, or a variable its sine, or a sine
-    its argument's cube (they differ by a multiple of it); cosines likewise.
-    Only the `operators` (codes) that are allowed are brought in. Constants want to be fitted.
+    and a small constant c; a sine or cosine the beginning of its Taylor series, with constants of its own; or, which is
+    no small change, n becomes n sin v or n/sin v, or a variable its sine; cosines likewise. Constants want to be fitted.
 
     Args:
         program: over as many variables as there are `scales`.
         scales: the size of each variable; 0 for those that may not be used.
         operators: codes of operators that may be brought in.
     """
-    nodes = nodes_of(program)
+    nodes = _with_own_leaves(nodes_of(program))
     known = {structure(program)}
     for index in range(len(nodes)):
         for made in (*_joined(index, scales), *_wrapped(nodes, index)):
@@ -47,8 +49,8 @@ def _joined(index: int, scales: Sequence[float]) -> Iterator[list[Node]]:
         leaf: Node = (VARIABLE, v, 0, 0.0)
         part: list[Node] = [small, leaf, (MULTIPLY, a, b, 0.0)]
         yield [*part, (ADD, index, c, 0.0)]
-        yield [*part, (CONSTANT, 0, 0, 1.0001), (ADD, d, c, 0.0), (DIVIDE, index, e, 0.0)]
-        yield [*part, (CONSTANT, 0, 0, 1.0001), (ADD, d, c, 0.0), (MULTIPLY, index, e, 0.0)]
+        yield [*part, (CONSTANT, 0, 0, _NEAR_ONE), (ADD, d, c, 0.0), (DIVIDE, index, e, 0.0)]
+        yield [*part, (CONSTANT, 0, 0, _NEAR_ONE), (ADD, d, c, 0.0), (MULTIPLY, index, e, 0.0)]
         yield [(CONSTANT, 0, 0, SMALL * scale), leaf, (DIVIDE, a, b, 0.0), (ADD, index, c, 0.0)]
         for code in (SIN, COS):
             yield [(CONSTANT, 0, 0, SMALL), leaf, (code, b, 0, 0.0), (MULTIPLY, a, c, 0.0), (ADD, index, d, 0.0)]
@@ -62,12 +64,34 @@ def _joined(index: int, scales: Sequence[float]) -> Iterator[list[Node]]:
                 yield [*pair, (ADD, index, e, 0.0)]
 
 
+def _with_own_leaves(nodes: list[Node]) -> list[Node]:
+    """Return the nodes with a leaf of its own for every use of one, so that a single use can be changed."""
+    found: list[Node] = []
+    place: list[int] = []
+    for code, left, right, value in nodes:
+        arguments: list[int] = []
+        for argument in (left, right)[: ARITY[code]]:
+            if ARITY[nodes[argument][0]]:
+                arguments.append(place[argument])
+            else:
+                found.append(nodes[argument])
+                arguments.append(len(found) - 1)
+        first, second, *_ = (*arguments, 0, 0) if ARITY[code] else (left, right)
+        found.append((code, first, second, value))
+        place.append(len(found) - 1)
+    return found
+
+
 def _wrapped(nodes: list[Node], index: int) -> Iterator[list[Node]]:
-    """Yield the sine and the cosine of a variable; the cube of a sine's argument, the square of a cosine's."""
-    kind, argument, *_ = nodes[index]
+    """Yield the sine and the cosine of a variable; the beginnings of the Taylor series of a sine and of a cosine."""
+    kind, n, *_ = nodes[index]
+    a, b, c, d, e = range(index + 1, index + 6)
     if kind == VARIABLE:
         for code in (SIN, COS):
             yield [(code, index, 0, 0.0)]
-    if kind in (SIN, COS):
-        square = [(MULTIPLY, argument, argument, 0.0)]
-        yield square if kind == COS else [*square, (MULTIPLY, index + 1, argument, 0.0)]
+    if kind == COS:
+        yield [(CONSTANT, 0, 0, -0.5), (MULTIPLY, n, n, 0.0), (MULTIPLY, a, b, 0.0), (CONSTANT, 0, 0, _NEAR_ONE),
+               (ADD, d, c, 0.0)]  # fmt: skip
+    if kind == SIN:
+        yield [(CONSTANT, 0, 0, -1.0 / 6.0), (MULTIPLY, n, n, 0.0), (MULTIPLY, a, b, 0.0), (CONSTANT, 0, 0, _NEAR_ONE),
+               (ADD, d, c, 0.0), (MULTIPLY, n, e, 0.0)]  # fmt: skip
