@@ -19,7 +19,7 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
 
     A node n becomes n + c, n + c v, n + c v w, n + c/v, n + c sin v, n (1 + c v) or n/(1 + c v) with variables v and w
     and a small constant c; a sine or cosine the beginning of its Taylor series, with constants of its own; or, which is
-    no small change, n becomes n sin v or n/sin v, or a variable its sine; cosines likewise. Constants want to be fitted.
+    no small change, n becomes n sin v or n/sin v, or a variable its sine; cosines likewise. Constants wait for a fit.
 
     Args:
         program: over as many variables as there are `scales`.
