@@ -25,6 +25,7 @@ COURSE = Course(generations=100, stride=10, joining=8)
 class FakeOutcome:
     hit = None
     additions = ()
+    runners_up = ()
     best_error = None
     digest = "ab" * 16
 
