@@ -1,6 +1,6 @@
 """Programs with one more part, next to nothing at first: what a fit near a given program can grow into."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Final
 
 from common.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, SIN, VARIABLE
@@ -18,8 +18,8 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
     """Yield programs that differ from `program` by a small part at one node, tidied; each structure once.
 
     A node n becomes n + c, n + c v, n + c v w, n + c/v, n + c sin v, n (1 + c v) or n/(1 + c v) with variables v and w
-    and a small constant c; a sine or cosine the beginning of its Taylor series, with constants of its own; or, which is
-    no small change, n becomes n sin v or n/sin v, or a variable its sine; cosines likewise. Constants wait for a fit.
+    and a small constant c; or, which is no small change, n sin v or n/sin v; cosines likewise. Only the `operators`
+    (codes) that are allowed are brought in. Constants wait for a fit.
 
     Args:
         program: over as many variables as there are `scales`.
@@ -27,9 +27,26 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
         operators: codes of operators that may be brought in.
     """
     nodes = _with_own_leaves(nodes_of(program))
+    yield from _changed(program, nodes, operators, lambda index: _joined(index, scales))
+
+
+def leaps(program: Program, operators: Collection[int]) -> Iterator[Program]:
+    """Yield the few programs that take more steps of a fit to show what they are worth, tidied; each structure once.
+
+    A variable becomes its sine or cosine; a sine or cosine the beginning of its Taylor series, with constants of its
+    own. Only the `operators` (codes) that are allowed are brought in.
+    """
+    nodes = _with_own_leaves(nodes_of(program))
+    yield from _changed(program, nodes, operators, lambda index: _opened(nodes, index))
+
+
+def _changed(
+    program: Program, nodes: list[Node], operators: Collection[int], makes: Callable[[int], Iterator[list[Node]]]
+) -> Iterator[Program]:
+    """Yield the programs in which one node gives way to what `makes` returns of it."""
     known = {structure(program)}
     for index in range(len(nodes)):
-        for made in (*_joined(index, scales), *_wrapped(nodes, index)):
+        for made in makes(index):
             if any(ARITY[code] and code not in operators for code, *_ in made):
                 continue
             changed = rebuilt(nodes, index, made)
@@ -82,7 +99,7 @@ def _with_own_leaves(nodes: list[Node]) -> list[Node]:
     return found
 
 
-def _wrapped(nodes: list[Node], index: int) -> Iterator[list[Node]]:
+def _opened(nodes: list[Node], index: int) -> Iterator[list[Node]]:
     """Yield the sine and the cosine of a variable; the beginnings of the Taylor series of a sine and of a cosine."""
     kind, n, *_ = nodes[index]
     a, b, c, d, e = range(index + 1, index + 6)

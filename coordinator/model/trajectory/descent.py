@@ -22,6 +22,7 @@ _REDUCING: Final = ((2, 4), (10, 1))
 _PRUNING_STEPS: Final = 8
 _NEUTRAL: Final = (0.0, 1.0, -1.0)
 _GROWING: Final = ((1, 24), (4, 6), (12, 3))
+_LEAPING: Final = ((8, 2), (12, 2))
 
 Around = Callable[[int, Program], Iterator[Program]]
 """Programs near one of an equation that may take its place."""
@@ -30,9 +31,10 @@ Around = Callable[[int, Program], Iterator[Program]]
 class Descent:
     """Shortens systems until nothing near is shorter, or the shooter's `budget` of work is used up."""
 
-    def __init__(self, contest: Contest, around: Around, budget: int) -> None:
+    def __init__(self, contest: Contest, around: Around, budget: int, leaps: Around = lambda *_: iter(())) -> None:
         self._contest = contest
         self._around = around
+        self._leaps = leaps
         self._budget = budget
 
     @property
@@ -100,8 +102,10 @@ class Descent:
     def _improved(self, standing: Standing, equation: int) -> Standing:
         best = self.reduced(standing, equation)
         programs = self._around(equation, best.programs[equation])
-        for each in self._contest.halved(best, equation, programs, _GROWING):
-            end = self.reduced(each, equation) if each.nats < best.nats + FAR else each
-            if end.nats < best.nats - LEAST:
-                best = end
-        return best
+        found = self._contest.halved(best, equation, programs, _GROWING)
+        near = [each for each in found if each.nats < best.nats + FAR]
+        near += self._contest.halved(best, equation, self._leaps(equation, best.programs[equation]), _LEAPING)
+        return min(
+            [best, *(self.reduced(each, equation) for each in near)],
+            key=lambda its: its.nats + LEAST * (its is not best),
+        )

@@ -19,7 +19,7 @@ from common.expression.program import Program
 from common.expression.text import PRINTABLE_SIZE, tree_size
 from coordinator.data.prior import guessed_programs
 from coordinator.data.recording import Recording
-from coordinator.model.extensions import extensions
+from coordinator.model.extensions import extensions, leaps
 from coordinator.model.neighbours import neighbours
 from coordinator.model.refinement import Pool, Refined
 from coordinator.model.rewrite import tidied
@@ -213,7 +213,10 @@ def _descended(field: Field, contest: Contest, best: Standing, lists: Sequence[S
             if len(changed) <= largest and tree_size(changed) <= PRINTABLE_SIZE:
                 yield changed
 
-    descent = Descent(contest, around, contest.shooter.work + WORK)
+    def beyond(equation: int, program: Program) -> Iterator[Program]:
+        return leaps(program, field.operators(field.variables[equation]))
+
+    descent = Descent(contest, around, contest.shooter.work + WORK, beyond)
     equations = [index for index, its in enumerate(lists) if index not in contest.fixed]
     best = descent.down(best, equations)
     for equation in equations:

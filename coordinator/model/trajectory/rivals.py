@@ -31,6 +31,9 @@ VALIDATED: Final = 5
 DECIDED_NATS: Final = 3.0
 """Contenders that are not more nats behind take the first place if they foretell better."""
 
+CLEARLY: Final = 3.0
+"""Nats by which they must foretell better: a needless constant gains or loses one or two by chance."""
+
 SAME: Final = 1e-3
 """Equations whose values differ by less than this share of their deviation, root mean square, are the same function."""
 
@@ -77,8 +80,8 @@ def decided(choice: Chosen, inputs: FloatArray) -> Race:
 
 
 def _winner(standing: Standing, own: Validated, rivals: Sequence[Sequence[Rival]]) -> Rival | None:
-    """Return the rival that is close behind and foretells best; None when the one in front does."""
-    best, winner = own.misfit + _structures(standing), None
+    """Return the rival that is close behind and foretells best, and clearly better than the one in front, or None."""
+    best, winner = own.misfit + _structures(standing) - CLEARLY, None
     for each in (rival for its in rivals for rival in its):
         if each.validated is None or each.standing.nats > standing.nats + DECIDED_NATS:
             continue
