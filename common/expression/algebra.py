@@ -57,7 +57,7 @@ def simplify_program(program: Program, *, merges_constants: bool = True) -> Prog
 
 
 def complexity(program: Program) -> int:
-    """Return the number of nodes, operators and terminals, of the canonical program (DESIGN section 8)."""
+    """Return the number of nodes, operators and terminals, of the canonical program."""
     return len(_reading_order(*_distinct_nodes(program)))
 
 

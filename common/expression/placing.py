@@ -1,7 +1,7 @@
 """A program as an operation list of a given shape, made of given operators: how a guess comes into a population.
 
-An operation list begins with its terminals and ends with its output (DESIGN section 4). What people write uses squares,
-minus signs and quotients that the operators of a job may lack; where others can take their place, they do. Pure.
+An operation list begins with its terminals and ends with its output. What people write uses squares, minus signs and
+quotients that the operators of a job may lack; where others can take their place, they do. Pure.
 """
 
 from collections.abc import Callable, Collection, Sequence

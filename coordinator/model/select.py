@@ -1,4 +1,4 @@
-"""Which member of a front is the equation: the one of least description length (Rissanen 1978; DESIGN section 8).
+"""Which member of a front is the equation: the one of least description length (Rissanen 1978; ADR 0009).
 
     n/2 ln(max(MSE, floor^2)) + size ln 8 + k/2 ln n
 
@@ -41,7 +41,7 @@ def select(front: Sequence[FrontEntry], rows: int, target: Target, target_error:
 
 
 def threshold(target: Target, target_error: float | None) -> float:
-    """Return the normalized error at most which the equation of `target` counts as found (DESIGN section 8)."""
+    """Return the normalized error at most which the equation of `target` counts as found: it has converged."""
     return target_error if target_error is not None else max(ALWAYS_CONVERGED, 2.0 * target.floor)
 
 

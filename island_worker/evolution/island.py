@@ -1,7 +1,7 @@
 """An island: one population and all that coevolves with it. Its epoch is a pure function.
 
 (state at epoch e, problem, configuration, seed) -> (state after the generations, additions to the front, counters).
-No clock, no I/O, no global random state, no thread order in it (DESIGN section 1, promise 1).
+No clock, no I/O, no global random state, no thread order in it: one seed, one answer.
 """
 
 import hashlib

@@ -129,9 +129,9 @@ def island_share(runners_up: int, islands: int) -> int:
 def target_error(config: JobConfig, target: Target) -> float:
     """Return the normalized error at which the search for an equation ends.
 
-    Where nothing is asked for and the target has no noise, that is where an equation has converged (DESIGN section 8,
-    "Which equation"). A noisy target is met within its noise by many an equation, most of them wrong: no error ends
-    that search (ADR 0018), and the number returned is less than any error.
+    Where nothing is asked for and the target has no noise, that is where an equation has converged. A noisy
+    target is met within its noise by many an equation, most of them wrong: no error ends that search (ADR 0018), and
+    the number returned is less than any error.
     """
     asked = config.budget.target_error
     if asked is not None:
