@@ -52,6 +52,14 @@ class Constant:
 
 
 @dataclass(frozen=True)
+class Implied:
+    """A factor of one that is not written, of the term `of`; the constant has its value as it was fitted."""
+
+    of: Program
+    constant: Constant
+
+
+@dataclass(frozen=True)
 class Contender:
     """An equation that was compared with the one shown, all other variables as in the model.
 
@@ -82,7 +90,7 @@ class Refined:
 
     `member` is the index of the front member it came from, None when it came from elsewhere; `error` is the job's loss
     and `mse` the mean squared error on all rows of the dataset; `constants` has one for each constant of `program`, in
-    node order (empty before refinement).
+    node order (empty before refinement); `implied` has the factors of one that are not written.
     """
 
     member: int | None
@@ -90,6 +98,7 @@ class Refined:
     error: float
     mse: float
     constants: tuple[Constant, ...] = ()
+    implied: tuple[Implied, ...] = ()
     contenders: tuple[Contender, ...] = ()
     grade: Grade | None = None
     reason: str | None = None

@@ -6,7 +6,7 @@ Plain dictionaries, lists, texts and numbers only; a number that is not finite b
 import math
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final
@@ -186,7 +186,7 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
     """Return what is said of the equation; all null when there is none."""
     if shown is None:
         unknown = dict.fromkeys(("expression", "complexity", "error", "normalized_error"))
-        return {**unknown, "converged": False, "constants": []}
+        return {**unknown, "converged": False, "constants": [], "implied": []}
     normalized = shown.error / target.deviation if target.deviation else math.inf
     return {
         "expression": to_infix(shown.program, dataset.names),
@@ -195,6 +195,7 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
         "normalized_error": finite(normalized),
         "converged": normalized <= threshold(target, config.budget.target_error),
         "constants": _constants(shown.program, shown.constants),
+        "implied": [{"of": to_infix(each.of, dataset.names), **_constant(each.constant)} for each in shown.implied],
     }
 
 
@@ -234,16 +235,18 @@ def _unseen_error(program: Program, unseen: Problem | None, loss: Loss) -> float
 def _constants(program: Program, known: Sequence[Constant] = ()) -> list[dict[str, Any]]:
     """Return the constants in node order; `known` is what refinement knows of them, if there was any."""
     values = program.constants[program.operators == np.int8(CONSTANT)].tolist()
-    return [
-        {
-            "value": finite(value),
-            "std_error": finite(each.std_error),
-            "fitted": finite(each.fitted),
-            "interval": [finite(bound) for bound in each.interval] if each.interval is not None else None,
-            "identifiable": each.identifiable,
-        }
-        for value, each in zip(values, known or map(Constant, values), strict=True)
-    ]
+    pairs = zip(values, known or map(Constant, values), strict=True)
+    return [_constant(replace(each, value=value)) for value, each in pairs]
+
+
+def _constant(its: Constant) -> dict[str, Any]:
+    return {
+        "value": finite(its.value),
+        "std_error": finite(its.std_error),
+        "fitted": finite(its.fitted),
+        "interval": [finite(bound) for bound in its.interval] if its.interval is not None else None,
+        "identifiable": its.identifiable,
+    }
 
 
 def _program(entry: FrontEntry, dataset: Dataset) -> Program:

@@ -12,16 +12,25 @@ import numpy as np
 
 from common.dataset import FloatArray
 from common.expression.program import Program
-from coordinator.model.refinement import LOOSE, Constant, Correlation, Simulated
+from coordinator.model.refinement import LOOSE, Constant, Correlation, Implied, Simulated
 from coordinator.model.rewrite import constant_places
 from coordinator.model.trajectory.contest import Contest, Standing, covariance
 from coordinator.model.trajectory.measurements import Measurements
+from coordinator.model.trajectory.opened import ONE, Opened
 from coordinator.model.trajectory.shooting import Shot
 
 HIGH: Final = 0.95
 """Correlations of at least this size between two constants are reported."""
 
 _STEPS: Final = 30
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of the constants of one equation: those that are written, and factors of one that are not."""
+
+    written: tuple[Constant, ...]
+    implied: tuple[Implied, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,44 +51,62 @@ def errors_of(contest: Contest, standing: Standing) -> Errors:
     return Errors(shot.system.values, covariance(shot) * (contest.coherence * counts / freedom), freedom)
 
 
-def constants_of(contest: Contest, shown: Sequence[Program], errors: Errors) -> list[tuple[Constant, ...]]:
-    """Return the constants of each program with standard errors and 95 % intervals (Student's t)."""
+def constants_of(contest: Contest, openings: Sequence[Opened], shown: Sequence[Program], errors: Errors) -> list[Known]:
+    """Return the constants of each program with standard errors and 95 % intervals (Student's t).
+
+    Args:
+        contest: says which equations are given.
+        openings: the programs that `errors` are of, their factors of one being constants as well.
+        shown: the same programs as they are written.
+        errors: of all constants of `openings`, one program after the other.
+    """
     from scipy import special
 
     reach = float(special.stdtrit(errors.freedom, 0.975))
     spreads = np.sqrt(np.maximum(np.diag(errors.covariance), 0.0)).tolist()
-    found: list[tuple[Constant, ...]] = []
+    found: list[Known] = []
     index = 0
-    for equation, program in enumerate(shown):
-        its: list[Constant] = []
-        for value in program.constants[constant_places(program)].tolist():
-            if equation in contest.fixed:
-                its.append(Constant(value))
-                continue
-            fitted, error = float(errors.values[index]), spreads[index]
-            bounds = (fitted - reach * error, fitted + reach * error) if math.isfinite(error) else None
-            its.append(Constant(value, fitted, error, bounds, error <= LOOSE * abs(fitted)))
+    for equation, (opening, program) in enumerate(zip(openings, shown, strict=True)):
+        values = program.constants[constant_places(program)].tolist()
+        if equation in contest.fixed:
+            found.append(Known(tuple(map(Constant, values)), ()))
+            continue
+        written: dict[int, Constant] = {}
+        implied: list[Implied] = []
+        for origin in opening.origins:
+            value = ONE if origin is None else values[origin]
+            its = _constant(value, float(errors.values[index]), spreads[index], reach)
+            if origin is None:
+                implied.append(Implied(opening.terms[len(implied)], its))
+            else:
+                written[origin] = its
             index += 1
-        found.append(tuple(its))
+        found.append(Known(tuple(written[number] for number in range(len(values))), tuple(implied)))
     return found
 
 
+def _constant(value: float, fitted: float, error: float, reach: float) -> Constant:
+    bounds = (fitted - reach * error, fitted + reach * error) if math.isfinite(error) else None
+    return Constant(value, fitted, error, bounds, error <= LOOSE * abs(fitted))
+
+
 def correlations_of(
-    contest: Contest, variables: Sequence[str], shown: Sequence[Program], errors: Errors
+    contest: Contest, variables: Sequence[str], openings: Sequence[Opened], errors: Errors
 ) -> tuple[Correlation, ...]:
-    """Return the pairs of constants that are highly correlated, the highest first."""
+    """Return the pairs of constants that are written and highly correlated, the highest first."""
     names = [
-        (variable, place)
-        for equation, (variable, program) in enumerate(zip(variables, shown, strict=True))
+        (variable, origin)
+        for equation, (variable, opening) in enumerate(zip(variables, openings, strict=True))
         if equation not in contest.fixed
-        for place in range(len(constant_places(program)))
+        for origin in opening.origins
     ]
     spreads = np.sqrt(np.maximum(np.diag(errors.covariance), 1e-300))
     unit = errors.covariance / np.outer(spreads, spreads)
     pairs = [
-        Correlation(names[first], names[second], float(unit[first, second]))
-        for second in range(len(names))
-        for first in range(second)
+        Correlation((one, first_number), (other, second_number), float(unit[first, second]))
+        for second, (other, second_number) in enumerate(names)
+        for first, (one, first_number) in enumerate(names[:second])
+        if first_number is not None and second_number is not None
         if HIGH <= abs(unit[first, second]) <= 1.0 + 1e-6
     ]
     return tuple(sorted(pairs, key=lambda pair: -abs(pair.value)))

@@ -9,10 +9,11 @@ import numpy as np
 from common.dataset import FloatArray, Problem
 from common.expression.program import Program
 from coordinator.model.errors import errors_on
-from coordinator.model.refinement import Constant, Contender, Pool, Refined, Refinement, Simulated, Simulation
+from coordinator.model.refinement import Contender, Pool, Refined, Refinement, Simulated, Simulation
 from coordinator.model.rewrite import structure, tidied
 from coordinator.model.trajectory.assess import (
     Errors,
+    Known,
     bands,
     constants_of,
     correlations_of,
@@ -25,6 +26,7 @@ from coordinator.model.trajectory.assess import (
 from coordinator.model.trajectory.contest import Contest, Standing
 from coordinator.model.trajectory.measurements import Measurements
 from coordinator.model.trajectory.model import Chosen, Field
+from coordinator.model.trajectory.opened import Opened, as_it_is, opened
 from coordinator.model.trajectory.pieces import on_all_rows, remarks
 from coordinator.model.trajectory.rivals import VALIDATED_NATS, Race, decided
 from coordinator.model.trajectory.rounding import rounded
@@ -46,6 +48,7 @@ class _Final:
     unseen: Contest | None
     contest: Contest
     shown: tuple[Program, ...]
+    openings: tuple[Opened, ...]
     free: Standing
     held: Standing
 
@@ -65,7 +68,7 @@ def concluded(choice: Chosen, pools: Mapping[str, Pool]) -> Refinement | None:
         return None
     field = final.field
     errors = errors_of(final.contest, final.free)
-    constants = constants_of(final.contest, final.shown, errors)
+    constants = constants_of(final.contest, final.openings, final.shown, errors)
     out = None if final.unseen is None else _held_out(final, final.unseen, final.shown)
     equations = {
         name: _refined(final, index, constants[index], _foretold(final, out, index), pools.get(name))
@@ -76,7 +79,7 @@ def concluded(choice: Chosen, pools: Mapping[str, Pool]) -> Refinement | None:
     return Refinement(
         equations,
         Simulation(field.variables, (*trajectories, *(out.trajectories if out is not None else ()))),
-        correlations_of(final.contest, field.variables, final.shown, errors),
+        correlations_of(final.contest, field.variables, final.openings, errors),
         tuple(remarks(field)),
     )
 
@@ -88,11 +91,23 @@ def _finalized(race: Race) -> _Final | None:
         return None
     contest, best = whole.contest, whole.standing
     shown = rounded(contest, best)
-    free = contest.beside(best, shown, _STEPS)
+    openings, free = _freed(contest, best, shown)
     shot = held(contest, shown, best.shot)
     if free is None or shot is None:
         return None
-    return _Final(whole.field, race, _unseen(whole.field), contest, shown, free, contest.measured(shown, shot))
+    unseen = _unseen(whole.field)
+    return _Final(whole.field, race, unseen, contest, shown, openings, free, contest.measured(shown, shot))
+
+
+def _freed(contest: Contest, best: Standing, shown: Sequence[Program]) -> tuple[tuple[Opened, ...], Standing | None]:
+    """Fit what is shown with all its constants free, factors of one that are not written among them if that can be."""
+    openings = tuple(
+        as_it_is(program) if equation in contest.fixed else opened(program) for equation, program in enumerate(shown)
+    )
+    free = contest.beside(best, [each.program for each in openings], _STEPS)
+    if free is not None:
+        return openings, free
+    return tuple(map(as_it_is, shown)), contest.beside(best, shown, _STEPS)
 
 
 def _unseen(field: Field) -> Contest | None:
@@ -113,9 +128,7 @@ def _held_out(final: _Final, unseen: Contest, programs: Sequence[Program]) -> _H
     )
 
 
-def _refined(
-    final: _Final, index: int, constants: tuple[Constant, ...], held_out_r2: float | None, pool: Pool | None
-) -> Refined:
+def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None, pool: Pool | None) -> Refined:
     field = final.field
     name, program = field.variables[index], final.shown[index]
     problem = field.dataset.problem(name)
@@ -135,12 +148,12 @@ def _refined(
         deviation=float(its.scales[index]),
         has_outliers=smoothing.outliers > 0,
         held_out_r2=held_out_r2,
-        constants=constants,
+        constants=known.written,
         rival=min(rivals, default=None),
     )
     grade, reason = judge(evidence)
     member = _member(program, pool, problem)
-    return Refined(member, program, error, mse, constants, contenders, grade, reason)
+    return Refined(member, program, error, mse, known.written, known.implied, contenders, grade, reason)
 
 
 def _member(program: Program, pool: Pool | None, problem: Problem) -> int | None:

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from coordinator.model.rewrite import constant_places
+from coordinator.model.trajectory import assess
 from coordinator.model.trajectory.assess import (
     bands,
-    constants_of,
-    correlations_of,
     errors_of,
     held,
     not_simulated,
@@ -15,6 +14,7 @@ from coordinator.model.trajectory.assess import (
     simulated,
 )
 from coordinator.model.trajectory.measurements import measurements_of
+from coordinator.model.trajectory.opened import as_it_is
 from tests.unit.coordinator.model.trajectory.made import DECAY, LOTKA, LOTKA_TEXT, Known, contest, recording
 
 TIMES = 0.2 * np.arange(20.0)
@@ -22,6 +22,15 @@ DRAWS = 200
 NOISE = 0.1
 STARTS = ([2.0], [1.0], [-1.5])
 TRUTH = DECAY.parsed("-0.5*x")
+
+
+def constants_of(its, shown, errors):
+    """Return the written constants of each program, errors being those of the programs as they are written."""
+    return [each.written for each in assess.constants_of(its, tuple(map(as_it_is, shown)), shown, errors)]
+
+
+def correlations_of(its, variables, shown, errors):
+    return assess.correlations_of(its, variables, tuple(map(as_it_is, shown)), errors)
 
 
 def drawn(seed, noise=NOISE):
