@@ -132,7 +132,7 @@ def _refined(
         residuals=_residuals(its, final.held.shot, index),
         parameters=(len(final.free.shot.system.places) + final.free.shot.starts.size) / len(its.observed),
         noise=0.0 if smoothing.method == "interpolation" else smoothing.noise,
-        deviation=float(its.scales[index]),
+        deviation=_deviation(its, index),
         has_outliers=smoothing.outliers > 0,
         held_out_r2=held_out_r2,
         constants=constants,
@@ -159,6 +159,12 @@ def _residuals(its: Measurements, shot: Shot, index: int) -> list[FloatArray]:
     pieces = [slice(first, end) for first, end in its.bounds.tolist()]
     parts = [shot.residuals[index, rows][its.weights[index, rows] > 0.0] for rows in pieces]
     return [part for part in parts if len(part)]
+
+
+def _deviation(its: Measurements, index: int) -> float:
+    """Return the standard deviation of what was measured of a state, where it counts."""
+    values = its.measured[index][its.weights[index] > 0.0]
+    return max(float(values.std()), 1e-300) if len(values) else 1e-300
 
 
 def _foretold(final: _Final, out: _HeldOut | None, index: int) -> float | None:

@@ -11,7 +11,8 @@ from coordinator.data.prepare import prepare
 from coordinator.model.refine import NOT_SIMULATED, refine_all
 from coordinator.model.rewrite import constant_places
 from coordinator.model.trajectory import model
-from tests.unit.coordinator.model.trajectory.made import DECAY, DRIVEN, LOTKA, SWING, Known, pools, table
+from coordinator.model.trajectory.conclude import _deviation
+from tests.unit.coordinator.model.trajectory.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, pools, table
 
 TIMES = 0.1 * np.arange(40.0)
 ARITHMETIC = SpaceConfig(operators=("+", "-", "*"))
@@ -65,6 +66,14 @@ def test_their_verdict_is_good(noisy):
     for its in noisy.equations.values():
         assert its.grade == "good"
         assert "like the noise" in its.reason
+
+
+def test_the_deviation_is_that_of_what_was_measured_and_counts():
+    its = measurements(DECAY, [[2.0]], TIMES, noise=0.3)
+    its.weights[0, :5] = 0.0
+    its.measured[0, :5] = np.nan
+    assert _deviation(its, 0) == pytest.approx(its.measured[0, 5:].std())
+    assert _deviation(its, 0) != pytest.approx(float(its.scales[0]))
 
 
 def test_fitted_constants_have_intervals_around_them(noisy):
