@@ -135,6 +135,7 @@ def _refined(
         deviation=_deviation(its, index),
         has_outliers=smoothing.outliers > 0,
         held_out_r2=held_out_r2,
+        is_cross_validated=final.unseen is None,
         constants=constants,
         rival=min(rivals, default=None),
     )
