@@ -146,7 +146,8 @@ def _doubts_of_target(its: Evidence, *, is_at_floor: bool) -> Iterator[str]:
 
 def _doubts_of_model(its: Evidence) -> Iterator[str]:
     if its.rival is not None and its.rival < DISTINCT_NATS:
-        yield f"another equation describes the data about as well ({its.rival:.2g} nats apart)"
+        nats = f"{its.rival:.2g} nats apart" if its.rival >= 0.0 else f"{-its.rival:.2g} nats shorter"
+        yield f"another equation describes the data about as well ({nats})"
     loose = sum(not constant.identifiable for constant in its.constants)
     if loose:
         many = f"{loose} of {len(its.constants)} constants are" if len(its.constants) > 1 else "its constant is"

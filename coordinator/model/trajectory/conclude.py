@@ -181,7 +181,7 @@ def _contenders(final: _Final, index: int, held_out_r2: float | None) -> tuple[C
     r2 = r2_of(final.contest.shooter.measurements, final.held.shot, slice(None))[index]
     found = [Contender(final.shown[index], 0.0, r2, held_out_r2, is_shown=True)]
     for rival in race.rivals[index]:
-        program, nats = rival.standing.programs[index], max(rival.standing.nats - best.nats, 0.0)
+        program, nats = rival.standing.programs[index], rival.standing.nats - best.nats
         r2 = r2_of(contest.shooter.measurements, rival.standing.shot, slice(None))[index]
         held_out_r2 = None if rival.validated is None else rival.validated.r2[index]
         if nats <= VALIDATED_NATS and final.unseen is not None:

@@ -53,6 +53,7 @@ def test_a_small_pattern_may_stay() -> None:
     ("change", "said"),
     [
         ({"rival": 1.24}, "1.2 nats apart"),
+        ({"rival": -1.24}, "1.2 nats shorter"),
         ({"residuals": waves(0.1)}, "follows a pattern"),
         ({"residuals": noise(0.17)}, "times the noise"),
         ({"residuals": noise(0.1)[:3], "failed": 1}, "to the end of 1 of 4 trajectories"),
