@@ -53,7 +53,7 @@ class Evidence:
     simulations of held-out trajectories; with `is_cross_validated`, of those that were left out one at a time.
 
     Of the model: `constants`, as they are reported; `rival` is how many nats longer the description is with the next
-    best equation that is another function.
+    best equation that is another function and has no more constants.
     """
 
     error: float = math.inf

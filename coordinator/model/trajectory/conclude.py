@@ -10,7 +10,7 @@ from common.dataset import FloatArray, Problem
 from common.expression.program import Program
 from coordinator.model.errors import errors_on
 from coordinator.model.refinement import Constant, Contender, Pool, Refined, Refinement, Simulated, Simulation
-from coordinator.model.rewrite import structure, tidied
+from coordinator.model.rewrite import constant_places, structure, tidied
 from coordinator.model.trajectory.assess import (
     Errors,
     bands,
@@ -121,7 +121,7 @@ def _refined(
     problem = field.dataset.problem(name)
     error, mse = errors_on(problem, program, field.config.evolution.loss)
     contenders = _contenders(final, index, held_out_r2)
-    rivals = [each.nats for each in contenders if not each.is_shown]
+    rivals = _no_elaborations(final.race.choice.standing.programs[index], contenders)
     variance = problem.target.deviation**2
     smoothing = field.recording.smoothing[field.recording.states.index(name)]
     its = final.contest.shooter.measurements
@@ -137,11 +137,20 @@ def _refined(
         held_out_r2=held_out_r2,
         is_cross_validated=final.unseen is None,
         constants=constants,
-        rival=min(rivals, default=None),
+        rival=min((each.nats for each in rivals), default=None),
     )
     grade, reason = judge(evidence)
     member = _member(program, pool, problem)
     return Refined(member, program, error, mse, constants, contenders, grade, reason)
+
+
+def _no_elaborations(program: Program, contenders: Sequence[Contender]) -> list[Contender]:
+    """Return the others that have no more constants than `program`, as it was before its constants were made simple.
+
+    More constants always describe about as well; that is no reason to doubt the equation with fewer.
+    """
+    most = len(constant_places(program))
+    return [each for each in contenders if not each.is_shown and len(constant_places(each.program)) <= most]
 
 
 def _member(program: Program, pool: Pool | None, problem: Problem) -> int | None:
