@@ -1,9 +1,15 @@
 """Known equations, measured on the data: they stand beside what is found. Pure."""
 
+from dataclasses import replace
+
+import numpy as np
+
 from common.config import JobConfig
 from common.dataset import Dataset
 from common.pareto import FrontEntry
 from coordinator.data.prior import known_programs
+from coordinator.data.recording import Preparation
+from coordinator.model.derivative import values_of
 from coordinator.model.errors import errors_on
 
 
@@ -17,3 +23,18 @@ def known_entries(dataset: Dataset, config: JobConfig) -> dict[str, FrontEntry]:
         error, mse = errors_on(dataset.problem(name), program, config.evolution.loss)
         found[name] = FrontEntry(len(program), error, mse, 0, 0, 0, program.to_bytes())
     return found
+
+
+def with_remarks(preparation: Preparation, config: JobConfig) -> Preparation:
+    """Return `preparation` with a warning for each known equation without a value on some rows; `config` is resolved.
+
+    Its error is not finite, then, and not known to anybody who looks at the job.
+    """
+    dataset = preparation.dataset
+    remarks = []
+    for name, program in known_programs(dataset, config).items():
+        rows = dataset.inputs.shape[1]
+        failed = rows - int(np.isfinite(values_of(program, dataset.inputs)).sum())
+        if failed:
+            remarks.append(f"The known equation of '{name}' has no finite value on {failed} of {rows} rows.")
+    return replace(preparation, dataset=replace(dataset, warnings=(*dataset.warnings, *remarks)))

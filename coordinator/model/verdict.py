@@ -50,10 +50,10 @@ class Evidence:
     were fitted to them: constants and initial values, each shared by as many states as it was fitted to. `noise` is
     the smoother's estimate of the measurement errors (0 for a state that was interpolated) and `deviation` the pooled
     standard deviation, both in the state's unit; `has_outliers` makes the checks robust. `held_out_r2` is the R2 of the
-    simulations of held-out trajectories.
+    simulations of held-out trajectories; with `is_cross_validated`, of those that were left out one at a time.
 
     Of the model: `constants`, as they are reported; `rival` is how many nats longer the description is with the next
-    best equation that is another function.
+    best equation that is another function and has no more constants.
     """
 
     error: float = math.inf
@@ -66,6 +66,7 @@ class Evidence:
     deviation: float = 1.0
     has_outliers: bool = False
     held_out_r2: float | None = None
+    is_cross_validated: bool = False
     constants: Sequence[Constant] = ()
     rival: float | None = None
 
@@ -121,7 +122,7 @@ def _doubts_of_simulation(its: Evidence, found: Check) -> Iterator[str]:
     if its.failed:
         yield f"it cannot be simulated to the end of {its.failed} of {len(its.residuals) + its.failed} trajectories"
     if its.held_out_r2 is not None and its.held_out_r2 < 1.0 - noise * noise - (1.0 - GOOD_R2):
-        yield f"trajectories that were held out are simulated with R2 {_r2(its.held_out_r2)} only"
+        yield f"{_unseen(its)} are simulated with R2 {_r2(its.held_out_r2)} only"
     if left <= NEGLIGIBLE:
         return
     if noise <= CLEAN:
@@ -145,7 +146,8 @@ def _doubts_of_target(its: Evidence, *, is_at_floor: bool) -> Iterator[str]:
 
 def _doubts_of_model(its: Evidence) -> Iterator[str]:
     if its.rival is not None and its.rival < DISTINCT_NATS:
-        yield f"another equation describes the data about as well ({its.rival:.2g} nats apart)"
+        nats = f"{its.rival:.2g} nats apart" if its.rival >= 0.0 else f"{-its.rival:.2g} nats shorter"
+        yield f"another equation describes the data about as well ({nats})"
     loose = sum(not constant.identifiable for constant in its.constants)
     if loose:
         many = f"{loose} of {len(its.constants)} constants are" if len(its.constants) > 1 else "its constant is"
@@ -154,13 +156,17 @@ def _doubts_of_model(its: Evidence) -> Iterator[str]:
 
 def _praise(its: Evidence, found: Check) -> str:
     left = found.deviation / its.deviation
-    held_out = f"; held-out trajectories: R2 {_r2(its.held_out_r2)}" if its.held_out_r2 is not None else ""
+    held_out = f"; {_unseen(its)}: R2 {_r2(its.held_out_r2)}" if its.held_out_r2 is not None else ""
     if left <= NEGLIGIBLE:
         return f"the simulation misses the measurements by {left:.1g} of their deviation{held_out}"
     return (
         f"what the simulation leaves, {_percent(left)} of the deviation, is like the noise, "
         f"{_percent(its.noise / its.deviation)}, and without a pattern{held_out}"
     )
+
+
+def _unseen(its: Evidence) -> str:
+    return "trajectories left out one at a time" if its.is_cross_validated else "held-out trajectories"
 
 
 def _praise_of_target(its: Evidence, *, is_at_floor: bool) -> str:

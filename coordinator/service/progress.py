@@ -8,7 +8,7 @@ from common.expression.text import to_infix
 from common.wire.views import JobState, JobView, VariableView
 from coordinator.model.result import KNOWN, Account, VariableOutcome, build_result, equation_of
 from coordinator.model.select import threshold
-from coordinator.model.trust import verdict
+from coordinator.model.trust import finite, verdict
 from coordinator.service.archipelago import Archipelago
 from coordinator.service.cut import Why
 from coordinator.service.job import Job, Prepared
@@ -126,10 +126,10 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState
     view = view.model_copy(update={"verdict": verdict(shown, target, state)["verdict"]})
     if shown is None:
         return view
-    normalized = shown.error / target.deviation if target.deviation else None
+    normalized = finite(shown.error / target.deviation) if target.deviation else None
     return view.model_copy(
         update={
-            "error": shown.error,
+            "error": finite(shown.error),
             "normalized_error": normalized,
             "complexity": len(shown.program),
             "expression": to_infix(shown.program, prepared.dataset.names),

@@ -36,7 +36,7 @@ from common.wire.messages import (
     WorkerStatus,
 )
 from common.wire.rejects import Rejects
-from coordinator.model.known import known_entries
+from coordinator.model.known import known_entries, with_remarks
 from coordinator.model.refinement import Pools, Refinement
 from coordinator.service.conductor import Conductor, WorkerWord
 from coordinator.service.desk import Body, Desk
@@ -171,6 +171,7 @@ class Service:
             blob = hashlib.sha256(data).hexdigest()
             resolved = resolve(config, preparation.dataset)
             known = known_entries(preparation.dataset, resolved)
+            preparation = with_remarks(preparation, resolved)
             prepared = Prepared(preparation, resolved, blob, len(data), known)
             return _Ready(job, prepared, data)
         except (DataError, UsageError, RemoteProtocolError) as error:

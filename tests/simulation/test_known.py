@@ -61,3 +61,11 @@ def test_what_cannot_be_read_fails_the_job_with_a_sentence(world: World) -> None
     view = world.finish()
     assert (view.state, view.fault) == ("failed", "data")
     assert "--known for 'y': 'w'" in (view.reason or "")
+
+
+def test_one_without_a_value_on_some_rows_can_be_looked_at_and_is_warned_of(world: World) -> None:
+    world.submit(JobConfig(prior=PriorConfig(known={"y": "1/x"}), budget=BudgetConfig(max_epochs=1)))
+    view = world.finish()
+    assert (view.variables[1].error, view.variables[1].normalized_error) == (None, None)
+    assert not view.variables[1].converged
+    assert view.warnings == ("The known equation of 'y' has no finite value on 1 of 20 rows.",)

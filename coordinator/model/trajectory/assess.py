@@ -14,7 +14,7 @@ from common.dataset import FloatArray
 from common.expression.program import Program
 from coordinator.model.refinement import LOOSE, Constant, Correlation, Implied, Simulated
 from coordinator.model.rewrite import constant_places
-from coordinator.model.trajectory.contest import Contest, Standing, covariance
+from coordinator.model.trajectory.contest import Contest, Standing, bounded_covariance, covariance
 from coordinator.model.trajectory.measurements import Measurements
 from coordinator.model.trajectory.opened import ONE, Opened
 from coordinator.model.trajectory.shooting import Shot
@@ -101,7 +101,8 @@ def correlations_of(
         for origin in opening.origins
     ]
     spreads = np.sqrt(np.maximum(np.diag(errors.covariance), 1e-300))
-    unit = errors.covariance / np.outer(spreads, spreads)
+    with np.errstate(invalid="ignore"):  # infinite variances
+        unit = errors.covariance / np.outer(spreads, spreads)
     pairs = [
         Correlation((one, first_number), (other, second_number), float(unit[first, second]))
         for second, (other, second_number) in enumerate(names)
@@ -185,6 +186,7 @@ def bands(its: Measurements, standing: Standing, errors: Errors) -> FloatArray:
     shot = standing.shot
     fitted = len(shot.system.places)
     scale = float(its.weights.sum()) / errors.freedom
+    spread = scale * bounded_covariance(shot)
     found = np.zeros((len(its.observed), its.rows))
     for group, (first, end) in enumerate(shot.segments.tolist()):
         own = np.linalg.pinv(shot.own[group], hermitian=True)
@@ -193,7 +195,7 @@ def bands(its: Measurements, standing: Standing, errors: Errors) -> FloatArray:
             gradients = shot.gradients[first:end, index]
             starts = gradients[:, fitted:]
             constants = gradients[:, :fitted] - starts @ carried
-            variance = np.einsum("np,pq,nq->n", constants, errors.covariance, constants)
+            variance = np.einsum("np,pq,nq->n", constants, spread, constants)
             variance += scale * np.einsum("nd,de,ne->n", starts, own, starts)
             found[state, first:end] = np.sqrt(np.maximum(variance, 0.0))
     return found

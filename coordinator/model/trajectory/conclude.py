@@ -10,7 +10,7 @@ from common.dataset import FloatArray, Problem
 from common.expression.program import Program
 from coordinator.model.errors import errors_on
 from coordinator.model.refinement import Contender, Pool, Refined, Refinement, Simulated, Simulation
-from coordinator.model.rewrite import structure, tidied
+from coordinator.model.rewrite import constant_places, structure, tidied
 from coordinator.model.trajectory.assess import (
     Errors,
     Known,
@@ -134,7 +134,7 @@ def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None,
     problem = field.dataset.problem(name)
     error, mse = errors_on(problem, program, field.config.evolution.loss)
     contenders = _contenders(final, index, held_out_r2)
-    rivals = [each.nats for each in contenders if not each.is_shown]
+    rivals = _no_elaborations(final.race.choice.standing.programs[index], contenders)
     variance = problem.target.deviation**2
     smoothing = field.recording.smoothing[field.recording.states.index(name)]
     its = final.contest.shooter.measurements
@@ -145,15 +145,25 @@ def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None,
         residuals=_residuals(its, final.held.shot, index),
         parameters=(len(final.free.shot.system.places) + final.free.shot.starts.size) / len(its.observed),
         noise=0.0 if smoothing.method == "interpolation" else smoothing.noise,
-        deviation=float(its.scales[index]),
+        deviation=_deviation(its, index),
         has_outliers=smoothing.outliers > 0,
         held_out_r2=held_out_r2,
+        is_cross_validated=final.unseen is None,
         constants=known.written,
-        rival=min(rivals, default=None),
+        rival=min((each.nats for each in rivals), default=None),
     )
     grade, reason = judge(evidence)
     member = _member(program, pool, problem)
     return Refined(member, program, error, mse, known.written, known.implied, contenders, grade, reason)
+
+
+def _no_elaborations(program: Program, contenders: Sequence[Contender]) -> list[Contender]:
+    """Return the others that have no more constants than `program`, as it was before its constants were made simple.
+
+    More constants always describe about as well; that is no reason to doubt the equation with fewer.
+    """
+    most = len(constant_places(program))
+    return [each for each in contenders if not each.is_shown and len(constant_places(each.program)) <= most]
 
 
 def _member(program: Program, pool: Pool | None, problem: Problem) -> int | None:
@@ -174,6 +184,12 @@ def _residuals(its: Measurements, shot: Shot, index: int) -> list[FloatArray]:
     return [part for part in parts if len(part)]
 
 
+def _deviation(its: Measurements, index: int) -> float:
+    """Return the standard deviation of what was measured of a state, where it counts."""
+    values = its.measured[index][its.weights[index] > 0.0]
+    return max(float(values.std()), 1e-300) if len(values) else 1e-300
+
+
 def _foretold(final: _Final, out: _HeldOut | None, index: int) -> float | None:
     """Return R2 of a state along trajectories that were held out, or else left out one at a time, if any were."""
     its = out if out is not None else final.race.validated
@@ -187,7 +203,7 @@ def _contenders(final: _Final, index: int, held_out_r2: float | None) -> tuple[C
     r2 = r2_of(final.contest.shooter.measurements, final.held.shot, slice(None))[index]
     found = [Contender(final.shown[index], 0.0, r2, held_out_r2, is_shown=True)]
     for rival in race.rivals[index]:
-        program, nats = rival.standing.programs[index], max(rival.standing.nats - best.nats, 0.0)
+        program, nats = rival.standing.programs[index], rival.standing.nats - best.nats
         r2 = r2_of(contest.shooter.measurements, rival.standing.shot, slice(None))[index]
         held_out_r2 = None if rival.validated is None else rival.validated.r2[index]
         if nats <= VALIDATED_NATS and final.unseen is not None:

@@ -84,20 +84,23 @@ class Descent:
         return standing
 
     def _needless(self, standing: Standing, equation: int) -> list[Program]:
-        """Return programs with one constant neutral that promise shorter descriptions, the most promising first."""
+        """Return programs with one constant neutral that promise shorter descriptions, the most promising first.
+
+        Constants that the data do not determine, of infinite variance, are the first; by what is nearest.
+        """
         program = standing.programs[equation]
         shot = standing.shot
         own = np.flatnonzero(shot.system.owners == equation + len(self._contest.leading))
         variances = np.diag(covariance(shot))[own]
-        priced: list[tuple[float, int, float]] = []
+        priced: list[tuple[float, float, int, float]] = []
         for place, value, variance in zip(
             constant_places(program), shot.system.values[own].tolist(), variances.tolist(), strict=True
         ):
             for neutral in _NEUTRAL:
                 nats = 0.5 * (value - neutral) ** 2 / max(variance, 1e-300)
                 if nats < MOST_SAVED:
-                    priced.append((nats, place, neutral))
-        return [tidied(program, {place: neutral}) for _, place, neutral in sorted(priced)]
+                    priced.append((nats, abs(value - neutral), place, neutral))
+        return [tidied(program, {place: neutral}) for _, _, place, neutral in sorted(priced)]
 
     def _improved(self, standing: Standing, equation: int) -> Standing:
         best = self.reduced(standing, equation)

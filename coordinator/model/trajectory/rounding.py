@@ -11,7 +11,7 @@ from common.expression.program import Program
 from coordinator.model.numbers import fitted_length, simple_numbers
 from coordinator.model.rewrite import constant_places, tidied, with_constants
 from coordinator.model.snap import Decision, decisions
-from coordinator.model.trajectory.contest import Contest, Standing, covariance
+from coordinator.model.trajectory.contest import Contest, Standing, bounded_covariance
 from coordinator.model.trajectory.plausibility import structure_nats
 
 MOST_CONSTANTS: Final = 16
@@ -24,7 +24,7 @@ def rounded(contest: Contest, standing: Standing) -> tuple[Program, ...]:
     shot = standing.shot
     if not 0 < len(shot.system.places) <= MOST_CONSTANTS:
         return standing.programs
-    means, spread = shot.system.values, contest.coherence * covariance(shot)
+    means, spread = shot.system.values, contest.coherence * bounded_covariance(shot)
     errors = [float(variance) ** 0.5 for variance in spread.diagonal().clip(0.0)]
     structures = sum(map(structure_nats, standing.programs))
     best = standing.misfit + structures + sum(map(fitted_length, means.tolist(), errors))
@@ -45,7 +45,9 @@ def _measured(contest: Contest, standing: Standing, decision: Decision) -> tuple
     if shot is None:
         return None
     after = contest.measured(programs, shot)
-    open_errors = [float(variance) ** 0.5 for variance in (contest.coherence * covariance(shot)).diagonal().clip(0.0)]
+    open_errors = [
+        float(variance) ** 0.5 for variance in (contest.coherence * bounded_covariance(shot)).diagonal().clip(0.0)
+    ]
     lengths = sum(map(fitted_length, shot.system.values.tolist(), open_errors))
     lengths += sum(_price(number) for number in numbers.values())
     shown = tuple(

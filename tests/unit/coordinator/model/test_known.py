@@ -10,7 +10,7 @@ from common.dataset import Dataset, Target
 from common.expression.parse import from_infix
 from coordinator.data.recording import Preparation
 from coordinator.model.digest import result_digest
-from coordinator.model.known import known_entries
+from coordinator.model.known import known_entries, with_remarks
 from coordinator.model.render import render_text
 from coordinator.model.result import KNOWN, Account, VariableOutcome, build_result
 
@@ -38,6 +38,12 @@ def test_a_known_equation_is_measured_by_the_loss_of_the_job(loss):
 
 def test_one_without_a_value_everywhere_has_no_finite_error():
     assert entries(y="log(x)")["y"].error == math.inf
+
+
+def test_one_without_a_value_everywhere_is_warned_of():
+    config = JobConfig(prior=PriorConfig(known={"x": "3*x", "y": "log(x)"}))
+    its = with_remarks(Preparation(DATASET, None), config)
+    assert its.dataset.warnings == ("The known equation of 'y' has no finite value on 25 of 50 rows.",)
 
 
 def result(text="-x/10"):

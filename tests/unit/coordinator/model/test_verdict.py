@@ -38,6 +38,13 @@ def test_residuals_like_the_noise_are_good() -> None:
     assert "R2 0.995" in reason
 
 
+def test_held_out_trajectories_are_told_from_those_left_out_in_turn() -> None:
+    assert "held-out trajectories: R2 0.995" in judge(replace(NOISY, held_out_r2=0.995))[1]
+    _, reason = judge(replace(NOISY, held_out_r2=0.995, is_cross_validated=True))
+    assert "trajectories left out one at a time: R2 0.995" in reason
+    assert "held" not in reason
+
+
 def test_a_small_pattern_may_stay() -> None:
     assert judge(replace(CLEAN, residuals=waves(1e-4)))[0] == "good"
 
@@ -46,10 +53,12 @@ def test_a_small_pattern_may_stay() -> None:
     ("change", "said"),
     [
         ({"rival": 1.24}, "1.2 nats apart"),
+        ({"rival": -1.24}, "1.2 nats shorter"),
         ({"residuals": waves(0.1)}, "follows a pattern"),
         ({"residuals": noise(0.17)}, "times the noise"),
         ({"residuals": noise(0.1)[:3], "failed": 1}, "to the end of 1 of 4 trajectories"),
-        ({"held_out_r2": 0.3}, "held out are simulated with R2 0.3 only"),
+        ({"held_out_r2": 0.3}, "held-out trajectories are simulated with R2 0.3 only"),
+        ({"held_out_r2": 0.3, "is_cross_validated": True}, "left out one at a time are simulated with R2 0.3 only"),
         ({"constants": (KNOWN[0], replace(KNOWN[1], identifiable=False))}, "1 of 2 constants are not determined"),
         ({"constants": (replace(KNOWN[1], identifiable=False),)}, "Its constant is not determined"),
         ({"residuals": waves(0.1), "noise": 0.0}, "there is no noise, but the simulation misses"),

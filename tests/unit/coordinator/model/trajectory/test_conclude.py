@@ -9,9 +9,11 @@ from common.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
 from common.expression.operators import BY_NAME
 from coordinator.data.prepare import prepare
 from coordinator.model.refine import NOT_SIMULATED, refine_all
+from coordinator.model.refinement import Contender
 from coordinator.model.rewrite import constant_places
 from coordinator.model.trajectory import model
-from tests.unit.coordinator.model.trajectory.made import DECAY, DRIVEN, LOTKA, SWING, Known, pools, table
+from coordinator.model.trajectory.conclude import _deviation, _no_elaborations
+from tests.unit.coordinator.model.trajectory.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, pools, table
 
 TIMES = 0.1 * np.arange(40.0)
 ARITHMETIC = SpaceConfig(operators=("+", "-", "*"))
@@ -67,6 +69,20 @@ def test_their_verdict_is_good(noisy):
         assert "like the noise" in its.reason
 
 
+def test_the_deviation_is_that_of_what_was_measured_and_counts():
+    its = measurements(DECAY, [[2.0]], TIMES, noise=0.3)
+    its.weights[0, :5] = 0.0
+    its.measured[0, :5] = np.nan
+    assert _deviation(its, 0) == pytest.approx(its.measured[0, 5:].std())
+    assert _deviation(its, 0) != pytest.approx(float(its.scales[0]))
+
+
+def test_an_elaboration_of_the_equation_is_no_rival():
+    programs = [DECAY.parsed(text) for text in ("-0.5*x", "-0.5*x + 0.1", "-0.4*sin(x)", "-0.5*x")]
+    shown, *others = (Contender(each, 1.0, 0.9, is_shown=not rank) for rank, each in enumerate(programs))
+    assert _no_elaborations(shown.program, [shown, *others]) == others[1:]
+
+
 def test_fitted_constants_have_intervals_around_them(noisy):
     for its in noisy.equations.values():
         assert len(its.constants) == len(constant_places(its.program))
@@ -83,7 +99,7 @@ def test_the_equation_shown_is_the_first_contender_and_the_others_are_longer(noi
         assert (first.program, first.nats, first.is_shown) == (its.program, 0.0, True)
         assert others
         assert [each.nats for each in others] == sorted(each.nats for each in others)
-        assert all(each.nats >= 0.0 and not each.is_shown for each in others)
+        assert not any(each.is_shown for each in others)
         assert all(each.r2 <= 1.0 for each in its.contenders)
 
 

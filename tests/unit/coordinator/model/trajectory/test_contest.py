@@ -7,7 +7,7 @@ import pytest
 
 from common.expression.program import Program
 from coordinator.model.rewrite import structure
-from coordinator.model.trajectory.contest import Contest, Standing, covariance, distinct
+from coordinator.model.trajectory.contest import Contest, Standing, bounded_covariance, covariance, distinct
 from coordinator.model.trajectory.plausibility import structure_nats
 from coordinator.model.trajectory.shooting import Shooter
 from tests.unit.coordinator.model.trajectory.made import DECAY, LOTKA, LOTKA_TEXT, contest, measurements
@@ -148,8 +148,20 @@ def test_the_covariance_is_that_of_least_squares():
     assert covariance(shot)[0, 0] == pytest.approx(np.linalg.inv(columns.T @ columns)[0, 0], rel=1e-5)
 
 
-def test_constants_that_only_count_together_have_a_finite_covariance():
+def test_constants_that_only_count_together_have_infinite_variances():
     its = measurements(DECAY, [[2.0]], TIMES, noise=0.01)
     made = contest(DECAY, its).system([DECAY.parsed("-0.2*x - 0.3*x")])
     shot = Shooter(its, 1e-8).fit(made, None, 10)
-    assert np.isfinite(covariance(shot)).all()
+    assert np.isinf(np.diag(covariance(shot))).all()
+    assert np.isfinite(covariance(shot)[0, 1])
+    bounded = bounded_covariance(shot)
+    assert (np.linalg.eigvalsh(bounded) > 0.0).all()
+
+
+def test_a_constant_beside_redundant_ones_keeps_its_variance():
+    its = measurements(LOTKA, STARTS, TIMES, noise=NOISE)
+    made = contest(LOTKA, its).system([LOTKA.parsed("2.2*x + 0.7*x - 2.1*x*y - 0.9*x*x"), OTHER])
+    shot = Shooter(its, 1e-8).fit(made, None, 10)
+    variances = np.diag(covariance(shot)).tolist()
+    assert len(variances) == len(made.places) > 3
+    assert np.isinf(variances).tolist() == [True, True, *[False] * (len(variances) - 2)]
