@@ -87,12 +87,12 @@ def _finalized(race: Race) -> _Final | None:
     if whole is None:
         return None
     contest, best = whole.contest, whole.standing
-    shown = rounded(contest, best)
-    free = contest.beside(best, shown, _STEPS)
-    shot = held(contest, shown, best.shot)
-    if free is None or shot is None:
-        return None
-    return _Final(whole.field, race, _unseen(whole.field), contest, shown, free, contest.measured(shown, shot))
+    for shown in (rounded(contest, best), best.programs):  # as fitted, where simple constants cannot be simulated
+        free = contest.beside(best, shown, _STEPS)
+        shot = held(contest, shown, best.shot)
+        if free is not None and shot is not None:
+            return _Final(whole.field, race, _unseen(whole.field), contest, shown, free, contest.measured(shown, shot))
+    return None
 
 
 def _unseen(field: Field) -> Contest | None:
