@@ -12,7 +12,6 @@ from coordinator.model.errors import errors_on
 from coordinator.model.refinement import Constant, Contender, Pool, Refined, Refinement, Simulated, Simulation
 from coordinator.model.rewrite import constant_places, structure, tidied
 from coordinator.model.trajectory.assess import (
-    Errors,
     bands,
     constants_of,
     correlations_of,
@@ -197,6 +196,3 @@ def _contenders(final: _Final, index: int, held_out_r2: float | None) -> tuple[C
             held_out_r2 = _held_out(final, final.unseen, rival.standing.programs).r2[index]
         found.append(Contender(program, nats, r2, held_out_r2))
     return tuple(found)
-
-
-__all__ = ["Errors", "concluded"]
