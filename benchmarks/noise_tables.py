@@ -17,7 +17,8 @@ GRADES: Final = ("exact", "good", "doubtful", "no model", "-")
 class Summary:
     """What the searches of one kind came to: one method, manner of sampling and level of noise.
 
-    Counts are medians over seeds, of `equations` each; `elsewhere` is how many equations over all seeds were not shown
+    Counts are medians over seeds, of `equations` each, `least_found` and `least_foretold` minima over seeds.
+    `elsewhere` is how many equations over all seeds were not shown
     in the true form although it was among the contenders or on the front. Errors are over all equations found, those
     judged by their function apart: the median of the largest error of a constant, and the value below which 90 % lie.
     `intervals` counts the constants with an interval, `covered` those of them whose interval holds the truth, `without`
@@ -32,6 +33,8 @@ class Summary:
     found: float
     in_form: float
     foretold: float
+    least_found: float
+    least_foretold: float
     elsewhere: int
     constants_error: float | None
     constants_error_90: float | None
@@ -79,6 +82,8 @@ def _summary(outcomes: Sequence[Outcome]) -> Summary:
         found=_by_seed(outcomes, lambda its: its.found),
         in_form=_by_seed(outcomes, lambda its: its.in_form),
         foretold=_by_seed(outcomes, lambda its: its.is_foretold),
+        least_found=min(_counts(outcomes, lambda its: its.found)),
+        least_foretold=min(_counts(outcomes, lambda its: its.is_foretold)),
         elsewhere=sum(its.elsewhere is not None for _, its in equations),
         constants_error=_median(errors),
         constants_error_90=float(np.quantile(errors, 0.9)) if errors else None,
@@ -97,10 +102,13 @@ def _summary(outcomes: Sequence[Outcome]) -> Summary:
 
 def _by_seed(outcomes: Sequence[Outcome], counts: Callable[[EquationOutcome], bool]) -> float:
     """Return the median over seeds of the number of equations that count."""
+    return statistics.median(_counts(outcomes, counts))
+
+
+def _counts(outcomes: Sequence[Outcome], counts: Callable[[EquationOutcome], bool]) -> list[int]:
+    """Return for each seed the number of equations that count."""
     seeds = dict.fromkeys(each.key.seed for each in outcomes)
-    return statistics.median(
-        sum(counts(its) for each in outcomes if each.key.seed == seed for its in each.equations) for seed in seeds
-    )
+    return [sum(counts(its) for each in outcomes if each.key.seed == seed for its in each.equations) for seed in seeds]
 
 
 def _median(values: Sequence[float]) -> float | None:

@@ -158,7 +158,10 @@ def _add_readers(verbs: Any) -> None:
         "jobs": ("list the jobs of a coordinator", "only jobs whose id begins with this"),
         "status": ("show how far a job has come", "id or its beginning (default: every job that has not ended)"),
         "workers": ("list the workers of a coordinator", "only workers whose name begins with this"),
-        "result": ("print the equations of a job; while it runs, the best so far", "id or its beginning"),
+        "result": (
+            "print the equations of a job; while it runs, the best so far",
+            "id or its beginning, or PATH/result.json",
+        ),
         "cancel": ("end a job and keep its best equations", "id or its beginning (default: the only one not ended)"),
     }
     for name, (text, subject) in texts.items():

@@ -1,7 +1,12 @@
-"""``coordinator result``: the equations of a job, in the form that is asked for; of a running job, the best so far."""
+"""``coordinator result``: the equations of a job, in the form that is asked for; of a running job, the best so far.
+
+The job is one of a coordinator, or a saved ``result.json``.
+"""
 
 import argparse
+import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from common.errors import UsageError
@@ -12,13 +17,31 @@ from coordinator.client import connected
 
 
 def result(options: argparse.Namespace) -> int:
-    """Print the result of ``options.job``."""
+    """Print the result of ``options.job``, an id or the path of a saved result."""
     if options.json and options.format not in (None, "json"):
         raise UsageError(f"--json and --format {options.format} contradict each other; give one of them")
-    with connected(address_of(options), CONNECT_LIMIT_S) as client:
-        found = client.result(client.resolve(options.job))
+    if options.job.endswith(".json"):
+        found = _saved(Path(options.job))
+    else:
+        with connected(address_of(options), CONNECT_LIMIT_S) as client:
+            found = client.result(client.resolve(options.job))
     say(_text(found, "json" if options.json else options.format or "text", options.pick))
     return DONE
+
+
+def _saved(path: Path) -> dict[str, Any]:
+    """Return a saved result; raises UsageError when there is none."""
+    from coordinator.model.result import SCHEMA
+
+    try:
+        found = json.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read ({error.strerror}); give a job's id or a saved result.json") from error
+    except ValueError as error:
+        raise UsageError(f"{path} holds no JSON; give a job's id or a saved result.json") from error
+    if not isinstance(found, dict) or found.get("schema") != SCHEMA or "equations" not in found:
+        raise UsageError(f"{path} holds no result of this version; give a job's id or a saved result.json")
+    return found
 
 
 def _text(found: dict[str, Any], how: str, picks: list[str]) -> str:

@@ -173,8 +173,10 @@ def _equation_text(equation: Mapping[str, Any], names: Sequence[str], with_table
 def _standing(equation: Mapping[str, Any]) -> str:
     if equation["why"] == "known":
         return f"known: error {_number(equation['normalized_error'])} of the target's deviation"
-    found = "converged" if equation["converged"] else "not converged"
-    text = f"{found}: error {_number(equation['normalized_error'])} of the target's deviation"
+    found = "converged: " if equation["converged"] else "not converged: "
+    if equation["converged"] and equation.get("verdict") == "no model":  # the derivative is met, the measurements not
+        found = ""
+    text = f"{found}error {_number(equation['normalized_error'])} of the target's deviation"
     text += f", size {equation['complexity']}, epoch {equation['epoch']}"
     if not equation["converged"] and equation["why"] not in (None, "target"):  # "target": another member met it
         text += f"; {_ENDS.get(equation['why'], equation['why'])}"

@@ -139,7 +139,7 @@ def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, s
         "variable": target.variable,
         "lhs": target.lhs,
         **_best(shown, dataset, target, config),
-        **verdict(shown, target, state),
+        **verdict(shown, target, state, is_known=outcome.why == KNOWN),
         **_course(None if member is None else outcome.front[member], outcome, config),
         "derivative_floor": finite(target.floor),
         "target_error": threshold(target, config.budget.target_error),

@@ -48,7 +48,7 @@ def _smoothing(its: Smoothing) -> dict[str, Any]:
     }
 
 
-def verdict(shown: Refined | None, target: Target, state: JobState) -> dict[str, Any]:
+def verdict(shown: Refined | None, target: Target, state: JobState, *, is_known: bool = False) -> dict[str, Any]:
     """Return grade and reason of an equation; null while the job has not ended.
 
     Where refining did not judge it, for want of trajectories, its error on the target decides.
@@ -57,15 +57,17 @@ def verdict(shown: Refined | None, target: Target, state: JobState) -> dict[str,
         return {"verdict": None, "reason": None}
     if shown is None:
         return {"verdict": "no model", "reason": "The search has found no equation."}
-    grade, reason = (shown.grade, shown.reason) if shown.grade is not None else judge(_on_target(shown, target))
+    grade, reason = (
+        (shown.grade, shown.reason) if shown.grade is not None else judge(_on_target(shown, target, is_known))
+    )
     return {"verdict": grade, "reason": reason}
 
 
-def _on_target(shown: Refined, target: Target) -> Evidence:
+def _on_target(shown: Refined, target: Target, is_known: bool) -> Evidence:
     error = shown.error / target.deviation if target.deviation else math.inf
     variance = target.deviation * target.deviation
     r2 = 1.0 - shown.mse / variance if variance else math.nan
-    return Evidence(error, target.floor, finite(r2), constants=shown.constants)
+    return Evidence(error, target.floor, finite(r2), constants=shown.constants, is_known=is_known)
 
 
 def candidates(contenders: Sequence[Contender], dataset: Dataset) -> list[dict[str, Any]]:

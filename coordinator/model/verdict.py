@@ -53,7 +53,7 @@ class Evidence:
     simulations of held-out trajectories; with `is_cross_validated`, of those that were left out one at a time.
 
     Of the model: `constants`, as they are reported; `rival` is how many nats longer the description is with the next
-    best equation that is another function and has no more constants.
+    best equation that is another function and has no more constants; `is_known` tells that the equation was given.
     """
 
     error: float = math.inf
@@ -69,6 +69,7 @@ class Evidence:
     is_cross_validated: bool = False
     constants: Sequence[Constant] = ()
     rival: float | None = None
+    is_known: bool = False
 
     @property
     def is_simulated(self) -> bool:
@@ -108,7 +109,10 @@ def _by_target(its: Evidence) -> tuple[Grade, str]:
     is_at_floor = its.error <= 2.0 * its.floor
     r2 = its.target_r2
     if r2 is not None and r2 < LEAST_TARGET_R2:
-        return "no model", f"Nothing much better than a constant was found (R2 {_r2(r2)} on the target)."
+        what = (
+            "It is not much better than a constant" if its.is_known else "Nothing much better than a constant was found"
+        )
+        return "no model", f"{what} (R2 {_r2(r2)} on the target)."
     doubts = [*_doubts_of_target(its, is_at_floor=is_at_floor), *_doubts_of_model(its)]
     if doubts:
         return "doubtful", _sentence(doubts)

@@ -123,7 +123,8 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState
         why=cast(Why | Literal["known"] | None, outcome.why),
     )
     shown = equation_of(outcome, prepared.dataset, prepared.config)
-    view = view.model_copy(update={"verdict": verdict(shown, target, state)["verdict"]})
+    grade = verdict(shown, target, state, is_known=outcome.why == KNOWN)["verdict"]
+    view = view.model_copy(update={"verdict": grade})
     if shown is None:
         return view
     normalized = finite(shown.error / target.deviation) if target.deviation else None

@@ -12,8 +12,11 @@ from coordinator.model.errors import errors_on
 from coordinator.model.refinement import Contender, Pool, Refined, Refinement, Simulated, Simulation
 from coordinator.model.rewrite import constant_places, structure, tidied
 from coordinator.model.trajectory.assess import (
+<<<<<<< HEAD
     Errors,
     Known,
+=======
+>>>>>>> fixes
     bands,
     constants_of,
     correlations_of,
@@ -90,6 +93,7 @@ def _finalized(race: Race) -> _Final | None:
     if whole is None:
         return None
     contest, best = whole.contest, whole.standing
+<<<<<<< HEAD
     shown = rounded(contest, best)
     openings, free = _freed(contest, best, shown)
     shot = held(contest, shown, best.shot)
@@ -108,6 +112,14 @@ def _freed(contest: Contest, best: Standing, shown: Sequence[Program]) -> tuple[
     if free is not None:
         return openings, free
     return tuple(map(as_it_is, shown)), contest.beside(best, shown, _STEPS)
+=======
+    for shown in (rounded(contest, best), best.programs):  # as fitted, where simple constants cannot be simulated
+        free = contest.beside(best, shown, _STEPS)
+        shot = held(contest, shown, best.shot)
+        if free is not None and shot is not None:
+            return _Final(whole.field, race, _unseen(whole.field), contest, shown, free, contest.measured(shown, shot))
+    return None
+>>>>>>> fixes
 
 
 def _unseen(field: Field) -> Contest | None:
@@ -210,6 +222,3 @@ def _contenders(final: _Final, index: int, held_out_r2: float | None) -> tuple[C
             held_out_r2 = _held_out(final, final.unseen, rival.standing.programs).r2[index]
         found.append(Contender(program, nats, r2, held_out_r2))
     return tuple(found)
-
-
-__all__ = ["Errors", "concluded"]

@@ -47,7 +47,6 @@ PRECISION: Final = (1e-10, 1e-4)
 NOISE_SHARE: Final = 0.01
 """A step of the integration may err by this share of the noise, within `PRECISION` of the standard deviation."""
 
-CLEAN: Final = 1e-7
 _EXCHANGING: Final = ((1, 16), (6, 5), (20, 2))
 _RESTARTING: Final = ((1, 16), (6, 16))
 AGAIN: Final = 30

@@ -14,7 +14,6 @@ import numpy as np
 from common.expression.program import Program
 from coordinator.model.refinement import Pool, Refined
 from coordinator.model.trajectory.contest import Contest, Standing
-from coordinator.model.trajectory.measurements import PIECE
 from coordinator.model.trajectory.model import Chosen, Field, candidates_of, selected
 
 SHORTER: Final = (100, 30)
@@ -148,6 +147,3 @@ def _fields(field: Field) -> list[Field]:
 
 def _longest(field: Field) -> int:
     return max(len(each.times) for each in field.recording.trajectories if not each.held_out)
-
-
-__all__ = ["PIECE", "chosen", "on_all_rows", "remarks"]

@@ -15,6 +15,7 @@ from common.expression.program import Program
 from coordinator.model.derivative import values_of
 from coordinator.model.rewrite import structure
 from coordinator.model.trajectory.contest import Contest, Standing
+from coordinator.model.trajectory.descent import LEAST
 from coordinator.model.trajectory.model import Chosen
 from coordinator.model.trajectory.plausibility import structure_nats
 from coordinator.model.trajectory.validation import Validated, Validation
@@ -64,9 +65,9 @@ def decided(choice: Chosen, inputs: FloatArray) -> Race:
         choice: the shortest description.
         inputs: points (V, R) at which equations are compared.
     """
+    choice, rivals = _shortest(choice, inputs)
     is_held_out = any(each.held_out for each in choice.field.recording.trajectories)
     validation = Validation(choice.contest)
-    rivals = _all_rivals(choice, inputs)
     if is_held_out or not validation.is_possible:
         return Race(choice, None, tuple(tuple(map(Rival, its)) for its in rivals))
     own = validation.of(choice.standing)
@@ -77,6 +78,16 @@ def decided(choice: Chosen, inputs: FloatArray) -> Race:
         own = winner.validated or own
         validated = [_validated(validation, its, choice.standing) for its in _all_rivals(choice, inputs)]
     return Race(choice, own, tuple(map(tuple, validated)))
+
+
+def _shortest(choice: Chosen, inputs: FloatArray) -> tuple[Chosen, list[list[Standing]]]:
+    """Return the choice and its rivals, none of which is shorter: what lost to others once may win beside these."""
+    while True:
+        rivals = _all_rivals(choice, inputs)
+        best = min((each for its in rivals for each in its[:1]), key=lambda its: its.nats, default=choice.standing)
+        if best.nats > choice.standing.nats - LEAST:
+            return choice, rivals
+        choice = replace(choice, standing=best)
 
 
 def _winner(standing: Standing, own: Validated, rivals: Sequence[Sequence[Rival]]) -> Rival | None:

@@ -81,7 +81,7 @@ class Shot:
     @property
     def reduced(self) -> FloatArray:
         """The normal matrix (P, P) of the constants, initial states eliminated."""
-        own = _inverses(self.own, 0.0)
+        own = _inverses(self.own)
         return np.asarray(self.normal - np.einsum("gpd,gde,gqe->pq", self.coupling, own, self.coupling))
 
 
@@ -277,12 +277,12 @@ def _solved(here: _Equations, damping: float) -> tuple[FloatArray, FloatArray] |
     return (change, moves) if solved and np.isfinite(change).all() and np.isfinite(moves).all() else None
 
 
-def _inverses(own: FloatArray, damping: float) -> FloatArray:
-    """Return the inverses (G, D, D) of the damped blocks of the initial states."""
+def _inverses(own: FloatArray) -> FloatArray:
+    """Return the inverses (G, D, D) of the blocks of the initial states."""
     diagonals = np.einsum("gdd->gd", own)
     scale = np.sqrt(np.maximum(diagonals, 1e-200))
     unit = own / (scale[:, :, None] * scale[:, None, :])
-    unit = unit + (damping + 1e-13) * np.eye(own.shape[1])
+    unit = unit + 1e-13 * np.eye(own.shape[1])
     return np.asarray(np.linalg.inv(unit) / (scale[:, :, None] * scale[:, None, :]))
 
 

@@ -275,3 +275,12 @@ def test_malformed_picks_are_refused(text):
 def test_an_unknown_format_is_refused():
     with pytest.raises(UsageError, match="choose one of"):
         render(result(), "yaml")
+
+
+def test_what_is_no_model_is_not_said_to_have_converged():
+    from coordinator.model.render import _standing
+
+    equation = {"why": "target", "converged": True, "verdict": "no model", "normalized_error": 0.1}
+    equation |= {"complexity": 3, "epoch": 2}
+    assert _standing(equation) == "error 0.1 of the target's deviation, size 3, epoch 2"
+    assert _standing({**equation, "verdict": "good"}).startswith("converged: error 0.1")

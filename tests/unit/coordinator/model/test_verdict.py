@@ -105,6 +105,7 @@ def test_a_simulation_that_explains_little_or_does_not_end_is_no_model(change: d
         (Evidence(0.4, 0.25, 0.7), "doubtful", "uncertain by 25 %"),
         (Evidence(0.05, 0.0, 0.99, rival=0.1), "doubtful", "another equation"),
         (Evidence(0.8, 0.1, 0.02), "no model", "better than a constant"),
+        (Evidence(0.8, 0.1, 0.02, is_known=True), "no model", "it is not much better than a constant"),
         (Evidence(), "no model", "not finite"),
     ],
 )

@@ -11,7 +11,7 @@ from coordinator.data.prepare import prepare
 from coordinator.model.refine import NOT_SIMULATED, refine_all
 from coordinator.model.refinement import Contender
 from coordinator.model.rewrite import constant_places
-from coordinator.model.trajectory import model
+from coordinator.model.trajectory import conclude, model
 from coordinator.model.trajectory.conclude import _deviation, _no_elaborations
 from tests.unit.coordinator.model.trajectory.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, pools, table
 
@@ -136,6 +136,14 @@ def test_clean_equations_are_exact():
     assert [each.grade for each in its.equations.values()] == ["exact", "exact"]
     assert its.warnings == ()
     assert all(r2 == pytest.approx(1.0, abs=1e-9) for each in its.simulation.trajectories for r2 in each.r2)
+
+
+def test_constants_stay_as_fitted_where_simple_ones_cannot_be_simulated(monkeypatch):
+    monkeypatch.setattr(conclude, "rounded", lambda *_: (DECAY.parsed("exp(900.0*x*x)"),))
+    its = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
+    (constant,) = its.equations["x"].constants
+    assert constant.value == pytest.approx(constant.fitted)
+    assert its.simulation is not None
 
 
 @pytest.mark.parametrize("text", ["-0.4*x", "x/(-2.5)"])
