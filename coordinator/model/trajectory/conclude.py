@@ -12,11 +12,7 @@ from coordinator.model.errors import errors_on
 from coordinator.model.refinement import Contender, Pool, Refined, Refinement, Simulated, Simulation
 from coordinator.model.rewrite import constant_places, structure, tidied
 from coordinator.model.trajectory.assess import (
-<<<<<<< HEAD
-    Errors,
     Known,
-=======
->>>>>>> fixes
     bands,
     constants_of,
     correlations_of,
@@ -93,14 +89,13 @@ def _finalized(race: Race) -> _Final | None:
     if whole is None:
         return None
     contest, best = whole.contest, whole.standing
-<<<<<<< HEAD
-    shown = rounded(contest, best)
-    openings, free = _freed(contest, best, shown)
-    shot = held(contest, shown, best.shot)
-    if free is None or shot is None:
-        return None
-    unseen = _unseen(whole.field)
-    return _Final(whole.field, race, unseen, contest, shown, openings, free, contest.measured(shown, shot))
+    for shown in (rounded(contest, best), best.programs):  # as fitted, where simple constants cannot be simulated
+        openings, free = _freed(contest, best, shown)
+        shot = held(contest, shown, best.shot)
+        if free is not None and shot is not None:
+            final = contest.measured(shown, shot)
+            return _Final(whole.field, race, _unseen(whole.field), contest, shown, openings, free, final)
+    return None
 
 
 def _freed(contest: Contest, best: Standing, shown: Sequence[Program]) -> tuple[tuple[Opened, ...], Standing | None]:
@@ -112,14 +107,6 @@ def _freed(contest: Contest, best: Standing, shown: Sequence[Program]) -> tuple[
     if free is not None:
         return openings, free
     return tuple(map(as_it_is, shown)), contest.beside(best, shown, _STEPS)
-=======
-    for shown in (rounded(contest, best), best.programs):  # as fitted, where simple constants cannot be simulated
-        free = contest.beside(best, shown, _STEPS)
-        shot = held(contest, shown, best.shot)
-        if free is not None and shot is not None:
-            return _Final(whole.field, race, _unseen(whole.field), contest, shown, free, contest.measured(shown, shot))
-    return None
->>>>>>> fixes
 
 
 def _unseen(field: Field) -> Contest | None:
