@@ -56,8 +56,8 @@ class Contender:
     """An equation that was compared with the one shown, all other variables as in the model.
 
     `nats` is how much longer the description of the data is with it (0 for the one shown, negative where it is shorter
-    but foretells less well; below about 3 the data hardly decide); `r2` is that of its state's simulation, `held_out_r2` the same on trajectories that did not take part in
-    its fit, None where there are none.
+    but foretells less well; below about 3 the data hardly decide); `r2` is that of its state's simulation,
+    `held_out_r2` the same on trajectories that did not take part in its fit, None where there are none.
     """
 
     program: Program
