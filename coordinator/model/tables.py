@@ -50,35 +50,46 @@ def plus_minus(value: float, error: float) -> str:
     return f"{value:.{max(decimals + size, 0)}e} ± {error:.1e}"
 
 
+def _has_errors(constant: Mapping[str, Any]) -> bool:
+    """Tell whether the error of a constant is known; where it is infinite, it is null, and nothing is determined."""
+    return constant["std_error"] is not None or not _is_told(constant)
+
+
+def _is_told(constant: Mapping[str, Any]) -> bool:
+    return bool(constant.get("identifiable", True))
+
+
 def constants_line(constants: Sequence[Mapping[str, Any]]) -> str | None:
     """Return all constants with their standard errors in a line; None when these are not known, or are rounding."""
-    known = [each for each in constants if each["std_error"] is not None]
-    if all(each["std_error"] <= _EXACT_SHARE * abs(each["value"]) for each in known):
+    known = [each for each in constants if _has_errors(each)]
+    if all((each["std_error"] or 0.0) <= _EXACT_SHARE * abs(each["value"]) and _is_told(each) for each in known):
         return None
     return "constants: " + ", ".join(_constant_text(each) for each in known)
 
 
 def _constant_text(constant: Mapping[str, Any]) -> str:
     fitted = constant["value"] if constant["fitted"] is None else constant["fitted"]
-    text = plus_minus(fitted, constant["std_error"])
+    text = plus_minus(fitted, constant["std_error"] or 0.0)
     shown = f"{constant['value']:.6g}"
-    remark = "" if constant.get("identifiable", True) else "not determined"
+    remark = "" if _is_told(constant) else "not determined"
+    if constant["std_error"] is None:
+        return f"{shown} ({remark})"
     if text.startswith(f"{shown} "):
         return f"{text} ({remark})" if remark else text
     return f"{shown} ({', '.join([text, remark] if remark else [text])})"
 
 
 def constants_table(constants: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a line for each constant whose standard error is known, with a head; nothing when there is none."""
-    known = [each for each in constants if each["std_error"] is not None]
+    """Return a line for each constant whose standard error is known, or infinite, with a head; nothing for none."""
+    known = [each for each in constants if _has_errors(each)]
     has_intervals = any(each.get("interval") is not None for each in known)
     heads = ("constant", "fitted ± std error", *(("95 % interval",) if has_intervals else ()), "")
     rows = [
         (
             f"{each['value']:.6g}",
-            plus_minus(each["value"] if each["fitted"] is None else each["fitted"], each["std_error"]),
+            plus_minus(each["value"] if each["fitted"] is None else each["fitted"], each["std_error"] or 0.0),
             *((_interval(each.get("interval")),) if has_intervals else ()),
-            "" if each.get("identifiable", True) else "not determined by the data",
+            "" if _is_told(each) else "not determined by the data",
         )
         for each in known
     ]

@@ -159,3 +159,9 @@ def test_constants_that_are_hardly_told_apart_are_named() -> None:
         "hardly told apart: 0.5 of x and 3 of x, correlation -0.999",
         "hardly told apart: 3 of x and 0.5 of x, correlation 0.960",
     ]
+
+
+def test_a_constant_of_infinite_error_is_said_not_to_be_determined() -> None:
+    loose = constant(2.0, 2.0, None, identifiable=False)
+    assert constants_line([loose]) == "constants: 2 (not determined)"
+    assert "not determined by the data" in constants_table([loose])[1]
