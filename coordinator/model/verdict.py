@@ -138,7 +138,8 @@ def _doubts_of_simulation(its: Evidence, found: Check) -> Iterator[str]:
             f"the noise (p = {found.too_large:.1g})"
         )
     if found.correlation > PATTERNED and found.patterned < IMPROBABLE:
-        yield f"about {_percent(found.correlation)} of what it leaves follows a pattern (p = {found.patterned:.1g})"
+        share = _percent(min(found.correlation, 1.0))
+        yield f"about {share} of what it leaves follows a pattern (p = {found.patterned:.1g})"
 
 
 def _doubts_of_target(its: Evidence, *, is_at_floor: bool) -> Iterator[str]:

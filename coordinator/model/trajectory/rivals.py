@@ -91,10 +91,15 @@ def _shortest(choice: Chosen, inputs: FloatArray) -> tuple[Chosen, list[list[Sta
 
 
 def _winner(standing: Standing, own: Validated, rivals: Sequence[Sequence[Rival]]) -> Rival | None:
-    """Return the rival that is close behind and foretells best, and clearly better than the one in front, or None."""
+    """Return the rival that is close behind and foretells best, and clearly better than the one in front, or None.
+
+    Those with more constants are left out: what these gain on few trajectories is chance as often as not.
+    """
     best, winner = own.misfit + _structures(standing) - CLEARLY, None
     for each in (rival for its in rivals for rival in its):
         if each.validated is None or each.standing.nats > standing.nats + DECIDED_NATS:
+            continue
+        if len(each.standing.shot.system.places) > len(standing.shot.system.places):
             continue
         nats = each.validated.misfit + _structures(each.standing)
         if nats < best:
