@@ -1,11 +1,11 @@
 """Programs with one more part, next to nothing at first: what a fit near a given program can grow into."""
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Final
 
 from common.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, SIN, VARIABLE
 from common.expression.program import Program
-from coordinator.model.rewrite import Node, nodes_of, rebuilt, structure
+from coordinator.model.rewrite import Node, changed, nodes_of
 
 SMALL: Final = 1e-3
 """Size of a new part beside what it is joined to."""
@@ -27,7 +27,7 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
         operators: codes of operators that may be brought in.
     """
     nodes = _with_own_leaves(nodes_of(program))
-    yield from _changed(program, nodes, operators, lambda index: _joined(index, scales))
+    yield from changed(program, nodes, operators, lambda index: _joined(index, scales))
 
 
 def leaps(program: Program, operators: Collection[int]) -> Iterator[Program]:
@@ -37,22 +37,7 @@ def leaps(program: Program, operators: Collection[int]) -> Iterator[Program]:
     own. Only the `operators` (codes) that are allowed are brought in.
     """
     nodes = _with_own_leaves(nodes_of(program))
-    yield from _changed(program, nodes, operators, lambda index: _opened(nodes, index))
-
-
-def _changed(
-    program: Program, nodes: list[Node], operators: Collection[int], makes: Callable[[int], Iterator[list[Node]]]
-) -> Iterator[Program]:
-    """Yield the programs in which one node gives way to what `makes` returns of it."""
-    known = {structure(program)}
-    for index in range(len(nodes)):
-        for made in makes(index):
-            if any(ARITY[code] and code not in operators for code, *_ in made):
-                continue
-            changed = rebuilt(nodes, index, made)
-            if structure(changed) not in known:
-                known.add(structure(changed))
-                yield changed
+    yield from changed(program, nodes, operators, lambda index: _opened(nodes, index))
 
 
 def _joined(index: int, scales: Sequence[float]) -> Iterator[list[Node]]:

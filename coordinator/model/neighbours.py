@@ -5,7 +5,7 @@ from typing import Final
 
 from common.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
 from common.expression.program import Program
-from coordinator.model.rewrite import FRESH, Node, nodes_of, rebuilt, structure, turned
+from coordinator.model.rewrite import FRESH, Node, changed, nodes_of, turned
 
 _NEAR_ONE: Final = 1.001
 _NEAR_ZERO: Final = 0.001
@@ -22,15 +22,12 @@ def neighbours(program: Program, variables: Collection[int], operators: Collecti
     it. Only `variables` (their indices) and `operators` (codes) are brought in.
     """
     nodes = nodes_of(program)
-    known = {structure(program)}
-    for index in range(len(nodes)):
-        for made in (*_exchanged(nodes, index, variables), *_joined(index, variables)):
-            if any(ARITY[code] and code not in operators for code, *_ in made):
-                continue
-            changed = rebuilt(nodes, index, made)
-            if structure(changed) not in known:
-                known.add(structure(changed))
-                yield changed
+    yield from changed(
+        program,
+        nodes,
+        operators,
+        lambda index: (*_exchanged(nodes, index, variables), *_joined(index, variables)),
+    )
 
 
 def _exchanged(nodes: list[Node], index: int, variables: Collection[int]) -> Iterator[list[Node]]:

@@ -15,7 +15,6 @@ from common.config import JobConfig
 from common.dataset import Problem
 from common.expression.operators import BY_NAME
 from common.expression.program import Program
-from common.expression.text import PRINTABLE_SIZE, tree_size
 from common.pareto import FrontEntry
 from coordinator.data.prior import known_programs
 from coordinator.data.recording import Preparation
@@ -24,7 +23,7 @@ from coordinator.model.errors import errors_on
 from coordinator.model.polish import Polisher
 from coordinator.model.refinement import LOOSE, NORMAL_95, Constant, Pools, Refined, Refinement
 from coordinator.model.rewrite import constant_places
-from coordinator.model.select import threshold
+from coordinator.model.select import enough, may_be_shown
 from coordinator.model.shorten import Candidate, Shortening
 from coordinator.model.snap import snapped
 from coordinator.model.trajectory.conclude import concluded
@@ -73,21 +72,20 @@ def refine(problem: Problem, config: JobConfig, front: Sequence[FrontEntry]) -> 
     nothing shorter does. Pure. Takes about a second for a few hundred noisy rows, less for exact ones.
     """
     programs = [Program.from_bytes(entry.program, len(problem.names)) for entry in front]
-    enough = threshold(problem.target, config.budget.target_error) * problem.target.deviation
-    has_converged = any(entry.error <= enough for entry in front)
+    limit = enough(problem.target, config.budget.target_error)
+    has_converged = any(entry.error <= limit for entry in front)
     if has_converged:
-        kept = [index for index, entry in enumerate(front) if entry.error <= enough]
+        kept = [index for index, entry in enumerate(front) if entry.error <= limit]
     else:
-        kept, enough = [*range(len(front))], math.inf
+        kept, limit = [*range(len(front))], math.inf
     variable = problem.target.variable
     operators = frozenset(BY_NAME[name].code for name in config.space.operators_for(variable))
     allowed = config.space.columns_for(variable, problem.names)
     shortening = Shortening(_spread(problem, COMPARED_ROWS), operators, allowed)
-    largest = config.space.max_size or math.inf
     candidates = shortening.candidates([programs[index] for index in kept], looks_around=not has_converged)
     for candidate in candidates[:_ATTEMPTS]:
         refined = _finished(problem, candidate, kept[candidate.member], config)
-        if refined.error <= enough and _may_be_shown(refined.program, largest):
+        if refined.error <= limit and may_be_shown(refined.program, config.space.max_size):
             return _as_found(refined, front, programs)
     return None
 
@@ -103,10 +101,6 @@ def _with_interval(constant: Constant) -> Constant:
         return constant
     bounds = (fitted - NORMAL_95 * error, fitted + NORMAL_95 * error)
     return replace(constant, interval=bounds, identifiable=error <= LOOSE * abs(fitted))
-
-
-def _may_be_shown(program: Program, largest: float) -> bool:
-    return len(program) <= largest and tree_size(program) <= PRINTABLE_SIZE
 
 
 def _finished(problem: Problem, candidate: Candidate, member: int, config: JobConfig) -> Refined:

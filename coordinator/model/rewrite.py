@@ -5,7 +5,7 @@ Unlike `common.expression.algebra`, which keeps every bit, this is meant for mod
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Final
 
 import numpy as np
@@ -140,6 +140,28 @@ def rebuilt(nodes: list[Node], index: int, made: list[Node]) -> Program:
 
     draft = _Draft()
     return draft.program(draft.copy([*nodes[: index + 1], *made, *map(moved, nodes[index + 1 :])], {}))
+
+
+def changed(
+    program: Program, nodes: list[Node], operators: Collection[int], makes: Callable[[int], Iterable[list[Node]]]
+) -> Iterator[Program]:
+    """Yield the programs in which one node gives way to what `makes` returns of it, tidied; each structure once.
+
+    Args:
+        program: the one to be changed, which is not yielded itself.
+        nodes: its nodes.
+        operators: codes; nothing else is brought in.
+        makes: by the index of a node, what may take its place, as `rebuilt` wants it.
+    """
+    known = {structure(program)}
+    for index in range(len(nodes)):
+        for made in makes(index):
+            if any(ARITY[code] and code not in operators for code, *_ in made):
+                continue
+            its = rebuilt(nodes, index, made)
+            if structure(its) not in known:
+                known.add(structure(its))
+                yield its
 
 
 def structure(program: Program) -> bytes:

@@ -12,6 +12,8 @@ from typing import Final
 
 from common.dataset import Target
 from common.expression.operators import CONSTANT
+from common.expression.program import Program
+from common.expression.text import PRINTABLE_SIZE, tree_size
 from common.pareto import FrontEntry
 
 SMALLEST_FLOOR: Final = 1e-12
@@ -35,14 +37,24 @@ def select(front: Sequence[FrontEntry], rows: int, target: Target, target_error:
     Raises:
         ValueError: the front is empty.
     """
-    enough = threshold(target, target_error) * target.deviation
-    met = [index for index, entry in enumerate(front) if entry.error <= enough]
+    limit = enough(target, target_error)
+    met = [index for index, entry in enumerate(front) if entry.error <= limit]
     return min(met or range(len(front)), key=lambda index: (_length(front[index], rows, target), index))
 
 
 def threshold(target: Target, target_error: float | None) -> float:
     """Return the normalized error at most which the equation of `target` counts as found: it has converged."""
     return target_error if target_error is not None else max(ALWAYS_CONVERGED, 2.0 * target.floor)
+
+
+def enough(target: Target, target_error: float | None) -> float:
+    """Return the error at most which the equation of `target` counts as found, in the target's units."""
+    return threshold(target, target_error) * target.deviation
+
+
+def may_be_shown(program: Program, largest: int | None) -> bool:
+    """Tell whether a program is not larger than the user allows (None: any size), and can be printed."""
+    return len(program) <= (largest or math.inf) and tree_size(program) <= PRINTABLE_SIZE
 
 
 def _length(entry: FrontEntry, rows: int, target: Target) -> float:

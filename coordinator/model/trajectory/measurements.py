@@ -25,18 +25,15 @@ PIECE: Final = 500
 LEAST_PIECE: Final = 100
 """Where there are many rows, pieces of so many are compared rather than shorter ones of more trajectories."""
 
-FAR_OUT: Final = 4.5
-"""Measurements this many standard errors of noise from the smoothed state count as outliers where there are any."""
-
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
     """Rows of trajectories for a system of D equations.
 
     `bounds` (B, 2) are the half-open row ranges of the pieces that are simulated at a stretch, `owners` (B,) the
-    trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), a weight of zero leaves
-    a number out; `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured, and `offset` (K,)
-    which of these up to an offset. `scales` (D,) are the states' standard deviations, `noise` (O,) the smoother's
+    trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), from 0, which leaves
+    a number out, to 1; `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured, and `offset`
+    (K,) which of these up to an offset. `scales` (D,) are the states' standard deviations, `noise` (O,) the smoother's
     estimate of that of the measurement errors; `coherence` is along how many rows errors go together, more than one
     where states without an equation are inputs as smoothed. `input_slopes` belong to `inputs` (U, N). `variables` names
     the numbers of a point: D states, then U inputs.
@@ -158,7 +155,7 @@ def measurements_of(
         owners=owners,
         times=np.concatenate([part.times for part in parts]),
         measured=measured,
-        weights=_weights(measured, positions, noise, [recording.smoothing[index].method for index in chosen]),
+        weights=_stacked(_trust(part, chosen) for part in parts),
         smoothed=np.ascontiguousarray(smoothed),
         observed=np.arange(len(chosen), dtype=np.int64),
         inputs=np.ascontiguousarray(np.concatenate(inputs)),
@@ -192,13 +189,10 @@ def _variables(recording: Recording, chosen: list[int], others: list[int]) -> tu
     )
 
 
-def _weights(measured: FloatArray, smoothed: FloatArray, noise: FloatArray, methods: Sequence[str]) -> FloatArray:
-    """Return 1 for what is measured, 0 for what is missing, and for outliers where smoothing was robust."""
-    weights = np.isfinite(measured).astype(np.float64)
-    for state, method in enumerate(methods):
-        if method == "robust loess":
-            weights[state, np.abs(measured[state] - smoothed[state]) > FAR_OUT * noise[state]] = 0.0
-    return weights
+def _trust(part: Trajectory, chosen: list[int]) -> FloatArray:
+    """Return how much each measurement counts: nothing where it is missing, little where smoothing met an outlier."""
+    measured = np.isfinite(part.measured[chosen]).astype(np.float64)
+    return measured if part.trust is None else measured * part.trust[chosen]
 
 
 def _stacked(arrays: Iterator[FloatArray]) -> FloatArray:

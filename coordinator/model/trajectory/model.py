@@ -13,16 +13,16 @@ from typing import Final
 import numpy as np
 
 from common.config import JobConfig
-from common.dataset import Dataset, Problem
+from common.dataset import Dataset
 from common.expression.operators import BY_NAME
 from common.expression.program import Program
-from common.expression.text import PRINTABLE_SIZE, tree_size
 from coordinator.data.prior import guessed_programs
 from coordinator.data.recording import Recording
 from coordinator.model.extensions import extensions, leaps
 from coordinator.model.neighbours import neighbours
 from coordinator.model.refinement import Pool, Refined
 from coordinator.model.rewrite import tidied
+from coordinator.model.select import enough, may_be_shown
 from coordinator.model.trajectory.candidates import ranked
 from coordinator.model.trajectory.contest import Contest, Standing
 from coordinator.model.trajectory.descent import Descent
@@ -79,10 +79,9 @@ class Field:
     known: Mapping[str, Program]
     piece: int = PIECE
 
-    @property
-    def states(self) -> list[int]:
-        """Indices of the modelled states."""
-        return [self.recording.states.index(name) for name in self.variables]
+    def may_be_shown(self, program: Program) -> bool:
+        """Tell whether the job's equations may be as large as `program`."""
+        return may_be_shown(program, self.config.space.max_size)
 
     def operators(self, variable: str) -> frozenset[int]:
         """Return the codes of the operators that the equation of `variable` may be made of."""
@@ -154,7 +153,11 @@ def _candidates(field: Field, name: str, pools: Mapping[str, Pool], settled: Map
         return [field.known[name]]
     problem = field.dataset.problem(name)
     programs = [settled[name].program] if name in settled else []
-    if programs and not problem.target.is_noisy and settled[name].error <= _enough(problem, field.config):
+    if (
+        programs
+        and not problem.target.is_noisy
+        and settled[name].error <= enough(problem.target, field.config.budget.target_error)
+    ):
         return [tidied(programs[0])]
     pool = pools[name]
     entries = [*pool.front, *pool.runners_up]
@@ -162,13 +165,8 @@ def _candidates(field: Field, name: str, pools: Mapping[str, Pool], settled: Map
     programs += guessed_programs(field.dataset, field.config).get(name, ())
     its = replace(field.measurements([name]).thinned(COMPARED_ROWS), coherence=1.0)
     contest = field.contest(its, [name])
-    return ranked(contest, problem, programs, field.columns(name), field.operators(name))
-
-
-def _enough(problem: Problem, config: JobConfig) -> float:
-    from coordinator.model.select import threshold
-
-    return threshold(problem.target, config.budget.target_error) * problem.target.deviation
+    best = ranked(contest, problem, programs, field.columns(name), field.operators(name))
+    return [program for program in best if field.may_be_shown(program)]
 
 
 def _combined(contest: Contest, lists: Sequence[Sequence[Program]]) -> Standing | None:
@@ -202,18 +200,16 @@ def _exchanged(contest: Contest, best: Standing, lists: Sequence[Sequence[Progra
 def _descended(field: Field, contest: Contest, best: Standing, lists: Sequence[Sequence[Program]]) -> Standing:
     """Return the end of the descent from the best system."""
     sizes = _scales(field, contest.shooter.measurements)
-    largest = field.config.space.max_size or float("inf")
 
     def around(equation: int, program: Program) -> Iterator[Program]:
         name = field.variables[equation]
         operators, columns = field.operators(name), field.columns(name)
         scales = [size if column in columns else 0.0 for column, size in enumerate(sizes)]
-        for changed in (*extensions(program, scales, operators), *neighbours(program, columns, operators)):
-            if len(changed) <= largest and tree_size(changed) <= PRINTABLE_SIZE:
-                yield changed
+        near = (*extensions(program, scales, operators), *neighbours(program, columns, operators))
+        yield from filter(field.may_be_shown, near)
 
     def beyond(equation: int, program: Program) -> Iterator[Program]:
-        return leaps(program, field.operators(field.variables[equation]))
+        return filter(field.may_be_shown, leaps(program, field.operators(field.variables[equation])))
 
     descent = Descent(contest, around, contest.shooter.work + WORK, beyond)
     equations = [index for index, its in enumerate(lists) if index not in contest.fixed]

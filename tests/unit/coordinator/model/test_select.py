@@ -9,7 +9,7 @@ import pytest
 from common.dataset import Target
 from common.expression.parse import from_infix
 from common.pareto import FrontEntry
-from coordinator.model.select import _log, count_constants, description_length, select, threshold
+from coordinator.model.select import _log, count_constants, description_length, may_be_shown, select, threshold
 
 
 def entry(size: int, rmse: float, text: str = "x") -> FrontEntry:
@@ -80,3 +80,8 @@ def test_scaling_the_target_does_not_change_the_choice():
 def test_the_logarithm_is_right_to_a_few_units_in_the_last_place():
     values = [2.0**k * m for k in range(-1000, 1000, 37) for m in (1.0, 1.1, 1.41, 1.42, 1.99)]
     assert all(abs(_log(v) - math.log(v)) <= 4.5e-16 * max(1.0, abs(math.log(v))) for v in values)
+
+
+@pytest.mark.parametrize(("largest", "may"), [(None, True), (3, True), (2, False)])
+def test_what_is_larger_than_the_user_allows_is_not_shown(largest, may):
+    assert may_be_shown(from_infix("2.0*x", ["x"]), largest) is may

@@ -193,6 +193,14 @@ def test_only_allowed_operators_and_variables_come_in():
     assert set(y.left[y.operators == 0].tolist()) <= {1}
 
 
+def test_no_equation_is_larger_than_allowed():
+    """Neither candidates nor libraries nor what the descent makes of them."""
+    config = JobConfig(space=SpaceConfig(max_size=5))
+    its = refined(LOTKA, LOTKA_STARTS[:2], LOTKA_POOL, noise=0.05, seed=106, config=config)
+    assert its.simulation is not None
+    assert all(len(each.program) <= 5 for each in its.equations.values())
+
+
 def test_a_measured_input_is_part_of_the_model():
     config = JobConfig(space=NO_LIBRARIES, data=DataConfig(inputs=("u",)))
     its = refined(DRIVEN, ([2.0], [-1.0]), {"x": ("-0.5*x", "1.2*u - 0.5*x")}, noise=0.03, seed=105, config=config)

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coordinator.data.recording import Smoothing
 from coordinator.model.trajectory import measurements
 from coordinator.model.trajectory.measurements import measurements_of
 from tests.unit.coordinator.model.trajectory.made import DRIVEN, LOTKA, SWING, recording
@@ -92,13 +91,16 @@ def test_missing_values_have_no_weight():
     assert np.argwhere(weights == 0.0).tolist() == [[0, 33], [0, 34]]
 
 
-def test_outliers_have_no_weight_where_smoothing_was_robust():
+def test_measurements_weigh_what_smoothing_trusted_them_with():
     its = swinging(noise=0.1)
-    its.trajectories[0].measured[:, 7] += 3.0
     assert (measurements_of(its, [0, 1]).weights == 1.0).all()
-    robust = Smoothing("x", "robust loess", 0.1, 0.1, outliers=1)
-    weights = measurements_of(replace(its, smoothing=(robust, its.smoothing[1])), [0, 1]).weights
-    assert np.argwhere(weights == 0.0).tolist() == [[0, 7]]
+    trust = np.ones_like(its.trajectories[0].measured)
+    trust[0, 7], trust[1, 2] = 0.0, 0.25
+    robust = replace(its, trajectories=(replace(its.trajectories[0], trust=trust), *its.trajectories[1:]))
+    weights = measurements_of(robust, [0, 1]).weights
+    assert np.argwhere(weights != 1.0).tolist() == [[0, 7], [1, 2]]
+    assert (weights[0, 7], weights[1, 2]) == (0.0, 0.25)
+    assert measurements_of(robust, [1]).weights[0, 2] == 0.25
 
 
 def test_a_long_trajectory_falls_into_pieces_of_its_own():
