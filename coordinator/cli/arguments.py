@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any, Final, NoReturn
 
 from common.errors import UsageError
-from coordinator.cli.service_arguments import add_router, add_serve
+from coordinator.cli.service_arguments import add_doctor, add_router, add_serve
 
 HANDLERS: Final = {
     "run": "coordinator.cli.run",
@@ -23,10 +23,11 @@ HANDLERS: Final = {
     "workers": "coordinator.cli.jobs",
     "cancel": "coordinator.cli.jobs",
     "result": "coordinator.cli.result",
+    "doctor": "coordinator.cli.doctor",
 }
 """The module of each verb. Its function of the verb's name takes the parsed options and returns the exit code."""
 
-LATER_VERBS: Final = ("logs", "doctor", "simulate", "analyse", "analyze", "report", "export")
+LATER_VERBS: Final = ("logs", "simulate", "analyse", "analyze", "report", "export")
 LATER_OPTIONS: Final = ("--weights",)
 
 EXIT_CODES: Final = (
@@ -101,6 +102,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_router(_verb, verbs)
     _add_submit(verbs)
     _add_readers(verbs)
+    _add_data(add_doctor(_verb, verbs).add_argument_group("data"))
     return parser
 
 

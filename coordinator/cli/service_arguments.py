@@ -51,9 +51,11 @@ def add_router(verb: Verb, verbs: Any) -> None:
     _add_connect_file(parser)
 
 
-def add_doctor(verb: Verb, verbs: Any) -> None:
-    """Add ``doctor``."""
-    parser = verb(verbs, "doctor", "examine this machine, a coordinator and data files, and say what to do")
+def add_doctor(verb: Verb, verbs: Any) -> argparse.ArgumentParser:
+    """Add ``doctor`` and return its parser, which lacks the options on data."""
+    parser = verb(
+        verbs, "doctor", "examine this machine, a coordinator and data files, and say what to do; 1: problems"
+    )
     parser.add_argument("data", nargs="*", metavar="DATA", help="data files to read as `submit` would")
     parser.add_argument(
         "--connect", metavar="tcp/HOST:PORT", help="the coordinator to examine (default: $ATOLL_CONNECT, if set)"
@@ -62,8 +64,8 @@ def add_doctor(verb: Verb, verbs: Any) -> None:
         "--listen", metavar="tcp/HOST:PORT", help="an address at which a coordinator shall listen: is it free?"
     )
     parser.add_argument("--state", metavar="DIR", help="the folder of a coordinator's job store (default: the current)")
-    parser.add_argument("--time", metavar="t", help="time column of DATA (default: t or time)")
     parser.add_argument("--json", action="store_true", help="print JSON")
+    return parser
 
 
 def seconds(text: str) -> float:

@@ -310,6 +310,7 @@ class Service:
             protocol=PROTOCOL_VERSION,
             version=VERSION,
             engine=ENGINE_REVISION,
+            clock=self._ports.clock(),
         )
 
     def _refuse(self, hello: Hello) -> str | None:
