@@ -37,6 +37,7 @@ from common.wire.messages import (
     Submit,
     Upload,
     Uploaded,
+    Welcome,
     WorkerList,
     Workers,
 )
@@ -72,6 +73,8 @@ class Client:
         self._address = address
         self._name = f"client-{uuid.uuid4().hex[:12]}"
         self._realm: str | None = None
+        self.welcome: Welcome | None = None
+        """What the coordinator said of itself when it was greeted."""
 
     def greet(self, limit_s: float = ANSWER_LIMIT_S) -> str:
         """Learn and return the coordinator's realm; the first question calls this by itself.
@@ -92,7 +95,7 @@ class Client:
         answer = _understood(lambda: decode(payload, GreetingAnswer)).body
         if isinstance(answer, Refusal):
             raise RefusedError(answer.sentence)
-        self._realm = answer.realm
+        self._realm, self.welcome = answer.realm, answer
         return answer.realm
 
     def upload(self, data: bytes) -> str:

@@ -97,8 +97,12 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--connect",
         metavar="tcp/HOST:PORT",
-        default=os.environ.get("ATOLL_CONNECT"),
         help="address of the coordinator (default: the environment variable ATOLL_CONNECT)",
+    )
+    parser.add_argument(
+        "--connect-file",
+        metavar="FILE",
+        help="read the address from the file that coordinator serve --connect-file writes, waiting for it up to --wait",
     )
     parser.add_argument(
         "--processes",
@@ -122,13 +126,9 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _dispatch(options: argparse.Namespace) -> int:
-    from common.errors import UsageError
-    from common.wire.addresses import parse_address
     from island_worker.processes import choose_number
 
-    if not options.connect:
-        raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
-    connect = str(parse_address(options.connect))
+    connect = _address(options)
     name = options.name or _default_name()
     number = options.processes
     if number is None:
@@ -138,6 +138,30 @@ def _dispatch(options: argparse.Namespace) -> int:
         return _work(connect, name, options.wait, options.parent)
     names = [f"{name[:58]}-{index}" for index in range(number)]
     return _work_together(connect, names, options)
+
+
+def _address(options: argparse.Namespace) -> str:
+    """Return the coordinator's address from the options or ``ATOLL_CONNECT``, once it is known.
+
+    Raises:
+        UsageError: none was given, or two, or it is none.
+        UnreachableError: the file did not come in time, or nothing accepts connections at the addresses in it.
+    """
+    from common.errors import UsageError
+    from common.wire.addresses import parse_address
+
+    if options.connect_file:
+        if options.connect:
+            raise UsageError("both --connect and --connect-file were given; give one of them")
+        from pathlib import Path
+
+        from common.wire.connect_file import address_in
+
+        return address_in(Path(options.connect_file), options.wait)
+    connect = options.connect or os.environ.get("ATOLL_CONNECT")
+    if not connect:
+        raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
+    return str(parse_address(connect))
 
 
 def _work_together(connect: str, names: Sequence[str], options: argparse.Namespace) -> int:

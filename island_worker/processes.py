@@ -19,7 +19,7 @@ from functools import partial
 from types import FrameType
 from typing import Any, Final, Protocol
 
-from island_worker.cores import usable_cores
+from common.cores import usable_cores
 from island_worker.forking import Forked, Work
 
 INTERRUPTED: Final = 130
