@@ -1,4 +1,7 @@
-"""Addresses such as ``tcp/HOST:PORT``: reading them, and finding out what is there before a connection is tried."""
+"""Addresses such as ``tcp/HOST:PORT`` or ``tls/HOST:PORT``: reading them, and finding out what is there.
+
+With credentials an address is a destination: where to listen or dial, and with which certificate.
+"""
 
 import errno
 import socket
@@ -6,8 +9,11 @@ from dataclasses import dataclass
 from typing import Final
 
 from common.errors import UsageError
+from common.wire.credentials import Credentials, speaks_tls, why_refused
+from common.wire.tls_options import OPTIONS
 
 _PROTOCOLS: Final = ("tcp", "tls", "quic")
+_ENCRYPTED: Final = ("tls", "quic")
 _PROBE_LIMIT_S: Final = 2.0
 
 
@@ -22,6 +28,36 @@ class Address:
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.protocol}/{host}:{self.port}"
+
+
+@dataclass(frozen=True, slots=True)
+class Destination:
+    """An address, and what we show there. Its text is the address alone."""
+
+    address: Address
+    credentials: Credentials | None = None
+
+    def __str__(self) -> str:
+        return str(self.address)
+
+
+def destination(text: str, credentials: Credentials | None = None) -> Destination:
+    """Return the address that `text` names, with the credentials to be shown there.
+
+    Raises:
+        UsageError: it is no address, or it is an encrypted one without credentials, or the other way round.
+    """
+    address = parse_address(text)
+    place = f"{address.host}:{address.port}"
+    if credentials is None and address.protocol in _ENCRYPTED:
+        names = ", ".join(f"{option} ({variable})" for option, (variable, _) in OPTIONS.items())
+        raise UsageError(f"{address} needs certificates; give {names}")
+    if credentials is not None and address.protocol not in _ENCRYPTED:
+        raise UsageError(
+            f"{address} is not encrypted, but TLS files were given; write tls/{place}, or leave out --tls-... and "
+            "the variables ATOLL_TLS_..."
+        )
+    return Destination(address, credentials)
 
 
 def parse_address(text: str) -> Address:
@@ -65,6 +101,18 @@ def why_unreachable(address: Address, limit_s: float = _PROBE_LIMIT_S) -> str | 
         return "there was no answer"
     except OSError as error:
         return (error.strerror or str(error)).lower()
+    return None
+
+
+def why_not_welcome(to: Destination) -> str | None:
+    """Return why whoever accepts connections at `to` does not accept ours; None when that cannot be told."""
+    address = to.address
+    if address.protocol == "quic":
+        return None
+    if to.credentials is not None:
+        return why_refused(address.host, address.port, to.credentials)
+    if speaks_tls(address.host, address.port):
+        return f"it asks for TLS; write tls/{address.host}:{address.port} and give {', '.join(OPTIONS)}"
     return None
 
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any, Final, NoReturn
 
 from common.errors import UsageError
+from common.wire.tls_options import OPTIONS as TLS_OPTIONS
 
 HANDLERS: Final = {
     "run": "coordinator.cli.run",
@@ -143,6 +144,10 @@ def _add_serve(verbs: Any) -> None:
     parser.add_argument(
         "--state", default=DEFAULT_STATE, metavar="DIR", help=f"folder of the job store (default: {DEFAULT_STATE})"
     )
+    _add_tls(parser)
+    parser.add_argument(
+        "--roster", metavar="FILE", help='who may do what, by the names in certificates (TOML: lab1 = "worker")'
+    )
 
 
 def _add_submit(verbs: Any) -> None:
@@ -182,6 +187,15 @@ def _add_result(parser: argparse.ArgumentParser) -> None:
 
 def _add_connect(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--connect", metavar="tcp/HOST:PORT", help="the coordinator (default: $ATOLL_CONNECT)")
+    _add_tls(parser)
+
+
+def _add_tls(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "certificates", "PEM files for tls/HOST:PORT; deploy/tls/make-authority makes them"
+    )
+    for option, (variable, text) in TLS_OPTIONS.items():
+        group.add_argument(option, metavar="FILE", help=f"{text} (default: ${variable})")
 
 
 def _add_job(parser: argparse.ArgumentParser) -> None:

@@ -2,7 +2,9 @@
 
 import argparse
 import contextlib
+import ipaddress
 import logging
+import os
 import socket
 import struct
 import sys
@@ -12,7 +14,9 @@ from typing import TYPE_CHECKING, Final
 
 from common import VERSION
 from common.errors import StoreError, UsageError
-from common.wire.addresses import Address, parse_address
+from common.wire.access import Roster, read_roster
+from common.wire.addresses import Address, Destination, destination, parse_address
+from common.wire.credentials import credentials_of
 from coordinator.cli.exits import DONE
 from coordinator.cli.output import note, say
 from coordinator.cli.signals import stopping
@@ -26,18 +30,29 @@ _SIOCGIFADDR: Final = 0x8915
 
 def serve(options: argparse.Namespace) -> int:
     """Serve until SIGTERM or Ctrl-C; return 0."""
-    wanted = parse_address(options.listen)
+    wanted = destination(options.listen, credentials_of(vars(options), os.environ, "serve"))
+    roster = _roster(options.roster, wanted)
     configure_log()
     from common.wire.zenoh_bus import open_router
     from coordinator.service.service import Service
 
     stop = threading.Event()
-    with stopping(stop), _opened(options.state) as store, open_router(str(wanted)) as bus:
-        service = Service(bus, store)
-        say(greeting(parse_address(bus.endpoint), options.state))
+    with stopping(stop), _opened(options.state) as store, open_router(wanted, roster=roster) as bus:
+        service = Service(bus, store, roster=roster)
+        say(greeting(Destination(parse_address(bus.endpoint), wanted.credentials), options.state, roster))
         service.run(stop)
     note("coordinator: stopped; jobs and results are kept")
     return DONE
+
+
+def _roster(file: str | None, listen: Destination) -> Roster | None:
+    if file is None:
+        return None
+    if listen.credentials is None:
+        raise UsageError(
+            "--roster gives roles to the names in certificates, so it needs --tls-ca, --tls-cert and --tls-key"
+        )
+    return read_roster(Path(file))
 
 
 def _opened(state: str) -> "Store":
@@ -57,15 +72,43 @@ def configure_log() -> None:
     )
 
 
-def greeting(listen: Address, state: str) -> str:
-    """Return what a person needs who wants to use this coordinator: one line for each address heard on."""
-    addresses = [Address(listen.protocol, host, listen.port) for host in heard_on(listen.host)]
+def greeting(listen: Destination, state: str, roster: Roster | None = None) -> str:
+    """Return what a person needs who wants to use this coordinator: one line for each address to dial."""
+    address, files = listen.address, listen.credentials
+    hosts = heard_on(address.host) if files is None else files.hosts
+    addresses = [Address(address.protocol, host, address.port) for host in hosts]
     lines = [f"coordinator {VERSION} listens on {listen}, state in {state}", "start a worker with:"]
-    lines += [f"  island-worker --connect {address}" for address in addresses]
+    lines += [f"  island-worker --connect {each}" for each in addresses]
     lines += ["submit a job with:", f"  coordinator submit DATA --connect {addresses[0]}"]
-    if listen.host in _EVERYWHERE:
-        lines.append("whoever reaches this port can use it: listen on a trusted network only")
-    return "\n".join(lines)
+    return "\n".join([*lines, *_warnings(listen, roster)])
+
+
+def _warnings(listen: Destination, roster: Roster | None) -> list[str]:
+    """Return in plain words who can do what, where that is more than this machine's own programs."""
+    if listen.credentials is None and not is_loopback(listen.address.host):
+        return [
+            f"NOT ENCRYPTED: whoever reaches port {listen.address.port} may submit, read and cancel jobs, join as a",
+            "worker or feed migrants in another's name; listen on a trusted network only, or on",
+            "tls/HOST:PORT with --tls-ca, --tls-cert, --tls-key and --roster (deploy/tls/make-authority makes them)",
+        ]
+    if listen.credentials is None:
+        return []
+    lines = [
+        f"certificates: give each --tls-ca, --tls-cert and --tls-key; the authority is {listen.credentials.authority}"
+    ]
+    if roster is None:
+        lines.append(
+            "no roster: whoever has a certificate of that authority may compute, submit and cancel (see --roster)"
+        )
+    return lines
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether only this machine can reach a listener on `host`."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def heard_on(host: str) -> list[str]:

@@ -34,6 +34,9 @@ CREATE TABLE archipelagos (
 );
 """
 
+_SUBMITTERS: Final = "CREATE TABLE IF NOT EXISTS submitters (job TEXT PRIMARY KEY, name TEXT NOT NULL)"
+"""Beside the others, so that stores without it can be opened still."""
+
 
 def connect(directory: Path | None) -> sqlite3.Connection:
     """Open the store's file in `directory` (None: in memory), making it if there is none; raise its incarnation.
@@ -118,6 +121,7 @@ def _prepare(connection: sqlite3.Connection, file: Path | None) -> None:
     connection.execute("BEGIN IMMEDIATE")
     if not tables:
         _create(connection)
+    connection.execute(_SUBMITTERS)
     connection.execute("UPDATE realm SET incarnation = incarnation + 1")
     connection.execute("COMMIT")
 
