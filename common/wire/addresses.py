@@ -8,8 +8,8 @@ import socket
 from dataclasses import dataclass
 from typing import Final
 
-from common.errors import UsageError
-from common.wire.credentials import Credentials, speaks_tls, why_refused
+from common.errors import RefusedError, UsageError
+from common.wire.credentials import Credentials, check_welcome, speaks_tls
 from common.wire.tls_options import OPTIONS
 
 _PROTOCOLS: Final = ("tcp", "tls", "quic")
@@ -54,8 +54,8 @@ def destination(text: str, credentials: Credentials | None = None) -> Destinatio
         raise UsageError(f"{address} needs certificates; give {names}")
     if credentials is not None and address.protocol not in _ENCRYPTED:
         raise UsageError(
-            f"{address} is not encrypted, but TLS files were given; write tls/{place}, or leave out --tls-... and "
-            "the variables ATOLL_TLS_..."
+            f"{address} is not encrypted, but TLS files were given; write tls/{place}, or leave out --tls-... "
+            "and ATOLL_TLS_..."
         )
     return Destination(address, credentials)
 
@@ -104,15 +104,28 @@ def why_unreachable(address: Address, limit_s: float = _PROBE_LIMIT_S) -> str | 
     return None
 
 
-def why_not_welcome(to: Destination) -> str | None:
-    """Return why whoever accepts connections at `to` does not accept ours; None when that cannot be told."""
+def check_certificates(to: Destination, listen_s: float) -> str | None:
+    """Return what is wrong with TLS at `to`, beyond certificates; None when nothing is, or that cannot be told.
+
+    Args:
+        to: where connections are accepted.
+        listen_s: how long to listen for what the other side thinks of our certificate, in seconds.
+
+    Raises:
+        RefusedError: certificates do not fit, or are asked for and not given.
+    """
     address = to.address
     if address.protocol == "quic":
         return None
-    if to.credentials is not None:
-        return why_refused(address.host, address.port, to.credentials)
-    if speaks_tls(address.host, address.port):
-        return f"it asks for TLS; write tls/{address.host}:{address.port} and give {', '.join(OPTIONS)}"
+    try:
+        if to.credentials is not None:
+            return check_welcome(address.host, address.port, to.credentials, listen_s)
+        if speaks_tls(address.host, address.port):
+            raise RefusedError(
+                f"it asks for TLS; write tls/{address.host}:{address.port} and give {', '.join(OPTIONS)}"
+            )
+    except RefusedError as error:
+        raise RefusedError(f"no connection to the coordinator at {address}: {error}") from error
     return None
 
 

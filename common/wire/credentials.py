@@ -15,14 +15,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from common.errors import UsageError
+from common.errors import RefusedError, UsageError
 from common.wire.access import MAX_NAME
 from common.wire.tls_options import OPTIONS
 from common.wire.topics import is_id
 
 Use = Literal["serve", "connect"]
 
-_ALERT_LIMIT_S: Final = 1.0
 _PROBE_LIMIT_S: Final = 2.0
 _NO_CHECK_TIME: Final = 0x200000  # X509_V_FLAG_NO_CHECK_TIME of OpenSSL, which Python does not name
 
@@ -105,21 +104,34 @@ def load(authority: Path, certificate: Path, key: Path, use: Use) -> Credentials
     return Credentials(authority, certificate, key, names[0], hosts)
 
 
-def why_refused(host: str, port: int, credentials: Credentials) -> str | None:
-    """Return why a TLS connection with these credentials fails; None when both sides are content."""
+def check_welcome(host: str, port: int, credentials: Credentials, listen_s: float) -> str | None:
+    """Try a TLS connection with these credentials; return what else is wrong, None when both sides are content.
+
+    Args:
+        host: with `port` where to dial.
+        port: see `host`.
+        credentials: what to show there.
+        listen_s: how long to listen for what the other side thinks of us, in seconds.
+
+    Raises:
+        RefusedError: one side does not accept the other's certificate, so that trying again would not help.
+    """
     context = _context(ssl.PROTOCOL_TLS_CLIENT, credentials.certificate, credentials.key)
     context.load_verify_locations(credentials.authority)
     try:
         with _connected(context, host, port) as connection:
-            connection.settimeout(_ALERT_LIMIT_S)
-            with contextlib.suppress(TimeoutError):  # with TLS 1.3 the other side says what it thinks of us afterwards
+            connection.settimeout(listen_s)
+            with contextlib.suppress(TimeoutError):  # with TLS 1.3 a server says so after the handshake
                 connection.recv(1)
     except ssl.SSLCertVerificationError as error:
-        return _distrust(error, host, port, credentials)
+        raise RefusedError(_distrust(error, host, port, credentials)) from error
     except ssl.SSLError as error:
-        return _alert(error, credentials)
+        sentence = _alert(error, credentials)
+        if sentence is None:
+            return "what listens there does not speak TLS as a coordinator does"
+        raise RefusedError(sentence) from error
     except OSError as error:
-        return _broken_off(error)
+        return "what listens there does not speak TLS" if isinstance(error, TimeoutError) else str(error).lower()
     return None
 
 
@@ -171,20 +183,12 @@ def _names_there(host: str, port: int, credentials: Credentials) -> str:
     return ", ".join(_plain(kind, name) for kind, name in names)[:300] or "no name at all"
 
 
-def _alert(error: ssl.SSLError, credentials: Credentials) -> str:
+def _alert(error: ssl.SSLError, credentials: Credentials) -> str | None:
     reason = error.reason or ""
     for ending, sentence in _ALERTS.items():
         if reason.endswith(ending):
             return sentence.format(certificate=credentials.certificate)
-    if reason in ("WRONG_VERSION_NUMBER", "UNEXPECTED_EOF_WHILE_READING", "RECORD_LAYER_FAILURE"):
-        return "what listens there does not speak TLS"
-    return f"TLS failed ({reason or error})"
-
-
-def _broken_off(error: OSError) -> str:
-    if isinstance(error, TimeoutError | ConnectionError):
-        return "what listens there does not speak TLS, or not with us"
-    return (error.strerror or str(error)).lower()
+    return None
 
 
 def _check_files(authority: Path, certificate: Path, key: Path) -> None:

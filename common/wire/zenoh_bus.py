@@ -20,9 +20,9 @@ from typing import Any, Final, Self
 import zenoh
 from zenoh.handlers import Callback
 
-from common.errors import LocalProtocolError, RefusedError, UnreachableError, UsageError
+from common.errors import LocalProtocolError, UnreachableError, UsageError
 from common.wire.access import Roster, access_control
-from common.wire.addresses import Address, Destination, bindable, destination, why_not_welcome, why_unreachable
+from common.wire.addresses import Address, Destination, bindable, check_certificates, destination, why_unreachable
 from common.wire.bus import MAX_PAYLOAD, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from common.wire.inbox import Inbox, Timers
 from common.wire.keys import check_expression, check_key, check_payload
@@ -31,6 +31,8 @@ _WAIT_FOR_PEER_US: Final = 1_000_000
 _LEASE_MS: Final = 4_000
 _ATTEMPT_MS: Final = 3_000
 _PAUSE_S: Final = 0.2
+_QUICK_S: Final = 0.1
+_SLOW_S: Final = 1.0
 _CLOSE_LIMIT_S: Final = 5.0
 _FREE_PORT_ATTEMPTS: Final = 20
 _OVERHEAD: Final = 1024 * 1024  # key and attributes of a message, with room to spare
@@ -80,14 +82,13 @@ def open_client(connect: str | Destination, wait_s: float = 0.0, settings: Setti
     end = time.monotonic() + wait_s
     while True:
         reason = why_unreachable(address)
+        if reason is None and to.credentials is not None:
+            reason = check_certificates(to, _QUICK_S)
         if reason is None:
             try:
                 return ZenohBus(zenoh.open(config), str(address), is_router=False)
-            except zenoh.ZError as error:
-                refusal = why_not_welcome(to)
-                if refusal is not None:
-                    raise RefusedError(f"no connection to the coordinator at {address}: {refusal}") from error
-                reason = "what listens there did not answer as a coordinator does"
+            except zenoh.ZError:
+                reason = check_certificates(to, _SLOW_S) or "what listens there did not answer as a coordinator does"
         if time.monotonic() >= end:
             raise UnreachableError(_unreachable(address, wait_s, reason))
         time.sleep(min(_PAUSE_S, max(0.0, end - time.monotonic())))
