@@ -54,7 +54,12 @@ CREATE TABLE states (
 );
 """
 
-_LAYOUTS: Final = (_LAYOUT_1, _LAYOUT_2_PRIORITIES + ";" + _LAYOUT_2_EVENTS + _LAYOUT_2_CHECKPOINTS)
+_LAYOUT_2_SUBMITTERS: Final = "CREATE TABLE submitters (job TEXT PRIMARY KEY, name TEXT NOT NULL)"
+
+_LAYOUTS: Final = (
+    _LAYOUT_1,
+    ";".join((_LAYOUT_2_PRIORITIES, _LAYOUT_2_EVENTS, _LAYOUT_2_CHECKPOINTS, _LAYOUT_2_SUBMITTERS)),
+)
 """What each version of the layout adds to the one before. A new store goes through all of them, an old one through
 those that it lacks."""
 

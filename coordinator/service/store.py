@@ -118,6 +118,17 @@ class Store:
             rows = sql.execute(f"SELECT {', '.join(_COLUMNS)} FROM jobs ORDER BY number").fetchall()
         return tuple(JobRecord(*row) for row in rows)
 
+    def keep_submitter(self, job: str, name: str) -> None:
+        """Keep who submitted a job, by the name in the certificate; what is kept already stays."""
+        with self._transaction() as sql:
+            sql.execute("INSERT OR IGNORE INTO submitters VALUES (?, ?)", (job, name))
+
+    def submitter(self, job: str) -> str | None:
+        """Return who submitted a job; None when nobody proved it."""
+        with self._transaction() as sql:
+            row = sql.execute("SELECT name FROM submitters WHERE job = ?", (job,)).fetchone()
+        return row[0] if row else None
+
     def update_job(self, job: str, only_in: Collection[str] | None = None, **changes: str | float | None) -> bool:
         """Change fields of a job; return False, changing nothing, when its state is not in `only_in` (if given).
 
