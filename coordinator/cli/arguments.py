@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any, Final, NoReturn
 
 from common.errors import UsageError
-from coordinator.cli.service_arguments import add_doctor, add_router, add_serve
+from coordinator.cli.service_arguments import add_doctor, add_router, add_serve, add_tls
 
 HANDLERS: Final = {
     "run": "coordinator.cli.run",
@@ -172,6 +172,7 @@ def _add_result(parser: argparse.ArgumentParser) -> None:
 
 def _add_connect(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--connect", metavar="tcp/HOST:PORT", help="the coordinator (default: $ATOLL_CONNECT)")
+    add_tls(parser)
 
 
 def _add_job(parser: argparse.ArgumentParser) -> None:

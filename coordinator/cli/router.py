@@ -6,6 +6,7 @@ coordinator (`serve --router`), so that connections stay while that one is resta
 
 import argparse
 import logging
+import os
 import threading
 import time
 from pathlib import Path
@@ -13,11 +14,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from common import VERSION
 from common.errors import RefusedError, UnreachableError
-from common.wire.addresses import Address, parse_address
+from common.wire.access import Roster
+from common.wire.addresses import Destination, destination, parse_address
 from common.wire.connect_file import announced
+from common.wire.credentials import credentials_of
 from coordinator.cli.exits import DONE
 from coordinator.cli.output import note, say
-from coordinator.cli.serve import addresses_of, configure_log
+from coordinator.cli.serve import addresses_of, configure_log, roster_of, warnings_of
 from coordinator.cli.signals import stopping
 
 if TYPE_CHECKING:
@@ -34,16 +37,18 @@ _REMIND_S: Final = 60.0
 
 def router(options: argparse.Namespace) -> int:
     """Pass messages on until SIGTERM or Ctrl-C; return 0."""
-    parse_address(options.listen)
-    upstream = [str(parse_address(each)) for each in options.connect]
+    credentials = credentials_of(vars(options), os.environ, "serve")
+    wanted = destination(options.listen, credentials)
+    upstream = [str(destination(each, credentials)) for each in options.connect]
+    roster = roster_of(options.roster, wanted)
     configure_log()
     from common.wire.zenoh_bus import open_router
 
     stop = threading.Event()
-    with stopping(stop), open_router(options.listen, upstream_settings(upstream)) as bus:
-        here = parse_address(bus.endpoint)
+    with stopping(stop), open_router(wanted, upstream_settings(upstream), roster) as bus:
+        here = Destination(parse_address(bus.endpoint), credentials)
         with announced(options.connect_file and Path(options.connect_file), addresses_of(here)):
-            say(greeting(here, upstream))
+            say(greeting(here, upstream, roster))
             _Watch(bus).run(stop)
     note("coordinator router: stopped")
     return DONE
@@ -56,14 +61,14 @@ def upstream_settings(upstream: list[str]) -> dict[str, object]:
     return {"connect/endpoints": upstream, "connect/timeout_ms": -1, "connect/exit_on_failure": False}
 
 
-def greeting(here: Address, upstream: list[str]) -> str:
+def greeting(here: Destination, upstream: list[str], roster: Roster | None = None) -> str:
     """Return what a person needs who wants to use this router."""
     passes = f", passes on to {', '.join(upstream)}" if upstream else ""
     lines = [f"router of Atoll {VERSION} listens on {here}{passes}", "start a worker with:"]
     lines += [f"  island-worker --connect {address}" for address in addresses_of(here)]
     if not upstream:
         lines += ["start a coordinator with:", f"  coordinator serve --router {addresses_of(here)[0]} --state DIR"]
-    return "\n".join(lines)
+    return "\n".join([*lines, *warnings_of(here, roster)])
 
 
 class _Watch:

@@ -4,6 +4,8 @@ import argparse
 from collections.abc import Callable
 from typing import Any, Final
 
+from common.wire.tls_options import OPTIONS as TLS_OPTIONS
+
 DEFAULT_LISTEN: Final = "tcp/127.0.0.1:7447"
 DEFAULT_STATE: Final = "atoll-state"
 DEFAULT_WAIT_S: Final = 10.0
@@ -26,6 +28,8 @@ def add_serve(verb: Verb, verbs: Any) -> None:
         "--state", default=DEFAULT_STATE, metavar="DIR", help=f"folder of the job store (default: {DEFAULT_STATE})"
     )
     _add_connect_file(parser)
+    add_tls(parser)
+    _add_roster(parser)
     parser.add_argument(
         "--wait",
         type=seconds,
@@ -49,6 +53,8 @@ def add_router(verb: Verb, verbs: Any) -> None:
         help="the router, or the coordinator, to which this one passes on what is not for its site; repeatable",
     )
     _add_connect_file(parser)
+    add_tls(parser)
+    _add_roster(parser)
 
 
 def add_doctor(verb: Verb, verbs: Any) -> argparse.ArgumentParser:
@@ -94,3 +100,17 @@ def _add_connect_file(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="write the addresses to connect to there, once they can be connected to; for island-worker --connect-file",
     )
+
+
+def _add_roster(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--roster", metavar="FILE", help='who may do what, by the names in certificates (TOML: lab1 = "worker")'
+    )
+
+
+def add_tls(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "certificates", "PEM files for tls/HOST:PORT; deploy/tls/make-authority makes them"
+    )
+    for option, (variable, text) in TLS_OPTIONS.items():
+        group.add_argument(option, metavar="FILE", help=f"{text} (default: ${variable})")
