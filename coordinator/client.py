@@ -77,6 +77,8 @@ class Client:
         self._address = address
         self._name = f"{bearer}-{uuid.uuid4().hex[:12]}"
         self._realm: str | None = None
+        self.welcome: Welcome | None = None
+        """What the coordinator said of itself when it was greeted."""
 
     def greet(self, limit_s: float = ANSWER_LIMIT_S) -> str:
         """Learn and return the coordinator's realm; the first question calls this by itself.
@@ -93,7 +95,8 @@ class Client:
             version=VERSION,
             engine=ENGINE_REVISION,
         )
-        self._realm = self._greet(encode(Greeting(body=hello)), limit_s).realm
+        self.welcome = self._greet(encode(Greeting(body=hello)), limit_s)
+        self._realm = self.welcome.realm
         return self._realm
 
     def _greet(self, greeting: bytes, limit_s: float) -> Welcome:

@@ -102,8 +102,12 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--connect",
         metavar="tcp/HOST:PORT",
-        default=os.environ.get("ATOLL_CONNECT"),
         help="address of the coordinator (default: the environment variable ATOLL_CONNECT)",
+    )
+    parser.add_argument(
+        "--connect-file",
+        metavar="FILE",
+        help="read the address from the file that coordinator serve --connect-file writes, waiting for it up to --wait",
     )
     parser.add_argument(
         "--processes",
@@ -131,16 +135,10 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _dispatch(options: argparse.Namespace) -> int:
-    from common.errors import UsageError
-    from common.wire.addresses import destination
-    from common.wire.credentials import credentials_of
     from island_worker.processes import choose_number
 
-    if not options.connect:
-        raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
-    credentials = credentials_of(vars(options), os.environ, "connect")
-    connect = destination(options.connect, credentials)
-    name = _name_for(credentials.name if credentials is not None else None, options.name)
+    connect = _destination(options)
+    name = _name_for(connect.credentials.name if connect.credentials is not None else None, options.name)
     number = options.processes
     if number is None:
         number, reason = choose_number(os.environ)
@@ -149,6 +147,32 @@ def _dispatch(options: argparse.Namespace) -> int:
         return _work(connect, name, options.wait, options.parent)
     names = [f"{name[:58]}-{index}" for index in range(number)]
     return _work_together(connect, names, options)
+
+
+def _destination(options: argparse.Namespace) -> "Destination":
+    """Return the coordinator's address, and our certificate, from options or environment, once the address is known.
+
+    Raises:
+        UsageError: no address was given, or two, or it is none, or certificates and address do not fit.
+        UnreachableError: the file did not come in time, or nothing accepts connections at the addresses in it.
+    """
+    from common.errors import UsageError
+    from common.wire.addresses import destination
+    from common.wire.credentials import credentials_of
+
+    credentials = credentials_of(vars(options), os.environ, "connect")
+    if options.connect_file:
+        if options.connect:
+            raise UsageError("both --connect and --connect-file were given; give one of them")
+        from pathlib import Path
+
+        from common.wire.connect_file import address_in
+
+        return destination(address_in(Path(options.connect_file), options.wait), credentials)
+    connect = options.connect or os.environ.get("ATOLL_CONNECT")
+    if not connect:
+        raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
+    return destination(connect, credentials)
 
 
 def _work_together(connect: "Destination", names: Sequence[str], options: argparse.Namespace) -> int:

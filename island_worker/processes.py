@@ -19,8 +19,8 @@ from functools import partial
 from types import FrameType
 from typing import Any, Final, Protocol
 
+from common.cores import usable_cores
 from common.wire.addresses import Destination
-from island_worker.cores import usable_cores
 from island_worker.forking import Forked, Work
 
 INTERRUPTED: Final = 130

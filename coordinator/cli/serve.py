@@ -13,16 +13,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from common import VERSION
-from common.errors import StoreError, UsageError
+from common.errors import RefusedError, StoreError, UnreachableError, UsageError
 from common.wire.access import Roster, read_roster
 from common.wire.addresses import Address, Destination, destination, parse_address
-from common.wire.credentials import credentials_of
+from common.wire.connect_file import announced
+from common.wire.credentials import Use, credentials_of
 from coordinator.cli.exits import DONE
 from coordinator.cli.output import note, say
 from coordinator.cli.signals import stopping
 
 if TYPE_CHECKING:
+    from common.wire.bus import Bus
+    from common.wire.zenoh_bus import ZenohBus
     from coordinator.service.store import Store
+
+ANOTHER_LIMIT_S: Final = 0.5
+"""How long another coordinator behind the same router is listened for."""
 
 _EVERYWHERE: Final = ("0.0.0.0", "::")
 _SIOCGIFADDR: Final = 0x8915
@@ -30,22 +36,27 @@ _SIOCGIFADDR: Final = 0x8915
 
 def serve(options: argparse.Namespace) -> int:
     """Serve until SIGTERM or Ctrl-C; return 0."""
-    wanted = destination(options.listen, credentials_of(vars(options), os.environ, "serve"))
-    roster = _roster(options.roster, wanted)
+    use: Use = "serve" if options.router is None else "connect"
+    wanted = destination(options.router or options.listen, credentials_of(vars(options), os.environ, use))
+    roster = roster_of(options.roster, wanted)
     configure_log()
-    from common.wire.zenoh_bus import open_router
     from coordinator.service.service import Service
 
     stop = threading.Event()
-    with stopping(stop), _opened(options.state) as store, open_router(wanted, roster=roster) as bus:
+    with stopping(stop), _opened(options.state) as store, _joined(options, wanted, roster) as bus:
         service = Service(bus, store, roster=roster)
-        say(greeting(Destination(parse_address(bus.endpoint), wanted.credentials), options.state, roster))
-        service.run(stop)
+        service.start()
+        here = Destination(parse_address(bus.endpoint), wanted.credentials)
+        addresses = addresses_of(here, options.router is not None)
+        with announced(options.connect_file and Path(options.connect_file), addresses):
+            say(greeting(here, options.state, options.router is not None, roster))
+            service.work(stop)
     note("coordinator: stopped; jobs and results are kept")
     return DONE
 
 
-def _roster(file: str | None, listen: Destination) -> Roster | None:
+def roster_of(file: str | None, listen: Destination) -> Roster | None:
+    """Return the roster in `file`, if one was given; raises UsageError when no certificate could prove a name."""
     if file is None:
         return None
     if listen.credentials is None:
@@ -53,6 +64,39 @@ def _roster(file: str | None, listen: Destination) -> Roster | None:
             "--roster gives roles to the names in certificates, so it needs --tls-ca, --tls-cert and --tls-key"
         )
     return read_roster(Path(file))
+
+
+def _joined(options: argparse.Namespace, wanted: Destination, roster: Roster | None) -> "ZenohBus":
+    """Return a bus with a router of our own in it, or one that joined the router at ``options.router``.
+
+    Raises:
+        UsageError: nobody can listen at ``options.listen``, or another coordinator is behind that router.
+        UnreachableError: the router did not answer in time.
+    """
+    from common.wire.zenoh_bus import open_client, open_router
+
+    if options.router is None:
+        return open_router(wanted, roster=roster)
+    bus = open_client(wanted, wait_s=options.wait)
+    try:
+        refuse_another(bus, bus.endpoint)
+    except BaseException:
+        bus.close()
+        raise
+    return bus
+
+
+def refuse_another(bus: "Bus", router: str) -> None:
+    """Raise UsageError when a coordinator answers already behind `router`: workers could not tell the two apart."""
+    from coordinator.client import Client
+
+    try:
+        Client(bus, router).greet(ANOTHER_LIMIT_S)
+    except UnreachableError:
+        return
+    except RefusedError:  # one of another version, or with a roster
+        pass
+    raise UsageError(f"a coordinator is there already behind the router {router}; stop it first, or use another router")
 
 
 def _opened(state: str) -> "Store":
@@ -72,35 +116,33 @@ def configure_log() -> None:
     )
 
 
-def greeting(listen: Destination, state: str, roster: Roster | None = None) -> str:
+def greeting(here: Destination, state: str, is_behind_router: bool = False, roster: Roster | None = None) -> str:
     """Return what a person needs who wants to use this coordinator: one line for each address to dial."""
-    address, files = listen.address, listen.credentials
-    hosts = heard_on(address.host) if files is None else files.hosts
-    addresses = [Address(address.protocol, host, address.port) for host in hosts]
-    lines = [f"coordinator {VERSION} listens on {listen}, state in {state}", "start a worker with:"]
+    addresses = addresses_of(here, is_behind_router)
+    manner = "is behind the router" if is_behind_router else "listens on"
+    lines = [f"coordinator {VERSION} {manner} {here}, state in {state}", "start a worker with:"]
     lines += [f"  island-worker --connect {each}" for each in addresses]
     lines += ["submit a job with:", f"  coordinator submit DATA --connect {addresses[0]}"]
-    return "\n".join([*lines, *_warnings(listen, roster)])
+    return "\n".join([*lines, *cautions(here, roster)])
 
 
-def _warnings(listen: Destination, roster: Roster | None) -> list[str]:
+def cautions(here: Destination, roster: Roster | None) -> list[str]:
     """Return in plain words who can do what, where that is more than this machine's own programs."""
-    if listen.credentials is None and not is_loopback(listen.address.host):
+    if here.credentials is None and not is_loopback(here.address.host):
         return [
-            f"NOT ENCRYPTED: whoever reaches port {listen.address.port} may submit, read and cancel jobs, join as a",
+            f"NOT ENCRYPTED: whoever reaches port {here.address.port} may submit, read and cancel jobs, join as a",
             "worker or feed migrants in another's name; listen on a trusted network only, or on",
             "tls/HOST:PORT with --tls-ca, --tls-cert, --tls-key and --roster (deploy/tls/make-authority makes them)",
         ]
-    if listen.credentials is None:
+    if here.credentials is None:
         return []
-    lines = [
-        f"certificates: give each --tls-ca, --tls-cert and --tls-key; the authority is {listen.credentials.authority}"
-    ]
-    if roster is None:
-        lines.append(
-            "no roster: whoever has a certificate of that authority may compute, submit and cancel (see --roster)"
-        )
-    return lines
+    authority = (
+        f"certificates: give each --tls-ca, --tls-cert and --tls-key; the authority is {here.credentials.authority}"
+    )
+    if roster is not None:
+        return [authority]
+    anybody = "no roster: whoever has a certificate of that authority may compute, submit and cancel (see --roster)"
+    return [authority, anybody]
 
 
 def is_loopback(host: str) -> bool:
@@ -109,6 +151,14 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
+
+
+def addresses_of(here: Destination, is_behind_router: bool = False) -> list[str]:
+    """Return the addresses to connect to, those for other machines first; with TLS those that the certificate names."""
+    address, files = here.address, here.credentials
+    hosts = heard_on(address.host) if files is None else files.hosts
+    hosts = [address.host] if is_behind_router else hosts
+    return [str(Address(address.protocol, host, address.port)) for host in hosts]
 
 
 def heard_on(host: str) -> list[str]:

@@ -1,12 +1,13 @@
 """What the service needs from outside itself, beside the bus: a store, a place for slow work, the time of day."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
 from common.config import JobConfig
 from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pools, Refinement
+from coordinator.service.event_table import EventRecord
 from coordinator.service.store import JobRecord
 
 
@@ -46,6 +47,10 @@ class StorePort(Protocol):
     def commit_cut(self, job: str, variable: str, cut: bytes) -> bool: ...
 
     def cuts(self, job: str) -> dict[str, bytes]: ...
+
+    def add_events(self, events: Iterable[EventRecord]) -> None: ...
+
+    def events(self, job: str | None, after: int, limit: int) -> tuple[EventRecord, ...]: ...
 
     def put_blob(self, data: bytes) -> str: ...
 

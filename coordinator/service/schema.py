@@ -12,11 +12,10 @@ from common.errors import StoreError
 
 FILE_NAME: Final = "atoll.sqlite3"
 LOCK_NAME: Final = "lock"
-SCHEMA_VERSION: Final = 1
 _APPLICATION: Final = 0x41544F4C  # "ATOL"; SQLite keeps it in the file's head
 _CHECKED_BYTES: Final = 256 * 1024 * 1024
 
-_TABLES: Final = """
+_LAYOUT_1: Final = """
 CREATE TABLE realm (id TEXT NOT NULL, incarnation INTEGER NOT NULL);
 CREATE TABLE jobs (
     number INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT NOT NULL UNIQUE, name TEXT NOT NULL, spec TEXT NOT NULL,
@@ -34,8 +33,23 @@ CREATE TABLE archipelagos (
 );
 """
 
+_LAYOUT_2_PRIORITIES: Final = "ALTER TABLE jobs ADD COLUMN priority INTEGER NOT NULL DEFAULT 0"
+
+_LAYOUT_2_EVENTS: Final = """
+CREATE TABLE events (
+    number INTEGER PRIMARY KEY AUTOINCREMENT, job TEXT, time TEXT NOT NULL, kind TEXT NOT NULL, contents TEXT NOT NULL
+);
+CREATE INDEX events_of_job ON events (job, number);
+"""
+
+_LAYOUTS: Final = {1: (_LAYOUT_1,), 2: (_LAYOUT_2_PRIORITIES, _LAYOUT_2_EVENTS)}
+"""What each version of the layout adds to the one before: statements, in order. A new store goes through all of them,
+an old one through those that it lacks."""
+
+SCHEMA_VERSION: Final = max(_LAYOUTS)
+
 _SUBMITTERS: Final = "CREATE TABLE IF NOT EXISTS submitters (job TEXT PRIMARY KEY, name TEXT NOT NULL)"
-"""Beside the others, so that stores without it can be opened still."""
+"""Beside the layouts, so that no version is needed for it."""
 
 
 def connect(directory: Path | None) -> sqlite3.Connection:
@@ -120,8 +134,12 @@ def _prepare(connection: sqlite3.Connection, file: Path | None) -> None:
     _check(connection, file)
     connection.execute("BEGIN IMMEDIATE")
     if not tables:
-        _create(connection)
+        version = 0
+    for following in range(version + 1, SCHEMA_VERSION + 1):
+        _migrate(connection, following)
     connection.execute(_SUBMITTERS)
+    if not tables:
+        _baptize(connection)
     connection.execute("UPDATE realm SET incarnation = incarnation + 1")
     connection.execute("COMMIT")
 
@@ -135,9 +153,15 @@ def _check(connection: sqlite3.Connection, file: Path | None) -> None:
         raise StoreError(f"the store {file} is damaged ({finding.splitlines()[-1]}); restore it from a copy")
 
 
-def _create(connection: sqlite3.Connection) -> None:
-    for statement in _TABLES.split(";"):
-        connection.execute(statement)
+def _migrate(connection: sqlite3.Connection, version: int) -> None:
+    """Take the layout to `version` from the one before; part of the transaction that opens the store."""
+    for statement in ";".join(_LAYOUTS[version]).split(";"):
+        if statement.strip():
+            connection.execute(statement)
+    connection.execute(f"PRAGMA user_version = {version}")
+
+
+def _baptize(connection: sqlite3.Connection) -> None:
+    """Mark a new file as ours and give it a name."""
     connection.execute(f"PRAGMA application_id = {_APPLICATION}")
-    connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
     connection.execute("INSERT INTO realm VALUES (?, 0)", (uuid.uuid4().hex[:12],))

@@ -110,6 +110,7 @@ class Service:
         self._store = store
         self._dismisses_workers = dismisses_workers
         self._ports = ports or REAL
+        self._is_linked = True
         self._asked: dict[int, str] = {}
         self.conductor: Final = Conductor(store, self, self._ports.clock, expected_workers)
         self._admission = Admission(roster, store)
@@ -132,8 +133,12 @@ class Service:
         _LOG.info("coordinator ready realm=%s incarnation=%d", realm, self._store.incarnation)
 
     def run(self, stop: threading.Event) -> None:
-        """Work until `stop` is set."""
+        """Start, and work until `stop` is set."""
         self.start()
+        self.work(stop)
+
+    def work(self, stop: threading.Event) -> None:
+        """Work until `stop` is set."""
         while not stop.is_set():
             event = self._bus.receive(0.1)
             if event is not None:
@@ -213,7 +218,8 @@ class Service:
     @_on.register
     def _on_timer(self, event: Timer) -> None:
         if event.name == _TICK:
-            self.conductor.tick(self._bus.now())
+            if self._is_linked:  # else nobody can be heard, and nobody's silence says anything
+                self.conductor.tick(self._bus.now())
             self._bus.call_later(TICK_S, _TICK)
 
     @_on.register
@@ -230,7 +236,11 @@ class Service:
 
     @_on.register
     def _on_link(self, event: Link) -> None:
+        """The router that this coordinator has joined went away or came back; a router of its own does neither."""
         _LOG.warning("router link up=%s", event.up)
+        self._is_linked = event.up
+        if event.up:
+            self.conductor.membership.renew(self._bus.now())
 
     @_on.register
     def _on_presence(self, event: Presence) -> None:
@@ -309,6 +319,7 @@ class Service:
             protocol=PROTOCOL_VERSION,
             version=VERSION,
             engine=ENGINE_REVISION,
+            clock=self._ports.clock(),
         )
 
     def _refuse(self, hello: Hello, name: str | None) -> str | None:
