@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, NoReturn
 
 if TYPE_CHECKING:
     from common.wire.addresses import Destination
+    from common.wire.credentials import Credentials
 
 INTERRUPTED: Final = 130
 _WAIT_S: Final = 10.0
@@ -135,10 +136,12 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _dispatch(options: argparse.Namespace) -> int:
+    from common.wire.credentials import credentials_of
     from island_worker.processes import choose_number
 
-    connect = _destination(options)
-    name = _name_for(connect.credentials.name if connect.credentials is not None else None, options.name)
+    credentials = credentials_of(vars(options), os.environ, "connect")
+    connect = _destination(options, credentials)
+    name = _name_for(credentials.name if credentials is not None else None, options.name)
     number = options.processes
     if number is None:
         number, reason = choose_number(os.environ)
@@ -149,18 +152,16 @@ def _dispatch(options: argparse.Namespace) -> int:
     return _work_together(connect, names, options)
 
 
-def _destination(options: argparse.Namespace) -> "Destination":
-    """Return the coordinator's address, and our certificate, from options or environment, once the address is known.
+def _destination(options: argparse.Namespace, credentials: "Credentials | None") -> "Destination":
+    """Return where the coordinator is, from the options or ``ATOLL_CONNECT``, once that is known.
 
     Raises:
-        UsageError: no address was given, or two, or it is none, or certificates and address do not fit.
+        UsageError: none was given, or two, or it is none.
         UnreachableError: the file did not come in time, or nothing accepts connections at the addresses in it.
     """
     from common.errors import UsageError
     from common.wire.addresses import destination
-    from common.wire.credentials import credentials_of
 
-    credentials = credentials_of(vars(options), os.environ, "connect")
     if options.connect_file:
         if options.connect:
             raise UsageError("both --connect and --connect-file were given; give one of them")

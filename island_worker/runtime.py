@@ -25,7 +25,9 @@ from common.wire.messages import (
     Placements,
     Pull,
     PullAnswer,
+    PullStates,
     Shutdown,
+    States,
     WorkerStatus,
 )
 from common.wire.rejects import Rejects
@@ -36,6 +38,7 @@ from island_worker.events import (
     Abandoned,
     Action,
     AskPeer,
+    Beat,
     Broken,
     Closed,
     Committed,
@@ -44,6 +47,7 @@ from island_worker.events import (
     DiscardJob,
     FetchJob,
     FetchPlacements,
+    FetchStates,
     JobReady,
     Mailed,
     Placed,
@@ -56,6 +60,8 @@ from island_worker.events import (
     Send,
     SendReport,
     SessionEvent,
+    Snapshot,
+    StatesCame,
     StopAt,
     Tick,
     Unloadable,
@@ -82,11 +88,12 @@ _FETCH: Final = "fetch/"
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """What a reply will be the answer to: `question` of (`peer` or the coordinator, about `job`)."""
+    """What a reply will be the answer to: `question` of (`peer` or the coordinator, about `job`), or about `states`."""
 
     question: str
     subject: str = ""
     index: int = 0
+    states: PullStates | None = None
 
 
 class Worker:
@@ -150,7 +157,7 @@ class Worker:
                 self._warmed_up(item)
             case WarmUpFailed():
                 self._leave(AtollError(item.sentence))
-            case JobReady() | Unloadable() | Computed() | Rejected() | Broken() | Abandoned():
+            case JobReady() | Unloadable() | Snapshot() | Computed() | Rejected() | Broken() | Abandoned():
                 self._tell(item)
 
     @_on.register
@@ -346,8 +353,19 @@ class Worker:
                 self._datasets.chunk_came(asked.subject, asked.index, event.payload)
             case _Asked("placement") if event.payload is not None:
                 self._on_control(decode(event.payload, Control, MAX_MESSAGE).body)
+            case _Asked("states", states=PullStates() as pull):
+                self._states_came(pull, event.payload)
             case _Asked("pull") if event.payload is not None:
                 self._tell(PullAnswered(asked.subject, decode(event.payload, PullAnswer, MAX_MESSAGE).body))
+
+    def _states_came(self, pull: PullStates, payload: bytes | None) -> None:
+        """Hand on what came, also that nothing came: it is asked for again."""
+        try:
+            body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else None
+        except RemoteProtocolError:
+            self._tell(StatesCame(pull, None))
+            raise
+        self._tell(StatesCame(pull, body if isinstance(body, States) else None))
 
     def _get(self, key: str, payload: bytes, timeout_s: float, asked: _Asked) -> None:
         self._asked[self._bus.get(key, payload, timeout_s)] = asked
@@ -389,6 +407,11 @@ class Worker:
                 self._bus.reply(action.handle, encode(PullAnswer(body=action.body)))
             case FetchJob():
                 self._datasets.fetch(action.job)
+            case FetchStates():
+                key, asked = topics.state(realm, action.body.job), _Asked("states", states=action.body)
+                self._get(key, encode(Pull(body=action.body)), FETCH_TIMEOUT_S, asked)
+            case Beat():
+                self._beat()
             case FetchPlacements():
                 self._get(topics.placement(realm, action.job), b"", PULL_TIMEOUT_S, _Asked("placement", action.job))
 

@@ -9,6 +9,7 @@ so that one access rule per name fences them all. Column names never enter a key
     atoll/{realm}/control/{worker}           put by the coordinator, to one worker
     atoll/{realm}/job/{job}                  served by the coordinator: announcement
     atoll/{realm}/job/{job}/placement        served by the coordinator: current placements
+    atoll/{realm}/job/{job}/state            served by the coordinator: states of islands at a checkpoint
     atoll/{realm}/blob/{digest}/{index}      served by the coordinator: one chunk of a dataset
     atoll/{realm}/worker/{worker}/alive      presence of a worker
     atoll/{realm}/worker/{worker}/status     put by the worker: heartbeat
@@ -66,6 +67,14 @@ class PlacementKey:
 
 
 @dataclass(frozen=True, slots=True)
+class StateKey:
+    """States of a job's islands at its checkpoints."""
+
+    realm: str
+    job: str
+
+
+@dataclass(frozen=True, slots=True)
 class BlobKey:
     """Chunk `index` of the bytes whose SHA-256 is `digest`."""
 
@@ -100,7 +109,7 @@ class ClientKey:
     client: str
 
 
-Key = HelloKey | ControlKey | JobKey | PlacementKey | BlobKey | WorkerKey | MailKey | ClientKey
+Key = HelloKey | ControlKey | JobKey | PlacementKey | StateKey | BlobKey | WorkerKey | MailKey | ClientKey
 
 
 def is_id(text: str) -> bool:
@@ -127,6 +136,11 @@ def job(realm: str, job_id: str) -> str:
 def placement(realm: str, job_id: str) -> str:
     """Return the key of a job's current placements."""
     return f"{job(realm, job_id)}/placement"
+
+
+def state(realm: str, job_id: str) -> str:
+    """Return the key of the states of a job's islands."""
+    return f"{job(realm, job_id)}/state"
 
 
 def blob(realm: str, digest: str, index: int) -> str:
@@ -157,7 +171,7 @@ def all_greetings() -> str:
 
 
 def all_jobs(realm: str) -> str:
-    """Return the expression of all announcements and placements."""
+    """Return the expression of all announcements, placements and states."""
     return f"{ROOT}/{_id(realm)}/job/**"
 
 
@@ -218,6 +232,8 @@ def _parse_in_realm(realm: str, rest: list[str]) -> Key | None:
             parsed = JobKey(realm, name)
         case ["job", name, "placement"]:
             parsed = PlacementKey(realm, name)
+        case ["job", name, "state"]:
+            parsed = StateKey(realm, name)
         case ["blob", digest, index] if DIGEST.fullmatch(digest) and re.fullmatch("0|[1-9][0-9]{0,4}", index):
             parsed = BlobKey(realm, digest, int(index)) if int(index) < MAX_CHUNKS else None
         case ["worker", name, part] if part in get_args(WorkerPart):

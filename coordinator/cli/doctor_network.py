@@ -65,7 +65,7 @@ def _advice(reason: str) -> str:
     if "not known" in reason:
         return "check the name, or use the machine's number"
     if "refused" in reason:
-        return "start `coordinator serve` there, listening on an address of that machine (not 127.0.0.1), or check the port"
+        return "start `coordinator serve` there, on an address that others reach (not 127.0.0.1), or check the port"
     return "check that the machine is on and that no firewall keeps this port closed"
 
 

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from common import VERSION
 from common.errors import RefusedError, UnreachableError
+from common.wire.access import Roster
 from common.wire.addresses import Destination, destination, parse_address
 from common.wire.connect_file import announced
 from common.wire.credentials import credentials_of
 from coordinator.cli.exits import DONE
 from coordinator.cli.output import note, say
-from coordinator.cli.serve import addresses_of, cautions, configure_log, roster_of
+from coordinator.cli.serve import addresses_of, configure_log, roster_of, warnings_of
 from coordinator.cli.signals import stopping
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def router(options: argparse.Namespace) -> int:
     with stopping(stop), open_router(wanted, upstream_settings(upstream), roster) as bus:
         here = Destination(parse_address(bus.endpoint), credentials)
         with announced(options.connect_file and Path(options.connect_file), addresses_of(here)):
-            say("\n".join([greeting(here, upstream), *cautions(here, roster)]))
+            say(greeting(here, upstream, roster))
             _Watch(bus, credentials.name if credentials is not None else "client").run(stop)
     note("coordinator router: stopped")
     return DONE
@@ -60,14 +61,14 @@ def upstream_settings(upstream: list[str]) -> dict[str, object]:
     return {"connect/endpoints": upstream, "connect/timeout_ms": -1, "connect/exit_on_failure": False}
 
 
-def greeting(here: Destination, upstream: list[str]) -> str:
+def greeting(here: Destination, upstream: list[str], roster: Roster | None = None) -> str:
     """Return what a person needs who wants to use this router."""
     passes = f", passes on to {', '.join(upstream)}" if upstream else ""
     lines = [f"router of Atoll {VERSION} listens on {here}{passes}", "start a worker with:"]
     lines += [f"  island-worker --connect {address}" for address in addresses_of(here)]
     if not upstream:
         lines += ["start a coordinator with:", f"  coordinator serve --router {addresses_of(here)[0]} --state DIR"]
-    return "\n".join(lines)
+    return "\n".join([*lines, *warnings_of(here, roster)])
 
 
 class _Watch:

@@ -17,7 +17,7 @@ from common.errors import RefusedError, StoreError, UnreachableError, UsageError
 from common.wire.access import Roster, read_roster
 from common.wire.addresses import Address, Destination, destination, parse_address
 from common.wire.connect_file import announced
-from common.wire.credentials import Use, credentials_of
+from common.wire.credentials import credentials_of
 from coordinator.cli.exits import DONE
 from coordinator.cli.output import note, say
 from coordinator.cli.signals import stopping
@@ -36,8 +36,9 @@ _SIOCGIFADDR: Final = 0x8915
 
 def serve(options: argparse.Namespace) -> int:
     """Serve until SIGTERM or Ctrl-C; return 0."""
-    use: Use = "serve" if options.router is None else "connect"
-    wanted = destination(options.router or options.listen, credentials_of(vars(options), os.environ, use))
+    behind = options.router is not None
+    credentials = credentials_of(vars(options), os.environ, "connect" if behind else "serve")
+    wanted = destination(options.router or options.listen, credentials)
     roster = roster_of(options.roster, wanted)
     configure_log()
     from coordinator.service.service import Service
@@ -46,20 +47,19 @@ def serve(options: argparse.Namespace) -> int:
     with stopping(stop), _opened(options.state) as store, _joined(options, wanted, roster) as bus:
         service = Service(bus, store, roster=roster)
         service.start()
-        here = Destination(parse_address(bus.endpoint), wanted.credentials)
-        addresses = addresses_of(here, options.router is not None)
-        with announced(options.connect_file and Path(options.connect_file), addresses):
-            say(greeting(here, options.state, options.router is not None, roster))
+        here = Destination(parse_address(bus.endpoint), credentials)
+        with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):
+            say(greeting(here, options.state, roster, behind))
             service.work(stop)
     note("coordinator: stopped; jobs and results are kept")
     return DONE
 
 
-def roster_of(file: str | None, listen: Destination) -> Roster | None:
-    """Return the roster in `file`, if one was given; raises UsageError when no certificate could prove a name."""
+def roster_of(file: str | None, at: Destination) -> Roster | None:
+    """Return who may do what; None without a file. Raises UsageError."""
     if file is None:
         return None
-    if listen.credentials is None:
+    if at.credentials is None:
         raise UsageError(
             "--roster gives roles to the names in certificates, so it needs --tls-ca, --tls-cert and --tls-key"
         )
@@ -72,6 +72,7 @@ def _joined(options: argparse.Namespace, wanted: Destination, roster: Roster | N
     Raises:
         UsageError: nobody can listen at ``options.listen``, or another coordinator is behind that router.
         UnreachableError: the router did not answer in time.
+        RefusedError: it does not accept our certificate, or we not its.
     """
     from common.wire.zenoh_bus import open_client, open_router
 
@@ -94,7 +95,7 @@ def refuse_another(bus: "Bus", router: str) -> None:
         Client(bus, router).greet(ANOTHER_LIMIT_S)
     except UnreachableError:
         return
-    except RefusedError:  # one of another version, or with a roster
+    except RefusedError:  # one of another version
         pass
     raise UsageError(f"a coordinator is there already behind the router {router}; stop it first, or use another router")
 
@@ -116,33 +117,32 @@ def configure_log() -> None:
     )
 
 
-def greeting(here: Destination, state: str, is_behind_router: bool = False, roster: Roster | None = None) -> str:
+def greeting(at: Destination, state: str, roster: Roster | None = None, is_behind_router: bool = False) -> str:
     """Return what a person needs who wants to use this coordinator: one line for each address to dial."""
-    addresses = addresses_of(here, is_behind_router)
+    addresses = addresses_of(at, is_behind_router)
     manner = "is behind the router" if is_behind_router else "listens on"
-    lines = [f"coordinator {VERSION} {manner} {here}, state in {state}", "start a worker with:"]
+    lines = [f"coordinator {VERSION} {manner} {at}, state in {state}", "start a worker with:"]
     lines += [f"  island-worker --connect {each}" for each in addresses]
     lines += ["submit a job with:", f"  coordinator submit DATA --connect {addresses[0]}"]
-    return "\n".join([*lines, *cautions(here, roster)])
+    return "\n".join([*lines, *warnings_of(at, roster)])
 
 
-def cautions(here: Destination, roster: Roster | None) -> list[str]:
+def warnings_of(at: Destination, roster: Roster | None) -> list[str]:
     """Return in plain words who can do what, where that is more than this machine's own programs."""
-    if here.credentials is None and not is_loopback(here.address.host):
+    if at.credentials is None and not is_loopback(at.address.host):
         return [
-            f"NOT ENCRYPTED: whoever reaches port {here.address.port} may submit, read and cancel jobs, join as a",
+            f"NOT ENCRYPTED: whoever reaches port {at.address.port} may submit, read and cancel jobs, join as a",
             "worker or feed migrants in another's name; listen on a trusted network only, or on",
             "tls/HOST:PORT with --tls-ca, --tls-cert, --tls-key and --roster (deploy/tls/make-authority makes them)",
         ]
-    if here.credentials is None:
+    if at.credentials is None:
         return []
-    authority = (
-        f"certificates: give each --tls-ca, --tls-cert and --tls-key; the authority is {here.credentials.authority}"
-    )
-    if roster is not None:
-        return [authority]
-    anybody = "no roster: whoever has a certificate of that authority may compute, submit and cancel (see --roster)"
-    return [authority, anybody]
+    lines = [f"certificates: give each --tls-ca, --tls-cert and --tls-key; the authority is {at.credentials.authority}"]
+    if roster is None:
+        lines.append(
+            "no roster: whoever has a certificate of that authority may compute, submit and cancel (see --roster)"
+        )
+    return lines
 
 
 def is_loopback(host: str) -> bool:
@@ -153,11 +153,12 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def addresses_of(here: Destination, is_behind_router: bool = False) -> list[str]:
-    """Return the addresses to connect to, those for other machines first; with TLS those that the certificate names."""
-    address, files = here.address, here.credentials
-    hosts = heard_on(address.host) if files is None else files.hosts
-    hosts = [address.host] if is_behind_router else hosts
+def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
+    """Return the addresses to connect to, those for other machines first; with a certificate those that it names."""
+    address, files = at.address, at.credentials
+    if is_behind_router:
+        return [str(address)]
+    hosts = (files.hosts if files is not None else ()) or heard_on(address.host)
     return [str(Address(address.protocol, host, address.port)) for host in hosts]
 
 

@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any, Final
 
-from common.wire.tls_options import OPTIONS
+from common.wire.tls_options import OPTIONS as TLS_OPTIONS
 
 DEFAULT_LISTEN: Final = "tcp/127.0.0.1:7447"
 DEFAULT_STATE: Final = "atoll-state"
@@ -70,16 +70,8 @@ def add_doctor(verb: Verb, verbs: Any) -> argparse.ArgumentParser:
         "--listen", metavar="tcp/HOST:PORT", help="an address at which a coordinator shall listen: is it free?"
     )
     parser.add_argument("--state", metavar="DIR", help="the folder of a coordinator's job store (default: the current)")
-    add_tls(parser)
     parser.add_argument("--json", action="store_true", help="print JSON")
     return parser
-
-
-def add_tls(parser: argparse.ArgumentParser) -> None:
-    """Add the options that name certificates."""
-    group = parser.add_argument_group("certificates", "PEM files for tls/HOST:PORT, see deploy/tls")
-    for option, (variable, text) in OPTIONS.items():
-        group.add_argument(option, metavar="FILE", help=f"{text} (default: ${variable})")
 
 
 def seconds(text: str) -> float:
@@ -102,15 +94,23 @@ def _add_listen(parser: Any) -> None:
     )
 
 
-def _add_roster(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--roster", metavar="FILE", help='who may do what, by the names in certificates (TOML: lab1 = "worker")'
-    )
-
-
 def _add_connect_file(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--connect-file",
         metavar="FILE",
         help="write the addresses to connect to there, once they can be connected to; for island-worker --connect-file",
     )
+
+
+def _add_roster(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--roster", metavar="FILE", help='who may do what, by the names in certificates (TOML: lab1 = "worker")'
+    )
+
+
+def add_tls(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "certificates", "PEM files for tls/HOST:PORT; deploy/tls/make-authority makes them"
+    )
+    for option, (variable, text) in TLS_OPTIONS.items():
+        group.add_argument(option, metavar="FILE", help=f"{text} (default: ${variable})")

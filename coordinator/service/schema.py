@@ -42,14 +42,28 @@ CREATE TABLE events (
 CREATE INDEX events_of_job ON events (job, number);
 """
 
-_LAYOUTS: Final = {1: (_LAYOUT_1,), 2: (_LAYOUT_2_PRIORITIES, _LAYOUT_2_EVENTS)}
-"""What each version of the layout adds to the one before: statements, in order. A new store goes through all of them,
-an old one through those that it lacks."""
+_LAYOUT_2_CHECKPOINTS: Final = """
+CREATE TABLE checkpoints (
+    job TEXT NOT NULL, variable TEXT NOT NULL, epoch INTEGER NOT NULL, progress BLOB NOT NULL,
+    PRIMARY KEY (job, variable, epoch), FOREIGN KEY (job, variable) REFERENCES archipelagos
+);
+CREATE TABLE states (
+    job TEXT NOT NULL, variable TEXT NOT NULL, epoch INTEGER NOT NULL, island INTEGER NOT NULL, digest TEXT NOT NULL,
+    data BLOB NOT NULL, PRIMARY KEY (job, variable, epoch, island),
+    FOREIGN KEY (job, variable, epoch) REFERENCES checkpoints ON DELETE CASCADE
+);
+"""
 
-SCHEMA_VERSION: Final = max(_LAYOUTS)
+_LAYOUT_2_SUBMITTERS: Final = "CREATE TABLE submitters (job TEXT PRIMARY KEY, name TEXT NOT NULL)"
 
-_SUBMITTERS: Final = "CREATE TABLE IF NOT EXISTS submitters (job TEXT PRIMARY KEY, name TEXT NOT NULL)"
-"""Beside the layouts, so that no version is needed for it."""
+_LAYOUTS: Final = (
+    _LAYOUT_1,
+    ";".join((_LAYOUT_2_PRIORITIES, _LAYOUT_2_EVENTS, _LAYOUT_2_CHECKPOINTS, _LAYOUT_2_SUBMITTERS)),
+)
+"""What each version of the layout adds to the one before. A new store goes through all of them, an old one through
+those that it lacks."""
+
+SCHEMA_VERSION: Final = len(_LAYOUTS)
 
 
 def connect(directory: Path | None) -> sqlite3.Connection:
@@ -133,11 +147,7 @@ def _prepare(connection: sqlite3.Connection, file: Path | None) -> None:
         connection.execute(f"PRAGMA {pragma}")
     _check(connection, file)
     connection.execute("BEGIN IMMEDIATE")
-    if not tables:
-        version = 0
-    for following in range(version + 1, SCHEMA_VERSION + 1):
-        _migrate(connection, following)
-    connection.execute(_SUBMITTERS)
+    _migrate(connection, version)
     if not tables:
         _baptize(connection)
     connection.execute("UPDATE realm SET incarnation = incarnation + 1")
@@ -154,11 +164,11 @@ def _check(connection: sqlite3.Connection, file: Path | None) -> None:
 
 
 def _migrate(connection: sqlite3.Connection, version: int) -> None:
-    """Take the layout to `version` from the one before; part of the transaction that opens the store."""
-    for statement in ";".join(_LAYOUTS[version]).split(";"):
-        if statement.strip():
+    """Add what is missing in a file of an older version (0: nothing is there); part of the opening transaction."""
+    for layout in _LAYOUTS[version:]:
+        for statement in filter(str.strip, layout.split(";")):
             connection.execute(statement)
-    connection.execute(f"PRAGMA user_version = {version}")
+    connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
 
 def _baptize(connection: sqlite3.Connection) -> None:

@@ -12,7 +12,7 @@ from typing import Final
 
 from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from common.config import JobConfig
-from common.errors import DataError, RemoteProtocolError, UsageError
+from common.errors import DataError, RemoteProtocolError, StoreError, UsageError
 from common.wire import topics
 from common.wire.access import Roster
 from common.wire.bus import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
@@ -30,17 +30,21 @@ from common.wire.messages import (
     Pull,
     PullAnswer,
     PullReports,
+    PullStates,
     Refusal,
     Reports,
     Shutdown,
+    States,
     Submit,
     Welcome,
     WorkerStatus,
 )
+from common.wire.pieces import cut
 from common.wire.rejects import Rejects
 from coordinator.model.known import known_entries, with_remarks
 from coordinator.model.refinement import Pools, Refinement
 from coordinator.service.admission import Admission
+from coordinator.service.archipelago import Checkpoint
 from coordinator.service.conductor import Conductor, WorkerWord
 from coordinator.service.desk import Body, Desk
 from coordinator.service.job import Fault, Prepared
@@ -82,6 +86,14 @@ class _Refined:
     refinement: Refinement
 
 
+@dataclass(frozen=True, slots=True)
+class _Written:
+    """Posted by the writer: a checkpoint is durable, or why it is not."""
+
+    checkpoint: Checkpoint
+    error: StoreError | None = None
+
+
 class Service:
     """One coordinator on one bus, over one store. Owned by the bus's owner thread."""
 
@@ -111,7 +123,7 @@ class Service:
         self._dismisses_workers = dismisses_workers
         self._ports = ports or REAL
         self._is_linked = True
-        self._asked: dict[int, str] = {}
+        self._asked: dict[int, tuple[str, PullReports | PullStates]] = {}
         self.conductor: Final = Conductor(store, self, self._ports.clock, expected_workers)
         self._admission = Admission(roster, store)
         self._desk = Desk(self.conductor, store, bus.now)
@@ -159,10 +171,24 @@ class Service:
         """See `Outlet.tell`."""
         self._put(topics.control(self._store.realm, worker), Control(body=body))
 
-    def pull(self, worker: str, body: PullReports) -> None:
+    def pull(self, worker: str, body: PullReports | PullStates) -> None:
         """See `Outlet.pull`."""
         key = topics.worker(self._store.realm, worker, "pull")
-        self._asked[self._bus.get(key, encode(Pull(body=body)), PULL_TIMEOUT_S)] = worker
+        self._asked[self._bus.get(key, encode(Pull(body=body)), PULL_TIMEOUT_S)] = (worker, body)
+
+    def write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> None:
+        """See `Outlet.write`."""
+        self._ports.writer(lambda: self._bus.post(self._write(checkpoint, progress, elapsed)))
+
+    def _write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> _Written:
+        """Make a checkpoint durable; runs in the writer."""
+        try:
+            self._store.commit_checkpoint(
+                checkpoint.job, checkpoint.variable, checkpoint.epoch, progress, checkpoint.states, elapsed
+            )
+        except StoreError as error:
+            return _Written(checkpoint, error)
+        return _Written(checkpoint)
 
     def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
         """See `Outlet.prepare`."""
@@ -233,6 +259,10 @@ class Service:
                 self.conductor.job_failed(item.job, item.fault, item.sentence, now)
             case _Refined():
                 self.conductor.refined(item.job, item.refinement, now)
+            case _Written(error=None):
+                self.conductor.written(item.checkpoint, now)
+            case _Written(error=StoreError() as error):
+                raise error
 
     @_on.register
     def _on_link(self, event: Link) -> None:
@@ -263,13 +293,23 @@ class Service:
 
     @_on.register
     def _on_reply(self, event: Reply) -> None:
-        worker = self._asked.pop(event.token, None)
-        if worker is None or event.payload is None:
-            return
-        body = decode(event.payload, PullAnswer, MAX_MESSAGE).body
-        if isinstance(body, Reports):
-            for report in body.reports:
-                self.conductor.report(worker, report, self._bus.now())
+        asked = self._asked.pop(event.token, None)
+        match asked:
+            case (worker, PullStates() as pull):
+                self._states_came(worker, pull, event.payload)
+            case (worker, PullReports()) if event.payload is not None:
+                body = decode(event.payload, PullAnswer, MAX_MESSAGE).body
+                for report in body.reports if isinstance(body, Reports) else ():
+                    self.conductor.report(worker, report, self._bus.now())
+
+    def _states_came(self, worker: str, pull: PullStates, payload: bytes | None) -> None:
+        """Hand on what came, also that nothing came: it is asked for again."""
+        try:
+            body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else None
+        except RemoteProtocolError:
+            self.conductor.states_came(worker, pull, None, self._bus.now())
+            raise
+        self.conductor.states_came(worker, pull, body if isinstance(body, States) else None, self._bus.now())
 
     # ---------------------------------------------------------------------------------------- queries
 
@@ -292,6 +332,8 @@ class Service:
                 return encode(Control(body=announcement)) if announcement is not None else None
             case topics.PlacementKey():
                 return encode(Control(body=self.conductor.placements(key.job)))
+            case topics.StateKey():
+                return self._states(key, event.payload)
             case topics.BlobKey():
                 return self._chunk(key)
             case topics.ClientKey():
@@ -335,6 +377,21 @@ class Service:
             return self._store.get_chunk(key.digest, key.index)
         except KeyError:
             return None
+
+    def _states(self, key: topics.StateKey, payload: bytes) -> bytes | None:
+        """Return states of a committed checkpoint, as many as one message bears; None when it is not there."""
+        pull = decode(payload, Pull, MAX_MESSAGE).body
+        if not isinstance(pull, PullStates) or pull.job != key.job:
+            raise RemoteProtocolError(f"states of job {key.job} were to be asked for, and {pull.kind!r} came")
+        try:
+            pieces = cut(
+                pull.islands,
+                pull.offset,
+                lambda island: self._store.state(pull.job, pull.variable, pull.epoch, island),
+            )
+        except KeyError:
+            return None
+        return encode(PullAnswer(body=States(pieces=pieces)))
 
     def _serve_client(self, event: Query, client: str) -> Body:
         try:

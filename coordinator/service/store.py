@@ -8,14 +8,15 @@ import contextlib
 import hashlib
 import sqlite3
 import threading
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self, cast
 
-from common.errors import LocalProtocolError, RemoteProtocolError
+from common.errors import LocalProtocolError, RemoteProtocolError, StoreError
 from common.wire.messages import CHUNK_SIZE, chunk_count
+from common.wire.pieces import State
 from coordinator.service.event_table import EventRecord, append_events, read_events
 from coordinator.service.schema import Lock, connect, translated
 
@@ -90,6 +91,11 @@ class Store:
                 self._lock_on_directory.release()
                 self._lock_on_directory = None
 
+    def check(self) -> None:
+        """Raise StoreError when another coordinator has opened the store since."""
+        with self._transaction():
+            pass
+
     # jobs
 
     def add_job(self, job: JobRecord) -> bool:
@@ -142,7 +148,10 @@ class Store:
     def commit_result(
         self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None
     ) -> bool:
-        """Make a job's final `state` and `result` (JSON) durable; return False when it had ended before: first wins."""
+        """Make a job's final `state` and `result` (JSON) durable and forget its checkpoints.
+
+        Return False when it had ended before: the first end wins.
+        """
         with self._transaction() as sql:
             self._is_in(sql, job, None)
             done = sql.execute(
@@ -150,6 +159,7 @@ class Store:
                 "WHERE id = ? AND state NOT IN ('done', 'failed', 'cancelled')",
                 (state, result, reason, finished, job),
             )
+            sql.execute("DELETE FROM checkpoints WHERE job = ?", (job,))
             return done.rowcount == 1
 
     def result(self, job: str) -> str | None:
@@ -190,6 +200,7 @@ class Store:
             done = sql.execute(
                 "UPDATE archipelagos SET cut = ? WHERE job = ? AND variable = ? AND cut IS NULL", (cut, job, variable)
             )
+            sql.execute("DELETE FROM checkpoints WHERE job = ? AND variable = ?", (job, variable))
             return done.rowcount == 1
 
     def cuts(self, job: str) -> dict[str, bytes]:
@@ -214,6 +225,50 @@ class Store:
         """
         with self._transaction() as sql:
             return read_events(sql, job, after, limit)
+
+    # checkpoints
+
+    def commit_checkpoint(
+        self, job: str, variable: str, epoch: int, progress: bytes, states: Mapping[int, State], elapsed: float
+    ) -> bool:
+        """Make a checkpoint of an archipelago durable, and `elapsed` of its job; keep the one before, but no older one.
+
+        Return False, changing nothing, when the archipelago or its job has ended.
+        """
+        with self._transaction() as sql:
+            if self._has_ended(sql, job, variable):
+                return False
+            archipelago = (job, variable)
+            sql.execute("DELETE FROM checkpoints WHERE job = ? AND variable = ? AND epoch >= ?", (*archipelago, epoch))
+            sql.execute("INSERT INTO checkpoints VALUES (?, ?, ?, ?)", (*archipelago, epoch, progress))
+            rows = ((*archipelago, epoch, island, state.digest, state.data) for island, state in states.items())
+            sql.executemany("INSERT INTO states VALUES (?, ?, ?, ?, ?, ?)", rows)
+            sql.execute(
+                "DELETE FROM checkpoints WHERE job = ? AND variable = ? AND epoch NOT IN "
+                "(SELECT epoch FROM checkpoints WHERE job = ? AND variable = ? ORDER BY epoch DESC LIMIT 2)",
+                (*archipelago, *archipelago),
+            )
+            sql.execute("UPDATE jobs SET elapsed = ? WHERE id = ?", (elapsed, job))
+            return True
+
+    def checkpoints(self, job: str) -> dict[str, tuple[int, bytes]]:
+        """Return epoch and progress of the last checkpoint by variable."""
+        with self._transaction() as sql:
+            rows = sql.execute(
+                "SELECT variable, epoch, progress FROM checkpoints WHERE job = ? ORDER BY epoch", (job,)
+            ).fetchall()
+        return {variable: (epoch, progress) for variable, epoch, progress in rows}
+
+    def state(self, job: str, variable: str, epoch: int, island: int) -> State:
+        """Return the state of an island at a checkpoint; raises KeyError when it is not there."""
+        with self._transaction() as sql:
+            row = sql.execute(
+                "SELECT data, digest FROM states WHERE job = ? AND variable = ? AND epoch = ? AND island = ?",
+                (job, variable, epoch, island),
+            ).fetchone()
+        if row is None:
+            raise KeyError(f"{job} {variable} {epoch} {island}")
+        return State(*row)
 
     # blobs
 
@@ -307,12 +362,31 @@ class Store:
         with self._lock, translated(self._directory):
             self._connection.execute("BEGIN IMMEDIATE")
             try:
+                self._check_incarnation()
                 yield self._connection
                 self._connection.execute("COMMIT")
             except BaseException:
                 if self._connection.in_transaction:  # SQLite rolls back by itself when the disk is full
                     self._connection.execute("ROLLBACK")
                 raise
+
+    def _check_incarnation(self) -> None:
+        """Raise StoreError when somebody else has opened the store since: nothing is written over another's work."""
+        (incarnation,) = self._connection.execute("SELECT incarnation FROM realm").fetchone()
+        if incarnation != self.incarnation:
+            raise StoreError(
+                f"another coordinator (incarnation {incarnation}) has taken over the store {self._directory}; "
+                f"this one (incarnation {self.incarnation}) ends"
+            )
+
+    def _has_ended(self, sql: sqlite3.Connection, job: str, variable: str) -> bool:
+        self._ensure_archipelago(sql, job, variable)
+        row = sql.execute(
+            "SELECT cut IS NOT NULL OR state IN ('done', 'failed', 'cancelled') FROM archipelagos JOIN jobs "
+            "ON jobs.id = job WHERE job = ? AND variable = ?",
+            (job, variable),
+        ).fetchone()
+        return bool(row[0])
 
     def _is_in(self, sql: sqlite3.Connection, job: str, states: Collection[str] | None) -> bool:
         row = sql.execute("SELECT state FROM jobs WHERE id = ?", (job,)).fetchone()

@@ -38,6 +38,13 @@ class StubIsland:
     def stir(self, *parts: bytes) -> None:
         self.state = hashlib.sha256(self.state + b"".join(parts)).digest()
 
+    def to_bytes(self) -> bytes:
+        return struct.pack("<q", self.evaluations) + self.state
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> "StubIsland":
+        return cls(data[8:], struct.unpack("<q", data[:8])[0])
+
 
 @dataclass(frozen=True)
 class Shuffle:
@@ -89,6 +96,7 @@ class StubWork:
         self._near: list[Addition] = []
         self._tallies: list[Tally] = []
         self._hit: HitStatement | None = None
+        self.snapshot = island.to_bytes() if task.takes_snapshot else None
 
     def advance(self) -> bool:
         key, island, course = self._task.key, self._island, self._task.course
@@ -138,6 +146,7 @@ class StubCompute:
     fingerprint: str = "stub"
     rejected: int = 0
     turns: int = 0
+    restored: list[tuple[int, int, int]] = field(default_factory=list)
     _jobs: dict[str, JobConfig] = field(default_factory=dict)
     _islands: dict[ShareKey, dict[int, StubIsland]] = field(default_factory=dict)
     _post: Callable[[object], None] | None = None
@@ -196,7 +205,10 @@ class StubCompute:
             raise ZeroDivisionError("the stub broke as it was told to")
         config = self._jobs[key.job]
         islands = self._islands.setdefault(key.share, {})
-        if task.blocks is None:
+        if task.state is not None:
+            self.restored.append((key.term, key.epoch, key.island))
+            islands[key.island] = StubIsland.from_bytes(task.state)
+        elif task.blocks is None:
             seed = f"{config.seed}/{key.variable}/{key.island}".encode()
             islands[key.island] = StubIsland(hashlib.sha256(seed).digest())
         else:
@@ -205,6 +217,8 @@ class StubCompute:
                 self.rejected += 1
                 raise RemoteProtocolError(f"slots {sorted(slots)} came")
             islands[key.island].stir(*(slots[slot] for slot in sorted(slots)))
+        if task.takes_snapshot:  # whatever a snapshot lacks is lost for good
+            islands[key.island] = StubIsland.from_bytes(islands[key.island].to_bytes())
         if self.corrupt and key.epoch == 3:
             islands[key.island].stir()
         return StubWork(task, islands[key.island], config)

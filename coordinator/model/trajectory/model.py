@@ -57,11 +57,15 @@ _SMALL: Final = 9
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """The system that describes the trajectories in the fewest nats: its fit, and the contest where that was found."""
+    """The system that describes the trajectories in the fewest nats: its fit, and the contest where that was found.
+
+    `lists` are the candidates of each variable that there were to begin with.
+    """
 
     field: "Field"
     contest: Contest
     standing: Standing
+    lists: Sequence[Sequence[Program]] = ()
 
 
 @dataclass(frozen=True, eq=False)
