@@ -10,7 +10,7 @@ from typing import Protocol
 
 from common.errors import RemoteProtocolError
 from common.slices import Course, Position
-from island_worker.events import Abandoned, Broken, Computed, Outcome, Rejected, ShareKey, Task, TaskKey
+from island_worker.events import Abandoned, Broken, Computed, Outcome, Rejected, ShareKey, Snapshot, Task, TaskKey
 
 
 class Work(Protocol):
@@ -19,6 +19,10 @@ class Work(Protocol):
     @property
     def generation(self) -> int:
         """Generations of the epoch that have passed."""
+
+    @property
+    def snapshot(self) -> bytes | None:
+        """The island's state before generation 0, if the task wants it."""
 
     def advance(self) -> bool:
         """Compute one slice, or part of a long one; return True when the epoch is over or the target was met.
@@ -75,22 +79,25 @@ class Agenda:
         self._hits[share] = min(hit, self._hits.get(share, hit), key=course.rank)
         return self._settle([key for key in self._open if key.share == share])
 
-    def turn(self) -> list[Outcome]:
-        """Compute one slice of the task whose turn it is; return what came of the tasks that are done by it."""
+    def turn(self) -> list[Snapshot | Outcome]:
+        """Compute one slice of the task whose turn it is; return its snapshot and what came of tasks done by it."""
         key = min(self._open, key=self._rank)
         opened = self._open[key]
         began = self._clock()
+        snapshots: list[Snapshot | Outcome] = []
+        outcome: Outcome | None = None
         try:
-            outcome = self._advance(opened)
+            snapshots += self._begin_if_new(opened)
+            outcome = None if opened.task.is_held else self._advance(opened)
         except RemoteProtocolError as error:
             outcome = Rejected(key, str(error))
         except Exception as error:  # it is the job that fails, not the worker
             outcome = Broken(key, f"island {key.island} of {key.variable} broke in epoch {key.epoch}: {brief(error)}")
         self._charged[key.job] += self._clock() - began
-        if outcome is None:
-            return self._settle([key])
+        if outcome is None and not opened.task.is_held:
+            return snapshots + self._settle([key])
         del self._open[key]
-        return [outcome, *self._stop_others(outcome, opened.task.course)]
+        return snapshots + ([outcome, *self._stop_others(outcome, opened.task.course)] if outcome is not None else [])
 
     def discard(self, share: ShareKey) -> None:
         """Forget the tasks of an archipelago's term."""
@@ -108,10 +115,16 @@ class Agenda:
         epoch, group, generation, island = opened.task.course.rank(at)
         return (self._charged.get(key.job, 0.0), epoch, group, generation, key.job, key.variable, island)
 
+    def _begin_if_new(self, opened: _Open) -> list[Snapshot]:
+        """Begin a task that has not begun, and return the snapshot that it wants."""
+        if opened.work is not None:
+            return []
+        opened.work = self._begin(opened.task)
+        data = opened.work.snapshot
+        return [Snapshot(opened.task.key, data, opened.task.is_held)] if data is not None else []
+
     def _advance(self, opened: _Open) -> Outcome | None:
-        if opened.work is None:
-            opened.work = self._begin(opened.task)
-        return opened.work.computed() if opened.work.advance() else None
+        return opened.work.computed() if opened.work is not None and opened.work.advance() else None
 
     def _stop_others(self, outcome: Outcome, course: Course) -> list[Outcome]:
         if not isinstance(outcome, Computed) or outcome.report.hit is None:

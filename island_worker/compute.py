@@ -17,7 +17,7 @@ from common.config import JobConfig
 from common.slices import Course, Position
 from island_worker.agenda import Agenda, brief
 from island_worker.engine import Engine
-from island_worker.events import JobReady, Outcome, ShareKey, Task, Unloadable
+from island_worker.events import JobReady, Outcome, ShareKey, Snapshot, Task, Unloadable
 
 _LOG = logging.getLogger(__name__)
 _JOIN_LIMIT_S: Final = 2.0
@@ -45,7 +45,7 @@ class WarmUpFailed:
     sentence: str
 
 
-Word = WarmUpNote | WarmedUp | WarmUpFailed | JobReady | Unloadable | Outcome
+Word = WarmUpNote | WarmedUp | WarmUpFailed | JobReady | Unloadable | Snapshot | Outcome
 """What a Compute posts."""
 
 
@@ -68,7 +68,7 @@ class Compute(Protocol):
     def advance(self, task: Task) -> None:
         """Compute one epoch of one island: Computed, Rejected, Broken or Abandoned follows, unless it is discarded.
 
-        Several tasks take turns.
+        Before that comes the Snapshot, where one is wanted; of a held epoch nothing else comes. Several take turns.
         """
 
     def stop_at(self, share: ShareKey, hit: Position, course: Course) -> None:

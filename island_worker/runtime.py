@@ -11,6 +11,7 @@ from typing import Final
 
 from common.errors import AtollError, RefusedError, RemoteProtocolError, UnreachableError
 from common.wire import topics
+from common.wire.addresses import Destination
 from common.wire.bus import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from common.wire.codec import decode, encode
 from common.wire.messages import (
@@ -24,7 +25,9 @@ from common.wire.messages import (
     Placements,
     Pull,
     PullAnswer,
+    PullStates,
     Shutdown,
+    States,
     WorkerStatus,
 )
 from common.wire.rejects import Rejects
@@ -35,6 +38,7 @@ from island_worker.events import (
     Abandoned,
     Action,
     AskPeer,
+    Beat,
     Broken,
     Closed,
     Committed,
@@ -43,6 +47,7 @@ from island_worker.events import (
     DiscardJob,
     FetchJob,
     FetchPlacements,
+    FetchStates,
     JobReady,
     Mailed,
     Placed,
@@ -55,6 +60,8 @@ from island_worker.events import (
     Send,
     SendReport,
     SessionEvent,
+    Snapshot,
+    StatesCame,
     StopAt,
     Tick,
     Unloadable,
@@ -81,11 +88,12 @@ _FETCH: Final = "fetch/"
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """What a reply will be the answer to: `question` of (`peer` or the coordinator, about `job`)."""
+    """What a reply will be the answer to: `question` of (`peer` or the coordinator, about `job`), or about `states`."""
 
     question: str
     subject: str = ""
     index: int = 0
+    states: PullStates | None = None
 
 
 class Worker:
@@ -149,7 +157,7 @@ class Worker:
                 self._warmed_up(item)
             case WarmUpFailed():
                 self._leave(AtollError(item.sentence))
-            case JobReady() | Unloadable() | Computed() | Rejected() | Broken() | Abandoned():
+            case JobReady() | Unloadable() | Snapshot() | Computed() | Rejected() | Broken() | Abandoned():
                 self._tell(item)
 
     @_on.register
@@ -182,11 +190,12 @@ class Worker:
 
     def _greet(self) -> None:
         asked = _Asked("hello", self._joining.fingerprint)
-        self._get(topics.HELLO, self._joining.hello(), GREET_TIMEOUT_S, asked)
+        self._get(topics.hello(self.name), self._joining.hello(), GREET_TIMEOUT_S, asked)
 
     def _greeted(self, fingerprint: str, payload: bytes | None) -> None:
         """Take in the answer to a greeting that carried `fingerprint` ("": kernels not ready yet)."""
         if payload is None:
+            self._get(topics.HELLO, self._joining.hello(), GREET_TIMEOUT_S, _Asked("enquiry"))
             self._bus.call_later(GREET_PAUSE_S, _GREET)
             return
         try:
@@ -233,6 +242,13 @@ class Worker:
         )
         self._bus.put(topics.worker(welcome.realm, self.name, "status"), encode(status))
 
+    def _enquired(self, payload: bytes) -> None:
+        """Take in why our greeting may have remained without an answer."""
+        try:
+            self._joining.enquired(payload)
+        except RefusedError as error:
+            self._leave(error)
+
     def _warmed_up(self, item: WarmedUp) -> None:
         """Greet once more, now with the fingerprint; then say that islands can be computed here."""
         self._detail, self._joining.fingerprint = "", item.fingerprint
@@ -243,7 +259,7 @@ class Worker:
     def _check_absence(self) -> None:
         """Leave when the coordinator has been away for longer than allowed."""
         if self._joining.absence(self._bus.now()) > self._wait_s:
-            self._leave(UnreachableError(f"the coordinator has not answered for {self._wait_s:.0f} s; start it again"))
+            self._leave(UnreachableError(self._joining.silence(self._wait_s)))
 
     def _leave(self, error: AtollError) -> None:
         self.error, self.exit_code = error, error.exit_code
@@ -329,14 +345,27 @@ class Worker:
         match asked:
             case _Asked("hello"):
                 self._greeted(asked.subject, event.payload)
+            case _Asked("enquiry") if event.payload is not None:
+                self._enquired(event.payload)
             case _Asked("job"):
                 self._datasets.announcement_came(asked.subject, event.payload)
             case _Asked("chunk"):
                 self._datasets.chunk_came(asked.subject, asked.index, event.payload)
             case _Asked("placement") if event.payload is not None:
                 self._on_control(decode(event.payload, Control, MAX_MESSAGE).body)
+            case _Asked("states", states=PullStates() as pull):
+                self._states_came(pull, event.payload)
             case _Asked("pull") if event.payload is not None:
                 self._tell(PullAnswered(asked.subject, decode(event.payload, PullAnswer, MAX_MESSAGE).body))
+
+    def _states_came(self, pull: PullStates, payload: bytes | None) -> None:
+        """Hand on what came, also that nothing came: it is asked for again."""
+        try:
+            body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else None
+        except RemoteProtocolError:
+            self._tell(StatesCame(pull, None))
+            raise
+        self._tell(StatesCame(pull, body if isinstance(body, States) else None))
 
     def _get(self, key: str, payload: bytes, timeout_s: float, asked: _Asked) -> None:
         self._asked[self._bus.get(key, payload, timeout_s)] = asked
@@ -378,11 +407,16 @@ class Worker:
                 self._bus.reply(action.handle, encode(PullAnswer(body=action.body)))
             case FetchJob():
                 self._datasets.fetch(action.job)
+            case FetchStates():
+                key, asked = topics.state(realm, action.body.job), _Asked("states", states=action.body)
+                self._get(key, encode(Pull(body=action.body)), FETCH_TIMEOUT_S, asked)
+            case Beat():
+                self._beat()
             case FetchPlacements():
                 self._get(topics.placement(realm, action.job), b"", PULL_TIMEOUT_S, _Asked("placement", action.job))
 
 
-def run_worker(connect: str, name: str, wait_s: float) -> int:
+def run_worker(connect: str | Destination, name: str, wait_s: float) -> int:
     """Join the coordinator at `connect` as worker `name` and work until it ends; return the exit code.
 
     Kernels are made ready while the connection is still being sought. `wait_s` limits both the first connection and
@@ -390,7 +424,7 @@ def run_worker(connect: str, name: str, wait_s: float) -> int:
 
     Raises:
         UnreachableError: The coordinator was not there, or stayed away.
-        RefusedError: It refused this worker, for instance because of its version.
+        RefusedError: It refused this worker, for instance because of its version or its certificate.
     """
     from common.wire.zenoh_bus import open_client
 

@@ -25,6 +25,9 @@ MAX_UPLOAD: Final = 1024 * 1024 * 1024
 MAX_MESSAGE: Final = 16 * 1024 * 1024
 """Largest encoded message; anything larger is refused unread."""
 
+MAX_STATE: Final = 256 * 1024 * 1024
+"""Largest state of one island, in bytes; the usual one has about 50,000."""
+
 MAX_RUNNERS_UP: Final = 20_000
 """Most runners-up that an island may report of one epoch; an epoch has room for a few hundred."""
 
@@ -66,7 +69,7 @@ class Hello(Tolerant):
 
 
 class Welcome(Tolerant):
-    """The coordinator accepts; all further keys lie under `realm`."""
+    """The coordinator accepts; all further keys lie under `realm`. `clock` is its time of day as ISO text, if told."""
 
     kind: Literal["welcome"] = "welcome"
     realm: Id
@@ -74,6 +77,7 @@ class Welcome(Tolerant):
     protocol: Count
     version: Annotated[str, Field(max_length=64)]
     engine: Count
+    clock: Annotated[str, Field(max_length=64)] = ""
 
 
 class Refusal(Tolerant):
@@ -116,11 +120,28 @@ class JobAnnouncement(Model):
     chunks: Annotated[int, Field(ge=1)]
 
 
-class Placement(Model):
-    """Who computes which island of one archipelago: `workers[k]` has island k. Every term begins at epoch 0.
+class Schedule(Model):
+    """The next two checkpoints of an archipelago: epochs before which islands take a snapshot.
 
-    No island begins epoch `epochs` or later, nor an epoch more than twice `interval` after the last commit. `course`
-    says what counts when the target is met.
+    No island begins an epoch beyond `last`, nor `last` itself when it `holds`: then all of them wait there for another
+    placement.
+    """
+
+    next: Count
+    last: Count
+    holds: bool = False
+
+    @property
+    def limit(self) -> int:
+        """The last epoch that may begin."""
+        return self.last - self.holds
+
+
+class Placement(Model):
+    """Who computes which island of one archipelago: `workers[k]` has island k.
+
+    The term begins at `epoch`: 0, or a committed checkpoint, whose states are pulled. No island begins epoch `epochs`
+    or later; `interval` epochs lie between the first checkpoints. `course` says what counts when the target is met.
     """
 
     incarnation: Count
@@ -128,9 +149,15 @@ class Placement(Model):
     job: Id
     variable: Variable
     workers: Annotated[tuple[Id, ...], Field(min_length=1, max_length=1024)]
+    epoch: Count = 0
     epochs: Annotated[int, Field(ge=1)]
-    interval: Annotated[int, Field(ge=1)]
+    interval: Annotated[int, Field(ge=1, lt=2**31)]
     course: Course
+
+    @property
+    def schedule(self) -> Schedule:
+        """The first two checkpoints of the term."""
+        return Schedule(next=self.epoch + self.interval, last=self.epoch + 2 * self.interval)
 
     def islands_of(self, worker: str) -> tuple[int, ...]:
         """Return the islands that `worker` computes."""
@@ -145,13 +172,18 @@ class Placements(Model):
 
 
 class Commit(Model):
-    """Every island has reported `epoch` under this term: what was sent in epochs below it is needed no more."""
+    """The checkpoint for `epoch` is durable, and these are the next ones.
+
+    Every island has reported epoch `reported` under this term: what was sent in the epochs below is needed no more.
+    """
 
     kind: Literal["commit"] = "commit"
     job: Id
     variable: Variable
     term: Term
     epoch: Count
+    schedule: Schedule
+    reported: Count = 0
 
 
 class Close(Model):
@@ -188,8 +220,8 @@ class Control(Model):
 class Holding(Model):
     """What a worker holds of one archipelago.
 
-    `reported` counts the epochs that all of its islands there have finished and reported; `commit` is the last commit
-    it knows of.
+    All epochs below `reported` have been finished and reported by all of its islands there; `commit` is the last
+    commit it knows of; `snapshots` are the epochs after it of which there is a snapshot of every island there.
     """
 
     job: Id
@@ -198,6 +230,7 @@ class Holding(Model):
     islands: Count
     reported: Count
     commit: Count
+    snapshots: Annotated[tuple[Count, ...], Field(max_length=8)] = ()
 
 
 class Trouble(Model):
@@ -345,10 +378,22 @@ class PullReports(Model):
     last: Count
 
 
-class Pull(Model):
-    """Question to a worker."""
+class PullStates(Model):
+    """What are the states of these islands at checkpoint `epoch`, of the first one from byte `offset` on?"""
 
-    body: Annotated[PullMigrants | PullReports, Field(discriminator="kind")]
+    kind: Literal["pull-states"] = "pull-states"
+    job: Id
+    variable: Variable
+    term: Term
+    epoch: Count
+    islands: Annotated[tuple[IslandIndex, ...], Field(min_length=1, max_length=1024)]
+    offset: Count = 0
+
+
+class Pull(Model):
+    """Question to a worker; that for states also to the coordinator."""
+
+    body: Annotated[PullMigrants | PullReports | PullStates, Field(discriminator="kind")]
 
 
 class Sent(Model):
@@ -364,6 +409,23 @@ class Reports(Model):
 
     kind: Literal["reports"] = "reports"
     reports: tuple[EpochReport, ...]
+
+
+class Piece(Model):
+    """Bytes from `offset` on of the state of one island; the whole has `size` bytes and the SHA-256 `digest`."""
+
+    island: IslandIndex
+    size: Annotated[int, Field(ge=1, le=MAX_STATE)]
+    digest: Digest
+    offset: Count
+    data: Annotated[bytes, Field(max_length=CHUNK_SIZE)]
+
+
+class States(Model):
+    """As many of the states asked for as one message bears, in their order; the last one may be a part of it."""
+
+    kind: Literal["states"] = "states"
+    pieces: Annotated[tuple[Piece, ...], Field(min_length=1, max_length=1024)]
 
 
 class NotYet(Model):
@@ -384,7 +446,7 @@ class NewerTerm(Model):
 class PullAnswer(Model):
     """Answer of a worker."""
 
-    body: Annotated[Sent | Reports | NotYet | NewerTerm, Field(discriminator="kind")]
+    body: Annotated[Sent | Reports | States | NotYet | NewerTerm, Field(discriminator="kind")]
 
 
 # ---------------------------------------------------------------------------------------------- clients

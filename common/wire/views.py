@@ -6,7 +6,7 @@ from common.config import Model
 
 JobState = Literal["queued", "preparing", "running", "refining", "done", "failed", "cancelled"]
 FINAL_STATES: frozenset[JobState] = frozenset({"done", "failed", "cancelled"})
-WorkerState = Literal["compiling", "ready", "computing", "waiting", "lost"]
+WorkerState = Literal["compiling", "ready", "computing", "waiting", "leaving", "lost"]
 
 
 class VariableView(Model):

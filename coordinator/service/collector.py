@@ -7,7 +7,7 @@ far an island got beyond the cut.
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from common.errors import AtollError, RemoteProtocolError
@@ -61,12 +61,16 @@ class _Filed:
 
 @dataclass(slots=True)
 class Progress:
-    """The archipelago after its `epochs` completely reported epochs."""
+    """The archipelago after its `epochs` completely reported epochs.
+
+    `counted` are the point evaluations of each island that has any, `evaluations` their sums, both by part.
+    """
 
     epochs: int = 0
     front: tuple[FrontEntry, ...] = ()
     runners_up: tuple[FrontEntry, ...] = ()
     evaluations: dict[str, int] = field(default_factory=dict)
+    counted: dict[int, dict[str, int]] = field(default_factory=dict)
     best_length: float = math.inf
     improved_at: int = 0
     seconds: float = 0.0
@@ -82,7 +86,7 @@ class Collector:
         self.cut: Cut | None = None
         self._measure = measure
         self._filed: dict[tuple[int, int], _Filed] = {}
-        self._counted: dict[int, dict[str, int]] = {}
+        self._past: dict[int, Progress] = {}
         self._pending: Why | None = None
 
     def receive(self, worker: str, epoch: int, reports: Iterable[IslandReport], seconds: float) -> bool:
@@ -119,6 +123,20 @@ class Collector:
             self._pending = why
             return
         self._end(why)
+
+    def at(self, epochs: int) -> Progress | None:
+        """Return how the archipelago stood after so many epochs; None: not so far yet, or forgotten."""
+        return self._past.get(epochs)
+
+    def forget(self, before: int) -> None:
+        """Forget how it stood before so many epochs, and what was reported of them: none of it comes again."""
+        self._past = {epochs: past for epochs, past in self._past.items() if epochs >= before}
+        if before <= self.progress.epochs:
+            self._filed = {key: filed for key, filed in self._filed.items() if key[0] >= before}
+
+    def resume(self, progress: Progress) -> None:
+        """Go on from where an archipelago stood; only before the first report."""
+        self.progress = progress
 
     def first_missing(self, islands: Iterable[int], before: int) -> int | None:
         """Return the first epoch below `before` of which a report of any of these islands is missing; None: of none."""
@@ -192,10 +210,11 @@ class Collector:
             self._note_improvement(epoch)
         for report, end in counted:
             if end > 0:
-                self._counted[report.island] = evaluations_at(report, end)
+                progress.counted[report.island] = evaluations_at(report, end)
         progress.epochs = epoch + 1
         progress.seconds = seconds
-        progress.evaluations = total_evaluations(self._counted.values())
+        progress.evaluations = total_evaluations(progress.counted.values())
+        self._past[progress.epochs] = replace(progress, counted=dict(progress.counted))
         self._consider_end(epoch, hit)
 
     def _release(self, epoch: int) -> list[IslandReport]:

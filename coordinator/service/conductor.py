@@ -8,6 +8,7 @@ import logging
 from collections.abc import Callable
 from typing import Final, Protocol
 
+from common import ENGINE_REVISION
 from common.config import JobConfig
 from common.errors import RefusedError, RemoteProtocolError
 from common.wire.codec import decode, encode
@@ -22,14 +23,19 @@ from common.wire.messages import (
     Placement,
     Placements,
     PullReports,
+    PullStates,
+    Shutdown,
+    States,
     Submit,
     WorkerStatus,
 )
 from common.wire.views import FINAL_STATES, JobView
 from coordinator.model.refinement import Pools, Refinement
-from coordinator.service.archipelago import INTERVAL_EPOCHS, Archipelago
+from coordinator.service.archipelago import Archipelago, Checkpoint
+from coordinator.service.checkpoint import StoredProgress
 from coordinator.service.cut import Cut
 from coordinator.service.job import Conclude, Fault, Job, JobAction, KeepCut, Prepared, Refine, TellCommit
+from coordinator.service.keeping import Keeper
 from coordinator.service.membership import Membership
 from coordinator.service.placement import Placer
 from coordinator.service.ports import StorePort
@@ -41,7 +47,7 @@ _LOG = logging.getLogger(__name__)
 MAX_RUNNING: Final = 4
 """Jobs searched at the same time; further ones wait in the order of their submission."""
 
-WorkerWord = JobAnnouncement | Placements | Commit | Close | Introduce
+WorkerWord = JobAnnouncement | Placements | Commit | Close | Introduce | Shutdown
 
 
 class Outlet(Protocol):
@@ -50,8 +56,11 @@ class Outlet(Protocol):
     def tell(self, body: WorkerWord, worker: str | None = None) -> None:
         """Send to one worker, or to all."""
 
-    def pull(self, worker: str, body: PullReports) -> None:
-        """Ask a worker for reports; they come as reports."""
+    def pull(self, worker: str, body: PullReports | PullStates) -> None:
+        """Ask a worker for reports, which come as reports, or states; `Conductor.states_came` follows."""
+
+    def write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> None:
+        """Have a checkpoint written elsewhere; `Conductor.written` follows."""
 
     def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
         """Have the table prepared elsewhere; `Conductor.prepared` or `Conductor.job_failed` follows."""
@@ -72,11 +81,12 @@ class Conductor:
         self._outlet = outlet
         self._clock = clock
         self._placer = Placer(self.membership, expected_workers)
+        self._keeper = Keeper(outlet)
 
     # ------------------------------------------------------------------------------------------- jobs
 
     def recover(self, now: float) -> None:
-        """Take over the jobs of the store: those that had not ended begin again, and come to the same result."""
+        """Take over the jobs of the store: those that had not ended go on from their checkpoints."""
         for record in self._store.jobs():
             if record.state in FINAL_STATES:
                 self.ended[record.id] = ended_view(record, self._store.result(record.id))
@@ -125,11 +135,32 @@ class Conductor:
             self.job_failed(job_id, "data", sentence, now)
             return
         cuts = {name: decode(data, Cut) for name, data in self._store.cuts(job_id).items()}
-        actions = job.begin(prepared, cuts)
+        resumed = {name: decode(data, StoredProgress) for name, (_, data) in self._store.checkpoints(job_id).items()}
+        changed = self._changed(job_id, prepared, cuts, resumed)
+        if changed is not None:
+            self.job_failed(job_id, "internal", changed, now)
+            return
+        actions = job.begin(prepared, cuts, resumed)
         self._store.update_job(job_id, state="running", dataset_digest=prepared.blob)
         self._outlet.tell(job.announcement())
         self._carry_out(job, actions, now)
         self.place(now)
+
+    def _changed(
+        self, job_id: str, prepared: Prepared, cuts: dict[str, Cut], resumed: dict[str, StoredProgress]
+    ) -> str | None:
+        """Return why what was committed earlier does not go together with what is computed now; None: it does."""
+        record = self._store.job(job_id)
+        before = record.dataset_digest if record is not None else None
+        if (cuts or resumed) and before not in (None, prepared.blob):
+            return "its data, prepared again after a restart, came out differently; submit it again under another id"
+        engines = {each.engine for each in resumed.values()} - {ENGINE_REVISION}
+        if engines:
+            return (
+                f"it was begun by engine revision {min(engines)}, and this is revision {ENGINE_REVISION}, which computes "
+                "otherwise; serve its store with the earlier version, or submit it again under another id"
+            )
+        return None
 
     def refined(self, job_id: str, refinement: Refinement, now: float) -> None:
         """Take in what was made of a job's pools: it is done."""
@@ -199,6 +230,7 @@ class Conductor:
         for holding in status.holdings:
             self._check_holding(worker, holding)
         self._send_missing_placements(worker, held)
+        self._keeper.look(self.jobs.values(), now)
 
     def report(self, worker: str, report: EpochReport, now: float) -> None:
         """Take in a report; raises RemoteProtocolError when it cannot be."""
@@ -208,6 +240,24 @@ class Conductor:
                 raise RemoteProtocolError(f"a report of job {report.job} came, which does not exist")
             return
         self._carry_out(job, job.receive(worker, report, now), now)
+        self._keeper.look([job], now)
+
+    def states_came(self, worker: str, asked: PullStates, body: States | None, now: float) -> None:
+        """Take in the answer to a question for states; None: there was none, and it is asked again later.
+
+        Raises:
+            RemoteProtocolError: A state was damaged on its way.
+        """
+        self._keeper.states_came(self.jobs.get(asked.job), worker, asked, body)
+        if body is not None:
+            self._keeper.look(self.jobs.values(), now)
+
+    def written(self, checkpoint: Checkpoint, now: float) -> None:
+        """Take in that a checkpoint is durable: it is told, and whoever waits for it is placed."""
+        commit = self._keeper.written(self.jobs.get(checkpoint.job), checkpoint, now)
+        if commit is not None:
+            self._outlet.tell(commit)
+        self.place(now)
 
     def tick(self, now: float) -> None:
         """Let time pass: lost workers, `--max-time`, jobs that wait for their turn."""
@@ -218,6 +268,7 @@ class Conductor:
             self._carry_out(job, job.tick(now), now)
         self._prepare_next()
         self.place(now)
+        self._keeper.look(self.jobs.values(), now)
 
     # --------------------------------------------------------------------------------------- placement
 
@@ -231,6 +282,8 @@ class Conductor:
                 placed_before += archipelago.collector.limits.islands
 
     def _place(self, job: Job, archipelago: Archipelago, first: int, now: float) -> None:
+        if archipelago.is_writing:
+            return  # the term after this one begins where that is durable
         if self._placer.is_broken(archipelago):
             archipelago.unplace()
             _LOG.warning("placement lost job=%s variable=%s", job.id, archipelago.variable)
@@ -246,8 +299,9 @@ class Conductor:
             job=job.id,
             variable=archipelago.variable,
             workers=workers,
+            epoch=archipelago.durable,
             epochs=archipelago.collector.limits.epochs,
-            interval=INTERVAL_EPOCHS,
+            interval=archipelago.interval,
             course=archipelago.collector.limits.course,
         )
         self._store.commit_placement(job.id, archipelago.variable, encode(placement))
@@ -255,8 +309,8 @@ class Conductor:
         job.start(now)
         self._outlet.tell(Placements(placements=(placement,)))
         _LOG.info(
-            "placed job=%s variable=%s term=%d workers=%d",
-            job.id, archipelago.variable, placement.term, len(set(workers)),
+            "placed job=%s variable=%s term=%d epoch=%d workers=%d",
+            job.id, archipelago.variable, placement.term, placement.epoch, len(set(workers)),
         )  # fmt: skip
 
     # -------------------------------------------------------------------------------- what workers hold
@@ -282,7 +336,7 @@ class Conductor:
         pull = archipelago.missing_reports(worker, holding)
         if pull is not None:
             self._outlet.pull(worker, pull)
-        due = archipelago.commit_due()
+        due = archipelago.forget_due()
         if due is not None:
             self._outlet.tell(due)
         commit = archipelago.commit()

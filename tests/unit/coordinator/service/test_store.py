@@ -13,6 +13,7 @@ import pytest
 
 from common.errors import LocalProtocolError, RemoteProtocolError, StoreError
 from common.wire.messages import CHUNK_SIZE
+from coordinator.service.event_table import MAX_EVENTS, EventRecord
 from coordinator.service.schema import FILE_NAME, SCHEMA_VERSION
 from coordinator.service.store import JobRecord, Store
 
@@ -285,3 +286,31 @@ def test_a_closed_store_says_so(tmp_path: Path) -> None:
     store.close()
     with pytest.raises(StoreError, match="closed"):
         store.jobs()
+
+
+def test_a_store_of_an_earlier_layout_is_taken_to_this_one_and_keeps_what_it_has(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        store.add_job(JOB)
+        realm = store.realm
+    with contextlib.closing(sqlite3.connect(tmp_path / FILE_NAME)) as file:
+        for statement in (
+            "DROP TABLE events", "ALTER TABLE jobs DROP COLUMN priority", "PRAGMA user_version = 1",
+        ):  # fmt: skip
+            file.execute(statement)
+    with Store.open(tmp_path) as store:
+        assert store.realm == realm
+        assert store.jobs() == (JOB,)
+        store.add_events([EventRecord("j1", "now", "submitted", "{}")])
+        assert len(store.events("j1", 0, 9)) == 1
+
+
+def test_events_come_in_order_from_where_one_left_off_and_the_oldest_are_forgotten(store: Store) -> None:
+    store.add_events(EventRecord(job, "t", "k", str(n)) for n in range(3) for job in ("a", "b", None))
+    assert [each.contents for each in store.events("a", 0, 2)] == ["1", "2"]
+    assert [each.job for each in store.events(None, 0, 4)] == [None, "a", "b", None]
+    (first, *_) = store.events("b", 0, 9)
+    assert [each.contents for each in store.events("b", first.number, 1)] == ["1"]
+    store.add_events(EventRecord("a", "t", "k", str(n)) for n in range(3, MAX_EVENTS + 2))
+    kept = store.events("a", 0, 2 * MAX_EVENTS)
+    assert (len(kept), kept[0].contents, kept[-1].contents) == (MAX_EVENTS, "2", str(MAX_EVENTS + 1))
+    assert len(store.events("b", 0, 9)) == 3
