@@ -28,7 +28,6 @@ HANDLERS: Final = {
 """The module of each verb. Its function of the verb's name takes the parsed options and returns the exit code."""
 
 LATER_VERBS: Final = ("logs", "simulate", "analyse", "analyze", "report", "export")
-LATER_OPTIONS: Final = ("--weights",)
 
 EXIT_CODES: Final = (
     "exit codes: 0 done, 1 job failed, 2 bad usage or bad data, 3 coordinator not reachable,\n"
@@ -52,18 +51,11 @@ class _Parser(argparse.ArgumentParser):
         return message.replace("unrecognized arguments:", "unknown option").removeprefix("argument ")
 
 
-class _NotInThisVersion(argparse.Action):
-    """Refuses an option of a later version."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
-        raise UsageError(f"{self.option_strings[0]} is not in this version")
-
-
 def parse(argv: Sequence[str]) -> argparse.Namespace:
     """Return the parsed options; `verb` is one of `HANDLERS`.
 
     Raises:
-        UsageError: an option or verb is unknown, incomplete or of a later version.
+        UsageError: an option or verb is unknown or incomplete, or the verb of a later version.
         SystemExit: after ``--help`` or ``--version``.
     """
     verb = next((word for word in argv if not word.startswith("-")), None)
@@ -184,8 +176,6 @@ def _add_job(parser: argparse.ArgumentParser) -> None:
     _add_data(parser.add_argument_group("data"))
     _add_search(parser.add_argument_group("search"))
     _add_budget(parser.add_argument_group("budget"))
-    for option in LATER_OPTIONS:
-        parser.add_argument(option, nargs="?", action=_NotInThisVersion, help=argparse.SUPPRESS)
 
 
 def _add_data(group: Any) -> None:
@@ -207,6 +197,9 @@ def _add_data(group: Any) -> None:
     group.add_argument("--robust", action="store_true", help="smooth so that outliers lose their weight")
     group.add_argument(
         "--holdout", metavar="K|run=4", help="keep K last trajectories, or that one, from the search, to judge by them"
+    )
+    group.add_argument(
+        "--weights", metavar="w", help="column of row weights, such as 1/variance; rows of weight 0 are left out"
     )
 
 
