@@ -102,5 +102,3 @@ class Kept:
         if not states.keys() >= set(pull.islands) or pull.offset >= len(states[pull.islands[0]].data):
             return NotYet()
         return States(pieces=cut(pull.islands, pull.offset, states.__getitem__))
-
-
