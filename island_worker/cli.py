@@ -115,6 +115,13 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         default=_WAIT_S,
         help="how long the coordinator may be away, at the start or later (default: %(default)g)",
     )
+    parser.add_argument(
+        "--log-format", choices=("text", "json"), default="text", help="form of the log on stderr (default: text)"
+    )
+    parser.add_argument(
+        "--log-level", choices=("debug", "info", "warning", "error"), default="info",
+        help="least level that is logged (default: info)",
+    )  # fmt: skip
     parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # end with this process
     parser.add_argument("--leave", action="store_true", help=argparse.SUPPRESS)  # the workers to the parent, and end
     parser.add_argument("--version", action="version", version=f"atoll {VERSION}")
@@ -135,7 +142,7 @@ def _dispatch(options: argparse.Namespace) -> int:
         number, reason = choose_number(os.environ)
         sys.stderr.write(f"island-worker: {number} {'process' if number == 1 else 'processes'}: {reason}\n")
     if number == 1 and not options.leave:
-        return _work(connect, name, options.wait, options.parent)
+        return _work(connect, name, options, options.parent)
     names = [f"{name[:58]}-{index}" for index in range(number)]
     return _work_together(connect, names, options)
 
@@ -146,7 +153,9 @@ def _work_together(connect: str, names: Sequence[str], options: argparse.Namespa
     from island_worker.processes import ending_on_signals, hear_of_death, supervise, supervise_forks, worker_command
 
     if not can_fork():
-        return supervise([worker_command(connect, each, options.wait) for each in names], options.parent)
+        return supervise(
+            [worker_command(connect, each, options.wait, _log_options(options)) for each in names], options.parent
+        )
     with ending_on_signals():
         if options.parent is not None:
             hear_of_death()
@@ -154,38 +163,32 @@ def _work_together(connect: str, names: Sequence[str], options: argparse.Namespa
         if options.parent not in (None, os.getppid()):
             return 0
     parent = options.parent if options.leave else os.getpid()
-    works = {name: partial(_work_guarded, connect, name, options.wait, parent) for name in names}
+    works = {name: partial(_work_guarded, connect, name, options, parent) for name in names}
     if not options.leave:
         return supervise_forks(list(works.values()), options.parent)
     leave(works)
     return 0
 
 
-def _work_guarded(connect: str, name: str, wait_s: float, parent: int) -> int:
-    return _guarded(partial(_work, connect, name, wait_s, parent))
+def _log_options(options: argparse.Namespace) -> list[str]:
+    return ["--log-format", options.log_format, "--log-level", options.log_level]
 
 
-def _work(connect: str, name: str, wait_s: float, parent: int | None) -> int:
+def _work_guarded(connect: str, name: str, options: argparse.Namespace, parent: int) -> int:
+    return _guarded(partial(_work, connect, name, options, parent))
+
+
+def _work(connect: str, name: str, options: argparse.Namespace, parent: int | None) -> int:
+    from common.logs import configure
     from island_worker.processes import end_with_parent, ending_on_signals
 
     with ending_on_signals():
         if parent is not None:
             end_with_parent(parent)
-        _configure_log(name)
+        configure(options.log_format, options.log_level, worker=name)
         from island_worker.runtime import run_worker
 
-        return run_worker(connect, name, wait_s)
-
-
-def _configure_log(name: str) -> None:
-    import logging
-
-    logging.basicConfig(
-        level=logging.INFO,
-        stream=sys.stderr,
-        format=f"%(asctime)s %(levelname)s {name} %(name)s %(message)s",
-        force=True,
-    )
+        return run_worker(connect, name, options.wait)
 
 
 def _default_name() -> str:

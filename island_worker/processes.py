@@ -34,10 +34,10 @@ choose_number = usable_cores
 Command = Sequence[str]
 
 
-def worker_command(connect: str, name: str, wait_s: float) -> Command:
-    """Return the command of one worker process that ends with this one."""
+def worker_command(connect: str, name: str, wait_s: float, further: Sequence[str] = ()) -> Command:
+    """Return the command of one worker process that ends with this one; `further` are options for it."""
     options = ["--connect", connect, "--processes", "1", "--name", name, "--wait", f"{wait_s:g}"]
-    return [sys.executable, "-m", "island_worker", *options, "--parent", str(os.getpid())]
+    return [sys.executable, "-m", "island_worker", *options, *further, "--parent", str(os.getpid())]
 
 
 class Child(Protocol):

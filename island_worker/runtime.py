@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
 
+from common import usage
 from common.errors import AtollError, RefusedError, RemoteProtocolError, UnreachableError
+from common.logs import fields
 from common.wire import topics
 from common.wire.bus import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from common.wire.codec import decode, encode
@@ -18,6 +20,7 @@ from common.wire.messages import (
     Close,
     Commit,
     Control,
+    Doing,
     Introduce,
     JobAnnouncement,
     Mail,
@@ -27,8 +30,9 @@ from common.wire.messages import (
     Shutdown,
     WorkerStatus,
 )
+from common.wire.metered_bus import MeteredBus
 from common.wire.rejects import Rejects
-from common.wire.views import WorkerState
+from common.wire.views import Counters, WorkerState
 from island_worker.compute import Compute, IslandCompute, WarmedUp, WarmUpFailed, WarmUpNote
 from island_worker.download import Datasets
 from island_worker.events import (
@@ -98,7 +102,8 @@ class Worker:
         self.name: Final = name
         self.session = Session(name)
         self.rejects = Rejects(_LOG)
-        self._bus = bus
+        self._bus = MeteredBus(bus)
+        self._told_at = bus.now()
         self._compute = compute
         self._wait_s = wait_s
         self._joining = Joining(name, bus.now())
@@ -128,6 +133,7 @@ class Worker:
         """Take in one event. What a peer did wrong is counted, logged once and changes nothing."""
         if self.exit_code is not None:
             return
+        self._bus.note(event)
         try:
             self._on(event)
         except RemoteProtocolError as error:
@@ -143,7 +149,7 @@ class Worker:
         match item:
             case WarmUpNote():
                 self._detail = item.sentence
-                _LOG.info("%s", item.sentence)
+                _LOG.info("warm-up", extra=fields(detail=item.sentence))
                 self._beat()
             case WarmedUp():
                 self._warmed_up(item)
@@ -213,7 +219,7 @@ class Worker:
         self._bus.subscribe(topics.inbox(realm, self.name))
         self._bus.serve(topics.worker(realm, self.name, "pull"))
         self._bus.announce(topics.worker(realm, self.name, "alive"))
-        _LOG.info("joined realm=%s worker=%s", realm, self.name)
+        _LOG.info("joined", extra=fields(realm=realm))
 
     def _state(self) -> WorkerState:
         return self.session.state() if self._joining.is_accepted else "compiling"
@@ -230,13 +236,32 @@ class Worker:
             holdings=self.session.holdings(),
             troubles=self.session.troubles(),
             detail=self._detail,
+            doing=self._doing(),
+            counters=self._counters(),
         )
         self._bus.put(topics.worker(welcome.realm, self.name, "status"), encode(status))
+
+    def _doing(self) -> Doing | None:
+        key = self._compute.doing
+        if key is None or self._state() != "computing":
+            return None
+        return Doing(job=key.job, variable=key.variable, island=key.island, epoch=key.epoch)
+
+    def _counters(self) -> Counters:
+        return Counters(
+            traffic=self._bus.traffic(),
+            dropped=self._bus.dropped,
+            refused=self.rejects.total,
+            duplicates=self.session.duplicates,
+            waited_s=self.session.waited_s,
+            memory_bytes=usage.memory_bytes(),
+            cpu_s=usage.cpu_s(),
+        )
 
     def _warmed_up(self, item: WarmedUp) -> None:
         """Greet once more, now with the fingerprint; then say that islands can be computed here."""
         self._detail, self._joining.fingerprint = "", item.fingerprint
-        _LOG.info("kernels ready seconds=%.2f fingerprint=%s", item.seconds, item.fingerprint)
+        _LOG.info("kernels ready", extra=fields(seconds=item.seconds, fingerprint=item.fingerprint))
         if self._joining.welcome is not None:
             self._greet()
 
@@ -293,7 +318,8 @@ class Worker:
 
     def load(self, announcement: JobAnnouncement, data: bytes) -> None:
         """See `Asker.load`."""
-        self._compute.load(announcement.job, announcement.config, data)
+        weight = 2.0**announcement.priority
+        self._compute.load(announcement.job, announcement.config, data, weight)
 
     def _forget_job(self, job: str) -> None:
         if self._datasets.forget(job):
@@ -348,6 +374,9 @@ class Worker:
     # ------------------------------------------------------------------------------------------ actions
 
     def _tell(self, event: SessionEvent) -> None:
+        now = self._bus.now()
+        self.session.elapse(now - self._told_at)
+        self._told_at = now
         for action in self.session.handle(event):
             self._act(action)
 

@@ -76,6 +76,8 @@ class Share:
         self.islands = {island: LocalIsland(island) for island in placement.islands_of(worker)}
         self.hits: dict[int, Finished] = {}
         self.reported = 0
+        self.waited_s = 0.0
+        self.duplicates = 0
         self._inbox: dict[tuple[int, int], dict[int, bytes]] = {}
         self._sent: dict[tuple[int, int], dict[int, bytes]] = {}
         self._reports: dict[int, dict[int, IslandReport]] = {}
@@ -107,7 +109,13 @@ class Share:
             islands=len(self.islands),
             reported=self.reported,
             commit=self.commit,
+            waited_s=self.waited_s,
         )
+
+    def elapse(self, seconds: float) -> None:
+        """Let time pass: it counts for every island here that waits for migrants."""
+        waiting = sum(local.state == "waiting" for local in self.islands.values())
+        self.waited_s += seconds * waiting
 
     def runnable(self) -> Iterator[LocalIsland]:
         """Yield the islands that may begin an epoch now: ready, and within the lead over the last commit."""
@@ -299,8 +307,11 @@ class Share:
         local = self.islands[block.destination]
         is_late = epoch < local.epoch - 1 or (epoch == local.epoch - 1 and local.state in ("computing", "stopped"))
         if is_late or local.state == "stopped":
+            self.duplicates += 1
             return
-        self._inbox.setdefault((epoch, block.destination), {}).setdefault(block.source, block.data)
+        filed = self._inbox.setdefault((epoch, block.destination), {})
+        self.duplicates += block.source in filed
+        filed.setdefault(block.source, block.data)
         self._complete(local)
 
     def _complete(self, local: LocalIsland) -> None:

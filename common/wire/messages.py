@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field
 
 from common.config import JobConfig, Model
 from common.slices import Course
-from common.wire.views import JobView, WorkerState, WorkerView
+from common.wire.views import CoordinatorView, Counters, EventView, JobView, WorkerState, WorkerView
 
 CHUNK_SIZE: Final = 4 * 1024 * 1024
 """Bytes per chunk of an upload or a dataset; the last chunk may be shorter."""
@@ -35,6 +35,9 @@ Count = Annotated[int, Field(ge=0, lt=2**63)]
 IslandIndex = Annotated[int, Field(ge=0, lt=1024)]
 Term = Annotated[int, Field(ge=1, lt=2**63)]
 Sentence = Annotated[str, Field(max_length=4000)]
+Seconds = Annotated[float, Field(ge=0.0, lt=1e12)]
+Priority = Annotated[int, Field(ge=-10, le=10)]
+"""Each step doubles a job's share of the workers."""
 
 
 # ---------------------------------------------------------------------------------------------- greeting
@@ -114,6 +117,7 @@ class JobAnnouncement(Model):
     blob: Digest
     size: Count
     chunks: Annotated[int, Field(ge=1)]
+    priority: Priority = 0
 
 
 class Placement(Model):
@@ -189,7 +193,7 @@ class Holding(Model):
     """What a worker holds of one archipelago.
 
     `reported` counts the epochs that all of its islands there have finished and reported; `commit` is the last commit
-    it knows of.
+    it knows of. `waited_s` are the seconds that its islands there have waited for migrants, summed over them.
     """
 
     job: Id
@@ -198,6 +202,16 @@ class Holding(Model):
     islands: Count
     reported: Count
     commit: Count
+    waited_s: Seconds = 0.0
+
+
+class Doing(Model):
+    """What a worker's compute thread is at."""
+
+    job: Id
+    variable: Variable
+    island: IslandIndex
+    epoch: Count
 
 
 class Trouble(Model):
@@ -221,6 +235,8 @@ class WorkerStatus(Model):
     holdings: tuple[Holding, ...] = ()
     troubles: tuple[Trouble, ...] = ()
     detail: Sentence = ""
+    doing: Doing | None = None
+    counters: Counters = Counters()
 
 
 # ---------------------------------------------------------------------------------------------- reports
@@ -413,6 +429,7 @@ class Submit(Model):
     name: Annotated[str, Field(max_length=200)]
     config: JobConfig
     table: Digest
+    priority: Priority = 0
 
 
 class Jobs(Model):
@@ -448,10 +465,24 @@ class Cancel(Model):
     job: Id
 
 
+class GetEvents(Model):
+    """Tell what happened to a job, or at all (`job` None), after the event of number `after`: `limit` of it at most.
+
+    With `after` 0 these are the last ones.
+    """
+
+    kind: Literal["get-events"] = "get-events"
+    job: Id | None = None
+    after: Count = 0
+    limit: Annotated[int, Field(ge=1, le=1000)] = 200
+
+
 class Ask(Model):
     """Question of a client."""
 
-    body: Annotated[Upload | Submit | Jobs | Status | Workers | GetResult | Cancel, Field(discriminator="kind")]
+    body: Annotated[
+        Upload | Submit | Jobs | Status | Workers | GetResult | Cancel | GetEvents, Field(discriminator="kind")
+    ]
 
 
 class Uploaded(Model):
@@ -477,10 +508,18 @@ class JobStatus(Model):
 
 
 class WorkerList(Model):
-    """All workers seen since the coordinator started."""
+    """All workers seen since the coordinator started, and the coordinator itself."""
 
     kind: Literal["worker-list"] = "worker-list"
     workers: tuple[WorkerView, ...]
+    coordinator: CoordinatorView | None = None
+
+
+class EventList(Model):
+    """What happened, in order."""
+
+    kind: Literal["event-list"] = "event-list"
+    events: tuple[EventView, ...]
 
 
 class Result(Model):
@@ -504,7 +543,9 @@ class Failure(Model):
 class Answer(Model):
     """Answer to a client."""
 
-    body: Annotated[Uploaded | JobList | JobStatus | WorkerList | Result | Failure, Field(discriminator="kind")]
+    body: Annotated[
+        Uploaded | JobList | JobStatus | WorkerList | Result | EventList | Failure, Field(discriminator="kind")
+    ]
 
 
 def chunk_count(size: int) -> int:

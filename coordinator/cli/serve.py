@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import logging
 import socket
 import struct
 import sys
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from common import VERSION
 from common.errors import StoreError, UsageError
+from common.logs import configure
 from common.wire.addresses import Address, parse_address
 from coordinator.cli.exits import DONE
 from coordinator.cli.output import note, say
@@ -27,7 +27,7 @@ _SIOCGIFADDR: Final = 0x8915
 def serve(options: argparse.Namespace) -> int:
     """Serve until SIGTERM or Ctrl-C; return 0."""
     wanted = parse_address(options.listen)
-    configure_log()
+    configure(options.log_format, options.log_level)
     from common.wire.zenoh_bus import open_router
     from coordinator.service.service import Service
 
@@ -48,13 +48,6 @@ def _opened(state: str) -> "Store":
         return Store.open(Path(state))
     except StoreError as error:
         raise UsageError(str(error)) from error
-
-
-def configure_log() -> None:
-    """Send the log to stderr, one line an event."""
-    logging.basicConfig(
-        level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s %(message)s", force=True
-    )
 
 
 def greeting(listen: Address, state: str) -> str:

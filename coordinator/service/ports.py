@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from common.config import JobConfig
+from common.wire.views import StoreView
 from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pools, Refinement
 from coordinator.service.event_table import EventRecord
@@ -47,6 +48,8 @@ class StorePort(Protocol):
     def add_events(self, events: Iterable[EventRecord]) -> None: ...
 
     def events(self, job: str | None, after: int, limit: int) -> tuple[EventRecord, ...]: ...
+
+    def timing(self) -> StoreView: ...
 
     def put_blob(self, data: bytes) -> str: ...
 

@@ -37,4 +37,4 @@ def test_a_state_that_cannot_be_a_folder_is_bad_usage(tmp_path: Path) -> None:
     place = tmp_path / "file"
     place.write_text("")
     with pytest.raises(UsageError, match="choose another directory with --state"):
-        serve.serve(Namespace(listen="tcp/127.0.0.1:0", state=str(place)))
+        serve.serve(Namespace(listen="tcp/127.0.0.1:0", state=str(place), log_format="text", log_level="info"))

@@ -26,7 +26,7 @@ def with_worker(name: str = "w0") -> Membership:
 
 
 def test_every_state_knows_every_step() -> None:
-    steps = {"heard", "gone", "back", "expired"}
+    steps = {"heard", "gone", "back", "expired", "stands", "moves"}
     assert all(row.keys() == steps for row in MEMBER_TRANSITIONS.values())
 
 
