@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
 
-from common import usage
 from common.errors import AtollError, RefusedError, RemoteProtocolError, UnreachableError
 from common.logs import fields
 from common.wire import topics
@@ -20,7 +19,6 @@ from common.wire.messages import (
     Close,
     Commit,
     Control,
-    Doing,
     Introduce,
     JobAnnouncement,
     Mail,
@@ -32,7 +30,7 @@ from common.wire.messages import (
 )
 from common.wire.metered_bus import MeteredBus
 from common.wire.rejects import Rejects
-from common.wire.views import Counters, WorkerState
+from common.wire.views import WorkerState
 from island_worker.compute import Compute, IslandCompute, WarmedUp, WarmUpFailed, WarmUpNote
 from island_worker.download import Datasets
 from island_worker.events import (
@@ -64,6 +62,7 @@ from island_worker.events import (
     Unloadable,
 )
 from island_worker.events import Compute as ComputeTask
+from island_worker.heartbeat import counters, doing
 from island_worker.joining import Joining
 from island_worker.session import Session
 
@@ -236,27 +235,10 @@ class Worker:
             holdings=self.session.holdings(),
             troubles=self.session.troubles(),
             detail=self._detail,
-            doing=self._doing(),
-            counters=self._counters(),
+            doing=doing(self._compute.doing) if self._state() == "computing" else None,
+            counters=counters(self._bus, self.session, self.rejects),
         )
         self._bus.put(topics.worker(welcome.realm, self.name, "status"), encode(status))
-
-    def _doing(self) -> Doing | None:
-        key = self._compute.doing
-        if key is None or self._state() != "computing":
-            return None
-        return Doing(job=key.job, variable=key.variable, island=key.island, epoch=key.epoch)
-
-    def _counters(self) -> Counters:
-        return Counters(
-            traffic=self._bus.traffic(),
-            dropped=self._bus.dropped,
-            refused=self.rejects.total,
-            duplicates=self.session.duplicates,
-            waited_s=self.session.waited_s,
-            memory_bytes=usage.memory_bytes(),
-            cpu_s=usage.cpu_s(),
-        )
 
     def _warmed_up(self, item: WarmedUp) -> None:
         """Greet once more, now with the fingerprint; then say that islands can be computed here."""
