@@ -28,6 +28,7 @@ from coordinator.service.job import (
     course_of,
     measure_of,
 )
+from coordinator.service.store import JobRecord
 
 VALUES = np.linspace(0.0, 1.0, 30)
 DATASET = Dataset(
@@ -41,7 +42,7 @@ BLOB = "a" * 64
 
 def job_with(**budget: object) -> Job:
     config = JobConfig(evolution=EvolutionConfig(islands=2), budget=BudgetConfig(**budget))
-    return Job("job", "name", config, BLOB, "2026-01-01", 0.0)
+    return Job(JobRecord("job", "name", config.model_dump_json(), BLOB, "2026-01-01"), config, 0.0)
 
 
 def running(**budget: object) -> Job:
