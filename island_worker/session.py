@@ -71,6 +71,23 @@ class Session:
         self._terms: dict[Archipelago, int] = {}
         self._early: list[Mailed] = []
         self._troubles: list[Trouble] = []
+        self._waited_before_s = 0.0
+        self._duplicates_before = 0
+
+    @property
+    def waited_s(self) -> float:
+        """Seconds that islands here have waited for migrants, summed over islands."""
+        return self._waited_before_s + sum(share.waited_s for share in self._shares.values())
+
+    @property
+    def duplicates(self) -> int:
+        """Blocks of migrants that came again, or too late, and changed nothing."""
+        return self._duplicates_before + sum(share.duplicates for share in self._shares.values())
+
+    def elapse(self, seconds: float) -> None:
+        """Let time pass, before an event that came after it."""
+        for share in self._shares.values():
+            share.elapse(seconds)
 
     def handle(self, event: SessionEvent) -> list[Action]:
         """Take in one event and return what is to be done, computations first.
@@ -314,6 +331,9 @@ class Session:
 
     def _drop(self, key: Archipelago) -> list[Action]:
         share = self._shares.pop(key, None)
+        if share is not None:
+            self._waited_before_s += share.waited_s
+            self._duplicates_before += share.duplicates
         self._troubles = [each for each in self._troubles if (each.job, each.variable) != key]
         return [Discard(share.key)] if share is not None else []
 

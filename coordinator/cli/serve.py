@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import ipaddress
-import logging
 import os
 import socket
 import struct
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from common import VERSION
 from common.errors import RefusedError, StoreError, UnreachableError, UsageError
+from common.logs import configure
 from common.wire.access import Roster, read_roster
 from common.wire.addresses import Address, Destination, destination, parse_address
 from common.wire.connect_file import announced
@@ -40,7 +40,7 @@ def serve(options: argparse.Namespace) -> int:
     credentials = credentials_of(vars(options), os.environ, "connect" if behind else "serve")
     wanted = destination(options.router or options.listen, credentials)
     roster = roster_of(options.roster, wanted)
-    configure_log()
+    configure(options.log_format, options.log_level)
     from coordinator.service.service import Service
 
     stop = threading.Event()
@@ -48,7 +48,7 @@ def serve(options: argparse.Namespace) -> int:
         service = Service(bus, store, roster=roster)
         service.start()
         here = Destination(parse_address(bus.endpoint), credentials)
-        with announced(options.connect_file and Path(options.connect_file), addresses_of(here)):
+        with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):
             say(greeting(here, options.state, roster, behind))
             service.work(stop)
     note("coordinator: stopped; jobs and results are kept")
@@ -110,16 +110,9 @@ def _opened(state: str) -> "Store":
         raise UsageError(str(error)) from error
 
 
-def configure_log() -> None:
-    """Send the log to stderr, one line an event."""
-    logging.basicConfig(
-        level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s %(message)s", force=True
-    )
-
-
 def greeting(at: Destination, state: str, roster: Roster | None = None, is_behind_router: bool = False) -> str:
     """Return what a person needs who wants to use this coordinator: one line for each address to dial."""
-    addresses = addresses_of(at)
+    addresses = addresses_of(at, is_behind_router)
     manner = "is behind the router" if is_behind_router else "listens on"
     lines = [f"coordinator {VERSION} {manner} {at}, state in {state}", "start a worker with:"]
     lines += [f"  island-worker --connect {each}" for each in addresses]
@@ -153,9 +146,11 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def addresses_of(at: Destination) -> list[str]:
+def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
     """Return the addresses to connect to, those for other machines first; with a certificate those that it names."""
     address, files = at.address, at.credentials
+    if is_behind_router:
+        return [str(address)]
     hosts = (files.hosts if files is not None else ()) or heard_on(address.host)
     return [str(Address(address.protocol, host, address.port)) for host in hosts]
 

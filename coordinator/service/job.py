@@ -20,9 +20,10 @@ from coordinator.service.checkpoint import StoredProgress
 from coordinator.service.collector import DivergedError, Limits, Measure
 from coordinator.service.cut import Cut
 from coordinator.service.resolve import stagnation_of
+from coordinator.service.store import JobRecord
 
 JobStep = Literal["prepare", "prepared", "searched", "refined", "fail", "cancel"]
-Fault = Literal["data", "diverged", "internal"]
+Fault = Literal["data", "diverged", "poison", "internal"]
 
 JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
     "queued": {"prepare": "preparing", "fail": "failed", "cancel": "cancelled"},
@@ -92,14 +93,15 @@ class Prepared:
 class Job:
     """A job from its submission to its end."""
 
-    def __init__(self, job: str, name: str, config: JobConfig, table: str, submitted: str, now: float) -> None:
-        """`table` is the digest of the uploaded table, `submitted` an ISO time, `now` the bus's seconds."""
-        self.id: Final = job
-        self.name: Final = name
+    def __init__(self, record: JobRecord, config: JobConfig, now: float) -> None:
+        """`record` is what the store keeps of it, `config` its specification read, `now` the bus's seconds."""
+        self.id: Final = record.id
+        self.name: Final = record.name
         self.config: Final = config
-        self.table: Final = table
-        self.submitted: Final = submitted
-        self.submitted_at: Final = now
+        self.table: Final = record.table_digest
+        self.submitted: Final = record.submitted
+        self.submitted_at: Final = now - record.elapsed
+        self.priority: Final = record.priority
         self.state: JobState = "queued"
         self.reason: str | None = None
         self.fault: Fault | None = None
@@ -132,6 +134,7 @@ class Job:
             blob=self.prepared.blob,
             size=self.prepared.size,
             chunks=chunk_count(self.prepared.size),
+            priority=self.priority,
         )
 
     def prepare(self) -> None:

@@ -196,9 +196,10 @@ def _member(program: Program, pool: Pool | None, problem: Problem) -> int | None
 
 
 def _residuals(its: Measurements, shot: Shot, index: int) -> list[FloatArray]:
-    """Return what is left of a state along each piece, where it was measured and counts."""
+    """Return what is left of a state along each piece, where it was measured and counts, as in a row of weight 1."""
     pieces = [slice(first, end) for first, end in its.bounds.tolist()]
-    parts = [shot.residuals[index, rows][its.weights[index, rows] > 0.0] for rows in pieces]
+    residuals = shot.residuals[index] if its.precision is None else shot.residuals[index] * np.sqrt(its.precision)
+    parts = [residuals[rows][its.weights[index, rows] > 0.0] for rows in pieces]
     return [part for part in parts if len(part)]
 
 
