@@ -11,7 +11,11 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from functools import partial
-from typing import Final, NoReturn
+from typing import TYPE_CHECKING, Final, NoReturn
+
+if TYPE_CHECKING:
+    from common.wire.addresses import Destination
+    from common.wire.credentials import Credentials
 
 INTERRUPTED: Final = 130
 _WAIT_S: Final = 10.0
@@ -29,6 +33,7 @@ examples:
   ATOLL_CONNECT=tcp/lab1:7447 island-worker --processes 4    the address from the environment
   island-worker --connect tcp/lab1:7447 --wait 3600          wait up to an hour for a coordinator to come (back)
   island-worker --connect tcp/lab1:7447 --lifetime 55m       hand over and end before the hour that was reserved is over
+  island-worker --connect tls/lab1:7447 --tls-ca authority.pem --tls-cert certificate.pem --tls-key key.pem
 """
 
 
@@ -90,6 +95,7 @@ class _Parser(argparse.ArgumentParser):
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     from common import VERSION
+    from common.wire.tls_options import OPTIONS
 
     parser = _Parser(
         prog="island-worker",
@@ -101,8 +107,12 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--connect",
         metavar="tcp/HOST:PORT",
-        default=os.environ.get("ATOLL_CONNECT"),
         help="address of the coordinator (default: the environment variable ATOLL_CONNECT)",
+    )
+    parser.add_argument(
+        "--connect-file",
+        metavar="FILE",
+        help="read the address from the file that coordinator serve --connect-file writes, waiting for it up to --wait",
     )
     parser.add_argument(
         "--processes",
@@ -111,7 +121,11 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         default=None,
         help="worker processes; auto (default): one per core that may be used",
     )
-    parser.add_argument("--name", type=_name, help="name in lists and logs (default: host and process id)")
+    for option, (variable, text) in OPTIONS.items():
+        parser.add_argument(option, metavar="FILE", help=f"{text}, for tls/HOST:PORT (default: ${variable})")
+    parser.add_argument(
+        "--name", type=_name, help="name in lists and logs (default: host and process id, behind the certificate's)"
+    )
     parser.add_argument(
         "--wait",
         metavar="SECONDS",
@@ -139,14 +153,12 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _dispatch(options: argparse.Namespace) -> int:
-    from common.errors import UsageError
-    from common.wire.addresses import parse_address
+    from common.wire.credentials import credentials_of
     from island_worker.processes import choose_number
 
-    if not options.connect:
-        raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
-    connect = str(parse_address(options.connect))
-    name = options.name or _default_name()
+    credentials = credentials_of(vars(options), os.environ, "connect")
+    connect = _destination(options, credentials)
+    name = _name_for(credentials.name if credentials is not None else None, options.name)
     number = options.processes
     if number is None:
         number, reason = choose_number(os.environ)
@@ -157,7 +169,31 @@ def _dispatch(options: argparse.Namespace) -> int:
     return _work_together(connect, names, options)
 
 
-def _work_together(connect: str, names: Sequence[str], options: argparse.Namespace) -> int:
+def _destination(options: argparse.Namespace, credentials: "Credentials | None") -> "Destination":
+    """Return where the coordinator is, from the options or ``ATOLL_CONNECT``, once that is known.
+
+    Raises:
+        UsageError: none was given, or two, or it is none.
+        UnreachableError: the file did not come in time, or nothing accepts connections at the addresses in it.
+    """
+    from common.errors import UsageError
+    from common.wire.addresses import destination
+
+    if options.connect_file:
+        if options.connect:
+            raise UsageError("both --connect and --connect-file were given; give one of them")
+        from pathlib import Path
+
+        from common.wire.connect_file import address_in
+
+        return destination(address_in(Path(options.connect_file), options.wait), credentials)
+    connect = options.connect or os.environ.get("ATOLL_CONNECT")
+    if not connect:
+        raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
+    return destination(connect, credentials)
+
+
+def _work_together(connect: "Destination", names: Sequence[str], options: argparse.Namespace) -> int:
     """Have one process for each name work; forked, where that can be, after all have been loaded once."""
     from island_worker.forking import can_fork, leave, load_ahead
     from island_worker.processes import ending_on_signals, hear_of_death, supervise, supervise_forks, worker_command
@@ -179,11 +215,11 @@ def _work_together(connect: str, names: Sequence[str], options: argparse.Namespa
     return 0
 
 
-def _work_guarded(connect: str, name: str, options: argparse.Namespace, parent: int) -> int:
+def _work_guarded(connect: "Destination", name: str, options: argparse.Namespace, parent: int) -> int:
     return _guarded(partial(_work, connect, name, options, parent))
 
 
-def _work(connect: str, name: str, options: argparse.Namespace, parent: int | None) -> int:
+def _work(connect: "Destination", name: str, options: argparse.Namespace, parent: int | None) -> int:
     from island_worker.processes import end_with_parent, ending_on_signals, leaving_on_signals
 
     with ending_on_signals():
@@ -206,6 +242,26 @@ def _configure_log(name: str) -> None:
         format=f"%(asctime)s %(levelname)s {name} %(name)s %(message)s",
         force=True,
     )
+
+
+def _name_for(bearer: str | None, wanted: str | None) -> str:
+    """Return the worker's name; it is that of our certificate, if we have one, or that and a hyphen and more.
+
+    Raises:
+        UsageError: the name that is wanted is not.
+    """
+    from common.errors import UsageError
+
+    if bearer is None:
+        return wanted or _default_name()
+    if wanted is None:
+        name = _default_name()
+        return name if name.startswith(f"{bearer}-") else f"{bearer}-{name[-(57 - len(bearer)) :].lstrip('-')}"
+    if wanted != bearer and not wanted.startswith(f"{bearer}-"):
+        raise UsageError(
+            f"--name must be {bearer} or begin with {bearer}-, as the certificate says, but {wanted!r} was given"
+        )
+    return wanted
 
 
 def _default_name() -> str:

@@ -19,7 +19,8 @@ from functools import partial
 from types import FrameType
 from typing import Any, Final, Protocol
 
-from island_worker.cores import usable_cores
+from common.cores import usable_cores
+from common.wire.addresses import Destination
 from island_worker.forking import Forked, Work
 
 INTERRUPTED: Final = 130
@@ -35,13 +36,32 @@ Command = Sequence[str]
 
 
 def worker_command(
-    connect: str, name: str, wait_s: float, grace_s: float = 0.0, lifetime_s: float | None = None
+    connect: Destination, name: str, wait_s: float, grace_s: float = 0.0, lifetime_s: float | None = None
 ) -> Command:
     """Return the command of one worker process that ends with this one."""
-    options = ["--connect", connect, "--processes", "1", "--name", name, "--wait", f"{wait_s:g}"]
-    options += ["--grace", f"{grace_s:g}"]
+    options = [
+        "--connect",
+        str(connect),
+        *tls_options(connect),
+        "--processes",
+        "1",
+        "--name",
+        name,
+        "--wait",
+        f"{wait_s:g}",
+        "--grace",
+        f"{grace_s:g}",
+    ]
     options += ["--lifetime", f"{lifetime_s:g}"] if lifetime_s is not None else []
     return [sys.executable, "-m", "island_worker", *options, "--parent", str(os.getpid())]
+
+
+def tls_options(connect: Destination) -> list[str]:
+    """Return the options that name the same certificates for a child."""
+    files = connect.credentials
+    if files is None:
+        return []
+    return ["--tls-ca", str(files.authority), "--tls-cert", str(files.certificate), "--tls-key", str(files.key)]
 
 
 class Child(Protocol):

@@ -13,6 +13,7 @@ from typing import Final
 
 from common.errors import AtollError, RefusedError, RemoteProtocolError, UnreachableError
 from common.wire import topics
+from common.wire.addresses import Destination
 from common.wire.bus import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from common.wire.codec import decode, encode
 from common.wire.messages import (
@@ -218,11 +219,12 @@ class Worker:
 
     def _greet(self) -> None:
         asked = _Asked("hello", self._joining.fingerprint)
-        self._get(topics.HELLO, self._joining.hello(), GREET_TIMEOUT_S, asked)
+        self._get(topics.hello(self.name), self._joining.hello(), GREET_TIMEOUT_S, asked)
 
     def _greeted(self, fingerprint: str, payload: bytes | None) -> None:
         """Take in the answer to a greeting that carried `fingerprint` ("": kernels not ready yet)."""
         if payload is None:
+            self._get(topics.HELLO, self._joining.hello(), GREET_TIMEOUT_S, _Asked("enquiry"))
             self._bus.call_later(GREET_PAUSE_S, _GREET)
             return
         try:
@@ -281,6 +283,13 @@ class Worker:
         )
         self._bus.put(topics.worker(welcome.realm, self.name, "status"), encode(status))
 
+    def _enquired(self, payload: bytes) -> None:
+        """Take in why our greeting may have remained without an answer."""
+        try:
+            self._joining.enquired(payload)
+        except RefusedError as error:
+            self._leave(error)
+
     def _warmed_up(self, item: WarmedUp) -> None:
         """Greet once more, now with the fingerprint; then say that islands can be computed here."""
         self._detail, self._joining.fingerprint = "", item.fingerprint
@@ -291,7 +300,7 @@ class Worker:
     def _check_absence(self) -> None:
         """Leave when the coordinator has been away for longer than allowed."""
         if self._joining.absence(self._bus.now()) > self._wait_s:
-            self._leave(UnreachableError(f"the coordinator has not answered for {self._wait_s:.0f} s; start it again"))
+            self._leave(UnreachableError(self._joining.silence(self._wait_s)))
 
     def _leave(self, error: AtollError) -> None:
         self.error, self.exit_code = error, error.exit_code
@@ -377,6 +386,8 @@ class Worker:
         match asked:
             case _Asked("hello"):
                 self._greeted(asked.subject, event.payload)
+            case _Asked("enquiry") if event.payload is not None:
+                self._enquired(event.payload)
             case _Asked("job"):
                 self._datasets.announcement_came(asked.subject, event.payload)
             case _Asked("chunk"):
@@ -449,7 +460,7 @@ class Worker:
 OnSignal = Callable[[Callable[[], None]], AbstractContextManager[None]]
 
 
-def run_worker(connect: str, name: str, wait_s: float, leaving: Leaving, on_signal: OnSignal) -> int:
+def run_worker(connect: str | Destination, name: str, wait_s: float, leaving: Leaving, on_signal: OnSignal) -> int:
     """Join the coordinator at `connect` as worker `name` and work until it ends or lets us go; return the exit code.
 
     Kernels are made ready while the connection is still being sought. `wait_s` limits both the first connection and
@@ -457,7 +468,7 @@ def run_worker(connect: str, name: str, wait_s: float, leaving: Leaving, on_sign
 
     Raises:
         UnreachableError: The coordinator was not there, or stayed away.
-        RefusedError: It refused this worker, for instance because of its version.
+        RefusedError: It refused this worker, for instance because of its version or its certificate.
     """
     from common.wire.zenoh_bus import open_client
 

@@ -26,7 +26,8 @@ class Plan:
 
     `drop` is the probability that a put, a question or an answer is lost; `duplicate` that a put comes twice (more than
     the promises of a bus allow, for participants that should bear even that); `detection_s` is how long it takes until
-    the others are told that a participant died or was cut off.
+    the others are told that a participant died or was cut off; `lease_s` how long a participant that hangs keeps its
+    line; what a participant said in the last `unsent_s` before it died is lost.
     """
 
     delay_s: tuple[float, float] = (0.0002, 0.002)
@@ -35,5 +36,7 @@ class Plan:
     drop: float = 0.0
     duplicate: float = 0.0
     detection_s: float = 0.002
+    lease_s: float = 4.0
+    unsent_s: float = 0.0
     partitions: tuple[Partition, ...] = ()
     crashes: tuple[Crash, ...] = ()

@@ -69,7 +69,7 @@ class Hello(Tolerant):
 
 
 class Welcome(Tolerant):
-    """The coordinator accepts; all further keys lie under `realm`."""
+    """The coordinator accepts; all further keys lie under `realm`. `clock` is its time of day as ISO text, if told."""
 
     kind: Literal["welcome"] = "welcome"
     realm: Id
@@ -77,6 +77,7 @@ class Welcome(Tolerant):
     protocol: Count
     version: Annotated[str, Field(max_length=64)]
     engine: Count
+    clock: Annotated[str, Field(max_length=64)] = ""
 
 
 class Refusal(Tolerant):

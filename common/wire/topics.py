@@ -3,7 +3,8 @@
 Everything a worker publishes, serves or announces lies under its own name, a client's requests under the client's own,
 so that one access rule per name fences them all. Column names never enter a key: they travel in payloads.
 
-    atoll/hello                              served by the coordinator; the one key known before the realm is
+    atoll/hello                              served by the coordinator: would we be welcome? changes nothing
+    atoll/hello/{name}                       served by the coordinator: a worker or client of this name comes
     atoll/{realm}/control                    put by the coordinator, to all workers
     atoll/{realm}/control/{worker}           put by the coordinator, to one worker
     atoll/{realm}/job/{job}                  served by the coordinator: announcement
@@ -36,7 +37,9 @@ WorkerPart = Literal["alive", "status", "report", "pull"]
 
 @dataclass(frozen=True, slots=True)
 class HelloKey:
-    """The bootstrap question: which realm, which version."""
+    """The first question, before the realm is known: from `name`, or (None) whether there would be a place for it."""
+
+    name: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +117,11 @@ def is_id(text: str) -> bool:
     return ID.fullmatch(text) is not None
 
 
+def hello(name: str) -> str:
+    """Return the key on which the bearer of `name` greets the coordinator."""
+    return f"{HELLO}/{_id(name)}"
+
+
 def control(realm: str, worker: str | None = None) -> str:
     """Return the key on which the coordinator tells one worker something, or all of them."""
     base = f"{ROOT}/{_id(realm)}/control"
@@ -157,6 +165,11 @@ def client(realm: str, name: str) -> str:
     return f"{ROOT}/{_id(realm)}/client/{_id(name)}/ask"
 
 
+def all_greetings() -> str:
+    """Return the expression of the greetings of all names."""
+    return f"{HELLO}/*"
+
+
 def all_jobs(realm: str) -> str:
     """Return the expression of all announcements, placements and states."""
     return f"{ROOT}/{_id(realm)}/job/**"
@@ -195,11 +208,17 @@ def parse(key: str) -> Key:
 
 
 def _parse(parts: list[str]) -> Key | None:
-    if parts == [ROOT, "hello"]:
-        return HelloKey()
+    if parts[:2] == [ROOT, "hello"]:
+        return _parse_hello(parts[2:])
     if len(parts) < 3 or parts[0] != ROOT or not all(is_id(part) for part in parts[1:]):
         return None
     return _parse_in_realm(parts[1], parts[2:])
+
+
+def _parse_hello(rest: list[str]) -> HelloKey | None:
+    if not rest:
+        return HelloKey()
+    return HelloKey(rest[0]) if len(rest) == 1 and is_id(rest[0]) else None
 
 
 def _parse_in_realm(realm: str, rest: list[str]) -> Key | None:

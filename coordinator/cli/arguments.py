@@ -11,20 +11,23 @@ from collections.abc import Sequence
 from typing import Any, Final, NoReturn
 
 from common.errors import UsageError
+from coordinator.cli.service_arguments import add_doctor, add_router, add_serve, add_tls
 
 HANDLERS: Final = {
     "run": "coordinator.cli.run",
     "serve": "coordinator.cli.serve",
+    "router": "coordinator.cli.router",
     "submit": "coordinator.cli.submit",
     "jobs": "coordinator.cli.jobs",
     "status": "coordinator.cli.jobs",
     "workers": "coordinator.cli.jobs",
     "cancel": "coordinator.cli.jobs",
     "result": "coordinator.cli.result",
+    "doctor": "coordinator.cli.doctor",
 }
 """The module of each verb. Its function of the verb's name takes the parsed options and returns the exit code."""
 
-LATER_VERBS: Final = ("logs", "doctor", "simulate", "analyse", "analyze", "report", "export")
+LATER_VERBS: Final = ("logs", "simulate", "analyse", "analyze", "report", "export")
 LATER_OPTIONS: Final = ("--weights",)
 
 EXIT_CODES: Final = (
@@ -32,8 +35,6 @@ EXIT_CODES: Final = (
     "4 an explicit --target-error was not met within the budget, 130 detached or interrupted"
 )
 RESULT_FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
-DEFAULT_LISTEN: Final = "tcp/127.0.0.1:7447"
-DEFAULT_STATE: Final = "atoll-state"
 MOST_WORKERS: Final = 1024
 
 
@@ -97,9 +98,11 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", title="commands")
     _add_run(verbs)
-    _add_serve(verbs)
+    add_serve(_verb, verbs)
+    add_router(_verb, verbs)
     _add_submit(verbs)
     _add_readers(verbs)
+    _add_data(add_doctor(_verb, verbs).add_argument_group("data"))
     return parser
 
 
@@ -130,19 +133,6 @@ def _add_run(verbs: Any) -> None:
         "--workers", type=_workers, metavar="N", help="worker processes (default: one per core this process may use)"
     )
     parser.add_argument("--out", metavar="DIR", help="folder of result.json and the log (default: runs/JOB)")
-
-
-def _add_serve(verbs: Any) -> None:
-    parser = _verb(verbs, "serve", "run the coordinator for workers and jobs of any machine")
-    parser.add_argument(
-        "--listen",
-        default=DEFAULT_LISTEN,
-        metavar="tcp/HOST:PORT",
-        help=f"where workers and clients connect; tcp/0.0.0.0:7447 for every network (default: {DEFAULT_LISTEN})",
-    )
-    parser.add_argument(
-        "--state", default=DEFAULT_STATE, metavar="DIR", help=f"folder of the job store (default: {DEFAULT_STATE})"
-    )
 
 
 def _add_submit(verbs: Any) -> None:
@@ -182,6 +172,7 @@ def _add_result(parser: argparse.ArgumentParser) -> None:
 
 def _add_connect(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--connect", metavar="tcp/HOST:PORT", help="the coordinator (default: $ATOLL_CONNECT)")
+    add_tls(parser)
 
 
 def _add_job(parser: argparse.ArgumentParser) -> None:

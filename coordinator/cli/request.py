@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from common.config import JobConfig
 from common.errors import DataError, RefusedError, UsageError
-from common.wire.addresses import parse_address
+from common.wire.addresses import Destination, destination
+from common.wire.credentials import credentials_of
 from common.wire.views import JobView
 from coordinator.cli.follow import ending, exit_code
 from coordinator.cli.identity import job_id
@@ -98,9 +99,9 @@ def _what_is_there(path: Path) -> str:
     return "is a pipe or a device" if path.exists() else "does not exist"
 
 
-def address_of(options: argparse.Namespace) -> str:
-    """Return the coordinator's address from ``--connect`` or ``ATOLL_CONNECT``; raises UsageError."""
+def address_of(options: argparse.Namespace) -> Destination:
+    """Return where the coordinator is, by ``--connect`` and ``--tls-*`` or the environment; raises UsageError."""
     address = options.connect or os.environ.get("ATOLL_CONNECT")
     if not address:
         raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
-    return str(parse_address(address))
+    return destination(address, credentials_of(vars(options), os.environ, "connect"))

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from common.errors import UsageError
+from common.wire.addresses import Destination
 from common.wire.views import JobView
 from coordinator.cli.exits import DONE, INTERRUPTED
 from coordinator.cli.follow import Follower
@@ -30,7 +31,7 @@ def submit(options: argparse.Namespace) -> int:
         return _see_through(request, client, address, folder)
 
 
-def _see_through(request: Request, client: Client, address: str, folder: Path | None) -> int:
+def _see_through(request: Request, client: Client, address: Destination, folder: Path | None) -> int:
     try:
         view = _follow(request, client, address)
     except KeyboardInterrupt:
@@ -44,7 +45,7 @@ def _see_through(request: Request, client: Client, address: str, folder: Path | 
     return request.finish(view)
 
 
-def _follow(request: Request, client: Client, address: str) -> JobView:
+def _follow(request: Request, client: Client, address: Destination) -> JobView:
     with open_display(f"island-worker --connect {address}") as display:
         display.say(f"job {request.job} submitted; Ctrl-C detaches and leaves it running")
         return Follower(client, request.job, display).to_the_end()

@@ -121,7 +121,7 @@ def _differentiated(its: Measured, estimates: Sequence[Estimate], *, paper: bool
     ]
     return Preparation(
         _dataset(its, columns, targets, kept.seen),
-        recorded(its, velocities, inputs, symbols, estimates, kept.doubtful),
+        recorded(its, velocities, inputs, symbols, estimates, kept),
         _dataset(its, columns, targets, kept.held_out) if kept.held_out else None,
     )
 

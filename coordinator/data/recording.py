@@ -10,6 +10,18 @@ from typing import Literal
 from common.dataset import Dataset, FloatArray
 
 Method = Literal["interpolation", "loess", "robust loess"]
+Reason = Literal["end", "gap", "jump", "outlier"]
+"""Why a row is not used: near an end of its trajectory, near a gap in the times, where the state changes too fast for
+the sampling or for the smoother, or without weight as an outlier."""
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A row that is not used because of one state: the place of its `trajectory` and its `row` in there."""
+
+    trajectory: int
+    row: int
+    reason: Reason
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +53,8 @@ class Smoothing:
     `noise` is the estimated standard deviation of its measurement errors, in its unit (where it was interpolated, an
     upper estimate, often of rounding alone), and `relative` that over the state's pooled standard deviation; `span`
     (rows) and `degree` are those of loess, None where it was interpolated; `doubtful` counts rows whose derivative
-    cannot be trusted, and `outliers` those that robust loess all but ignored.
+    cannot be trusted, and `outliers` those that robust loess all but ignored. `doubts` are the rows of trajectories
+    that are not held out which are not used because of this state, in order.
     """
 
     state: str
@@ -52,6 +65,7 @@ class Smoothing:
     degree: int | None = None
     doubtful: int = 0
     outliers: int = 0
+    doubts: tuple[Doubt, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

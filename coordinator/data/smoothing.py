@@ -40,17 +40,24 @@ JUDGED_ROWS: Final = 4000
 class Run:
     """One state along one trajectory: strictly ascending `times` and `values`, both (R,).
 
-    `trust` (R,) says between 0 and 1 how much a row counts; None: all rows wholly.
+    `trust` (R,) says between 0 and 1 how much a row is believed, `precision` (R,), positive, by what the variance of
+    its noise is divided; None: all rows wholly, or all alike.
     """
 
     times: FloatArray
     values: FloatArray
     trust: FloatArray | None = None
+    precision: FloatArray | None = None
+
+    @cached_property
+    def precisions(self) -> FloatArray:
+        """The precision of each row, (R,)."""
+        return np.ones(len(self.times)) if self.precision is None else self.precision
 
     @cached_property
     def weights(self) -> FloatArray:
         """How much each row counts, (R,)."""
-        return np.ones(len(self.times)) if self.trust is None else self.trust
+        return self.precisions if self.trust is None else self.trust * self.precisions
 
 
 @dataclass(frozen=True)
@@ -189,7 +196,8 @@ def smooth(run: Run, choice: Choice) -> Smoothed:
 def _loess(run: Run, span: int, degree: int) -> Smoothed:
     its = Smoothed(np.empty((3, len(run.times))), np.empty((4, len(run.times))))
     degree = min(degree, len(run.times) - 2)
-    loess_into(its.fits, its.gains, run.times, run.values, run.weights, max(span, degree + 2), degree + 1)
+    span = max(span, degree + 2)
+    loess_into(its.fits, its.gains, run.times, run.values, run.weights, run.precisions, span, degree + 1)
     return its
 
 

@@ -22,7 +22,7 @@ from coordinator.model.criterion import Criterion
 from coordinator.model.errors import errors_on
 from coordinator.model.polish import Polisher
 from coordinator.model.refinement import LOOSE, NORMAL_95, Constant, Pools, Refined, Refinement
-from coordinator.model.rewrite import constant_places
+from coordinator.model.rewrite import constant_places, structure, tidied
 from coordinator.model.select import enough, may_be_shown
 from coordinator.model.shorten import Candidate, Shortening
 from coordinator.model.snap import snapped
@@ -84,7 +84,10 @@ def refine(problem: Problem, config: JobConfig, front: Sequence[FrontEntry]) -> 
     shortening = Shortening(_spread(problem, COMPARED_ROWS), operators, allowed)
     candidates = shortening.candidates([programs[index] for index in kept], looks_around=not has_converged)
     for candidate in candidates[:_ATTEMPTS]:
-        refined = _finished(problem, candidate, kept[candidate.member], config)
+        member = kept[candidate.member]
+        refined = _finished(problem, candidate, member, config)
+        is_member = structure(tidied(programs[member])) == structure(tidied(candidate.fitted.program))
+        refined = replace(refined, origin="front" if is_member else "descent")
         if refined.error <= limit and may_be_shown(refined.program, config.space.max_size):
             return _as_found(refined, front, programs)
     return None
@@ -126,7 +129,7 @@ def _as_found(refined: Refined, front: Sequence[FrontEntry], programs: Sequence[
     """Return `refined` with the errors that the search measured when the front has the very same program."""
     for index, (entry, program) in enumerate(zip(front, programs, strict=True)):
         if program == refined.program:
-            return replace(refined, member=index, error=entry.error, mse=entry.mse)
+            return replace(refined, member=index, error=entry.error, mse=entry.mse, origin="front")
     return refined
 
 

@@ -20,6 +20,8 @@ _COLUMNS: Final = (
     "lhs",
     "pick",
     "selected",
+    "shown",
+    "origin",
     "complexity",
     "error",
     "normalized_error",
@@ -98,13 +100,17 @@ def render_text(result: Mapping[str, Any], *, fronts: bool = False) -> str:
 
 
 def render_csv(result: Mapping[str, Any]) -> str:
-    """Return all fronts as CSV, one line for each member, with a header."""
+    """Return the equations as CSV with a header: for each the one that is shown, then all members of its front."""
     stream = io.StringIO()
     writer = csv.DictWriter(stream, _COLUMNS, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     for equation in result["equations"]:
+        its = {"variable": equation["variable"], "lhs": equation["lhs"]}
+        origin = "known" if equation["why"] == "known" else "front"
+        if equation["expression"] is not None:
+            writer.writerow({**equation, "shown": True})
         for number, member in enumerate(equation["front"]):
-            writer.writerow({**member, "variable": equation["variable"], "lhs": equation["lhs"], "pick": number})
+            writer.writerow({**member, **its, "pick": number, "shown": False, "origin": origin})
     return stream.getvalue().rstrip("\n")
 
 
@@ -145,9 +151,10 @@ def _picked(equation: Mapping[str, Any], number: int) -> dict[str, Any]:
     if not 0 <= number < len(front):
         there = f"from 0 to {len(front) - 1}" if front else "there are none yet"
         raise UsageError(f"--pick {equation['variable']}={number} is not on the front; choose a number {there}")
-    taken = ("expression", "complexity", "error", "normalized_error", "constants")
+    taken = ("expression", "complexity", "error", "normalized_error", "r2", "constants")
     members = [{**member, "selected": index == number} for index, member in enumerate(front)]
     best = {key: front[number][key] for key in taken}
+    best["origin"] = "known" if equation["why"] == "known" else "front"
     error = best["normalized_error"]
     converged = error is not None and error <= equation["target_error"]
     unknown: dict[str, Any] = {"verdict": None, "reason": None, "candidates": []}
@@ -163,9 +170,12 @@ def _equation_text(equation: Mapping[str, Any], names: Sequence[str], with_table
     if equation.get("verdict") is not None:
         lines.append(f"    {equation['verdict']}: {equation['reason']}")
     lines.append(f"    {_standing(equation)}")
+    most = None if with_tables else tables.NEAREST
     if with_tables:
         lines += tables.constants_table(equation["constants"])
-        lines += tables.contenders_table(equation.get("candidates", ()), lambda text: display(text, names))
+    if with_tables or equation.get("verdict") != "exact":
+        lines += tables.contenders_table(equation.get("candidates", ()), lambda text: display(text, names), most)
+    if with_tables:
         lines += [*_front_lines(equation["front"], names), ""]
     return "\n".join(lines)
 

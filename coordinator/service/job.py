@@ -7,7 +7,7 @@ from typing import Final, Literal
 from common.config import JobConfig
 from common.dataset import Dataset, Target
 from common.errors import LocalProtocolError, RemoteProtocolError
-from common.expression.program import Program
+from common.expression.program import check_program_bytes
 from common.pareto import FrontEntry
 from common.slices import Course
 from common.wire.messages import Commit, EpochReport, JobAnnouncement, chunk_count
@@ -288,4 +288,4 @@ def measure_of(target: Target) -> Measure:
 
 def check_program(data: bytes, inputs: int) -> None:
     """Raise RemoteProtocolError unless `data` is a program over that many inputs."""
-    Program.from_bytes(data, inputs)
+    check_program_bytes(data, inputs)

@@ -99,8 +99,7 @@ class Membership:
     def expire(self, now: float) -> list[str]:
         """Return the workers that are lost since the last look."""
         if self._looked_at is not None and now - self._looked_at > GAP_S:
-            for member in self._members.values():
-                member.heard_at = now
+            self.renew(now)
         self._looked_at = now
         lost = [name for name, member in self._members.items() if self._is_overdue(member, now)]
         for name in lost:
@@ -110,6 +109,13 @@ class Membership:
         ]:
             del self._members[name]
         return lost
+
+    def renew(self, now: float) -> None:
+        """Give everybody a fresh lease: the coordinator could not have heard them."""
+        for member in self._members.values():
+            member.heard_at = now
+            if member.gone_at is not None:
+                member.gone_at = now
 
     def ready(self) -> tuple[str, ...]:
         """Return the workers that can compute islands, sorted."""

@@ -1,6 +1,6 @@
 """What the service needs from outside itself, beside the bus: a store, a place for slow work, the time of day."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -8,6 +8,7 @@ from common.config import JobConfig
 from common.wire.pieces import State
 from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pools, Refinement
+from coordinator.service.event_table import EventRecord
 from coordinator.service.store import JobRecord
 
 
@@ -36,6 +37,10 @@ class StorePort(Protocol):
 
     def result(self, job: str) -> str | None: ...
 
+    def keep_submitter(self, job: str, name: str) -> None: ...
+
+    def submitter(self, job: str) -> str | None: ...
+
     def raise_term(self, job: str, variable: str) -> int: ...
 
     def commit_placement(self, job: str, variable: str, placement: bytes) -> None: ...
@@ -43,6 +48,10 @@ class StorePort(Protocol):
     def commit_cut(self, job: str, variable: str, cut: bytes) -> bool: ...
 
     def cuts(self, job: str) -> dict[str, bytes]: ...
+
+    def add_events(self, events: Iterable[EventRecord]) -> None: ...
+
+    def events(self, job: str | None, after: int, limit: int) -> tuple[EventRecord, ...]: ...
 
     def commit_checkpoint(
         self, job: str, variable: str, epoch: int, progress: bytes, states: Mapping[int, State], elapsed: float

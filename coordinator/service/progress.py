@@ -6,9 +6,10 @@ from typing import Any, Literal, cast
 
 from common.expression.text import to_infix
 from common.wire.views import JobState, JobView, VariableView
+from coordinator.model.figures import finite
 from coordinator.model.result import KNOWN, Account, VariableOutcome, build_result, equation_of
 from coordinator.model.select import threshold
-from coordinator.model.trust import finite, verdict
+from coordinator.model.trust import verdict
 from coordinator.service.archipelago import Archipelago
 from coordinator.service.cut import Why
 from coordinator.service.job import Job, Prepared

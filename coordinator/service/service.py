@@ -14,6 +14,7 @@ from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from common.config import JobConfig
 from common.errors import DataError, RemoteProtocolError, StoreError, UsageError
 from common.wire import topics
+from common.wire.access import Roster
 from common.wire.bus import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from common.wire.codec import dataset_to_bytes, decode, encode
 from common.wire.messages import (
@@ -34,6 +35,7 @@ from common.wire.messages import (
     Reports,
     Shutdown,
     States,
+    Submit,
     Welcome,
     WorkerStatus,
 )
@@ -41,6 +43,7 @@ from common.wire.pieces import cut
 from common.wire.rejects import Rejects
 from coordinator.model.known import known_entries, with_remarks
 from coordinator.model.refinement import Pools, Refinement
+from coordinator.service.admission import Admission
 from coordinator.service.archipelago import Checkpoint
 from coordinator.service.conductor import Conductor, WorkerWord
 from coordinator.service.desk import Body, Desk
@@ -102,6 +105,7 @@ class Service:
         expected_workers: int = 1,
         dismisses_workers: bool = False,
         ports: Ports | None = None,
+        roster: Roster | None = None,
     ) -> None:
         """Set up a coordinator.
 
@@ -111,14 +115,17 @@ class Service:
             expected_workers: how many workers the first placement waits for, within limits.
             dismisses_workers: whether workers are told to end when this ends; otherwise they wait for its return.
             ports: preparing, background work and time of day; the real ones unless given.
+            roster: names and roles, where certificates prove names; None: every name may be anybody.
         """
         self.rejects: Final = Rejects(_LOG)
         self._bus = bus
         self._store = store
         self._dismisses_workers = dismisses_workers
         self._ports = ports or REAL
+        self._is_linked = True
         self._asked: dict[int, tuple[str, PullReports | PullStates]] = {}
         self.conductor: Final = Conductor(store, self, self._ports.clock, expected_workers)
+        self._admission = Admission(roster, store)
         self._desk = Desk(self.conductor, store, bus.now)
 
     # ------------------------------------------------------------------------------------------- life
@@ -130,14 +137,20 @@ class Service:
         self._bus.subscribe(topics.all_workers(realm, "status"))
         self._bus.subscribe(topics.all_workers(realm, "report"))
         self._bus.watch(topics.all_workers(realm, "alive"))
-        for expression in (topics.all_jobs(realm), topics.all_blobs(realm), topics.all_clients(realm), topics.HELLO):
+        for expression in (topics.all_jobs(realm), topics.all_blobs(realm), topics.all_clients(realm)):
+            self._bus.serve(expression)
+        for expression in (topics.HELLO, topics.all_greetings()):
             self._bus.serve(expression)
         self._bus.call_later(TICK_S, _TICK)
         _LOG.info("coordinator ready realm=%s incarnation=%d", realm, self._store.incarnation)
 
     def run(self, stop: threading.Event) -> None:
-        """Work until `stop` is set."""
+        """Start, and work until `stop` is set."""
         self.start()
+        self.work(stop)
+
+    def work(self, stop: threading.Event) -> None:
+        """Work until `stop` is set."""
         while not stop.is_set():
             event = self._bus.receive(0.1)
             if event is not None:
@@ -231,7 +244,8 @@ class Service:
     @_on.register
     def _on_timer(self, event: Timer) -> None:
         if event.name == _TICK:
-            self.conductor.tick(self._bus.now())
+            if self._is_linked:  # else nobody can be heard, and nobody's silence says anything
+                self.conductor.tick(self._bus.now())
             self._bus.call_later(TICK_S, _TICK)
 
     @_on.register
@@ -252,7 +266,11 @@ class Service:
 
     @_on.register
     def _on_link(self, event: Link) -> None:
+        """The router that this coordinator has joined went away or came back; a router of its own does neither."""
         _LOG.warning("router link up=%s", event.up)
+        self._is_linked = event.up
+        if event.up:
+            self.conductor.membership.renew(self._bus.now())
 
     @_on.register
     def _on_presence(self, event: Presence) -> None:
@@ -308,7 +326,7 @@ class Service:
         key = topics.parse(event.key)
         match key:
             case topics.HelloKey():
-                return encode(GreetingAnswer(body=self._greet(event.payload)))
+                return encode(GreetingAnswer(body=self._greet(event.payload, key.name)))
             case topics.JobKey():
                 announcement = self.conductor.announcement(key.job)
                 return encode(Control(body=announcement)) if announcement is not None else None
@@ -319,11 +337,12 @@ class Service:
             case topics.BlobKey():
                 return self._chunk(key)
             case topics.ClientKey():
-                return encode(Answer(body=self._serve_client(event)))
+                return encode(Answer(body=self._serve_client(event, key.client)))
             case _:
                 raise RemoteProtocolError(f"nothing is served on key {event.key}")
 
-    def _greet(self, payload: bytes) -> Welcome | Refusal:
+    def _greet(self, payload: bytes, name: str | None) -> Welcome | Refusal:
+        """Answer a greeting on the key of `name`, or (None) only say how it would be answered there."""
         try:
             hello = decode(payload, Greeting, MAX_MESSAGE).body
         except RemoteProtocolError as error:
@@ -332,7 +351,7 @@ class Service:
                 f"the coordinator is Atoll {VERSION} (protocol {PROTOCOL_VERSION}) and did not understand the "
                 "greeting; install the same version on both sides"
             )
-        sentence = self._refuse(hello)
+        sentence = self._refuse(hello, name)
         if sentence is not None:
             _LOG.warning("refused role=%s name=%s reason=%s", hello.role, hello.name, sentence)
             return _refusal(sentence)
@@ -342,11 +361,15 @@ class Service:
             protocol=PROTOCOL_VERSION,
             version=VERSION,
             engine=ENGINE_REVISION,
+            clock=self._ports.clock(),
         )
 
-    def _refuse(self, hello: Hello) -> str | None:
-        if hello.role == "client":
-            return version_refusal(hello)
+    def _refuse(self, hello: Hello, name: str | None) -> str | None:
+        if name not in (None, hello.name):
+            return f"{hello.name!r} greeted under the name {name!r}; install the same version on both sides"
+        refusal = version_refusal(hello) or self._admission.refuse_role(hello)
+        if refusal is not None or hello.role == "client" or name is None:
+            return refusal
         return self.conductor.greet(hello, self._bus.now())
 
     def _chunk(self, key: topics.BlobKey) -> bytes | None:
@@ -370,13 +393,19 @@ class Service:
             return None
         return encode(PullAnswer(body=States(pieces=pieces)))
 
-    def _serve_client(self, event: Query) -> Body:
+    def _serve_client(self, event: Query, client: str) -> Body:
         try:
             ask = decode(event.payload, Ask, MAX_MESSAGE)
         except RemoteProtocolError as error:
             self.rejects.note(event.key, error)
             return Failure(failure="protocol", sentence=f"the coordinator did not understand the question: {error}")
-        return self._desk.answer(ask)
+        refusal = self._admission.refuse_ask(client, ask)
+        if refusal is not None:
+            return Failure(failure="refused", sentence=refusal)
+        answer = self._desk.answer(ask)
+        if isinstance(ask.body, Submit) and not isinstance(answer, Failure):
+            self._admission.submitted(client, ask.body.job)
+        return answer
 
 
 def _refusal(sentence: str) -> Refusal:

@@ -8,7 +8,7 @@ import contextlib
 import hashlib
 import sqlite3
 import threading
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from types import TracebackType
@@ -17,6 +17,7 @@ from typing import Final, Self, cast
 from common.errors import LocalProtocolError, RemoteProtocolError, StoreError
 from common.wire.messages import CHUNK_SIZE, chunk_count
 from common.wire.pieces import State
+from coordinator.service.event_table import EventRecord, append_events, read_events
 from coordinator.service.schema import Lock, connect, translated
 
 
@@ -24,7 +25,8 @@ from coordinator.service.schema import Lock, connect, translated
 class JobRecord:
     """One job as it is kept. `spec` is JSON; `submitted` and `finished` are ISO times; `elapsed` is seconds of work.
 
-    `table_digest` names the uploaded table and `dataset_digest` the prepared dataset among the blobs.
+    `table_digest` names the uploaded table and `dataset_digest` the prepared dataset among the blobs. `priority` is
+    from -10 to 10; each step doubles the job's share of the workers.
     """
 
     id: str
@@ -37,10 +39,11 @@ class JobRecord:
     dataset_digest: str | None = None
     elapsed: float = 0.0
     finished: str | None = None
+    priority: int = 0
 
 
 _COLUMNS: Final = tuple(field.name for field in fields(JobRecord))
-_FIXED: Final = ("id", "spec", "table_digest", "submitted")
+_FIXED: Final = ("id", "spec", "table_digest", "submitted", "priority")
 
 
 class Store:
@@ -114,6 +117,17 @@ class Store:
         with self._transaction() as sql:
             rows = sql.execute(f"SELECT {', '.join(_COLUMNS)} FROM jobs ORDER BY number").fetchall()
         return tuple(JobRecord(*row) for row in rows)
+
+    def keep_submitter(self, job: str, name: str) -> None:
+        """Keep who submitted a job, by the name in the certificate; what is kept already stays."""
+        with self._transaction() as sql:
+            sql.execute("INSERT OR IGNORE INTO submitters VALUES (?, ?)", (job, name))
+
+    def submitter(self, job: str) -> str | None:
+        """Return who submitted a job; None when nobody proved it."""
+        with self._transaction() as sql:
+            row = sql.execute("SELECT name FROM submitters WHERE job = ?", (job,)).fetchone()
+        return row[0] if row else None
 
     def update_job(self, job: str, only_in: Collection[str] | None = None, **changes: str | float | None) -> bool:
         """Change fields of a job; return False, changing nothing, when its state is not in `only_in` (if given).
@@ -196,6 +210,21 @@ class Store:
                 "SELECT variable, cut FROM archipelagos WHERE job = ? AND cut IS NOT NULL", (job,)
             ).fetchall()
         return dict(rows)
+
+    # events
+
+    def add_events(self, events: Iterable[EventRecord]) -> None:
+        """Keep what has happened; of each job, and of no job in particular, the last `MAX_EVENTS` are kept."""
+        with self._transaction() as sql:
+            append_events(sql, tuple(events))
+
+    def events(self, job: str | None, after: int, limit: int) -> tuple[EventRecord, ...]:
+        """Return what happened to a job, or at all (None), after the event of that number; `limit` of it at most.
+
+        With `after` 0 these are the last ones, otherwise those that come next.
+        """
+        with self._transaction() as sql:
+            return read_events(sql, job, after, limit)
 
     # checkpoints
 

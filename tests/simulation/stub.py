@@ -17,6 +17,7 @@ from common.seeding import Stream, stream_key
 from common.slices import Course, Position
 from common.wire.messages import Addition, HitStatement, IslandReport, Tally
 from common.wire.simulated_bus import SimulatedNetwork
+from coordinator.service.job import course_of
 from island_worker.agenda import Agenda, Work
 from island_worker.compute import WarmedUp, WarmUpNote
 from island_worker.events import Computed, JobReady, ShareKey, Task
@@ -24,8 +25,6 @@ from island_worker.events import Computed, JobReady, ShareKey, Task
 SLOTS = 4
 """Solutions per island."""
 
-GENERATIONS = 100
-STRIDE = 10
 HIT_EPOCHS = 20
 
 
@@ -44,7 +43,7 @@ class StubIsland:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "StubIsland":
-        return cls(data[8:], struct.unpack("<q", data[:8])[0])
+        return cls(data[8:40], struct.unpack("<q", data[:8])[0])
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ def hits_of(config: JobConfig, variable: str) -> frozenset[Position]:
     if stream.below(4) == 0:
         return frozenset()
     epoch, hitters = stream.below(HIT_EPOCHS), 1 + stream.below(3)
-    ends = range(STRIDE, GENERATIONS + 1, STRIDE)
+    ends = course_of(config).ends(config.migration.generations)
     return frozenset(
         Position(epoch, ends[stream.below(len(ends))], stream.below(config.evolution.islands)) for _ in range(hitters)
     )
@@ -100,11 +99,11 @@ class StubWork:
         self.snapshot = island.to_bytes() if task.takes_snapshot else None
 
     def advance(self) -> bool:
-        key, island = self._task.key, self._island
-        self.generation += STRIDE
+        key, island, course = self._task.key, self._island, self._task.course
+        self.generation = min(self.generation + course.stride, course.generations)
         island.stir(struct.pack("<qq", key.epoch, self.generation))
         island.evaluations += 10 + island.state[0] % 16
-        evaluations = {"offspring": island.evaluations, "trainers": key.epoch * GENERATIONS + self.generation}
+        evaluations = {"offspring": island.evaluations, "trainers": key.epoch * course.generations + self.generation}
         self._tallies.append(Tally(generation=self.generation, evaluations=evaluations))
         if island.state[5] < 80:
             self._additions.append(addition_of(key.epoch, self.generation, island.state))
@@ -112,7 +111,7 @@ class StubWork:
             self._near.append(addition_of(key.epoch, self.generation, island.state))
         if Position(key.epoch, self.generation, key.island) in self._hits:
             self._hit = HitStatement(generation=self.generation, error=1e-12)
-        return self._hit is not None or self.generation >= GENERATIONS
+        return self._hit is not None or self.generation >= course.generations
 
     def computed(self) -> Computed:
         key, state = self._task.key, self._island.state
@@ -126,7 +125,7 @@ class StubWork:
             best_error=state[1] / 256.0,
             digest=state.hex(),
         )
-        if self._hit is not None or self.generation < GENERATIONS or self._task.is_last:
+        if self._hit is not None or self.generation < self._task.course.generations or self._task.is_last:
             return Computed(key, report, {}, frozenset())
         shuffle = Shuffle.of(self._config, key.variable, key.epoch)
         return Computed(key, report, shuffle.blocks_from(key.island, state), shuffle.senders_to(key.island))
@@ -153,6 +152,7 @@ class StubCompute:
     _post: Callable[[object], None] | None = None
     _dead: bool = False
     _is_at_work: bool = False
+    _is_held: bool = False
     _worked_s: float = 0.0
 
     def __post_init__(self) -> None:
@@ -189,6 +189,15 @@ class StubCompute:
     def close(self) -> None:
         self._dead = True
 
+    def hold(self) -> None:
+        """Get on no more until `go_on`: a thread that hangs."""
+        self._is_held = True
+
+    def go_on(self) -> None:
+        """Get on again."""
+        self._is_held = False
+        self._go_on()
+
     def begin(self, task: Task) -> Work:
         """Begin an island's epoch."""
         key = task.key
@@ -216,7 +225,7 @@ class StubCompute:
 
     def _go_on(self) -> None:
         """Take a turn, if there is one to take, at the end of the time that it takes."""
-        if self._is_at_work or self._agenda.is_idle or self._dead:
+        if self._is_at_work or self._is_held or self._agenda.is_idle or self._dead:
             return
         self._is_at_work = True
         seconds = self.slowness * (0.0005 + 0.003 * self._stream.uniform())
@@ -224,7 +233,7 @@ class StubCompute:
 
     def _turn(self, seconds: float) -> None:
         self._is_at_work = False
-        if self._dead or self._agenda.is_idle:
+        if self._dead or self._is_held or self._agenda.is_idle:
             return
         self.progress += 1
         self.turns += 1
@@ -250,7 +259,7 @@ def parse_slots(blocks: Mapping[int, bytes]) -> dict[int, bytes]:
 
 def addition_of(epoch: int, generation: int, state: bytes) -> Addition:
     """Return an addition whose every field depends on the state."""
-    error = (1 + state[1]) / (256.0 * (epoch + generation / GENERATIONS))
+    error = (1 + state[1]) / (256.0 * (epoch + generation / 100))
     function = (SIN, COS, TANH)[state[3] % 3]
     program = bytes([2, CONSTANT, function, *bytes(8)]) + struct.pack("<d", error)
     return Addition(complexity=1 + state[2] % 6, error=error, mse=error * error, generation=generation, program=program)

@@ -1,8 +1,10 @@
 """The worker's command line: what it says, what it starts, and how it ends."""
 
+import socket
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import pytest
 
@@ -19,7 +21,7 @@ def _no_environment(monkeypatch: pytest.MonkeyPatch) -> None:
 def worked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, float]]:
     """What the one process was told to do."""
     calls: list[tuple[str, str, float]] = []
-    monkeypatch.setattr(runtime, "run_worker", lambda *arguments: calls.append(arguments[:3]) or 0)
+    monkeypatch.setattr(runtime, "run_worker", lambda to, *others: calls.append((str(to), *others[:2])) or 0)
     return calls
 
 
@@ -38,6 +40,8 @@ def worked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, float]]:
         (["--connect", "tcp/a:1", "--grace=-5m"], "a time such as"),
         (["--connect", "tcp/a:1", "--speed", "2"], "unknown option"),
         (["--connect"], "expected one argument"),
+        (["--connect", "tcp/a:1", "--connect-file", "f"], "both --connect and --connect-file were given"),
+        (["--connect-file", __file__], "holds no list of addresses"),
     ],
 )
 def test_a_wrong_command_line_is_one_sentence_and_exit_code_2(
@@ -168,3 +172,19 @@ def test_help_loads_nothing_heavy() -> None:
     assert done.stdout.splitlines()[-1] == "[]"
     assert "exit codes" in done.stdout
     assert "--parent" not in done.stdout
+
+
+def test_a_file_names_the_coordinator_and_comes_before_the_environment(
+    worked: list[tuple[str, str, float]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ATOLL_CONNECT", "tcp/a:1")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        (tmp_path / "f").write_text(address)
+        assert cli.main(["--connect-file", str(tmp_path / "f"), "--processes", "1", "--name", "w"]) == 0
+    assert worked == [(address, "w", cli._WAIT_S)]
+
+
+def test_a_file_that_never_comes_ends_with_3(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--connect-file", str(tmp_path / "f"), "--wait", "0.1"]) == 3
+    assert "does not exist" in capsys.readouterr().err

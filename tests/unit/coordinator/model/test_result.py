@@ -205,11 +205,14 @@ def test_text_of_a_result_from_before_verdicts_is_shown_as_it_is():
     assert "3*x" in render_text(old)
 
 
-def test_csv_has_one_line_for_each_member():
+def test_csv_has_the_equation_shown_and_one_line_for_each_member():
     rows = list(csv.DictReader(io.StringIO(render(result(), "csv"))))
-    assert [row["pick"] for row in rows] == ["0", "1", "2"]
-    assert rows[2]["expression"] == TRUTH
-    assert rows[2]["selected"] == "True"
+    assert [row["pick"] for row in rows] == ["", "0", "1", "2"]
+    assert rows[3]["expression"] == TRUTH
+    assert rows[3]["selected"] == "True"
+    assert [row["shown"] for row in rows] == ["True", "False", "False", "False"]
+    assert {row["origin"] for row in rows} == {"front"}
+    assert (rows[0]["expression"], rows[0]["r2"]) == (rows[3]["expression"], rows[3]["r2"])
 
 
 def test_sympy_source_runs_and_gives_the_equations():

@@ -57,6 +57,17 @@ def test_a_worker_whose_presence_is_gone_is_lost_after_a_while() -> None:
     assert membership.expire(1.0 + 2 * ABSENCE_S) == []
 
 
+def test_nobody_is_lost_for_what_the_coordinator_could_not_hear() -> None:
+    membership = with_worker()
+    membership.greet(hello("w1"), 0.0)
+    membership.hear("w1", status(), 0.0)
+    membership.see("w0", False, 0.5)
+    membership.renew(60.0)
+    assert membership.expire(60.0 + 0.9 * ABSENCE_S) == []
+    assert membership.expire(60.0 + ABSENCE_S) == ["w0"]
+    assert membership.expire(60.0 + ABSENCE_S + 1.0) == []
+
+
 def test_a_worker_whose_presence_returns_in_time_is_not_lost() -> None:
     membership = with_worker()
     membership.see("w0", False, 1.0)

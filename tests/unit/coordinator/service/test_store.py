@@ -14,6 +14,7 @@ import pytest
 from common.errors import LocalProtocolError, RemoteProtocolError, StoreError
 from common.wire.messages import CHUNK_SIZE
 from common.wire.pieces import State
+from coordinator.service.event_table import MAX_EVENTS, EventRecord
 from coordinator.service.schema import FILE_NAME, SCHEMA_VERSION
 from coordinator.service.store import JobRecord, Store
 
@@ -288,6 +289,18 @@ def test_a_closed_store_says_so(tmp_path: Path) -> None:
         store.jobs()
 
 
+def test_events_come_in_order_from_where_one_left_off_and_the_oldest_are_forgotten(store: Store) -> None:
+    store.add_events(EventRecord(job, "t", "k", str(n)) for n in range(3) for job in ("a", "b", None))
+    assert [each.contents for each in store.events("a", 0, 2)] == ["1", "2"]
+    assert [each.job for each in store.events(None, 0, 4)] == [None, "a", "b", None]
+    (first, *_) = store.events("b", 0, 9)
+    assert [each.contents for each in store.events("b", first.number, 1)] == ["1"]
+    store.add_events(EventRecord("a", "t", "k", str(n)) for n in range(3, MAX_EVENTS + 2))
+    kept = store.events("a", 0, 2 * MAX_EVENTS)
+    assert (len(kept), kept[0].contents, kept[-1].contents) == (MAX_EVENTS, "2", str(MAX_EVENTS + 1))
+    assert len(store.events("b", 0, 9)) == 3
+
+
 # ------------------------------------------------------------------------------------------ checkpoints
 
 
@@ -365,6 +378,9 @@ def test_a_store_of_layout_1_is_brought_up_to_date_and_keeps_what_it_has(tmp_pat
         assert store.placements("running") == {"x": (3, b"placement"), "y": (2, None)}
         assert store.cuts("running") == {"y": b"cut"}
         assert store.checkpoints("running") == {}
+        assert [job.priority for job in store.jobs()] == [0, 0]
+        store.add_events([EventRecord("running", "now", "submitted", "{}")])
+        assert len(store.events("running", 0, 9)) == 1
         assert store.commit_checkpoint("running", "x", 8, b"progress", states_of(8), 1.0)
     with Store.open(tmp_path) as store:
         assert store.checkpoints("running") == {"x": (8, b"progress")}

@@ -12,6 +12,7 @@ from coordinator.model.trajectory.assess import (
     not_simulated,
     r2_of,
     simulated,
+    spread_of,
 )
 from coordinator.model.trajectory.measurements import measurements_of
 from coordinator.model.trajectory.opened import as_it_is
@@ -31,6 +32,10 @@ def constants_of(its, shown, errors):
 
 def correlations_of(its, variables, shown, errors):
     return assess.correlations_of(its, variables, tuple(map(as_it_is, shown)), errors)
+
+
+def banded(its, rows, standing):
+    return bands(rows, standing.shot, *spread_of(its, standing.shot, errors_of(its, standing)))
 
 
 def drawn(seed, noise=NOISE):
@@ -77,7 +82,7 @@ def test_intervals_are_those_of_students_t():
 
 def test_bands_are_the_spread_of_the_simulations(draws):
     spread = np.std([standing.shot.simulated[0] for _, standing in draws], axis=0)
-    errors = [bands(its.shooter.measurements, standing, errors_of(its, standing))[0] for its, standing in draws]
+    errors = [banded(its, its.shooter.measurements, standing)[0] for its, standing in draws]
     found = np.mean(errors, axis=0)
     assert found == pytest.approx(spread, rel=0.25)
     assert found.mean() == pytest.approx(spread.mean(), rel=0.05)
@@ -97,7 +102,7 @@ def test_bands_of_a_coupled_system_are_those_of_its_linearisation():
     errors = errors_of(its, standing)
     covariance = np.linalg.inv(weighed.T @ weighed) * (80.0 / errors.freedom)
     expected = np.sqrt(np.einsum("nop,pq,noq->on", whole, covariance, whole))
-    assert bands(rows, standing, errors) == pytest.approx(expected, rel=1e-4)
+    assert banded(its, rows, standing) == pytest.approx(expected, rel=1e-4)
 
 
 def test_bands_of_a_system_without_constants_are_those_of_its_initial_states():
@@ -108,7 +113,7 @@ def test_bands_of_a_system_without_constants_are_those_of_its_initial_states():
     standing = its.stand([bare.parsed("-x")], lengths=(None,))
     decay = np.exp(-TIMES)
     error = standing.shot.sigmas[0] * np.sqrt(20.0 / 19.0) / np.sqrt(decay @ decay)
-    assert bands(rows, standing, errors_of(its, standing))[0] == pytest.approx(error * decay, rel=1e-4)
+    assert banded(its, rows, standing)[0] == pytest.approx(error * decay, rel=1e-4)
     assert constants_of(its, standing.programs, errors_of(its, standing)) == [()]
 
 
