@@ -507,3 +507,22 @@ def test_a_reset_forgets_everything_also_the_terms(session: Session) -> None:
     assert session.handle(Reset()) == [Discard(ShareKey("job", "x", 5)), DiscardJob("job")]
     session.handle(Abandoned(key(0, 0, term=5)))
     assert tasks(begun(session, "me", "peer", term=2)) == [key(0, 0, term=2)]
+
+
+def test_a_reset_keeps_what_the_new_incarnation_has_placed_already(session: Session) -> None:
+    begun(session, "me", "peer", term=5)
+    assert session.handle(Reset(incarnation=1)) == []
+    assert session.jobs() == ("job",)
+    assert tasks(list(session.handle(placed("me", "peer", term=5)))) == []
+    assert session.handle(Reset(incarnation=2)) == [Discard(ShareKey("job", "x", 5)), DiscardJob("job")]
+    assert session.jobs() == ()
+
+
+def test_early_mail_is_forgotten_when_its_job_is_closed_or_its_placement_has_been_asked_for(session: Session) -> None:
+    asked = [FetchPlacements("job")]
+    assert session.handle(mail(0, (1, 0, b"early"))) == asked
+    assert session.handle(mail(0, (1, 0, b"more"))) == []
+    session.handle(Closed(Close(job="job")))
+    assert session.handle(mail(0, (1, 0, b"late"))) == asked
+    session.forget_early("job")
+    assert session.handle(mail(0, (1, 0, b"again"))) == asked
