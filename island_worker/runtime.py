@@ -184,7 +184,10 @@ class Worker:
                 self._warmed_up(item)
             case WarmUpFailed():
                 self._leave(AtollError(item.sentence))
-            case JobReady() | Unloadable() | Snapshot() | Computed() | Rejected() | Broken() | Abandoned():
+            case JobReady() | Unloadable():
+                if self._datasets.loaded(item.job):
+                    self._tell(item)
+            case Snapshot() | Computed() | Rejected() | Broken() | Abandoned():
                 self._tell(item)
 
     @_on.register
@@ -239,9 +242,10 @@ class Worker:
             return
         if joined.is_restart:
             _LOG.info("the coordinator started anew; what was held is dropped")
-            self._tell(Reset())
+            self._tell(Reset(joined.incarnation))
             for job in self._datasets.jobs():
-                self._forget_job(job)
+                if not self.session.wants(job):
+                    self._forget_job(job)
         if joined.is_new_realm:
             self._listen()
         self._beat()
@@ -284,6 +288,7 @@ class Worker:
             progress=self._compute.progress,
             holdings=self.session.holdings(),
             troubles=self.session.troubles(),
+            jobs=tuple(dict.fromkeys((*self.session.jobs(), *self._datasets.jobs()))),
             detail=self._detail,
             doing=doing(self._compute.doing) if self._state() == "computing" else None,
             counters=counters(self._bus, self.session, self.rejects),
@@ -400,8 +405,10 @@ class Worker:
                 self._datasets.announcement_came(asked.subject, event.payload)
             case _Asked("chunk"):
                 self._datasets.chunk_came(asked.subject, asked.index, event.payload)
-            case _Asked("placement") if event.payload is not None:
-                self._on_control(decode(event.payload, Control, MAX_MESSAGE).body)
+            case _Asked("placement"):
+                if event.payload is not None:
+                    self._on_control(decode(event.payload, Control, MAX_MESSAGE).body)
+                self.session.forget_early(asked.subject)
             case _Asked("states", states=PullStates() as pull):
                 self._states_came(pull, event.payload)
             case _Asked("pull") if event.payload is not None:

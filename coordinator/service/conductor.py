@@ -237,6 +237,8 @@ class Conductor:
         held = {(each.job, each.variable): each for each in status.holdings}
         for holding in status.holdings:
             self._check_holding(worker, holding)
+        for job in status.jobs:
+            self._check_dataset(worker, job)
         self._send_missing_placements(worker, held)
         if status.state == "leaving":
             self._let_go(worker, now)
@@ -369,9 +371,10 @@ class Conductor:
     def _check_holding(self, worker: str, holding: Holding) -> None:
         archipelago = self._archipelago(holding.job, holding.variable)
         if archipelago is None or archipelago.cut is not None:
-            job = self.jobs.get(holding.job)
-            is_over = job is None or job.state != "running"
-            self._outlet.tell(Close(job=holding.job, variable=None if is_over else holding.variable), worker)
+            if not self._is_open(holding.job):
+                self._outlet.tell(Close(job=holding.job), worker)
+            elif archipelago is not None:
+                self._outlet.tell(Close(job=holding.job, variable=holding.variable), worker)
             return
         placement = archipelago.placement
         if placement is None:
@@ -380,6 +383,16 @@ class Conductor:
             self._outlet.tell(Placements(placements=(placement,)), worker)
         elif holding.term == placement.term:
             self._catch_up(worker, archipelago, holding)
+
+    def _check_dataset(self, worker: str, job_id: str) -> None:
+        """Have a dataset forgotten that is needed no more."""
+        if not self._is_open(job_id):
+            self._outlet.tell(Close(job=job_id), worker)
+
+    def _is_open(self, job_id: str) -> bool:
+        """Tell whether islands of a job are computed now or will be: what is said to be closed may arrive late."""
+        job = self.jobs.get(job_id)
+        return job is not None and job.state in ("queued", "preparing", "running")
 
     def _catch_up(self, worker: str, archipelago: Archipelago, holding: Holding) -> None:
         """Pull reports that were lost, and repeat a commit that was."""
