@@ -5,6 +5,8 @@ the command line calls.
 """
 
 import logging
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
@@ -79,11 +81,24 @@ GREET_PAUSE_S: Final = 0.2
 PULL_TIMEOUT_S: Final = 5.0
 FETCH_TIMEOUT_S: Final = 20.0
 FETCH_PAUSE_S: Final = 0.5
+GRACE_S: Final = 30.0
 
 _BEAT: Final = "heartbeat"
 _TICK: Final = "tick"
 _GREET: Final = "greet"
+_LIFETIME: Final = "lifetime"
+_GRACE: Final = "grace"
 _FETCH: Final = "fetch/"
+
+
+@dataclass(slots=True)
+class Leaving:
+    """When a worker asks to be let go (after `lifetime_s`, if given), and how long it waits for that at most."""
+
+    lifetime_s: float | None = None
+    grace_s: float = GRACE_S
+    is_wanted: bool = False
+    has_begun: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +114,8 @@ class _Asked:
 class Worker:
     """One worker process on one bus. Owned by the bus's owner thread."""
 
-    def __init__(self, bus: Bus, compute: Compute, name: str, wait_s: float) -> None:
-        """`wait_s`: how long the coordinator may be away; `compute` begins to warm up elsewhere."""
+    def __init__(self, bus: Bus, compute: Compute, name: str, wait_s: float, leaving: Leaving | None = None) -> None:
+        """Set up a worker whose `compute` warms up elsewhere; `wait_s`: how long the coordinator may be away."""
         self.exit_code: int | None = None
         self.error: AtollError | None = None
         self.name: Final = name
@@ -109,6 +124,7 @@ class Worker:
         self._bus = bus
         self._compute = compute
         self._wait_s = wait_s
+        self._leaving = leaving or Leaving()
         self._joining = Joining(name, bus.now())
         self._datasets = Datasets(self)
         self._detail = "loading kernels"
@@ -122,6 +138,12 @@ class Worker:
         self._greet()
         self._bus.call_later(HEARTBEAT_S, _BEAT)
         self._bus.call_later(TICK_S, _TICK)
+        if self._leaving.lifetime_s is not None:
+            self._bus.call_later(self._leaving.lifetime_s, _LIFETIME)
+
+    def leave(self) -> None:
+        """Ask, at the next tick, to be let go: what is computed here is handed over first. Signal handlers may call."""
+        self._leaving.is_wanted = True
 
     def run(self) -> int:
         """Work until the coordinator ends, refuses us or stays away; return the exit code."""
@@ -167,8 +189,15 @@ class Worker:
             self._bus.call_later(HEARTBEAT_S, _BEAT)
         elif event.name == _TICK:
             self._check_absence()
+            if self._leaving.is_wanted:
+                self._begin_leaving()
             self._tell(Tick(self._bus.now()))
             self._bus.call_later(TICK_S, _TICK)
+        elif event.name == _LIFETIME:
+            self._begin_leaving()
+        elif event.name == _GRACE:
+            _LOG.warning("not let go within %.0f s; what was not committed is computed again", self._leaving.grace_s)
+            self.exit_code = 0
         elif event.name == _GREET:
             self._greet()
         elif event.name.startswith(_FETCH):
@@ -224,7 +253,19 @@ class Worker:
         self._bus.announce(topics.worker(realm, self.name, "alive"))
         _LOG.info("joined realm=%s worker=%s", realm, self.name)
 
+    def _begin_leaving(self) -> None:
+        """Say that this worker wants to end; it ends when it is told that nothing is left here, or after a while."""
+        if self._joining.welcome is None or self._leaving.grace_s <= 0.0:
+            self.exit_code = 0
+        elif not self._leaving.has_begun:
+            self._leaving.has_begun = True
+            _LOG.info("leaving: what is computed here is handed over, for at most %.0f s", self._leaving.grace_s)
+            self._bus.call_later(self._leaving.grace_s, _GRACE)
+            self._beat()
+
     def _state(self) -> WorkerState:
+        if self._leaving.has_begun:
+            return "leaving"
         return self.session.state() if self._joining.is_accepted else "compiling"
 
     def _beat(self) -> None:
@@ -286,7 +327,7 @@ class Worker:
         if body.refused:
             self._leave(RefusedError(body.sentence))
         else:
-            _LOG.info("the coordinator ended; so does this worker")
+            _LOG.info("%s; this worker ends", body.sentence or "the coordinator ended")
             self.exit_code = 0
 
     # ---------------------------------------------------------------------------------------- datasets
@@ -416,11 +457,14 @@ class Worker:
                 self._get(topics.placement(realm, action.job), b"", PULL_TIMEOUT_S, _Asked("placement", action.job))
 
 
-def run_worker(connect: str | Destination, name: str, wait_s: float) -> int:
-    """Join the coordinator at `connect` as worker `name` and work until it ends; return the exit code.
+OnSignal = Callable[[Callable[[], None]], AbstractContextManager[None]]
+
+
+def run_worker(connect: str | Destination, name: str, wait_s: float, leaving: Leaving, on_signal: OnSignal) -> int:
+    """Join the coordinator at `connect` as worker `name` and work until it ends or lets us go; return the exit code.
 
     Kernels are made ready while the connection is still being sought. `wait_s` limits both the first connection and
-    any later absence of the coordinator.
+    any later absence of the coordinator. `on_signal` has a function called when this process is told to end.
 
     Raises:
         UnreachableError: The coordinator was not there, or stayed away.
@@ -432,8 +476,9 @@ def run_worker(connect: str | Destination, name: str, wait_s: float) -> int:
     compute.warm_up()
     try:
         with open_client(connect, wait_s=wait_s) as bus:
-            worker = Worker(bus, compute, name, wait_s)
-            code = worker.run()
+            worker = Worker(bus, compute, name, wait_s, leaving)
+            with on_signal(worker.leave):
+                code = worker.run()
             if worker.error is not None:
                 raise worker.error
             return code

@@ -42,7 +42,7 @@ ISLAND_TRANSITIONS: Final[Mapping[IslandState, Mapping[IslandStep, IslandState]]
     "stopped": {},
 }
 """State of one island -> what happens -> its next state. `restoring`: its state is on its way; `computing`: it is on
-the agenda; `held`: it waits at a checkpoint for another placement. `end`: a hit here or elsewhere, or the last epoch."""
+the agenda; `held`: it waits at a checkpoint for a placement. `end`: a hit here or elsewhere, or the last epoch."""
 
 PULL_AFTER_S: Final = 1.0
 """An island that has waited this long asks the senders; the pause doubles with every question."""

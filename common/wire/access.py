@@ -14,7 +14,7 @@ from typing import Final, Literal, cast, get_args
 from common.errors import UsageError
 from common.wire.topics import HELLO, ROOT, is_id
 
-Role = Literal["coordinator", "worker", "submitter", "admin"]
+Role = Literal["coordinator", "router", "worker", "submitter", "admin"]
 Flow = Literal["ingress", "egress"]
 
 MAX_NAME: Final = 48
@@ -26,6 +26,10 @@ _ANYBODY: Final = "(anybody)"
 _SPEAKING: Final = ("put",)
 _SERVING: Final = ("declare_queryable", "reply")
 _PRESENCE: Final = ("liveliness_token",)
+_ALL: Final = (
+    *("put", "delete", "query", "reply", "declare_subscriber", "declare_queryable"),
+    *("liveliness_token", "liveliness_query", "declare_liveliness_subscriber"),
+)
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,9 @@ class Permission:
 
 _OF_ANYBODY: Final = (Permission("ingress", ("query",), (HELLO,)), Permission("egress", _SERVING, (HELLO,)))
 """Whoever has a certificate may ask whether there is a place for its name; that changes nothing."""
+
+_TRUSTED: Final = tuple(Permission(flow, _ALL, (f"{ROOT}/**",)) for flow in get_args(Flow))
+"""A coordinator beyond the router commands all others, and another router passes on what all of its site say."""
 
 
 def read_roster(path: Path) -> Roster:
@@ -109,8 +116,8 @@ def _check_alone(name: str, roster: Roster, source: str) -> None:
 
 def permissions(name: str, role: Role) -> tuple[Permission, ...]:
     """Return what the bearer of `name` may send and receive; everything else is denied."""
-    if role == "coordinator":
-        return _of_coordinator()
+    if role in ("coordinator", "router"):
+        return _TRUSTED
     if role == "worker":
         return _of_worker(name)
     return _of_client(name)
@@ -164,25 +171,6 @@ def _of_worker(name: str) -> tuple[Permission, ...]:
 def _of_client(name: str) -> tuple[Permission, ...]:
     asked = _own(name, "client/{}/ask") + _hello(name)
     return (Permission("ingress", ("query",), asked), Permission("egress", _SERVING, asked))
-
-
-def _of_coordinator() -> tuple[Permission, ...]:
-    """Return the rules of a coordinator that is not in the router's own process, which needs none."""
-    served = (*_keys("job/**", "blob/**", "client/*/ask"), HELLO, f"{HELLO}/*")
-    heard = _keys("worker/*/status", "worker/*/report")
-    alive = _keys("worker/*/alive")
-    pulls = _keys("worker/*/pull")
-    return (
-        Permission("ingress", _SERVING, served),
-        Permission("egress", ("query",), served),
-        Permission("ingress", _SPEAKING, _keys("control", "control/*")),
-        Permission("ingress", ("declare_subscriber",), heard),
-        Permission("egress", _SPEAKING, heard),
-        Permission("ingress", ("declare_liveliness_subscriber", "liveliness_query"), alive),
-        Permission("egress", _PRESENCE, alive),
-        Permission("ingress", ("query",), pulls),
-        Permission("egress", _SERVING, pulls),
-    )
 
 
 def _keys(*parts: str) -> tuple[str, ...]:

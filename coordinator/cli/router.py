@@ -49,7 +49,7 @@ def router(options: argparse.Namespace) -> int:
         here = Destination(parse_address(bus.endpoint), credentials)
         with announced(options.connect_file and Path(options.connect_file), addresses_of(here)):
             say(greeting(here, upstream, roster))
-            _Watch(bus).run(stop)
+            _Watch(bus, credentials.name if credentials is not None else "client").run(stop)
     note("coordinator router: stopped")
     return DONE
 
@@ -74,8 +74,9 @@ def greeting(here: Destination, upstream: list[str], roster: Roster | None = Non
 class _Watch:
     """Logs when a coordinator is there, and when it is not: a router without one is of no use."""
 
-    def __init__(self, bus: "ZenohBus") -> None:
+    def __init__(self, bus: "ZenohBus", bearer: str) -> None:
         self._bus = bus
+        self._bearer = bearer
         self._realm: str | None = None
         self._said_at = -_REMIND_S
 
@@ -85,7 +86,7 @@ class _Watch:
             stop.wait(LOOK_S)
 
     def _look(self) -> None:
-        realm = coordinator_behind(self._bus)
+        realm = coordinator_behind(self._bus, self._bearer)
         now = time.monotonic()
         if realm is not None and realm != self._realm:
             _LOG.info("coordinator found realm=%s", realm)
@@ -95,11 +96,11 @@ class _Watch:
         self._realm = realm
 
 
-def coordinator_behind(bus: Any) -> str | None:
+def coordinator_behind(bus: Any, bearer: str = "client") -> str | None:
     """Return the realm of the coordinator that answers on `bus`; None when there is none, or none that we know."""
     from coordinator.client import Client
 
     try:
-        return Client(bus, "this router").greet(LOOK_LIMIT_S)
+        return Client(bus, "this router", bearer).greet(LOOK_LIMIT_S)
     except (UnreachableError, RefusedError):
         return None

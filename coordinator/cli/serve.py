@@ -48,7 +48,7 @@ def serve(options: argparse.Namespace) -> int:
         service = Service(bus, store, roster=roster)
         service.start()
         here = Destination(parse_address(bus.endpoint), credentials)
-        with announced(options.connect_file and Path(options.connect_file), addresses_of(here)):
+        with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):
             say(greeting(here, options.state, roster, behind))
             service.work(stop)
     note("coordinator: stopped; jobs and results are kept")
@@ -119,7 +119,7 @@ def configure_log() -> None:
 
 def greeting(at: Destination, state: str, roster: Roster | None = None, is_behind_router: bool = False) -> str:
     """Return what a person needs who wants to use this coordinator: one line for each address to dial."""
-    addresses = addresses_of(at)
+    addresses = addresses_of(at, is_behind_router)
     manner = "is behind the router" if is_behind_router else "listens on"
     lines = [f"coordinator {VERSION} {manner} {at}, state in {state}", "start a worker with:"]
     lines += [f"  island-worker --connect {each}" for each in addresses]
@@ -153,9 +153,11 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def addresses_of(at: Destination) -> list[str]:
+def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
     """Return the addresses to connect to, those for other machines first; with a certificate those that it names."""
     address, files = at.address, at.credentials
+    if is_behind_router:
+        return [str(address)]
     hosts = (files.hosts if files is not None else ()) or heard_on(address.host)
     return [str(Address(address.protocol, host, address.port)) for host in hosts]
 

@@ -70,7 +70,11 @@ def add_doctor(verb: Verb, verbs: Any) -> argparse.ArgumentParser:
         "--listen", metavar="tcp/HOST:PORT", help="an address at which a coordinator shall listen: is it free?"
     )
     parser.add_argument("--state", metavar="DIR", help="the folder of a coordinator's job store (default: the current)")
+    parser.add_argument(
+        "--quick", action="store_true", help="look only whether the coordinator's address accepts connections"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
+    add_tls(parser)
     return parser
 
 

@@ -11,6 +11,7 @@ from common.wire.messages import Ask, Cancel, Hello
 
 _MAY: Final[dict[Role, str]] = {
     "coordinator": "serve",
+    "router": "pass messages on",
     "worker": "compute islands",
     "submitter": "submit jobs and look at them",
     "admin": "submit jobs, look at them and cancel those of others",
@@ -42,7 +43,7 @@ class Admission:
                 f"the coordinator's roster has no name for {hello.name!r}; have the name of your certificate written "
                 "there, and the coordinator started again"
             )
-        fits = role == "worker" if hello.role == "worker" else role in ("submitter", "admin")
+        fits = role == "worker" if hello.role == "worker" else role != "worker"
         if fits:
             return None
         wanted = "compute islands" if hello.role == "worker" else "submit jobs or look at them"

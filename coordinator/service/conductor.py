@@ -157,8 +157,8 @@ class Conductor:
         engines = {each.engine for each in resumed.values()} - {ENGINE_REVISION}
         if engines:
             return (
-                f"it was begun by engine revision {min(engines)}, and this is revision {ENGINE_REVISION}, which computes "
-                "otherwise; serve its store with the earlier version, or submit it again under another id"
+                f"it was begun by engine revision {min(engines)}, and this is revision {ENGINE_REVISION}, which "
+                "computes otherwise; serve its store with the earlier version, or submit it again under another id"
             )
         return None
 
@@ -230,7 +230,16 @@ class Conductor:
         for holding in status.holdings:
             self._check_holding(worker, holding)
         self._send_missing_placements(worker, held)
+        if status.state == "leaving":
+            self._let_go(worker, now)
         self._keeper.look(self.jobs.values(), now)
+
+    def _let_go(self, worker: str, now: float) -> None:
+        """Place elsewhere what a worker has that wants to end; when it has nothing, tell it so."""
+        self.place(now)
+        placements = (each.placement for job in self.jobs.values() for each in job.open_archipelagos)
+        if not any(worker in placement.workers for placement in placements if placement is not None):
+            self._outlet.tell(Shutdown(sentence="nothing is placed here any more"), worker)
 
     def report(self, worker: str, report: EpochReport, now: float) -> None:
         """Take in a report; raises RemoteProtocolError when it cannot be."""
@@ -284,12 +293,33 @@ class Conductor:
     def _place(self, job: Job, archipelago: Archipelago, first: int, now: float) -> None:
         if archipelago.is_writing:
             return  # the term after this one begins where that is durable
+        was_held = archipelago.is_held
         if self._placer.is_broken(archipelago):
             archipelago.unplace()
             _LOG.warning("placement lost job=%s variable=%s", job.id, archipelago.variable)
+        else:
+            self._plan(archipelago, now)
         workers = self._placer.choose(archipelago, first, now)
         if workers is not None:
             self._issue(job, archipelago, workers, now)
+        elif was_held:
+            self._outlet.tell(Close(job=job.id, variable=archipelago.variable))
+
+    def _plan(self, archipelago: Archipelago, now: float) -> None:
+        """Prepare a change of placement that loses nothing: for workers who leave, or newcomers.
+
+        All islands are held at a checkpoint; when it is durable they are placed anew, or, if there is nobody left, kept
+        until somebody comes. Soon after a placement it is quicker to compute the little that there is again.
+        """
+        if archipelago.is_held:
+            archipelago.unplace()
+        elif self._placer.is_left(archipelago):
+            if archipelago.has_begun_only and self._placer.is_young(archipelago, now) and self.membership.ready():
+                archipelago.unplace()
+            else:
+                archipelago.request_hold()
+        elif self._placer.is_worth_planning(archipelago) and not self._placer.is_young(archipelago, now):
+            archipelago.request_hold()
 
     def _issue(self, job: Job, archipelago: Archipelago, workers: tuple[str, ...], now: float) -> None:
         """Begin a term: first in the store, then on the bus."""

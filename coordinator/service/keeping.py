@@ -1,4 +1,4 @@
-"""Has checkpoints gathered and written while the search goes on. Knows no bus: it asks and tells through an `Outlet`."""
+"""Has checkpoints gathered and written while the search goes on. Knows no bus: it asks through an outlet."""
 
 import logging
 from collections.abc import Iterable

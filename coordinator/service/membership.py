@@ -11,8 +11,9 @@ from common.wire.views import WorkerState, WorkerView
 LEASE_S: Final = 15.0
 """Silence after which a worker is lost although its presence is still shown: a process that hangs."""
 
-ABSENCE_S: Final = 2.0
-"""How long a worker's presence may be gone (its connection may come back) before it is lost."""
+ABSENCE_S: Final = 0.5
+"""How long a worker's presence may be gone (its connection may come back) before it is lost. To take a worker for lost
+that is not costs what lies between two checkpoints; to wait costs the wait."""
 
 GAP_S: Final = 3.0
 """If the coordinator itself has not looked for this long, silence is its own fault: everybody gets a fresh lease."""
@@ -48,7 +49,12 @@ class Member:
     @property
     def is_ready(self) -> bool:
         """Whether islands can be placed there now."""
-        return self.state == "here" and self.status is not None and self.status.state != "compiling"
+        return self.state == "here" and self.status is not None and self.status.state not in ("compiling", "leaving")
+
+    @property
+    def is_leaving(self) -> bool:
+        """Whether it has said that it will end soon."""
+        return self.status is not None and self.status.state == "leaving"
 
 
 class Membership:
@@ -117,12 +123,20 @@ class Membership:
 
     def arriving(self) -> int:
         """Return how many workers are there but not ready yet."""
-        return sum(member.state == "here" and not member.is_ready for member in self._members.values())
+        return sum(
+            member.state == "here" and not member.is_ready and not member.is_leaving
+            for member in self._members.values()
+        )
 
     def is_lost(self, worker: str) -> bool:
         """Tell whether islands placed on this worker have nobody to compute them."""
         member = self._members.get(worker)
         return member is None or member.state == "lost"
+
+    def is_leaving(self, worker: str) -> bool:
+        """Tell whether this worker has said that it will end soon."""
+        member = self._members.get(worker)
+        return member is not None and member.is_leaving
 
     def is_new(self, hello: Hello) -> bool:
         """Tell whether this process has not borne its name before."""
@@ -135,7 +149,7 @@ class Membership:
 
     def _is_overdue(self, member: Member, now: float) -> bool:
         if member.state == "absent":
-            return now - (member.gone_at or 0.0) >= ABSENCE_S
+            return member.is_leaving or now - (member.gone_at or 0.0) >= ABSENCE_S
         return member.state == "here" and now - member.heard_at >= LEASE_S
 
     def _name_refusal(self, hello: Hello) -> str | None:

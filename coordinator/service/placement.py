@@ -40,6 +40,19 @@ class Placer:
         placement = archipelago.placement
         return placement is not None and any(self._membership.is_lost(worker) for worker in placement.workers)
 
+    def is_left(self, archipelago: Archipelago) -> bool:
+        """Tell whether a worker of this placement has said that it will end soon."""
+        placement = archipelago.placement
+        return placement is not None and any(self._membership.is_leaving(worker) for worker in placement.workers)
+
+    def is_worth_planning(self, archipelago: Archipelago) -> bool:
+        """Tell whether more workers could be used than are, from a checkpoint on."""
+        return archipelago.may_plan and self._could_use(archipelago, len(self._membership.ready()))
+
+    def is_young(self, archipelago: Archipelago, now: float) -> bool:
+        """Tell whether little has been computed since the archipelago was placed."""
+        return now - archipelago.placed_at <= REPLACE_WITHIN_S
+
     def choose(self, archipelago: Archipelago, first: int, now: float) -> tuple[str, ...] | None:
         """Return a new placement, or None when the archipelago keeps the one it has or must wait.
 
@@ -51,15 +64,16 @@ class Placer:
         ready = self._membership.ready()
         if not ready or not self._is_quorate(len(ready), now):
             return None
-        if archipelago.placement is not None and not self._is_worth_replacing(archipelago, len(ready), now):
+        if archipelago.placement is not None and not (
+            self.is_young(archipelago, now) and self._could_use(archipelago, len(ready))
+        ):
             return None
         return spread(archipelago.collector.limits.islands, first, ready)
 
-    def _is_worth_replacing(self, archipelago: Archipelago, ready: int, now: float) -> bool:
-        """Whether more workers could be used, and not much would be computed again."""
+    def _could_use(self, archipelago: Archipelago, ready: int) -> bool:
+        """Tell whether more workers are ready than are used."""
         used = len(set(archipelago.placement.workers)) if archipelago.placement is not None else 0
-        usable = min(ready, archipelago.collector.limits.islands)
-        return usable > used and now - archipelago.placed_at <= REPLACE_WITHIN_S
+        return min(ready, archipelago.collector.limits.islands) > used
 
     def _is_quorate(self, ready: int, now: float) -> bool:
         if self._first_ready_at is None:

@@ -161,5 +161,5 @@ def _waits_for(job: Job, membership: Membership) -> str | None:
     if arriving:
         return f"waits for {arriving} worker{'s' if arriving > 1 else ''} to load or compile the kernels"
     if not membership.ready():
-        return "waits for a worker: none has joined, or all are lost"
+        return "waits for a worker: none has joined, or all are lost or leaving"
     return "waits for the other workers to join"

@@ -8,7 +8,7 @@ from common.errors import RemoteProtocolError
 from common.slices import Course, Position
 from common.wire.messages import HitStatement, IslandReport
 from island_worker.agenda import Agenda
-from island_worker.events import Abandoned, Broken, Computed, Outcome, Rejected, ShareKey, Task, TaskKey
+from island_worker.events import Abandoned, Broken, Computed, Outcome, Rejected, ShareKey, Snapshot, Task, TaskKey
 
 LAST = 50
 COURSE = Course(generations=LAST, stride=10, joining=8)
@@ -41,6 +41,10 @@ class Fake:
     generation: int = 0
     hit: HitStatement | None = None
 
+    @property
+    def snapshot(self) -> bytes | None:
+        return b"state" if self.task.takes_snapshot else None
+
     def advance(self) -> bool:
         key = self.task.key
         if key.island == 6:
@@ -72,8 +76,8 @@ def agenda_of(bench: Bench, *keys: TaskKey) -> Agenda:
     return agenda
 
 
-def emptied(agenda: Agenda) -> list[Outcome]:
-    outcomes = []
+def emptied(agenda: Agenda) -> list[Snapshot | Outcome]:
+    outcomes: list[Snapshot | Outcome] = []
     while not agenda.is_idle:
         outcomes += agenda.turn()
     return outcomes
@@ -206,3 +210,28 @@ def test_a_slice_may_take_several_turns() -> None:
     agenda.turn()
     agenda.stop_at(SHARE, Position(0, 40, 1), COURSE)
     assert reached(emptied(agenda)) == {(0, 0): 40}
+
+
+def test_a_snapshot_is_taken_before_the_first_slice_and_once() -> None:
+    bench = Bench()
+    agenda = Agenda(bench.begin, lambda: bench.now)
+    agenda.add(Task(key(0, 4), None, is_last=False, course=COURSE, takes_snapshot=True))
+    assert agenda.turn() == [Snapshot(key(0, 4), b"state", is_held=False)]
+    (outcome,) = emptied(agenda)
+    assert isinstance(outcome, Computed)
+    assert len(bench.slices) == 5
+
+
+def test_of_a_held_epoch_there_is_nothing_but_its_snapshot() -> None:
+    bench = Bench()
+    agenda = Agenda(bench.begin, lambda: bench.now)
+    agenda.add(Task(key(0, 4), None, is_last=False, course=COURSE, takes_snapshot=True, is_held=True))
+    assert emptied(agenda) == [Snapshot(key(0, 4), b"state", is_held=True)]
+    assert bench.slices == []
+
+
+def test_a_held_epoch_whose_immigrants_are_malformed_is_refused() -> None:
+    bench = Bench()
+    agenda = Agenda(bench.begin, lambda: bench.now)
+    agenda.add(Task(key(7, 4), None, is_last=False, course=COURSE, takes_snapshot=True, is_held=True))
+    assert emptied(agenda) == [Rejected(key(7, 4), "malformed")]

@@ -125,7 +125,7 @@ def test_a_name_is_borne_by_the_certificate_that_it_begins_with() -> None:
         ({}, "0 names"),
         ({"a b": "worker"}, "letters, digits"),
         ({"x" * 49: "worker"}, "1 to 48"),
-        ({"lab1": "boss"}, "one of coordinator, worker, submitter, admin"),
+        ({"lab1": "boss"}, "one of coordinator, router, worker, submitter, admin"),
         ({"lab1": 3}, "role 3"),
         ({"lab": "worker", "lab-gpu": "submitter"}, "lab and lab-gpu"),
         ({"lab-gpu-1": "submitter", "lab": "worker"}, "lab and lab-gpu-1"),

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from common.errors import UnreachableError, UsageError
-from common.wire.addresses import parse_address
+from common.wire.addresses import destination
 from common.wire.zenoh_bus import ZenohBus, open_client, open_router
 from coordinator.cli import router, serve
 from coordinator.client import Client
@@ -69,24 +69,27 @@ def test_a_second_coordinator_behind_one_router_is_refused(
         request.getfixturevalue("coordinator")
         with pytest.raises(UsageError, match="stop it first, or use another router"):
             serve.refuse_another(bus, central.endpoint)
-    options = Namespace(router=central.endpoint, listen=None, state=str(tmp_path / "two"), connect_file=None, wait=1.0)
+    place = str(tmp_path / "two")
+    options = Namespace(router=central.endpoint, listen=None, state=place, roster=None, connect_file=None, wait=1.0)
     with pytest.raises(UsageError, match="is there already behind the router"):
         serve.serve(options)
 
 
 def test_a_coordinator_whose_router_is_not_there_says_so_after_the_wait(tmp_path: Path) -> None:
-    options = Namespace(router="tcp/127.0.0.1:9", listen=None, state=str(tmp_path), connect_file=None, wait=0.2)
+    options = Namespace(
+        router="tcp/127.0.0.1:9", listen=None, state=str(tmp_path), roster=None, connect_file=None, wait=0.2
+    )
     with pytest.raises(UnreachableError, match=r"tcp/127\.0\.0\.1:9 within 0\.2 s"):
         serve.serve(options)
 
 
 def test_a_router_starts_without_those_above_it_and_says_how_to_use_it() -> None:
     with open_router("tcp/127.0.0.1:0", router.upstream_settings(["tcp/127.0.0.1:9"])) as bus:
-        lines = router.greeting(parse_address(bus.endpoint), ["tcp/127.0.0.1:9"]).splitlines()
+        lines = router.greeting(destination(bus.endpoint), ["tcp/127.0.0.1:9"]).splitlines()
         assert lines[0].endswith("passes on to tcp/127.0.0.1:9")
         assert f"  island-worker --connect {bus.endpoint}" in lines
         assert not any("serve" in line for line in lines), "the coordinator is at the central one"
     assert any(
         "serve --router tcp/10.0.0.1:1" in line
-        for line in router.greeting(parse_address("tcp/10.0.0.1:1"), []).splitlines()
+        for line in router.greeting(destination("tcp/10.0.0.1:1"), []).splitlines()
     )
