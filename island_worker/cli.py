@@ -146,6 +146,13 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         default=_GRACE_S,
         help="how long handing over may take, then and after SIGTERM; a second SIGTERM ends at once (default: 30s)",
     )
+    parser.add_argument(
+        "--log-format", choices=("text", "json"), default="text", help="form of the log on stderr (default: text)"
+    )
+    parser.add_argument(
+        "--log-level", choices=("debug", "info", "warning", "error"), default="info",
+        help="least level that is logged (default: info)",
+    )  # fmt: skip
     parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # end with this process
     parser.add_argument("--leave", action="store_true", help=argparse.SUPPRESS)  # the workers to the parent, and end
     parser.add_argument("--version", action="version", version=f"atoll {VERSION}")
@@ -199,7 +206,10 @@ def _work_together(connect: "Destination", names: Sequence[str], options: argpar
     from island_worker.processes import ending_on_signals, hear_of_death, supervise, supervise_forks, worker_command
 
     if not can_fork():
-        commands = [worker_command(connect, each, options.wait, options.grace, options.lifetime) for each in names]
+        commands = [
+            worker_command(connect, each, options.wait, options.grace, options.lifetime, _log_options(options))
+            for each in names
+        ]
         return supervise(commands, options.parent, options.grace)
     with ending_on_signals():
         if options.parent is not None:
@@ -215,33 +225,27 @@ def _work_together(connect: "Destination", names: Sequence[str], options: argpar
     return 0
 
 
+def _log_options(options: argparse.Namespace) -> list[str]:
+    return ["--log-format", options.log_format, "--log-level", options.log_level]
+
+
 def _work_guarded(connect: "Destination", name: str, options: argparse.Namespace, parent: int) -> int:
     return _guarded(partial(_work, connect, name, options, parent))
 
 
 def _work(connect: "Destination", name: str, options: argparse.Namespace, parent: int | None) -> int:
+    from common.logs import configure
     from island_worker.processes import end_with_parent, ending_on_signals, leaving_on_signals
 
     with ending_on_signals():
         if parent is not None:
             end_with_parent(parent)
-        _configure_log(name)
+        configure(options.log_format, options.log_level, worker=name)
         from island_worker.runtime import Leaving, run_worker
 
         leaving = Leaving(options.lifetime, options.grace)
         on_signal = partial(leaving_on_signals, parent) if options.grace > 0.0 else lambda leave: nullcontext()
         return run_worker(connect, name, options.wait, leaving, on_signal)
-
-
-def _configure_log(name: str) -> None:
-    import logging
-
-    logging.basicConfig(
-        level=logging.INFO,
-        stream=sys.stderr,
-        format=f"%(asctime)s %(levelname)s {name} %(name)s %(message)s",
-        force=True,
-    )
 
 
 def _name_for(bearer: str | None, wanted: str | None) -> str:

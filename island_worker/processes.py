@@ -36,13 +36,18 @@ Command = Sequence[str]
 
 
 def worker_command(
-    connect: Destination, name: str, wait_s: float, grace_s: float = 0.0, lifetime_s: float | None = None
+    connect: Destination,
+    name: str,
+    wait_s: float,
+    grace_s: float = 0.0,
+    lifetime_s: float | None = None,
+    further: Sequence[str] = (),
 ) -> Command:
-    """Return the command of one worker process that ends with this one."""
+    """Return the command of one worker process that ends with this one; `further` are options for it."""
     options = ["--connect", str(connect), *tls_options(connect)]
     options += ["--processes", "1", "--name", name, "--wait", f"{wait_s:g}", "--grace", f"{grace_s:g}"]
     options += ["--lifetime", f"{lifetime_s:g}"] if lifetime_s is not None else []
-    return [sys.executable, "-m", "island_worker", *options, "--parent", str(os.getpid())]
+    return [sys.executable, "-m", "island_worker", *options, *further, "--parent", str(os.getpid())]
 
 
 def tls_options(connect: Destination) -> list[str]:

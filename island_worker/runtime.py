@@ -12,6 +12,7 @@ from functools import singledispatchmethod
 from typing import Final
 
 from common.errors import AtollError, RefusedError, RemoteProtocolError, UnreachableError
+from common.logs import fields
 from common.wire import topics
 from common.wire.addresses import Destination
 from common.wire.bus import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
@@ -32,6 +33,7 @@ from common.wire.messages import (
     States,
     WorkerStatus,
 )
+from common.wire.metered_bus import MeteredBus
 from common.wire.rejects import Rejects
 from common.wire.views import WorkerState
 from island_worker.compute import Compute, IslandCompute, WarmedUp, WarmUpFailed, WarmUpNote
@@ -69,6 +71,7 @@ from island_worker.events import (
     Unloadable,
 )
 from island_worker.events import Compute as ComputeTask
+from island_worker.heartbeat import counters, doing
 from island_worker.joining import Joining
 from island_worker.session import Session
 
@@ -121,7 +124,8 @@ class Worker:
         self.name: Final = name
         self.session = Session(name)
         self.rejects = Rejects(_LOG)
-        self._bus = bus
+        self._bus = MeteredBus(bus)
+        self._told_at = bus.now()
         self._compute = compute
         self._wait_s = wait_s
         self._leaving = leaving or Leaving()
@@ -158,6 +162,7 @@ class Worker:
         """Take in one event. What a peer did wrong is counted, logged once and changes nothing."""
         if self.exit_code is not None:
             return
+        self._bus.note(event)
         try:
             self._on(event)
         except RemoteProtocolError as error:
@@ -173,13 +178,16 @@ class Worker:
         match item:
             case WarmUpNote():
                 self._detail = item.sentence
-                _LOG.info("%s", item.sentence)
+                _LOG.info("warm-up", extra=fields(detail=item.sentence))
                 self._beat()
             case WarmedUp():
                 self._warmed_up(item)
             case WarmUpFailed():
                 self._leave(AtollError(item.sentence))
-            case JobReady() | Unloadable() | Snapshot() | Computed() | Rejected() | Broken() | Abandoned():
+            case JobReady() | Unloadable():
+                if self._datasets.loaded(item.job):
+                    self._tell(item)
+            case Snapshot() | Computed() | Rejected() | Broken() | Abandoned():
                 self._tell(item)
 
     @_on.register
@@ -234,9 +242,10 @@ class Worker:
             return
         if joined.is_restart:
             _LOG.info("the coordinator started anew; what was held is dropped")
-            self._tell(Reset())
+            self._tell(Reset(joined.incarnation))
             for job in self._datasets.jobs():
-                self._forget_job(job)
+                if not self.session.wants(job):
+                    self._forget_job(job)
         if joined.is_new_realm:
             self._listen()
         self._beat()
@@ -251,7 +260,7 @@ class Worker:
         self._bus.subscribe(topics.inbox(realm, self.name))
         self._bus.serve(topics.worker(realm, self.name, "pull"))
         self._bus.announce(topics.worker(realm, self.name, "alive"))
-        _LOG.info("joined realm=%s worker=%s", realm, self.name)
+        _LOG.info("joined", extra=fields(realm=realm))
 
     def _begin_leaving(self) -> None:
         """Say that this worker wants to end; it ends when it is told that nothing is left here, or after a while."""
@@ -279,7 +288,10 @@ class Worker:
             progress=self._compute.progress,
             holdings=self.session.holdings(),
             troubles=self.session.troubles(),
+            jobs=tuple(dict.fromkeys((*self.session.jobs(), *self._datasets.jobs()))),
             detail=self._detail,
+            doing=doing(self._compute.doing) if self._state() == "computing" else None,
+            counters=counters(self._bus, self.session, self.rejects),
         )
         self._bus.put(topics.worker(welcome.realm, self.name, "status"), encode(status))
 
@@ -293,7 +305,7 @@ class Worker:
     def _warmed_up(self, item: WarmedUp) -> None:
         """Greet once more, now with the fingerprint; then say that islands can be computed here."""
         self._detail, self._joining.fingerprint = "", item.fingerprint
-        _LOG.info("kernels ready seconds=%.2f fingerprint=%s", item.seconds, item.fingerprint)
+        _LOG.info("kernels ready", extra=fields(seconds=item.seconds, fingerprint=item.fingerprint))
         if self._joining.welcome is not None:
             self._greet()
 
@@ -350,7 +362,8 @@ class Worker:
 
     def load(self, announcement: JobAnnouncement, data: bytes) -> None:
         """See `Asker.load`."""
-        self._compute.load(announcement.job, announcement.config, data)
+        weight = 2.0**announcement.priority
+        self._compute.load(announcement.job, announcement.config, data, weight)
 
     def _forget_job(self, job: str) -> None:
         if self._datasets.forget(job):
@@ -392,8 +405,10 @@ class Worker:
                 self._datasets.announcement_came(asked.subject, event.payload)
             case _Asked("chunk"):
                 self._datasets.chunk_came(asked.subject, asked.index, event.payload)
-            case _Asked("placement") if event.payload is not None:
-                self._on_control(decode(event.payload, Control, MAX_MESSAGE).body)
+            case _Asked("placement"):
+                if event.payload is not None:
+                    self._on_control(decode(event.payload, Control, MAX_MESSAGE).body)
+                self.session.forget_early(asked.subject)
             case _Asked("states", states=PullStates() as pull):
                 self._states_came(pull, event.payload)
             case _Asked("pull") if event.payload is not None:
@@ -418,6 +433,9 @@ class Worker:
     # ------------------------------------------------------------------------------------------ actions
 
     def _tell(self, event: SessionEvent) -> None:
+        now = self._bus.now()
+        self.session.elapse(now - self._told_at)
+        self._told_at = now
         for action in self.session.handle(event):
             self._act(action)
 

@@ -30,6 +30,7 @@ def add_serve(verb: Verb, verbs: Any) -> None:
     _add_connect_file(parser)
     add_tls(parser)
     _add_roster(parser)
+    add_log(parser)
     parser.add_argument(
         "--wait",
         type=seconds,
@@ -55,6 +56,7 @@ def add_router(verb: Verb, verbs: Any) -> None:
     _add_connect_file(parser)
     add_tls(parser)
     _add_roster(parser)
+    add_log(parser)
 
 
 def add_doctor(verb: Verb, verbs: Any) -> argparse.ArgumentParser:
@@ -118,3 +120,13 @@ def add_tls(parser: argparse.ArgumentParser) -> None:
     )
     for option, (variable, text) in TLS_OPTIONS.items():
         group.add_argument(option, metavar="FILE", help=f"{text} (default: ${variable})")
+
+
+def add_log(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--log-format", choices=("text", "json"), default="text", help="form of the log on stderr (default: text)"
+    )
+    parser.add_argument(
+        "--log-level", choices=("debug", "info", "warning", "error"), default="info",
+        help="least level that is logged (default: info)",
+    )  # fmt: skip

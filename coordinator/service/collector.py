@@ -84,6 +84,7 @@ class Collector:
         self.limits: Final = limits
         self.progress = Progress()
         self.cut: Cut | None = None
+        self.duplicates = 0
         self._measure = measure
         self._filed: dict[tuple[int, int], _Filed] = {}
         self._past: dict[int, Progress] = {}
@@ -109,6 +110,7 @@ class Collector:
             self._check(worker, epoch, report)
         for report in reports:
             filed = _Filed(worker, report.generations, report.hit is not None, report.digest, report)
+            self.duplicates += (epoch, report.island) in self._filed
             self._filed.setdefault((epoch, report.island), filed)
         before = self.progress.epochs
         while self.cut is None and self._is_complete(self.progress.epochs):
@@ -145,6 +147,13 @@ class Collector:
             if any((epoch, island) not in self._filed for island in wanted):
                 return epoch
         return None
+
+    def awaited(self) -> tuple[int, ...]:
+        """Return the islands whose reports the next epoch still waits for; none once there is a cut."""
+        epoch, hit = self.progress.epochs, self._hit(self.progress.epochs)
+        filed = {island: self._filed[epoch, island].generations for _, island in self._keys(epoch)}
+        islands = range(self.limits.islands) if self.cut is None else ()
+        return tuple(island for island in islands if filed.get(island, 0) < self._needed(hit, island))
 
     def validate(self) -> None:
         """Check the invariants; raises AssertionError."""

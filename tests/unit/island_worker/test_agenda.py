@@ -121,6 +121,24 @@ def test_the_job_that_was_charged_least_comes_first() -> None:
     assert [job for job, *_ in bench.slices] == ["a", "b", "b", "b", "a", "b", "b", "a"]
 
 
+def test_a_job_of_twice_the_weight_gets_twice_the_time() -> None:
+    bench = Bench()
+    agenda = agenda_of(bench, *(key(island, job=job) for job in ("a", "b") for island in range(6)))
+    agenda.weigh("b", 2.0)
+    for _ in range(30):
+        agenda.turn()
+    turns = [job for job, *_ in bench.slices]
+    assert (turns.count("a"), turns.count("b")) == (10, 20)
+
+
+def test_the_agenda_knows_what_it_was_at_last() -> None:
+    bench = Bench()
+    agenda = agenda_of(bench, key(0))
+    assert agenda.doing is None
+    agenda.turn()
+    assert agenda.doing == key(0)
+
+
 def test_a_job_that_comes_later_does_not_make_up_for_what_the_others_had() -> None:
     bench = Bench()
     agenda = agenda_of(bench, key(0, job="a"))
