@@ -8,6 +8,7 @@ from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationCon
 from common.dataset import Dataset, Target
 from common.wire.faults import Plan
 from coordinator.data.recording import Preparation
+from coordinator.model.refinement import Refinement
 from island_worker.agenda import Work
 from island_worker.engine import Engine
 from island_worker.events import ShareKey, Task
@@ -32,6 +33,11 @@ def prepare(table: bytes, config: JobConfig) -> Preparation:
     return Preparation(Dataset(names, np.stack([x, y]), targets, {name: name for name in names}))
 
 
+def unrefined(*_: object) -> Refinement:
+    """Leave what was found as it is: what follows the search takes far longer, and depends on its answer alone."""
+    return Refinement()
+
+
 @dataclass
 class RealCompute(StubCompute):
     """The real engine in virtual time; how long it takes is drawn, as for the stub."""
@@ -54,7 +60,7 @@ class RealCompute(StubCompute):
 
 
 def answer(workers: int, seed: int, plan: Plan | None = None, crash_at_s: float | None = None) -> str:
-    world = World(workers=workers, seed=seed, plan=plan, compute=RealCompute, prepare=prepare)
+    world = World(workers=workers, seed=seed, plan=plan, compute=RealCompute, prepare=prepare, refiner=unrefined)
     if crash_at_s is not None:
         world.at(crash_at_s, lambda: world.crash("w1"))
     result = comparable(world.run(CONFIG))
