@@ -217,7 +217,13 @@ class Conductor:
         return refusal
 
     def heartbeat(self, worker: str, status: WorkerStatus, now: float) -> None:
-        """Take in a heartbeat and set right what the worker holds and should not, or should and does not."""
+        """Take in a heartbeat and set right what the worker holds and should not, or should and does not.
+
+        Raises:
+            RemoteProtocolError: The worker has heard of an incarnation that there is not.
+            StoreError: There is: another coordinator has taken over.
+        """
+        self._check_incarnation(worker, status)
         was_ready, was_lost = worker in self.membership.ready(), self.membership.is_lost(worker)
         if not self.membership.hear(worker, status, now):
             self._outlet.tell(Introduce(), worker)
@@ -242,6 +248,13 @@ class Conductor:
         placements = (each.placement for job in self.jobs.values() for each in job.open_archipelagos)
         if not any(worker in placement.workers for placement in placements if placement is not None):
             self._outlet.tell(Shutdown(sentence="nothing is placed here any more"), worker)
+
+    def _check_incarnation(self, worker: str, status: WorkerStatus) -> None:
+        if status.incarnation > self._store.incarnation:
+            self._store.check()
+            raise RemoteProtocolError(
+                f"worker {worker} has heard of incarnation {status.incarnation}, but this is {self._store.incarnation}"
+            )
 
     def report(self, worker: str, report: EpochReport, now: float) -> None:
         """Take in a report; raises RemoteProtocolError when it cannot be."""
