@@ -387,6 +387,7 @@ class Conductor:
     def _catch_up(self, worker: str, archipelago: Archipelago, holding: Holding) -> None:
         """Pull reports that were lost, and repeat a commit that was."""
         archipelago.note_holding(worker, holding)
+        self.watch.waited(worker, holding)
         pull = archipelago.missing_reports(worker, holding)
         if pull is not None:
             self._outlet.pull(worker, pull)

@@ -7,7 +7,7 @@ worker, and which jobs cannot go on. Nothing here can change a bit of a result.
 from collections.abc import Callable, Iterable
 from typing import Final
 
-from common.wire.messages import Hello, Placement, Submit, WorkerStatus
+from common.wire.messages import Hello, Holding, Placement, Submit, WorkerStatus
 from common.wire.views import EventKind, JobCounters, JobView
 from coordinator.service.archipelago import Archipelago, Checkpoint
 from coordinator.service.chronicle import Chronicle
@@ -19,6 +19,9 @@ from coordinator.service.membership import Member, Membership, Patience
 from coordinator.service.poison import Suspicion
 from coordinator.service.ports import StorePort
 from coordinator.service.stalls import Stillness
+
+MAX_REFUSED: Final = 1000
+"""Refusals that are told; each only once, and no flood of them fills the log."""
 
 Verdicts = list[tuple[str, str]]
 """Jobs that cannot go on, and why."""
@@ -37,6 +40,7 @@ class Watch:
         self._suspicions: dict[Key, Suspicion] = {}
         self._counters: dict[str, JobCounters] = {}
         self._waited: dict[tuple[str, str, int, str], float] = {}
+        self._refused: set[tuple[str, str]] = set()
 
     def started(self, realm: str, incarnation: int) -> None:
         """Take notice of the coordinator's own start."""
@@ -127,15 +131,19 @@ class Watch:
     def greeted(self, hello: Hello, refusal: str | None) -> None:
         """Take notice of a new worker, or of one that was refused."""
         if refusal is not None:
-            self.chronicle.note("refused", refusal, worker=hello.name)
+            if (hello.name, refusal) not in self._refused and len(self._refused) < MAX_REFUSED:
+                self._refused.add((hello.name, refusal))
+                self.chronicle.note("refused", refusal, worker=hello.name)
         else:
             text = f"process {hello.pid} on {hello.host or 'an unnamed host'}"
             self.chronicle.note("worker-joined", text, worker=hello.name)
 
+    def waited(self, worker: str, holding: Holding) -> None:
+        """Take notice of how long islands of a current placement have waited on a worker."""
+        self._waited[holding.job, holding.variable, holding.term, worker] = holding.waited_s
+
     def heard(self, worker: str, status: WorkerStatus, was_lost: bool) -> None:
-        """Take notice of a heartbeat: of seconds waited, and of a process that was taken for dead."""
-        for each in status.holdings:
-            self._waited[each.job, each.variable, each.term, worker] = each.waited_s
+        """Take notice of a heartbeat: it may be of a process that was taken for dead."""
         if not was_lost or self._membership.is_lost(worker):
             return
         self.chronicle.note("worker-back", "it is there again, as the same process", worker=worker)
