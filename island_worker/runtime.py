@@ -204,7 +204,10 @@ class Worker:
         elif event.name == _LIFETIME:
             self._begin_leaving()
         elif event.name == _GRACE:
-            _LOG.warning("not let go within %.0f s; what was not committed is computed again", self._leaving.grace_s)
+            _LOG.warning(
+                "not let go in time; what was not committed is computed again",
+                extra=fields(seconds=self._leaving.grace_s),
+            )
             self.exit_code = 0
         elif event.name == _GREET:
             self._greet()
@@ -268,7 +271,7 @@ class Worker:
             self.exit_code = 0
         elif not self._leaving.has_begun:
             self._leaving.has_begun = True
-            _LOG.info("leaving: what is computed here is handed over, for at most %.0f s", self._leaving.grace_s)
+            _LOG.info("leaving: what is computed here is handed over", extra=fields(at_most_s=self._leaving.grace_s))
             self._bus.call_later(self._leaving.grace_s, _GRACE)
             self._beat()
 
@@ -339,7 +342,7 @@ class Worker:
         if body.refused:
             self._leave(RefusedError(body.sentence))
         else:
-            _LOG.info("%s; this worker ends", body.sentence or "the coordinator ended")
+            _LOG.info("this worker ends", extra=fields(reason=body.sentence or "the coordinator ended"))
             self.exit_code = 0
 
     # ---------------------------------------------------------------------------------------- datasets
