@@ -1,10 +1,11 @@
 """An hour of jobs that arrive and workers that come and go: memory and open files must stay as they are.
 
 ``python -m benchmarks.soak --minutes 60`` starts a coordinator and two workers that stay, each a process of its own,
-over real zenoh. Every few seconds a client connects anew, submits a short job, follows it and goes; one in six is cancelled,
-one in ten has data that cannot be used. A third worker joins, is stopped, ends or is killed by turns. Memory (RSS), open
-files and threads of those that stay are sampled; what was sampled in the first fifth of the time, while caches fill, is
-left out. Returns 1 when a series rises (`benchmarks.trend`) or a job ends otherwise than it must, else 0.
+over real zenoh. Every few seconds a client connects anew, submits a short job, follows it and goes; one in six is
+cancelled, one in ten has data that cannot be used. A third worker joins, is stopped, ends or is killed by turns. Memory
+(RSS), open files and threads of those that stay are sampled; what was sampled in the first fifth of the time, while
+caches fill, is left out. Returns 1 when a series rises (`benchmarks.trend`) or a job ends otherwise than it must, else
+0.
 """
 
 import argparse

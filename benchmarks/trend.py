@@ -1,5 +1,6 @@
 """Whether a series of measurements rises: the slope of the least squares line, and its standard error."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -47,7 +48,7 @@ def trend(times_s: Sequence[float], values: Sequence[float]) -> Trend:
     square = sum(each * each for each in residuals)
     error = math.sqrt(square / max(1, count - 2) / spread)
     if square > 0.0:
-        together = sum(one * two for one, two in zip(residuals, residuals[1:], strict=False)) / square
+        together = sum(one * two for one, two in itertools.pairwise(residuals)) / square
         bounded = min(0.95, max(0.0, together))
         error *= math.sqrt((1.0 + bounded) / (1.0 - bounded))
     return Trend(mean, slope, error, times_s[-1] - times_s[0])
