@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from benchmarks.reporting import load, machine, seeds
+from common.cores import usable_cores
 from common.errors import AtollError, UsageError
 from coordinator.cli.output import note
-from island_worker.cores import usable_cores
 from island_worker.processes import end_with_parent
 from island_worker.warmup import warm_up
 

@@ -15,6 +15,7 @@ from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from common.config import JobConfig
 from common.errors import AtollError, DataError, RefusedError, RemoteProtocolError, UnreachableError
 from common.wire import topics
+from common.wire.addresses import Destination
 from common.wire.bus import Bus, Reply
 from common.wire.codec import decode, encode
 from common.wire.messages import (
@@ -22,8 +23,10 @@ from common.wire.messages import (
     Answer,
     Ask,
     Cancel,
+    EventList,
     Failure,
     FailureKind,
+    GetEvents,
     GetResult,
     Greeting,
     GreetingAnswer,
@@ -37,10 +40,11 @@ from common.wire.messages import (
     Submit,
     Upload,
     Uploaded,
+    Welcome,
     WorkerList,
     Workers,
 )
-from common.wire.views import JobView, WorkerView
+from common.wire.views import CoordinatorView, EventView, JobView, WorkerView
 
 ANSWER_LIMIT_S: Final = 10.0
 """How long any other question may remain without an answer."""
@@ -60,25 +64,30 @@ _ERRORS: Final[dict[FailureKind, type[AtollError]]] = {
 }
 
 A = TypeVar("A")
-Body = Upload | Submit | Jobs | Status | Workers | GetResult | Cancel
+Body = Upload | Submit | Jobs | Status | Workers | GetResult | Cancel | GetEvents
 
 
 class Client:
     """Asks one coordinator; not thread-safe, like its bus."""
 
-    def __init__(self, bus: Bus, address: str) -> None:
-        """Use `bus`, which the caller opened and will close; `address` is for messages to people."""
+    def __init__(self, bus: Bus, address: str, bearer: str = "client") -> None:
+        """Use `bus`, which the caller opened and will close; `address` is for messages to people.
+
+        `bearer` is the name in our certificate, if we have one.
+        """
         self._bus = bus
         self._address = address
-        self._name = f"client-{uuid.uuid4().hex[:12]}"
+        self._name = f"{bearer}-{uuid.uuid4().hex[:12]}"
         self._realm: str | None = None
+        self.welcome: Welcome | None = None
+        """What the coordinator said of itself when it was greeted."""
 
     def greet(self, limit_s: float = ANSWER_LIMIT_S) -> str:
         """Learn and return the coordinator's realm; the first question calls this by itself.
 
         Raises:
             UnreachableError: nobody answered in time.
-            RefusedError: the coordinator is of another version.
+            RefusedError: the coordinator is of another version, or does not let us in.
         """
         hello = Hello(
             role="client",
@@ -88,12 +97,36 @@ class Client:
             version=VERSION,
             engine=ENGINE_REVISION,
         )
-        payload = self._exchange(topics.HELLO, encode(Greeting(body=hello)), "its greeting", limit_s)
-        answer = _understood(lambda: decode(payload, GreetingAnswer)).body
-        if isinstance(answer, Refusal):
-            raise RefusedError(answer.sentence)
-        self._realm = answer.realm
-        return answer.realm
+        self.welcome = self._greet(encode(Greeting(body=hello)), limit_s)
+        self._realm = self.welcome.realm
+        return self._realm
+
+    def _greet(self, greeting: bytes, limit_s: float) -> Welcome:
+        """Greet under our name; when nothing comes back, ask whether access control may be the reason."""
+        end = self._bus.now() + limit_s
+        is_heard = False
+        while (left := end - self._bus.now()) > 0:
+            for key in (topics.hello(self._name), topics.HELLO):
+                payload = self._await(self._bus.get(key, greeting, min(left, limit_s / _TRIES)), left)
+                if payload is None:
+                    continue
+                answer = _understood(lambda payload=payload: decode(payload, GreetingAnswer)).body  # type: ignore[misc]
+                if isinstance(answer, Refusal):
+                    raise RefusedError(answer.sentence)
+                if key != topics.HELLO:
+                    return answer
+                is_heard = True
+            self.pause(min(_PAUSE_S, max(0.0, end - self._bus.now())))
+        raise UnreachableError(self._no_greeting(limit_s, is_heard))
+
+    def _no_greeting(self, limit_s: float, is_heard: bool) -> str:
+        silence = f"the coordinator at {self._address} did not answer within {limit_s:.0f} s (waited for its greeting)"
+        if is_heard:
+            return (
+                f"{silence}, though it can be reached: access control on the way does probably not know the name "
+                f"{self._name!r}; have the router started again with the roster that the coordinator has"
+            )
+        return f"{silence}; check that it runs and that the address is right"
 
     def upload(self, data: bytes) -> str:
         """Store `data` at the coordinator, chunk by chunk, unless it is there; return its digest."""
@@ -103,9 +136,9 @@ class Client:
             self._upload_chunk(blob, data, index)
         return blob
 
-    def submit(self, job: str, name: str, config: JobConfig, table: str) -> JobView:
+    def submit(self, job: str, name: str, config: JobConfig, table: str, priority: int = 0) -> JobView:
         """Submit a job under the id `job` on the uploaded table of that digest."""
-        body = Submit(job=job, name=name[:200], config=config, table=table)
+        body = Submit(job=job, name=name[:200], config=config, table=table, priority=priority)
         return self._ask(body, JobStatus, f"the acceptance of job {job}").job
 
     def jobs(self) -> tuple[JobView, ...]:
@@ -119,6 +152,15 @@ class Client:
     def workers(self) -> tuple[WorkerView, ...]:
         """Return the workers that the coordinator knows."""
         return self._ask(Workers(), WorkerList, "the list of workers").workers
+
+    def coordinator(self) -> CoordinatorView | None:
+        """Return the coordinator's view of itself."""
+        return self._ask(Workers(), WorkerList, "the coordinator's counters").coordinator
+
+    def events(self, job: str | None, after: int = 0, limit: int = 200) -> tuple[EventView, ...]:
+        """Return what happened to `job`, or at all (None), after that event; the last events when `after` is 0."""
+        body = GetEvents(job=job, after=after, limit=limit)
+        return self._ask(body, EventList, "the log of events").events
 
     def result(self, job: str) -> dict[str, Any]:
         """Return the contents of result.json; while the job runs, the best so far."""
@@ -190,17 +232,18 @@ class Client:
 
 
 @contextmanager
-def connected(address: str, wait_s: float = 5.0) -> Iterator[Client]:
+def connected(address: str | Destination, wait_s: float = 5.0) -> Iterator[Client]:
     """Open a client of the coordinator at `address`, such as ``tcp/host:7447``; close it at the end.
 
     Raises:
         UnreachableError: no coordinator answered within `wait_s` seconds.
-        RefusedError: it is of another version.
+        RefusedError: it is of another version, or does not let us in.
     """
     from common.wire.zenoh_bus import open_client
 
+    credentials = address.credentials if isinstance(address, Destination) else None
     with open_client(address, wait_s=wait_s) as bus:
-        client = Client(bus, address)
+        client = Client(bus, str(address), credentials.name if credentials is not None else "client")
         client.greet(wait_s)
         yield client
 

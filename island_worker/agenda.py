@@ -1,7 +1,8 @@
 """What is under way on a worker, slice by slice: the compute thread's order of work. Pure; time comes from a clock.
 
-Islands take turns of one slice: first the job charged least, then the slice that counts first (`common.slices`). When
-the target is met, what is no longer needed is given up at once, and what has come far enough is reported.
+Islands take turns of one slice: first the job charged least by its weight, then the slice that counts first
+(`common.slices`). When the target is met, what is no longer needed is given up at once, and what has come far enough is
+reported.
 """
 
 from collections.abc import Callable, Iterable
@@ -10,7 +11,7 @@ from typing import Protocol
 
 from common.errors import RemoteProtocolError
 from common.slices import Course, Position
-from island_worker.events import Abandoned, Broken, Computed, Outcome, Rejected, ShareKey, Task, TaskKey
+from island_worker.events import Abandoned, Broken, Computed, Outcome, Rejected, ShareKey, Snapshot, Task, TaskKey
 
 
 class Work(Protocol):
@@ -19,6 +20,10 @@ class Work(Protocol):
     @property
     def generation(self) -> int:
         """Generations of the epoch that have passed."""
+
+    @property
+    def snapshot(self) -> bytes | None:
+        """The island's state before generation 0, if the task wants it."""
 
     def advance(self) -> bool:
         """Compute one slice, or part of a long one; return True when the epoch is over or the target was met.
@@ -50,17 +55,23 @@ class Agenda:
     """The tasks of one worker that are not done yet."""
 
     def __init__(self, begin: Begin, clock: Callable[[], float]) -> None:
-        """`clock` gives seconds, by which jobs are charged for their turns."""
+        """`clock` gives seconds, by which jobs are charged for their turns; `doing` is the task of the last turn."""
         self._begin = begin
         self._clock = clock
         self._open: dict[TaskKey, _Open] = {}
         self._hits: dict[ShareKey, Position] = {}
         self._charged: dict[str, float] = {}
+        self._weights: dict[str, float] = {}
+        self.doing: TaskKey | None = None
 
     @property
     def is_idle(self) -> bool:
         """Whether there is nothing to compute."""
         return not self._open
+
+    def weigh(self, job: str, weight: float) -> None:
+        """Charge a job's turns by 1/`weight` of their time, so that it gets that many times the share of others."""
+        self._weights[job] = weight
 
     def add(self, task: Task) -> list[Outcome]:
         """Take in a task; return that it is given up when it is not needed."""
@@ -75,22 +86,26 @@ class Agenda:
         self._hits[share] = min(hit, self._hits.get(share, hit), key=course.rank)
         return self._settle([key for key in self._open if key.share == share])
 
-    def turn(self) -> list[Outcome]:
-        """Compute one slice of the task whose turn it is; return what came of the tasks that are done by it."""
+    def turn(self) -> list[Snapshot | Outcome]:
+        """Compute one slice of the task whose turn it is; return its snapshot and what came of tasks done by it."""
         key = min(self._open, key=self._rank)
         opened = self._open[key]
+        self.doing = key
         began = self._clock()
+        snapshots: list[Snapshot | Outcome] = []
+        outcome: Outcome | None = None
         try:
-            outcome = self._advance(opened)
+            snapshots += self._begin_if_new(opened)
+            outcome = None if opened.task.is_held else self._advance(opened)
         except RemoteProtocolError as error:
             outcome = Rejected(key, str(error))
         except Exception as error:  # it is the job that fails, not the worker
             outcome = Broken(key, f"island {key.island} of {key.variable} broke in epoch {key.epoch}: {brief(error)}")
-        self._charged[key.job] += self._clock() - began
-        if outcome is None:
-            return self._settle([key])
+        self._charged[key.job] += (self._clock() - began) / self._weights.get(key.job, 1.0)
+        if outcome is None and not opened.task.is_held:
+            return snapshots + self._settle([key])
         del self._open[key]
-        return [outcome, *self._stop_others(outcome, opened.task.course)]
+        return snapshots + ([outcome, *self._stop_others(outcome, opened.task.course)] if outcome is not None else [])
 
     def discard(self, share: ShareKey) -> None:
         """Forget the tasks of an archipelago's term."""
@@ -101,6 +116,7 @@ class Agenda:
     def discard_job(self, job: str) -> None:
         """Forget what a job was charged."""
         self._charged.pop(job, None)
+        self._weights.pop(job, None)
 
     def _rank(self, key: TaskKey) -> tuple[float, int, int, int, str, str, int]:
         opened = self._open[key]
@@ -108,10 +124,16 @@ class Agenda:
         epoch, group, generation, island = opened.task.course.rank(at)
         return (self._charged.get(key.job, 0.0), epoch, group, generation, key.job, key.variable, island)
 
+    def _begin_if_new(self, opened: _Open) -> list[Snapshot]:
+        """Begin a task that has not begun, and return the snapshot that it wants."""
+        if opened.work is not None:
+            return []
+        opened.work = self._begin(opened.task)
+        data = opened.work.snapshot
+        return [Snapshot(opened.task.key, data, opened.task.is_held)] if data is not None else []
+
     def _advance(self, opened: _Open) -> Outcome | None:
-        if opened.work is None:
-            opened.work = self._begin(opened.task)
-        return opened.work.computed() if opened.work.advance() else None
+        return opened.work.computed() if opened.work is not None and opened.work.advance() else None
 
     def _stop_others(self, outcome: Outcome, course: Course) -> list[Outcome]:
         if not isinstance(outcome, Computed) or outcome.report.hit is None:

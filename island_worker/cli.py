@@ -9,11 +9,18 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from functools import partial
-from typing import Final, NoReturn
+from typing import TYPE_CHECKING, Final, NoReturn
+
+if TYPE_CHECKING:
+    from common.wire.addresses import Destination
+    from common.wire.credentials import Credentials
 
 INTERRUPTED: Final = 130
 _WAIT_S: Final = 10.0
+_GRACE_S: Final = 30.0
+_UNITS: Final = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 _NAME: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _MOST_PROCESSES: Final = 1024
 
@@ -25,6 +32,8 @@ examples:
   island-worker --connect tcp/192.168.1.5:7447               one process per core, until the coordinator ends
   ATOLL_CONNECT=tcp/lab1:7447 island-worker --processes 4    the address from the environment
   island-worker --connect tcp/lab1:7447 --wait 3600          wait up to an hour for a coordinator to come (back)
+  island-worker --connect tls/lab1:7447 --tls-ca authority.pem --tls-cert certificate.pem --tls-key key.pem
+  island-worker --connect tcp/lab1:7447 --lifetime 55m       hand over and end before the hour that was reserved is over
 """
 
 
@@ -86,6 +95,7 @@ class _Parser(argparse.ArgumentParser):
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     from common import VERSION
+    from common.wire.tls_options import OPTIONS
 
     parser = _Parser(
         prog="island-worker",
@@ -97,8 +107,12 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--connect",
         metavar="tcp/HOST:PORT",
-        default=os.environ.get("ATOLL_CONNECT"),
         help="address of the coordinator (default: the environment variable ATOLL_CONNECT)",
+    )
+    parser.add_argument(
+        "--connect-file",
+        metavar="FILE",
+        help="read the address from the file that coordinator serve --connect-file writes, waiting for it up to --wait",
     )
     parser.add_argument(
         "--processes",
@@ -107,7 +121,11 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         default=None,
         help="worker processes; auto (default): one per core that may be used",
     )
-    parser.add_argument("--name", type=_name, help="name in lists and logs (default: host and process id)")
+    for option, (variable, text) in OPTIONS.items():
+        parser.add_argument(option, metavar="FILE", help=f"{text}, for tls/HOST:PORT (default: ${variable})")
+    parser.add_argument(
+        "--name", type=_name, help="name in lists and logs (default: host and process id, behind the certificate's)"
+    )
     parser.add_argument(
         "--wait",
         metavar="SECONDS",
@@ -115,6 +133,26 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         default=_WAIT_S,
         help="how long the coordinator may be away, at the start or later (default: %(default)g)",
     )
+    parser.add_argument(
+        "--lifetime",
+        metavar="TIME",
+        type=_duration,
+        help="leave after this time, such as 90s, 30m or 12h: what is computed here is handed over, nothing is lost",
+    )
+    parser.add_argument(
+        "--grace",
+        metavar="TIME",
+        type=_duration,
+        default=_GRACE_S,
+        help="how long handing over may take, then and after SIGTERM; a second SIGTERM ends at once (default: 30s)",
+    )
+    parser.add_argument(
+        "--log-format", choices=("text", "json"), default="text", help="form of the log on stderr (default: text)"
+    )
+    parser.add_argument(
+        "--log-level", choices=("debug", "info", "warning", "error"), default="info",
+        help="least level that is logged (default: info)",
+    )  # fmt: skip
     parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # end with this process
     parser.add_argument("--leave", action="store_true", help=argparse.SUPPRESS)  # the workers to the parent, and end
     parser.add_argument("--version", action="version", version=f"atoll {VERSION}")
@@ -122,31 +160,57 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _dispatch(options: argparse.Namespace) -> int:
-    from common.errors import UsageError
-    from common.wire.addresses import parse_address
+    from common.wire.credentials import credentials_of
     from island_worker.processes import choose_number
 
-    if not options.connect:
-        raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
-    connect = str(parse_address(options.connect))
-    name = options.name or _default_name()
+    credentials = credentials_of(vars(options), os.environ, "connect")
+    connect = _destination(options, credentials)
+    name = _name_for(credentials.name if credentials is not None else None, options.name)
     number = options.processes
     if number is None:
         number, reason = choose_number(os.environ)
         sys.stderr.write(f"island-worker: {number} {'process' if number == 1 else 'processes'}: {reason}\n")
     if number == 1 and not options.leave:
-        return _work(connect, name, options.wait, options.parent)
+        return _work(connect, name, options, options.parent)
     names = [f"{name[:58]}-{index}" for index in range(number)]
     return _work_together(connect, names, options)
 
 
-def _work_together(connect: str, names: Sequence[str], options: argparse.Namespace) -> int:
+def _destination(options: argparse.Namespace, credentials: "Credentials | None") -> "Destination":
+    """Return where the coordinator is, from the options or ``ATOLL_CONNECT``, once that is known.
+
+    Raises:
+        UsageError: none was given, or two, or it is none.
+        UnreachableError: the file did not come in time, or nothing accepts connections at the addresses in it.
+    """
+    from common.errors import UsageError
+    from common.wire.addresses import destination
+
+    if options.connect_file:
+        if options.connect:
+            raise UsageError("both --connect and --connect-file were given; give one of them")
+        from pathlib import Path
+
+        from common.wire.connect_file import address_in
+
+        return destination(address_in(Path(options.connect_file), options.wait), credentials)
+    connect = options.connect or os.environ.get("ATOLL_CONNECT")
+    if not connect:
+        raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
+    return destination(connect, credentials)
+
+
+def _work_together(connect: "Destination", names: Sequence[str], options: argparse.Namespace) -> int:
     """Have one process for each name work; forked, where that can be, after all have been loaded once."""
     from island_worker.forking import can_fork, leave, load_ahead
     from island_worker.processes import ending_on_signals, hear_of_death, supervise, supervise_forks, worker_command
 
     if not can_fork():
-        return supervise([worker_command(connect, each, options.wait) for each in names], options.parent)
+        commands = [
+            worker_command(connect, each, options.wait, options.grace, options.lifetime, _log_options(options))
+            for each in names
+        ]
+        return supervise(commands, options.parent, options.grace)
     with ending_on_signals():
         if options.parent is not None:
             hear_of_death()
@@ -154,38 +218,54 @@ def _work_together(connect: str, names: Sequence[str], options: argparse.Namespa
         if options.parent not in (None, os.getppid()):
             return 0
     parent = options.parent if options.leave else os.getpid()
-    works = {name: partial(_work_guarded, connect, name, options.wait, parent) for name in names}
+    works = {name: partial(_work_guarded, connect, name, options, parent) for name in names}
     if not options.leave:
-        return supervise_forks(list(works.values()), options.parent)
+        return supervise_forks(list(works.values()), options.parent, options.grace)
     leave(works)
     return 0
 
 
-def _work_guarded(connect: str, name: str, wait_s: float, parent: int) -> int:
-    return _guarded(partial(_work, connect, name, wait_s, parent))
+def _log_options(options: argparse.Namespace) -> list[str]:
+    return ["--log-format", options.log_format, "--log-level", options.log_level]
 
 
-def _work(connect: str, name: str, wait_s: float, parent: int | None) -> int:
-    from island_worker.processes import end_with_parent, ending_on_signals
+def _work_guarded(connect: "Destination", name: str, options: argparse.Namespace, parent: int) -> int:
+    return _guarded(partial(_work, connect, name, options, parent))
+
+
+def _work(connect: "Destination", name: str, options: argparse.Namespace, parent: int | None) -> int:
+    from common.logs import configure
+    from island_worker.processes import end_with_parent, ending_on_signals, leaving_on_signals
 
     with ending_on_signals():
         if parent is not None:
             end_with_parent(parent)
-        _configure_log(name)
-        from island_worker.runtime import run_worker
+        configure(options.log_format, options.log_level, worker=name)
+        from island_worker.runtime import Leaving, run_worker
 
-        return run_worker(connect, name, wait_s)
+        leaving = Leaving(options.lifetime, options.grace)
+        on_signal = partial(leaving_on_signals, parent) if options.grace > 0.0 else lambda leave: nullcontext()
+        return run_worker(connect, name, options.wait, leaving, on_signal)
 
 
-def _configure_log(name: str) -> None:
-    import logging
+def _name_for(bearer: str | None, wanted: str | None) -> str:
+    """Return the worker's name; it is that of our certificate, if we have one, or that and a hyphen and more.
 
-    logging.basicConfig(
-        level=logging.INFO,
-        stream=sys.stderr,
-        format=f"%(asctime)s %(levelname)s {name} %(name)s %(message)s",
-        force=True,
-    )
+    Raises:
+        UsageError: the name that is wanted is not.
+    """
+    from common.errors import UsageError
+
+    if bearer is None:
+        return wanted or _default_name()
+    if wanted is None:
+        name = _default_name()
+        return name if name.startswith(f"{bearer}-") else f"{bearer}-{name[-(57 - len(bearer)) :].lstrip('-')}"
+    if wanted != bearer and not wanted.startswith(f"{bearer}-"):
+        raise UsageError(
+            f"--name must be {bearer} or begin with {bearer}-, as the certificate says, but {wanted!r} was given"
+        )
+    return wanted
 
 
 def _default_name() -> str:
@@ -209,6 +289,17 @@ def _name(text: str) -> str:
     if _NAME.fullmatch(text):
         return text
     raise argparse.ArgumentTypeError(f"up to 64 letters, digits, - and _ were expected, but {text!r} was given")
+
+
+def _duration(text: str) -> float:
+    """Return seconds: a number of them, or a number with one of the units s, m, h and d."""
+    number, factor = (text[:-1], _UNITS[text[-1]]) if text[-1:] in _UNITS else (text, 1.0)
+    try:
+        return _seconds(number) * factor
+    except argparse.ArgumentTypeError:
+        raise argparse.ArgumentTypeError(
+            f"a time such as 90s, 30m or 12h was expected, but {text!r} was given"
+        ) from None
 
 
 def _seconds(text: str) -> float:

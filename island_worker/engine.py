@@ -10,7 +10,7 @@ from island_worker.events import Computed, JobReady, ShareKey, Task, Unloadable
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from common.dataset import Dataset
+    from common.dataset import Dataset, Problem
     from common.pareto import FrontEntry
     from island_worker.evolution.island import EpochOutcome, Island
 
@@ -36,13 +36,15 @@ class Engine:
         return JobReady(job)
 
     def begin(self, task: Task) -> "Epoch":
-        """Begin an island's epoch; raises RemoteProtocolError when its immigrants are malformed."""
+        """Begin an island's epoch; raises RemoteProtocolError when its immigrants or its state are malformed."""
         from island_worker.evolution.island import Island
 
         key = task.key
         config, dataset = self._jobs[key.job]
         islands = self._islands.setdefault(key.share, {})
-        if task.blocks is None:
+        if task.state is not None:
+            islands[key.island] = _restored(task, dataset.problem(key.variable), config)
+        elif task.blocks is None:
             islands[key.island] = Island(dataset.problem(key.variable), config, key.island)
         else:
             islands[key.island].immigrate(task.blocks)
@@ -65,6 +67,7 @@ class Epoch:
         self._island = island
         self._config = config
         self._is_over = False
+        self.snapshot: Final = island.to_bytes() if task.takes_snapshot else None
 
     @property
     def generation(self) -> int:
@@ -88,6 +91,16 @@ class Epoch:
             return Computed(key, report, {}, frozenset())
         awaited = senders(self._config, key.variable, key.epoch, key.island)
         return Computed(key, report, self._island.emigrants(), awaited)
+
+
+def _restored(task: Task, problem: "Problem", config: JobConfig) -> "Island":
+    """Return the island as it was at the checkpoint at which its term begins."""
+    from island_worker.evolution.island import Island
+
+    island = Island.from_bytes(task.state or b"", problem, config, task.key.island)
+    if island.epoch != task.key.epoch:
+        raise RemoteProtocolError(f"a state of epoch {island.epoch} came for epoch {task.key.epoch}")
+    return island
 
 
 def report_of(island: int, outcome: "EpochOutcome") -> IslandReport:

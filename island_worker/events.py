@@ -17,8 +17,10 @@ from common.wire.messages import (
     Placement,
     PullMigrants,
     PullReports,
+    PullStates,
     Reports,
     Sent,
+    States,
 )
 
 
@@ -48,15 +50,20 @@ class TaskKey:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Begin epoch `key.epoch` (with the immigrants `blocks` by source island; None at epoch 0) and finish it.
+    """Begin epoch `key.epoch` (with the immigrants `blocks` by source island; None at the term's first) and finish it.
 
-    Emigrants are wanted unless the epoch `is_last`; by the `course` its slices count before or after others.
+    Emigrants are wanted unless the epoch `is_last`; by the `course` its slices count before or after others. `state` is
+    what the island goes on from when its term begins at a checkpoint. A snapshot is wanted at a checkpoint; an epoch
+    that `is_held` is begun for its sake alone.
     """
 
     key: TaskKey
     blocks: Mapping[int, bytes] | None
     is_last: bool
     course: Course
+    state: bytes | None = None
+    takes_snapshot: bool = False
+    is_held: bool = False
 
 
 # ------------------------------------------------------------------------------------------------ events
@@ -111,7 +118,7 @@ class PullAsked:
     """Somebody asks for what we sent; to be answered under `handle`."""
 
     handle: Any
-    body: PullMigrants | PullReports
+    body: PullMigrants | PullReports | PullStates
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +126,24 @@ class PullAnswered:
     """Worker `peer` answered our pull."""
 
     peer: str
-    body: Sent | Reports | NotYet | NewerTerm
+    body: Sent | Reports | States | NotYet | NewerTerm
+
+
+@dataclass(frozen=True, slots=True)
+class StatesCame:
+    """The coordinator answered a question for states; None: not in time, or it has none."""
+
+    asked: PullStates
+    body: States | None
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """The state of an island before generation 0 of an epoch; when it `is_held`, that is all that was wanted."""
+
+    key: TaskKey
+    data: bytes
+    is_held: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +184,7 @@ class Abandoned:
 
 
 Outcome = Computed | Rejected | Broken | Abandoned
-"""What can come of a task."""
+"""What can come of a task that is not held."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +213,8 @@ SessionEvent = (
     | Mailed
     | PullAsked
     | PullAnswered
+    | StatesCame
+    | Snapshot
     | Computed
     | Rejected
     | Broken
@@ -216,8 +242,20 @@ class FetchPlacements:
 
 
 @dataclass(frozen=True, slots=True)
+class FetchStates:
+    """Ask the coordinator for states of a checkpoint; StatesCame follows."""
+
+    body: PullStates
+
+
+@dataclass(frozen=True, slots=True)
+class Beat:
+    """Tell the coordinator at once what is held."""
+
+
+@dataclass(frozen=True, slots=True)
 class Compute:
-    """Give the task to the compute thread; Computed, Rejected, Broken or Abandoned follows."""
+    """Give the task to the compute thread; a Snapshot, Computed, Rejected, Broken or Abandoned follows."""
 
     task: Task
 
@@ -273,10 +311,10 @@ class Respond:
     """Answer the pull that came under `handle`."""
 
     handle: Any
-    body: Sent | Reports | NotYet | NewerTerm
+    body: Sent | Reports | States | NotYet | NewerTerm
 
 
-Saying = Send | SendReport | AskPeer | Respond | FetchJob | FetchPlacements
+Saying = Send | SendReport | AskPeer | Respond | FetchJob | FetchPlacements | FetchStates | Beat
 """What goes out on the bus."""
 
 Action = Compute | StopAt | Discard | DiscardJob | Saying

@@ -35,6 +35,7 @@ class Joining:
         self.is_accepted = False
         self.instance = uuid4().hex
         self._name = name
+        self._is_heard = False  # an enquiry was answered although no greeting was
         self._away_since: float | None = now
         self._realms: set[str] = set()
 
@@ -64,16 +65,26 @@ class Joining:
         Raises:
             RefusedError: We are refused, or do not understand each other.
         """
-        try:
-            answer = decode(payload, GreetingAnswer, MAX_MESSAGE).body
-        except RemoteProtocolError as error:
-            raise RefusedError(
-                f"the coordinator's answer was not understood ({error}); this worker is Atoll {VERSION} (protocol "
-                f"{PROTOCOL_VERSION}), install the same version on both sides"
-            ) from error
-        if isinstance(answer, Refusal):
-            raise RefusedError(answer.sentence)
-        return self._join(answer, fingerprint)
+        return self._join(_welcome(payload), fingerprint)
+
+    def enquired(self, payload: bytes) -> None:
+        """Take in the answer to the question whether we would be welcome, asked because no greeting was answered.
+
+        Raises:
+            RefusedError: We would not, or do not understand each other.
+        """
+        _welcome(payload)
+        self._is_heard = True
+
+    def silence(self, limit_s: float) -> str:
+        """Return a sentence on a coordinator that has not answered for `limit_s` seconds."""
+        if self._is_heard and self.welcome is None:
+            return (
+                f"the coordinator did not answer the greeting of {self._name!r} within {limit_s:.0f} s, though it can "
+                "be reached: access control on the way does probably not know this name; have the router started again "
+                "with the roster that the coordinator has"
+            )
+        return f"the coordinator has not answered for {limit_s:.0f} s; start it again"
 
     def lost(self, now: float) -> None:
         """Note that the connection went."""
@@ -96,3 +107,17 @@ class Joining:
         )
         self._realms.add(welcome.realm)
         return joined
+
+
+def _welcome(payload: bytes) -> Welcome:
+    """Return the welcome in an answer to a greeting; raises RefusedError with what it says instead."""
+    try:
+        answer = decode(payload, GreetingAnswer, MAX_MESSAGE).body
+    except RemoteProtocolError as error:
+        raise RefusedError(
+            f"the coordinator's answer was not understood ({error}); this worker is Atoll {VERSION} (protocol "
+            f"{PROTOCOL_VERSION}), install the same version on both sides"
+        ) from error
+    if isinstance(answer, Refusal):
+        raise RefusedError(answer.sentence)
+    return answer

@@ -5,12 +5,16 @@ the command line calls.
 """
 
 import logging
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
 
 from common.errors import AtollError, RefusedError, RemoteProtocolError, UnreachableError
+from common.logs import fields
 from common.wire import topics
+from common.wire.addresses import Destination
 from common.wire.bus import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from common.wire.codec import decode, encode
 from common.wire.messages import (
@@ -24,9 +28,12 @@ from common.wire.messages import (
     Placements,
     Pull,
     PullAnswer,
+    PullStates,
     Shutdown,
+    States,
     WorkerStatus,
 )
+from common.wire.metered_bus import MeteredBus
 from common.wire.rejects import Rejects
 from common.wire.views import WorkerState
 from island_worker.compute import Compute, IslandCompute, WarmedUp, WarmUpFailed, WarmUpNote
@@ -35,6 +42,7 @@ from island_worker.events import (
     Abandoned,
     Action,
     AskPeer,
+    Beat,
     Broken,
     Closed,
     Committed,
@@ -43,6 +51,7 @@ from island_worker.events import (
     DiscardJob,
     FetchJob,
     FetchPlacements,
+    FetchStates,
     JobReady,
     Mailed,
     Placed,
@@ -55,11 +64,14 @@ from island_worker.events import (
     Send,
     SendReport,
     SessionEvent,
+    Snapshot,
+    StatesCame,
     StopAt,
     Tick,
     Unloadable,
 )
 from island_worker.events import Compute as ComputeTask
+from island_worker.heartbeat import counters, doing
 from island_worker.joining import Joining
 from island_worker.session import Session
 
@@ -72,35 +84,51 @@ GREET_PAUSE_S: Final = 0.2
 PULL_TIMEOUT_S: Final = 5.0
 FETCH_TIMEOUT_S: Final = 20.0
 FETCH_PAUSE_S: Final = 0.5
+GRACE_S: Final = 30.0
 
 _BEAT: Final = "heartbeat"
 _TICK: Final = "tick"
 _GREET: Final = "greet"
+_LIFETIME: Final = "lifetime"
+_GRACE: Final = "grace"
 _FETCH: Final = "fetch/"
+
+
+@dataclass(slots=True)
+class Leaving:
+    """When a worker asks to be let go (after `lifetime_s`, if given), and how long it waits for that at most."""
+
+    lifetime_s: float | None = None
+    grace_s: float = GRACE_S
+    is_wanted: bool = False
+    has_begun: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """What a reply will be the answer to: `question` of (`peer` or the coordinator, about `job`)."""
+    """What a reply will be the answer to: `question` of (`peer` or the coordinator, about `job`), or about `states`."""
 
     question: str
     subject: str = ""
     index: int = 0
+    states: PullStates | None = None
 
 
 class Worker:
     """One worker process on one bus. Owned by the bus's owner thread."""
 
-    def __init__(self, bus: Bus, compute: Compute, name: str, wait_s: float) -> None:
-        """`wait_s`: how long the coordinator may be away; `compute` begins to warm up elsewhere."""
+    def __init__(self, bus: Bus, compute: Compute, name: str, wait_s: float, leaving: Leaving | None = None) -> None:
+        """Set up a worker whose `compute` warms up elsewhere; `wait_s`: how long the coordinator may be away."""
         self.exit_code: int | None = None
         self.error: AtollError | None = None
         self.name: Final = name
         self.session = Session(name)
         self.rejects = Rejects(_LOG)
-        self._bus = bus
+        self._bus = MeteredBus(bus)
+        self._told_at = bus.now()
         self._compute = compute
         self._wait_s = wait_s
+        self._leaving = leaving or Leaving()
         self._joining = Joining(name, bus.now())
         self._datasets = Datasets(self)
         self._detail = "loading kernels"
@@ -114,6 +142,12 @@ class Worker:
         self._greet()
         self._bus.call_later(HEARTBEAT_S, _BEAT)
         self._bus.call_later(TICK_S, _TICK)
+        if self._leaving.lifetime_s is not None:
+            self._bus.call_later(self._leaving.lifetime_s, _LIFETIME)
+
+    def leave(self) -> None:
+        """Ask, at the next tick, to be let go: what is computed here is handed over first. Signal handlers may call."""
+        self._leaving.is_wanted = True
 
     def run(self) -> int:
         """Work until the coordinator ends, refuses us or stays away; return the exit code."""
@@ -128,6 +162,7 @@ class Worker:
         """Take in one event. What a peer did wrong is counted, logged once and changes nothing."""
         if self.exit_code is not None:
             return
+        self._bus.note(event)
         try:
             self._on(event)
         except RemoteProtocolError as error:
@@ -143,7 +178,7 @@ class Worker:
         match item:
             case WarmUpNote():
                 self._detail = item.sentence
-                _LOG.info("%s", item.sentence)
+                _LOG.info("warm-up", extra=fields(detail=item.sentence))
                 self._beat()
             case WarmedUp():
                 self._warmed_up(item)
@@ -152,7 +187,7 @@ class Worker:
             case JobReady() | Unloadable():
                 if self._datasets.loaded(item.job):
                     self._tell(item)
-            case Computed() | Rejected() | Broken() | Abandoned():
+            case Snapshot() | Computed() | Rejected() | Broken() | Abandoned():
                 self._tell(item)
 
     @_on.register
@@ -162,8 +197,15 @@ class Worker:
             self._bus.call_later(HEARTBEAT_S, _BEAT)
         elif event.name == _TICK:
             self._check_absence()
+            if self._leaving.is_wanted:
+                self._begin_leaving()
             self._tell(Tick(self._bus.now()))
             self._bus.call_later(TICK_S, _TICK)
+        elif event.name == _LIFETIME:
+            self._begin_leaving()
+        elif event.name == _GRACE:
+            _LOG.warning("not let go within %.0f s; what was not committed is computed again", self._leaving.grace_s)
+            self.exit_code = 0
         elif event.name == _GREET:
             self._greet()
         elif event.name.startswith(_FETCH):
@@ -185,11 +227,12 @@ class Worker:
 
     def _greet(self) -> None:
         asked = _Asked("hello", self._joining.fingerprint)
-        self._get(topics.HELLO, self._joining.hello(), GREET_TIMEOUT_S, asked)
+        self._get(topics.hello(self.name), self._joining.hello(), GREET_TIMEOUT_S, asked)
 
     def _greeted(self, fingerprint: str, payload: bytes | None) -> None:
         """Take in the answer to a greeting that carried `fingerprint` ("": kernels not ready yet)."""
         if payload is None:
+            self._get(topics.HELLO, self._joining.hello(), GREET_TIMEOUT_S, _Asked("enquiry"))
             self._bus.call_later(GREET_PAUSE_S, _GREET)
             return
         try:
@@ -217,9 +260,21 @@ class Worker:
         self._bus.subscribe(topics.inbox(realm, self.name))
         self._bus.serve(topics.worker(realm, self.name, "pull"))
         self._bus.announce(topics.worker(realm, self.name, "alive"))
-        _LOG.info("joined realm=%s worker=%s", realm, self.name)
+        _LOG.info("joined", extra=fields(realm=realm))
+
+    def _begin_leaving(self) -> None:
+        """Say that this worker wants to end; it ends when it is told that nothing is left here, or after a while."""
+        if self._joining.welcome is None or self._leaving.grace_s <= 0.0:
+            self.exit_code = 0
+        elif not self._leaving.has_begun:
+            self._leaving.has_begun = True
+            _LOG.info("leaving: what is computed here is handed over, for at most %.0f s", self._leaving.grace_s)
+            self._bus.call_later(self._leaving.grace_s, _GRACE)
+            self._beat()
 
     def _state(self) -> WorkerState:
+        if self._leaving.has_begun:
+            return "leaving"
         return self.session.state() if self._joining.is_accepted else "compiling"
 
     def _beat(self) -> None:
@@ -235,20 +290,29 @@ class Worker:
             troubles=self.session.troubles(),
             jobs=tuple(dict.fromkeys((*self.session.jobs(), *self._datasets.jobs()))),
             detail=self._detail,
+            doing=doing(self._compute.doing) if self._state() == "computing" else None,
+            counters=counters(self._bus, self.session, self.rejects),
         )
         self._bus.put(topics.worker(welcome.realm, self.name, "status"), encode(status))
+
+    def _enquired(self, payload: bytes) -> None:
+        """Take in why our greeting may have remained without an answer."""
+        try:
+            self._joining.enquired(payload)
+        except RefusedError as error:
+            self._leave(error)
 
     def _warmed_up(self, item: WarmedUp) -> None:
         """Greet once more, now with the fingerprint; then say that islands can be computed here."""
         self._detail, self._joining.fingerprint = "", item.fingerprint
-        _LOG.info("kernels ready seconds=%.2f fingerprint=%s", item.seconds, item.fingerprint)
+        _LOG.info("kernels ready", extra=fields(seconds=item.seconds, fingerprint=item.fingerprint))
         if self._joining.welcome is not None:
             self._greet()
 
     def _check_absence(self) -> None:
         """Leave when the coordinator has been away for longer than allowed."""
         if self._joining.absence(self._bus.now()) > self._wait_s:
-            self._leave(UnreachableError(f"the coordinator has not answered for {self._wait_s:.0f} s; start it again"))
+            self._leave(UnreachableError(self._joining.silence(self._wait_s)))
 
     def _leave(self, error: AtollError) -> None:
         self.error, self.exit_code = error, error.exit_code
@@ -275,7 +339,7 @@ class Worker:
         if body.refused:
             self._leave(RefusedError(body.sentence))
         else:
-            _LOG.info("the coordinator ended; so does this worker")
+            _LOG.info("%s; this worker ends", body.sentence or "the coordinator ended")
             self.exit_code = 0
 
     # ---------------------------------------------------------------------------------------- datasets
@@ -298,7 +362,8 @@ class Worker:
 
     def load(self, announcement: JobAnnouncement, data: bytes) -> None:
         """See `Asker.load`."""
-        self._compute.load(announcement.job, announcement.config, data)
+        weight = 2.0**announcement.priority
+        self._compute.load(announcement.job, announcement.config, data, weight)
 
     def _forget_job(self, job: str) -> None:
         if self._datasets.forget(job):
@@ -334,6 +399,8 @@ class Worker:
         match asked:
             case _Asked("hello"):
                 self._greeted(asked.subject, event.payload)
+            case _Asked("enquiry") if event.payload is not None:
+                self._enquired(event.payload)
             case _Asked("job"):
                 self._datasets.announcement_came(asked.subject, event.payload)
             case _Asked("chunk"):
@@ -342,8 +409,19 @@ class Worker:
                 if event.payload is not None:
                     self._on_control(decode(event.payload, Control, MAX_MESSAGE).body)
                 self.session.forget_early(asked.subject)
+            case _Asked("states", states=PullStates() as pull):
+                self._states_came(pull, event.payload)
             case _Asked("pull") if event.payload is not None:
                 self._tell(PullAnswered(asked.subject, decode(event.payload, PullAnswer, MAX_MESSAGE).body))
+
+    def _states_came(self, pull: PullStates, payload: bytes | None) -> None:
+        """Hand on what came, also that nothing came: it is asked for again."""
+        try:
+            body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else None
+        except RemoteProtocolError:
+            self._tell(StatesCame(pull, None))
+            raise
+        self._tell(StatesCame(pull, body if isinstance(body, States) else None))
 
     def _get(self, key: str, payload: bytes, timeout_s: float, asked: _Asked) -> None:
         self._asked[self._bus.get(key, payload, timeout_s)] = asked
@@ -355,6 +433,9 @@ class Worker:
     # ------------------------------------------------------------------------------------------ actions
 
     def _tell(self, event: SessionEvent) -> None:
+        now = self._bus.now()
+        self.session.elapse(now - self._told_at)
+        self._told_at = now
         for action in self.session.handle(event):
             self._act(action)
 
@@ -385,19 +466,27 @@ class Worker:
                 self._bus.reply(action.handle, encode(PullAnswer(body=action.body)))
             case FetchJob():
                 self._datasets.fetch(action.job)
+            case FetchStates():
+                key, asked = topics.state(realm, action.body.job), _Asked("states", states=action.body)
+                self._get(key, encode(Pull(body=action.body)), FETCH_TIMEOUT_S, asked)
+            case Beat():
+                self._beat()
             case FetchPlacements():
                 self._get(topics.placement(realm, action.job), b"", PULL_TIMEOUT_S, _Asked("placement", action.job))
 
 
-def run_worker(connect: str, name: str, wait_s: float) -> int:
-    """Join the coordinator at `connect` as worker `name` and work until it ends; return the exit code.
+OnSignal = Callable[[Callable[[], None]], AbstractContextManager[None]]
+
+
+def run_worker(connect: str | Destination, name: str, wait_s: float, leaving: Leaving, on_signal: OnSignal) -> int:
+    """Join the coordinator at `connect` as worker `name` and work until it ends or lets us go; return the exit code.
 
     Kernels are made ready while the connection is still being sought. `wait_s` limits both the first connection and
-    any later absence of the coordinator.
+    any later absence of the coordinator. `on_signal` has a function called when this process is told to end.
 
     Raises:
         UnreachableError: The coordinator was not there, or stayed away.
-        RefusedError: It refused this worker, for instance because of its version.
+        RefusedError: It refused this worker, for instance because of its version or its certificate.
     """
     from common.wire.zenoh_bus import open_client
 
@@ -405,8 +494,9 @@ def run_worker(connect: str, name: str, wait_s: float) -> int:
     compute.warm_up()
     try:
         with open_client(connect, wait_s=wait_s) as bus:
-            worker = Worker(bus, compute, name, wait_s)
-            code = worker.run()
+            worker = Worker(bus, compute, name, wait_s, leaving)
+            with on_signal(worker.leave):
+                code = worker.run()
             if worker.error is not None:
                 raise worker.error
             return code

@@ -10,12 +10,13 @@ from typing import Final, Literal
 
 from common.errors import LocalProtocolError, RemoteProtocolError
 from common.slices import Position
-from common.wire.messages import Finished, Holding, Migrants, NewerTerm, PullReports, Sent, Trouble
+from common.wire.messages import Finished, Holding, Migrants, NewerTerm, PullReports, PullStates, Sent, Trouble
 from common.wire.views import WorkerState
 from island_worker.events import (
     Abandoned,
     Action,
     AskPeer,
+    Beat,
     Broken,
     Closed,
     Committed,
@@ -25,6 +26,7 @@ from island_worker.events import (
     DiscardJob,
     FetchJob,
     FetchPlacements,
+    FetchStates,
     JobReady,
     Mailed,
     Placed,
@@ -34,6 +36,8 @@ from island_worker.events import (
     Reset,
     Respond,
     SessionEvent,
+    Snapshot,
+    StatesCame,
     StopAt,
     TaskKey,
     Tick,
@@ -67,6 +71,23 @@ class Session:
         self._terms: dict[Archipelago, int] = {}
         self._early: list[Mailed] = []
         self._troubles: list[Trouble] = []
+        self._waited_before_s = 0.0
+        self._duplicates_before = 0
+
+    @property
+    def waited_s(self) -> float:
+        """Seconds that islands here have waited for migrants, summed over islands."""
+        return self._waited_before_s + sum(share.waited_s for share in self._shares.values())
+
+    @property
+    def duplicates(self) -> int:
+        """Blocks of migrants that came again, or too late, and changed nothing."""
+        return self._duplicates_before + sum(share.duplicates for share in self._shares.values())
+
+    def elapse(self, seconds: float) -> None:
+        """Let time pass, before an event that came after it."""
+        for share in self._shares.values():
+            share.elapse(seconds)
 
     def handle(self, event: SessionEvent) -> list[Action]:
         """Take in one event and return what is to be done, computations first.
@@ -132,7 +153,7 @@ class Session:
             actions.append(FetchJob(placement.job))
         self._step_job(placement.job, "placed")
         self._deliver_early(key)
-        return actions + self._stop_from(self._shares[key], None)
+        return actions + self._fetches(self._shares[key]) + self._stop_from(self._shares[key], None)
 
     @_on.register
     def _job_ready(self, event: JobReady) -> list[Action]:
@@ -153,7 +174,7 @@ class Session:
         commit = event.commit
         share = self._shares.get((commit.job, commit.variable))
         if share is not None and share.placement.term == commit.term:
-            share.commit_at(commit.epoch)
+            share.commit_at(commit)
         return []
 
     @_on.register
@@ -204,6 +225,8 @@ class Session:
             return [Respond(event.handle, NewerTerm(job=pull.job, variable=pull.variable, term=term))]
         if isinstance(pull, PullReports):
             return [Respond(event.handle, share.answer_reports(pull))]
+        if isinstance(pull, PullStates):
+            return [Respond(event.handle, share.answer_states(pull))]
         return [Respond(event.handle, share.answer_migrants(pull))]
 
     @_on.register
@@ -220,7 +243,19 @@ class Session:
 
     @_on.register
     def _tick(self, event: Tick) -> list[Action]:
-        return [AskPeer(peer, pull) for share in self._shares.values() for peer, pull in share.due_pulls(event.now)]
+        actions: list[Action] = []
+        for share in self._shares.values():
+            actions += [AskPeer(peer, pull) for peer, pull in share.due_pulls(event.now)]
+            actions += self._fetches(share)
+        return actions
+
+    @_on.register
+    def _states_came(self, event: StatesCame) -> list[Action]:
+        asked = event.asked
+        share = self._shares.get((asked.job, asked.variable))
+        if share is None or share.placement.term != asked.term or not share.fetched(event.body):
+            return []  # asked again at the next tick
+        return self._fetches(share)
 
     # ---------------------------------------------------------------------------------------- compute
 
@@ -228,6 +263,11 @@ class Session:
     def _computed(self, event: Computed) -> list[Action]:
         share = self._share_computing(event.key)
         return [*share.computed(event), *share.due_reports()] if share else []
+
+    @_on.register
+    def _snapshot(self, event: Snapshot) -> list[Action]:
+        share = self._share_computing(event.key)
+        return [Beat()] if share is not None and share.file_snapshot(event) else []
 
     @_on.register
     def _rejected(self, event: Rejected) -> list[Action]:
@@ -262,6 +302,11 @@ class Session:
             for local in share.runnable()
         ]
         return [Compute(share.begin(island)) for share, island in runnable]
+
+    def _fetches(self, share: Share) -> list[Action]:
+        """Ask for the states with which the term begins, one message at a time."""
+        pull = share.due_fetch()
+        return [FetchStates(pull)] if pull is not None else []
 
     def _stop_from(self, share: Share, before: Position | None) -> list[Action]:
         """Have the compute thread stop where the target was met, when that is not where it was before."""
@@ -298,6 +343,9 @@ class Session:
 
     def _drop(self, key: Archipelago) -> list[Action]:
         share = self._shares.pop(key, None)
+        if share is not None:
+            self._waited_before_s += share.waited_s
+            self._duplicates_before += share.duplicates
         self._troubles = [each for each in self._troubles if (each.job, each.variable) != key]
         return [Discard(share.key)] if share is not None else []
 

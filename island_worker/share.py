@@ -1,10 +1,11 @@
 """A worker's share of one archipelago under one term: its islands, their mail, and what is kept for pulls. Pure.
 
 An island waits for exactly the senders that the reshuffle names, blocks are filed by (epoch, destination, source), and
-the immigrants are handed over together: so the order in which mail arrives cannot matter.
+the immigrants are handed over together: so the order in which mail arrives cannot matter. A term that begins at a
+checkpoint begins with the states of its islands, which are pulled from the coordinator.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -12,39 +13,44 @@ from common.errors import LocalProtocolError, RemoteProtocolError
 from common.slices import Position
 from common.wire.messages import (
     Block,
-    EpochReport,
+    Commit,
     Finished,
     Holding,
-    IslandReport,
     Migrants,
     NotYet,
     Placement,
     PullMigrants,
     PullReports,
+    PullStates,
     Reports,
     Sent,
+    States,
 )
-from island_worker.events import Computed, Send, SendReport, ShareKey, Task, TaskKey
+from common.wire.pieces import Assembly
+from island_worker.events import Computed, Send, SendReport, ShareKey, Snapshot, Task, TaskKey
+from island_worker.kept import Kept
 
-IslandState = Literal["ready", "computing", "waiting", "stopped"]
-IslandStep = Literal["begin", "emigrate", "complete", "end", "reject"]
+IslandState = Literal["restoring", "ready", "computing", "waiting", "held", "stopped"]
+IslandStep = Literal["restore", "begin", "emigrate", "complete", "end", "reject", "hold"]
 
 ISLAND_TRANSITIONS: Final[Mapping[IslandState, Mapping[IslandStep, IslandState]]] = {
+    "restoring": {"restore": "ready", "end": "stopped"},
     "ready": {"begin": "computing", "end": "stopped"},
-    "computing": {"emigrate": "waiting", "end": "stopped", "reject": "waiting"},
+    "computing": {"emigrate": "waiting", "end": "stopped", "reject": "waiting", "hold": "held"},
     "waiting": {"complete": "ready", "end": "stopped"},
+    "held": {"end": "stopped"},
     "stopped": {},
 }
-"""State of one island -> what happens -> its next state. `computing`: it is on the agenda. `end`: a hit here or
-elsewhere, or the last epoch."""
+"""State of one island -> what happens -> its next state. `restoring`: its state is on its way; `computing`: it is on
+the agenda; `held`: it waits at a checkpoint for a placement. `end`: a hit here or elsewhere, or the last epoch."""
 
 PULL_AFTER_S: Final = 1.0
 """An island that has waited this long asks the senders; the pause doubles with every question."""
 
 PULL_PAUSE_MAX_S: Final = 8.0
 
-ADDITIONS_PER_ANSWER: Final = 20_000
-"""An answer with reports ends after this many additions to the front; the rest is asked for again."""
+MOST_AHEAD: Final = 1024
+"""Mail is filed of epochs at most so far beyond the last one that may begin here."""
 
 
 @dataclass(slots=True)
@@ -72,13 +78,17 @@ class Share:
     def __init__(self, placement: Placement, worker: str) -> None:
         self.placement = placement
         self.worker = worker
-        self.commit = 0
-        self.islands = {island: LocalIsland(island) for island in placement.islands_of(worker)}
+        self.schedule = placement.schedule
+        first, mine = placement.epoch, placement.islands_of(worker)
+        self.islands = {island: LocalIsland(island, "restoring" if first else "ready", first) for island in mine}
         self.hits: dict[int, Finished] = {}
-        self.reported = 0
+        self.commit = self.reported = first
+        self.waited_s = 0.0
+        self.duplicates = 0
+        self._assembly = Assembly(mine if first else ())
+        self._is_fetching = False
         self._inbox: dict[tuple[int, int], dict[int, bytes]] = {}
-        self._sent: dict[tuple[int, int], dict[int, bytes]] = {}
-        self._reports: dict[int, dict[int, IslandReport]] = {}
+        self._kept = Kept(placement, self.islands)
         self._others = tuple(dict.fromkeys(name for name in placement.workers if name != worker))
 
     @property
@@ -107,22 +117,79 @@ class Share:
             islands=len(self.islands),
             reported=self.reported,
             commit=self.commit,
+            snapshots=self._kept.snapshots(),
+            waited_s=self.waited_s,
         )
 
+    def elapse(self, seconds: float) -> None:
+        """Let time pass: it counts for every island here that waits for migrants."""
+        waiting = sum(local.state == "waiting" for local in self.islands.values())
+        self.waited_s += seconds * waiting
+
     def runnable(self) -> Iterator[LocalIsland]:
-        """Yield the islands that may begin an epoch now: ready, and within the lead over the last commit."""
-        limit = self.commit + 2 * self.placement.interval
-        return (each for each in self.islands.values() if each.state == "ready" and each.epoch <= limit)
+        """Yield the islands that may begin an epoch now, or take a snapshot: ready, and within the schedule."""
+        return (each for each in self.islands.values() if each.state == "ready" and each.epoch <= self.schedule.last)
 
     def begin(self, island: int) -> Task:
         """Return the task of an island that is ready."""
         local = self.islands[island]
         local.step("begin")
-        blocks = None
-        if local.epoch > 0:
+        blocks = state = None
+        if local.epoch > self.placement.epoch:
             filed = self._inbox[local.epoch - 1, island]
             blocks = {source: filed[source] for source in sorted(local.needs)}
-        return Task(self._key(local), blocks, local.epoch + 1 >= self.placement.epochs, self.placement.course)
+        elif local.epoch > 0:
+            state = self._assembly.states.pop(island).data
+        return Task(
+            self._key(local),
+            blocks,
+            local.epoch + 1 >= self.placement.epochs,
+            self.placement.course,
+            state,
+            takes_snapshot=local.epoch in (self.schedule.next, self.schedule.last),
+            is_held=local.epoch > self.schedule.limit,
+        )
+
+    def file_snapshot(self, taken: Snapshot) -> bool:
+        """File the snapshot of an island; return whether those of all islands here are there now."""
+        local = self.islands[taken.key.island]
+        if taken.is_held:
+            local.step("hold")
+            self._inbox.pop((local.epoch - 1, local.index), None)
+            self._end_late_islands()
+        if taken.key.epoch <= self.commit:
+            return False
+        self._kept.keep_snapshot(taken.key.epoch, local.index, taken.data)
+        return taken.key.epoch in self._kept.snapshots()
+
+    def due_fetch(self) -> PullStates | None:
+        """Return the question for the states that are still missing, if there are any and none is under way."""
+        wanted = self._assembly.wanted
+        if not wanted or self._is_fetching or self.stop_epoch < self.placement.epoch:
+            return None
+        self._is_fetching = True
+        placed = self.placement
+        return PullStates(
+            job=placed.job,
+            variable=placed.variable,
+            term=placed.term,
+            epoch=placed.epoch,
+            islands=wanted,
+            offset=self._assembly.offset,
+        )
+
+    def fetched(self, body: States | None) -> bool:
+        """Take in the answer to `due_fetch`; return whether it brought anything.
+
+        Raises:
+            RemoteProtocolError: A state was damaged on its way.
+        """
+        self._is_fetching = False
+        before = (self._assembly.wanted, self._assembly.offset)
+        for island in self._assembly.take(body.pieces if body is not None else ()):
+            if self.islands[island].state == "restoring":
+                self.islands[island].step("restore")
+        return (self._assembly.wanted, self._assembly.offset) != before
 
     def computed(self, done: Computed) -> list[Send | SendReport]:
         """File what an island computed: report it, and send emigrants or the statement of a hit."""
@@ -131,7 +198,7 @@ class Share:
         actions = self._depart(local, done)
         self._end_late_islands()
         if done.key.epoch <= self.stop_epoch:
-            self._reports.setdefault(done.key.epoch, {})[local.index] = done.report
+            self._kept.keep_report(done.key.epoch, done.report)
         return actions
 
     def abandoned(self, island: int) -> None:
@@ -141,8 +208,8 @@ class Share:
     def due_reports(self) -> list[SendReport]:
         """Return the reports of the epochs of which no island here has any more to say, in order, each once."""
         due = []
-        while self.reported in self._reports and self._is_settled(self.reported):
-            due.append(SendReport(self._report(self.reported)))
+        while self._kept.reporters(self.reported) and self._is_settled(self.reported):
+            due.append(SendReport(self._kept.report(self.reported)))
             self.reported += 1
         return due
 
@@ -152,7 +219,7 @@ class Share:
         Returns False when all of them are our own, which no pull can mend.
         """
         local = self.islands[island]
-        if local.epoch == 0 or local.needs <= self.islands.keys():
+        if local.epoch == self.placement.epoch or local.needs <= self.islands.keys():
             return False
         filed = self._inbox[local.epoch - 1, island]
         self._inbox[local.epoch - 1, island] = {k: v for k, v in filed.items() if k in self.islands}
@@ -168,7 +235,7 @@ class Share:
             RemoteProtocolError: The placement does not give the sender that island, or ours that destination, or the
                 epoch cannot be.
         """
-        if body.epoch > self.commit + 4 * self.placement.interval or body.epoch >= self.placement.epochs:
+        if body.epoch > self.schedule.last + MOST_AHEAD or body.epoch >= self.placement.epochs:
             raise RemoteProtocolError(f"mail of epoch {body.epoch} came, far beyond commit {self.commit}")
         if isinstance(body, Finished):
             self._check_owner(sender, body.island)
@@ -182,41 +249,33 @@ class Share:
         for block in body.blocks:
             self._deliver(body.epoch, block)
 
-    def commit_at(self, epoch: int) -> None:
-        """Forget what nobody can ask for any more: everything of epochs below `epoch`.
+    def commit_at(self, commit: Commit) -> None:
+        """Take in how far the archipelago is durable and reported, and forget what nobody can ask for any more.
 
         Raises:
             RemoteProtocolError: The epoch is beyond what has been reported from here.
         """
-        if epoch > self.reported:
-            raise RemoteProtocolError(f"commit {epoch} came, but only {self.reported} epochs were reported from here")
-        if epoch <= self.commit:
-            return
-        self.commit = epoch
-        self._sent = {key: blocks for key, blocks in self._sent.items() if key[0] >= epoch}
-        self._reports = {number: reports for number, reports in self._reports.items() if number >= epoch}
+        if max(commit.epoch, commit.reported) > self.reported:
+            raise RemoteProtocolError(
+                f"commit {commit.epoch} came, but only {self.reported} epochs were reported from here"
+            )
+        if commit.epoch >= self.commit:
+            self.commit, self.schedule = commit.epoch, commit.schedule
+        self._kept.forget(commit.reported, self.commit)
 
     def answer_migrants(self, pull: PullMigrants) -> Sent | NotYet:
         """Return what islands of ours have sent to one destination in one epoch."""
-        blocks = [
-            Block(source=source, destination=pull.destination, data=data)
-            for source in pull.sources
-            if (data := self._sent.get((pull.epoch, source), {}).get(pull.destination)) is not None
-        ]
+        migrants = self._kept.sent(pull)
         finished = tuple(hit for hit in self.hits.values() if hit.island in self.islands and hit.epoch <= pull.epoch)
-        if not blocks and not finished:
-            return NotYet()
-        return Sent(migrants=self._migrants(pull.epoch, blocks) if blocks else None, finished=finished)
+        return Sent(migrants=migrants, finished=finished) if migrants or finished else NotYet()
 
     def answer_reports(self, pull: PullReports) -> Reports | NotYet:
         """Return the complete reports of the epochs asked for that are still kept, as many as one message bears."""
-        reports: list[EpochReport] = []
-        additions = 0
-        for epoch in range(pull.first, min(pull.last, self.reported)):
-            if epoch in self._reports and additions < ADDITIONS_PER_ANSWER:
-                reports.append(self._report(epoch))
-                additions += sum(len(each.additions) for each in reports[-1].islands)
-        return Reports(reports=tuple(reports)) if reports else NotYet()
+        return self._kept.answer_reports(pull, self.reported)
+
+    def answer_states(self, pull: PullStates) -> States | NotYet:
+        """Return states of islands of ours at a checkpoint, as many as one message bears."""
+        return self._kept.answer_states(pull)
 
     def due_pulls(self, now: float) -> list[tuple[str, PullMigrants]]:
         """Return (worker, question) for islands that have waited too long, and note when to ask next."""
@@ -238,11 +297,12 @@ class Share:
         """Check the invariants; raises LocalProtocolError."""
         for local in self.islands.values():
             have = self._inbox.get((local.epoch - 1, local.index), {}).keys()
-            complete = local.epoch == 0 or local.needs <= have
+            complete = local.epoch == self.placement.epoch or local.needs <= have
             _require(local.state != "ready" or complete, f"island {local.index} is ready without its immigrants")
             _require(local.state != "waiting" or not complete, f"island {local.index} waits for nothing")
             _require(local.epoch < self.placement.epochs, f"island {local.index} is beyond the last epoch")
-        _require(all(epoch >= self.commit for epoch, _ in self._sent), "emigrants below the commit are kept")
+        _require(all(epoch >= self.placement.epoch for epoch in self._kept.epochs_sent()), "emigrants are too old")
+        _require(all(epoch > self.commit for epoch in self._kept.snapshots()), "snapshots of a commit are kept")
         _require(
             all(epoch >= self.islands[island].epoch - 1 for epoch, island in self._inbox), "old immigrants are kept"
         )
@@ -280,7 +340,7 @@ class Share:
 
     def _emigrate(self, key: TaskKey, emigrants: Mapping[int, bytes]) -> list[Send | SendReport]:
         """Keep, deliver and send an island's emigrants: one message for each other worker."""
-        self._sent[key.epoch, key.island] = dict(emigrants)
+        self._kept.keep_emigrants(key.epoch, key.island, emigrants)
         leaving: dict[str, list[Block]] = {}
         for destination in sorted(emigrants):
             block = Block(source=key.island, destination=destination, data=emigrants[destination])
@@ -288,19 +348,19 @@ class Share:
                 self._deliver(key.epoch, block)
             else:
                 leaving.setdefault(self.placement.workers[destination], []).append(block)
-        return [Send(peer, self._migrants(key.epoch, blocks)) for peer, blocks in leaving.items()]
-
-    def _migrants(self, epoch: int, blocks: Iterable[Block]) -> Migrants:
-        placed = self.placement
-        return Migrants(job=placed.job, variable=placed.variable, term=placed.term, epoch=epoch, blocks=tuple(blocks))
+        return [Send(peer, self._kept.migrants(key.epoch, blocks)) for peer, blocks in leaving.items()]
 
     def _deliver(self, epoch: int, block: Block) -> None:
         """File one block, once; one that is no longer needed is dropped."""
         local = self.islands[block.destination]
-        is_late = epoch < local.epoch - 1 or (epoch == local.epoch - 1 and local.state in ("computing", "stopped"))
+        was_handed_over = local.state in ("restoring", "computing", "held") or local.epoch == self.placement.epoch
+        is_late = epoch < local.epoch - 1 or (epoch == local.epoch - 1 and was_handed_over)
         if is_late or local.state == "stopped":
+            self.duplicates += 1
             return
-        self._inbox.setdefault((epoch, block.destination), {}).setdefault(block.source, block.data)
+        filed = self._inbox.setdefault((epoch, block.destination), {})
+        self.duplicates += block.source in filed
+        filed.setdefault(block.source, block.data)
         self._complete(local)
 
     def _complete(self, local: LocalIsland) -> None:
@@ -310,7 +370,7 @@ class Share:
     def _end_late_islands(self) -> None:
         """Stop the islands of whose next epoch nothing is needed."""
         for local in self.islands.values():
-            if local.state in ("ready", "waiting") and not self._is_needed(local):
+            if local.state in ("restoring", "ready", "waiting", "held") and not self._is_needed(local):
                 local.step("end")
 
     def _is_needed(self, local: LocalIsland) -> bool:
@@ -320,12 +380,8 @@ class Share:
         return local.epoch == stop.epoch and self.placement.course.needed(stop, local.index) > 0
 
     def _is_settled(self, epoch: int) -> bool:
-        return all(each.index in self._reports[epoch] or each.state == "stopped" for each in self.islands.values())
-
-    def _report(self, epoch: int) -> EpochReport:
-        placed = self.placement
-        islands = tuple(self._reports[epoch][island] for island in sorted(self._reports[epoch]))
-        return EpochReport(job=placed.job, variable=placed.variable, term=placed.term, epoch=epoch, islands=islands)
+        there = self._kept.reporters(epoch)
+        return all(each.index in there or each.state == "stopped" for each in self.islands.values())
 
     def _check_owner(self, sender: str, island: int) -> None:
         workers = self.placement.workers

@@ -5,14 +5,12 @@ compiled is marked by a file beside the cache, one for each kind of processor, v
 """
 
 import contextlib
-import hashlib
 import os
-import platform
 from collections.abc import Callable, Iterator
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from common.compiled import marker_in
 from common.errors import AtollError
 
 if TYPE_CHECKING:
@@ -21,9 +19,7 @@ if TYPE_CHECKING:
 
 Report = Callable[[str], None]
 
-_ROOT: Final = Path(__file__).resolve().parent.parent
 _ROWS: Final = 40
-_SETTINGS: Final = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_OPT", "NUMBA_BOUNDSCHECK")
 
 
 def warm_up(report: Report, exercise: Callable[[], None] | None = None) -> None:
@@ -42,7 +38,7 @@ def warm_up(report: Report, exercise: Callable[[], None] | None = None) -> None:
     from common.jit import cache_directory
 
     directory = _made(cache_directory())
-    marker = _marker(directory)
+    marker = marker_in(directory)
     if not marker.exists():
         with _locked(directory / "lock", report):
             if not marker.exists():
@@ -57,7 +53,7 @@ def is_compiled() -> bool:
     """Say whether the kernels have been compiled on this machine, and so need only be loaded."""
     from common.jit import cache_directory
 
-    return _marker(cache_directory()).exists()
+    return marker_in(cache_directory()).exists()
 
 
 def run_small_epochs() -> None:
@@ -93,37 +89,6 @@ def _small_problem() -> "Problem":
     inputs = np.stack([numbers * 37 % 41 / 8.0 + 0.5, numbers * 29 % 43 / 16.0 - 1.0])
     values = numbers * 31 % 47 / 4.0 - 5.0
     return Problem(("x", "y"), inputs, Target("x", "dx/dt", values, floor=0.0, deviation=3.4))
-
-
-def _marker(directory: Path) -> Path:
-    return directory / f"ready-{_machine()}"
-
-
-def _machine() -> str:
-    """Return a name for everything, apart from the text of the kernels, by which numba finds its machine code."""
-    parts = [*_stamps(), platform.python_version(), platform.machine(), _processor()]
-    parts += [_version(name) for name in ("numba", "llvmlite", "numpy")]
-    parts += [f"{name}={os.environ.get(name, '')}" for name in _SETTINGS]
-    return hashlib.blake2b("\n".join(parts).encode(), digest_size=8).hexdigest()
-
-
-def _stamps() -> list[str]:
-    """Return place and time of the kernels' sources: numba compiles anew what was moved, copied or written again."""
-    return [f"{file} {file.stat().st_mtime_ns}" for file in sorted(_ROOT.glob("*/*/kernels*.py"))]
-
-
-def _processor() -> str:
-    with contextlib.suppress(OSError):
-        lines = Path("/proc/cpuinfo").read_text("utf-8", "replace").split("\n\n")[0].splitlines()
-        return "\n".join(line for line in lines if line.startswith(("model name", "flags", "CPU part", "Features")))
-    return platform.processor()
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "unknown"
 
 
 def _made(directory: Path) -> Path:

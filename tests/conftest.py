@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.certificates import HAS_OPENSSL, Lab
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the folder of data sets that are not part of the project."""
@@ -16,3 +18,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def _accidents_are_errors() -> Iterator[None]:
     with np.errstate(all="raise", under="ignore"):
         yield
+
+
+@pytest.fixture(scope="session")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    """Certificates of a lab: a coordinator, workers lab1 and lab2, submitters ann and bob, an admin."""
+    if not HAS_OPENSSL:
+        pytest.skip("openssl is not there to make certificates")
+    names = ("--worker", "lab1", "--worker", "lab2", "--submitter", "ann", "--submitter", "bob", "--admin", "eve")
+    return Lab.make(tmp_path_factory.mktemp("tls") / "lab", "--coordinator", "lab.example", *names)
+
+
+@pytest.fixture(scope="session")
+def other_lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    """Certificates of somebody else's authority, with the same names."""
+    if not HAS_OPENSSL:
+        pytest.skip("openssl is not there to make certificates")
+    return Lab.make(tmp_path_factory.mktemp("tls") / "other", "--coordinator", "lab.example", "--submitter", "ann")

@@ -1,6 +1,7 @@
 """The one table of operators: code, arity, text. Kernels and printers are indexed by these codes.
 
-No operator is protected: where the mathematics has no finite value, neither has the program (DESIGN section 4).
+No operator is protected: where the mathematics has no finite value, neither has the program. What is printed is what
+was computed.
 """
 
 from dataclasses import dataclass

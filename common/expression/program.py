@@ -5,6 +5,7 @@ output. Here every node is live; evolution's own lists, with dead nodes, are tho
 """
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,30 +49,42 @@ class Program:
     @classmethod
     def from_bytes(cls, data: bytes, variables: int) -> "Program":
         """Parse and check canonical bytes of a program over `variables` inputs; raises RemoteProtocolError."""
-        count = data[0] if data else 0
-        if not 1 <= count <= MAX_NODES or len(data) < 1 + 5 * count:
-            raise RemoteProtocolError(f"a program of {len(data)} bytes claims {count} nodes, which does not fit")
+        check_program_bytes(data, variables)
+        count = data[0]
         operators = np.frombuffer(data, "<i1", count, 1).astype(np.int8)
         left = np.frombuffer(data, "<i2", count, 1 + count).astype(np.int16)
         right = np.frombuffer(data, "<i2", count, 1 + 3 * count).astype(np.int16)
-        is_constant = operators == CONSTANT
-        if len(data) != 1 + 5 * count + 8 * int(is_constant.sum()):
-            raise RemoteProtocolError(f"a program of {count} nodes has {len(data)} bytes, which does not fit")
         constants = np.zeros(count)
-        constants[is_constant] = np.frombuffer(data, "<f8", -1, 1 + 5 * count)
-        program = cls(operators, left, right, constants)
-        program.validate(variables)
-        return program
+        constants[operators == CONSTANT] = np.frombuffer(data, "<f8", -1, 1 + 5 * count)
+        return cls(operators, left, right, constants)
 
     def validate(self, variables: int) -> None:
         """Check that the list is acyclic and refers to existing inputs; raises RemoteProtocolError."""
-        nodes = zip(self.operators.tolist(), self.left.tolist(), self.right.tolist(), strict=True)
-        for index, (code, left, right) in enumerate(nodes):
-            if not 0 <= code < len(ARITY):
-                raise RemoteProtocolError(f"node {index} of a program has unknown operator code {code}")
-            if code in (VARIABLE, CONSTANT):
-                left_limit, right_limit = variables if code == VARIABLE else 1, 1
-            else:
-                left_limit, right_limit = index, index if ARITY[code] == 2 else 1
-            if not (0 <= left < left_limit and 0 <= right < right_limit):
-                raise RemoteProtocolError(f"node {index} of a program refers to {left}, {right}, which do not exist")
+        _check_nodes(self.operators.tolist(), self.left.tolist(), self.right.tolist(), variables)
+
+
+def check_program_bytes(data: bytes, variables: int) -> None:
+    """Check canonical bytes as `Program.from_bytes` does, without making a program of them: a tenth of the time.
+
+    Raises:
+        RemoteProtocolError: they are not those of a program over `variables` inputs.
+    """
+    count = data[0] if data else 0
+    if not 1 <= count <= MAX_NODES or len(data) < 1 + 5 * count:
+        raise RemoteProtocolError(f"a program of {len(data)} bytes claims {count} nodes, which does not fit")
+    codes, *nodes = struct.unpack_from(f"<{count}s{2 * count}h", data, 1)
+    if len(data) != 1 + 5 * count + 8 * codes.count(CONSTANT):
+        raise RemoteProtocolError(f"a program of {count} nodes has {len(data)} bytes, which does not fit")
+    _check_nodes(codes, nodes[:count], nodes[count:], variables)
+
+
+def _check_nodes(codes: Sequence[int], lefts: Sequence[int], rights: Sequence[int], variables: int) -> None:
+    for index, (code, left, right) in enumerate(zip(codes, lefts, rights, strict=True)):
+        if not 0 <= code < len(ARITY):
+            raise RemoteProtocolError(f"node {index} of a program has unknown operator code {code}")
+        if code in (VARIABLE, CONSTANT):
+            left_limit, right_limit = variables if code == VARIABLE else 1, 1
+        else:
+            left_limit, right_limit = index, index if ARITY[code] == 2 else 1
+        if not (0 <= left < left_limit and 0 <= right < right_limit):
+            raise RemoteProtocolError(f"node {index} of a program refers to {left}, {right}, which do not exist")

@@ -1,13 +1,19 @@
-"""Addresses such as ``tcp/HOST:PORT``: reading them, and finding out what is there before a connection is tried."""
+"""Addresses such as ``tcp/HOST:PORT`` or ``tls/HOST:PORT``: reading them, and finding out what is there.
+
+With credentials an address is a destination: where to listen or dial, and with which certificate.
+"""
 
 import errno
 import socket
 from dataclasses import dataclass
 from typing import Final
 
-from common.errors import UsageError
+from common.errors import RefusedError, UsageError
+from common.wire.credentials import Credentials, check_welcome, speaks_tls
+from common.wire.tls_options import OPTIONS
 
 _PROTOCOLS: Final = ("tcp", "tls", "quic")
+_ENCRYPTED: Final = ("tls", "quic")
 _PROBE_LIMIT_S: Final = 2.0
 
 
@@ -22,6 +28,36 @@ class Address:
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.protocol}/{host}:{self.port}"
+
+
+@dataclass(frozen=True, slots=True)
+class Destination:
+    """An address, and what we show there. Its text is the address alone."""
+
+    address: Address
+    credentials: Credentials | None = None
+
+    def __str__(self) -> str:
+        return str(self.address)
+
+
+def destination(text: str, credentials: Credentials | None = None) -> Destination:
+    """Return the address that `text` names, with the credentials to be shown there.
+
+    Raises:
+        UsageError: it is no address, or it is an encrypted one without credentials, or the other way round.
+    """
+    address = parse_address(text)
+    place = f"{address.host}:{address.port}"
+    if credentials is None and address.protocol in _ENCRYPTED:
+        names = ", ".join(f"{option} ({variable})" for option, (variable, _) in OPTIONS.items())
+        raise UsageError(f"{address} needs certificates; give {names}")
+    if credentials is not None and address.protocol not in _ENCRYPTED:
+        raise UsageError(
+            f"{address} is not encrypted, but TLS files were given; write tls/{place}, or leave out --tls-... "
+            "and ATOLL_TLS_..."
+        )
+    return Destination(address, credentials)
 
 
 def parse_address(text: str) -> Address:
@@ -65,6 +101,31 @@ def why_unreachable(address: Address, limit_s: float = _PROBE_LIMIT_S) -> str | 
         return "there was no answer"
     except OSError as error:
         return (error.strerror or str(error)).lower()
+    return None
+
+
+def check_certificates(to: Destination, listen_s: float) -> str | None:
+    """Return what is wrong with TLS at `to`, beyond certificates; None when nothing is, or that cannot be told.
+
+    Args:
+        to: where connections are accepted.
+        listen_s: how long to listen for what the other side thinks of our certificate, in seconds.
+
+    Raises:
+        RefusedError: certificates do not fit, or are asked for and not given.
+    """
+    address = to.address
+    if address.protocol == "quic":
+        return None
+    try:
+        if to.credentials is not None:
+            return check_welcome(address.host, address.port, to.credentials, listen_s)
+        if speaks_tls(address.host, address.port):
+            raise RefusedError(
+                f"it asks for TLS; write tls/{address.host}:{address.port} and give {', '.join(OPTIONS)}"
+            )
+    except RefusedError as error:
+        raise RefusedError(f"no connection to the coordinator at {address}: {error}") from error
     return None
 
 

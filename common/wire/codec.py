@@ -7,7 +7,7 @@ the caller meets a RemoteProtocolError with one sentence. Nothing that travels i
 
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, Final, TypeVar, cast
 
 import msgpack
@@ -30,7 +30,6 @@ DTYPES: Final = ("f8", "i8", "i4", "i2", "i1", "u1", "u8")
 
 _MAGIC: Final = b"atollar1"
 _ALIGNMENT: Final = 64
-_LENGTHS: Final = {1: ">B", 2: ">H", 4: ">I"}
 _BROKEN: Final = (
     ValueError,
     TypeError,
@@ -134,9 +133,9 @@ def dataset_from_bytes(data: bytes, max_bytes: int = MAX_ARRAYS_BYTES) -> Datase
 
 def _pack(tree: object) -> bytes:
     try:
+        _check_tree([tree], MAX_NESTING + 1)
         data = cast(bytes, msgpack.packb(tree, default=_plain))
-        _walk(data)
-    except (RemoteProtocolError, *_BROKEN) as error:
+    except _BROKEN as error:
         raise LocalProtocolError(f"a message cannot be encoded: {_brief(error)}") from error
     return data
 
@@ -152,85 +151,57 @@ def _unpack(data: bytes, max_bytes: int) -> object:
         raise RemoteProtocolError(f"a message has {len(data)} bytes, more than the {max_bytes} allowed")
     try:
         _walk(data)
-        return msgpack.unpackb(data, raw=False, strict_map_key=True)
+        tree = msgpack.unpackb(data, raw=False, strict_map_key=True)
+        _check_tree([tree], MAX_NESTING + 1)
     except _BROKEN as error:
         raise RemoteProtocolError(f"a message is not well-formed msgpack: {_brief(error)}") from error
+    return tree
 
 
 def _walk(data: bytes) -> None:
-    """Check the structure of msgpack bytes without building it.
+    """Check the structure of msgpack bytes without building it: one item, which ends where the bytes end.
 
     Every item takes at least one byte, so an announced length beyond the bytes that are left is a lie; this bounds the
-    memory that unpacking takes by a small multiple of `len(data)`. Map keys must be text, extension types are refused.
+    memory that unpacking takes by a small multiple of `len(data)`.
     """
-    place, size = 0, len(data)
-    open_items, keys_due, levels = 1, [False], [1]  # per open container: are keys due, and items still to come
-    while levels:
-        if levels[-1] == 0:
-            levels.pop()
-            keys_due.pop()
-            continue
-        if place >= size:
-            raise ValueError("it ends too early")
-        is_key = keys_due[-1] and levels[-1] % 2 == 0
-        levels[-1] -= 1
-        place, kind, count = _item(data, place)
-        if is_key and kind != "text":
+    unpacker = msgpack.Unpacker(max_buffer_size=max(1, len(data)))
+    unpacker.feed(data)
+    try:
+        unpacker.skip()
+    except msgpack.OutOfData:
+        raise ValueError("it ends too early, or announces more items than it has bytes") from None
+    except msgpack.StackError:
+        raise ValueError(_TOO_DEEP) from None
+    except msgpack.FormatError:
+        raise ValueError("it holds an unused type") from None
+    if unpacker.tell() != len(data):
+        raise ValueError(f"{len(data) - unpacker.tell()} bytes follow its end")
+
+
+def _check_tree(tree: object, levels: int = MAX_NESTING) -> None:
+    """Check that what is in a message is plain, has text as keys, and is nested no deeper than so many levels."""
+    if isinstance(tree, dict):
+        if not _TEXT.issuperset(map(type, tree)):
             raise ValueError("the key of a map is not text")
-        open_items += count - 1
-        if open_items > size - place:
-            raise ValueError("it announces more items than it has bytes")
-        if kind in ("array", "map"):
-            levels.append(count)
-            keys_due.append(kind == "map")
-            if len(levels) > MAX_NESTING + 1:
-                raise ValueError(f"it is nested deeper than {MAX_NESTING} levels")
-    if place != size:
-        raise ValueError(f"{size - place} bytes follow its end")
+        items: Collection[object] = tree.values()
+    else:
+        items = tree if isinstance(tree, list | tuple) else ()
+    kinds = set(map(type, items))
+    if not kinds.isdisjoint(_REFUSED):
+        raise ValueError("it holds an extension type")
+    if kinds.isdisjoint(_CONTAINERS):
+        return
+    if levels <= 1:
+        raise ValueError(_TOO_DEEP)
+    for item in items:
+        if type(item) in _CONTAINERS:
+            _check_tree(item, levels - 1)
 
 
-def _item(data: bytes, place: int) -> tuple[int, str, int]:
-    """Return (place after the item or its head, what it is, how many items it contains)."""
-    kind, base, length_bytes = _FORMATS[data[place]]
-    place += 1
-    count = base
-    if length_bytes:
-        if place + length_bytes > len(data):
-            raise ValueError("it ends within a length")
-        (count,) = struct.unpack_from(_LENGTHS[length_bytes], data, place)
-        place += length_bytes
-    if kind == "array":
-        return place, kind, count
-    if kind == "map":
-        return place, kind, 2 * count
-    if kind == "refused":
-        raise ValueError(f"it holds the extension or unused type 0x{data[place - 1]:02x}")
-    if place + count > len(data):
-        raise ValueError("it ends within a value")
-    return place + count, kind, 0
-
-
-def _formats() -> list[tuple[str, int, int]]:
-    """Return by first byte: (kind, length in bytes or items, how many bytes of length follow). msgpack's own table."""
-    table = [("refused", 0, 0)] * 256
-    table[0x00:0x80] = [("value", 0, 0)] * 0x80
-    table[0xE0:0x100] = [("value", 0, 0)] * 0x20
-    table[0x80:0x90] = [("map", count, 0) for count in range(16)]
-    table[0x90:0xA0] = [("array", count, 0) for count in range(16)]
-    table[0xA0:0xC0] = [("text", count, 0) for count in range(32)]
-    for code in (0xC0, 0xC2, 0xC3):
-        table[code] = ("value", 0, 0)
-    for code, width in zip(range(0xC4, 0xC7), (1, 2, 4), strict=True):
-        table[code] = ("value", 0, width)
-    for code, width in zip(range(0xCA, 0xD4), (4, 8, 1, 2, 4, 8, 1, 2, 4, 8), strict=True):
-        table[code] = ("value", width, 0)
-    for code, width in zip(range(0xD9, 0xDC), (1, 2, 4), strict=True):
-        table[code] = ("text", 0, width)
-    table[0xDC:0xE0] = [("array", 0, 2), ("array", 0, 4), ("map", 0, 2), ("map", 0, 4)]
-    return table
-
-
-_FORMATS: Final = _formats()
+_TEXT: Final = frozenset({str})
+_CONTAINERS: Final = frozenset({list, tuple, dict})
+_REFUSED: Final = frozenset({msgpack.ExtType, msgpack.Timestamp})
+_TOO_DEEP: Final = f"it is nested deeper than {MAX_NESTING} levels"
 
 
 def _validated(tree: object, kind: type[M] | TypeAdapter[M]) -> M:

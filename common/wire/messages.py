@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field
 
 from common.config import JobConfig, Model
 from common.slices import Course
-from common.wire.views import JobView, WorkerState, WorkerView
+from common.wire.views import CoordinatorView, Counters, EventView, JobView, WorkerState, WorkerView
 
 CHUNK_SIZE: Final = 4 * 1024 * 1024
 """Bytes per chunk of an upload or a dataset; the last chunk may be shorter."""
@@ -24,6 +24,9 @@ MAX_UPLOAD: Final = 1024 * 1024 * 1024
 
 MAX_MESSAGE: Final = 16 * 1024 * 1024
 """Largest encoded message; anything larger is refused unread."""
+
+MAX_STATE: Final = 256 * 1024 * 1024
+"""Largest state of one island, in bytes; the usual one has about 50,000."""
 
 MAX_RUNNERS_UP: Final = 20_000
 """Most runners-up that an island may report of one epoch; an epoch has room for a few hundred."""
@@ -35,6 +38,9 @@ Count = Annotated[int, Field(ge=0, lt=2**63)]
 IslandIndex = Annotated[int, Field(ge=0, lt=1024)]
 Term = Annotated[int, Field(ge=1, lt=2**63)]
 Sentence = Annotated[str, Field(max_length=4000)]
+Seconds = Annotated[float, Field(ge=0.0, lt=1e12)]
+Priority = Annotated[int, Field(ge=-10, le=10)]
+"""Each step doubles a job's share of the workers."""
 
 
 # ---------------------------------------------------------------------------------------------- greeting
@@ -66,7 +72,7 @@ class Hello(Tolerant):
 
 
 class Welcome(Tolerant):
-    """The coordinator accepts; all further keys lie under `realm`."""
+    """The coordinator accepts; all further keys lie under `realm`. `clock` is its time of day as ISO text, if told."""
 
     kind: Literal["welcome"] = "welcome"
     realm: Id
@@ -74,6 +80,7 @@ class Welcome(Tolerant):
     protocol: Count
     version: Annotated[str, Field(max_length=64)]
     engine: Count
+    clock: Annotated[str, Field(max_length=64)] = ""
 
 
 class Refusal(Tolerant):
@@ -114,13 +121,31 @@ class JobAnnouncement(Model):
     blob: Digest
     size: Count
     chunks: Annotated[int, Field(ge=1)]
+    priority: Priority = 0
+
+
+class Schedule(Model):
+    """The next two checkpoints of an archipelago: epochs before which islands take a snapshot.
+
+    No island begins an epoch beyond `last`, nor `last` itself when it `holds`: then all of them wait there for another
+    placement.
+    """
+
+    next: Count
+    last: Count
+    holds: bool = False
+
+    @property
+    def limit(self) -> int:
+        """The last epoch that may begin."""
+        return self.last - self.holds
 
 
 class Placement(Model):
-    """Who computes which island of one archipelago: `workers[k]` has island k. Every term begins at epoch 0.
+    """Who computes which island of one archipelago: `workers[k]` has island k.
 
-    No island begins epoch `epochs` or later, nor an epoch more than twice `interval` after the last commit. `course`
-    says what counts when the target is met.
+    The term begins at `epoch`: 0, or a committed checkpoint, whose states are pulled. No island begins epoch `epochs`
+    or later; `interval` epochs lie between the first checkpoints. `course` says what counts when the target is met.
     """
 
     incarnation: Count
@@ -128,9 +153,15 @@ class Placement(Model):
     job: Id
     variable: Variable
     workers: Annotated[tuple[Id, ...], Field(min_length=1, max_length=1024)]
+    epoch: Count = 0
     epochs: Annotated[int, Field(ge=1)]
-    interval: Annotated[int, Field(ge=1)]
+    interval: Annotated[int, Field(ge=1, lt=2**31)]
     course: Course
+
+    @property
+    def schedule(self) -> Schedule:
+        """The first two checkpoints of the term."""
+        return Schedule(next=self.epoch + self.interval, last=self.epoch + 2 * self.interval)
 
     def islands_of(self, worker: str) -> tuple[int, ...]:
         """Return the islands that `worker` computes."""
@@ -145,13 +176,18 @@ class Placements(Model):
 
 
 class Commit(Model):
-    """Every island has reported `epoch` under this term: what was sent in epochs below it is needed no more."""
+    """The checkpoint for `epoch` is durable, and these are the next ones.
+
+    Every island has reported epoch `reported` under this term: what was sent in the epochs below is needed no more.
+    """
 
     kind: Literal["commit"] = "commit"
     job: Id
     variable: Variable
     term: Term
     epoch: Count
+    schedule: Schedule
+    reported: Count = 0
 
 
 class Close(Model):
@@ -188,8 +224,9 @@ class Control(Model):
 class Holding(Model):
     """What a worker holds of one archipelago.
 
-    `reported` counts the epochs that all of its islands there have finished and reported; `commit` is the last commit
-    it knows of.
+    All epochs below `reported` have been finished and reported by all of its islands there; `commit` is the last
+    commit it knows of; `snapshots` are the epochs after it of which there is a snapshot of every island there.
+    `waited_s` are the seconds that its islands there have waited for migrants, summed over them.
     """
 
     job: Id
@@ -198,6 +235,17 @@ class Holding(Model):
     islands: Count
     reported: Count
     commit: Count
+    snapshots: Annotated[tuple[Count, ...], Field(max_length=8)] = ()
+    waited_s: Seconds = 0.0
+
+
+class Doing(Model):
+    """What a worker's compute thread is at."""
+
+    job: Id
+    variable: Variable
+    island: IslandIndex
+    epoch: Count
 
 
 class Trouble(Model):
@@ -225,6 +273,8 @@ class WorkerStatus(Model):
     troubles: tuple[Trouble, ...] = ()
     jobs: tuple[Id, ...] = ()
     detail: Sentence = ""
+    doing: Doing | None = None
+    counters: Counters = Counters()
 
 
 # ---------------------------------------------------------------------------------------------- reports
@@ -349,10 +399,22 @@ class PullReports(Model):
     last: Count
 
 
-class Pull(Model):
-    """Question to a worker."""
+class PullStates(Model):
+    """What are the states of these islands at checkpoint `epoch`, of the first one from byte `offset` on?"""
 
-    body: Annotated[PullMigrants | PullReports, Field(discriminator="kind")]
+    kind: Literal["pull-states"] = "pull-states"
+    job: Id
+    variable: Variable
+    term: Term
+    epoch: Count
+    islands: Annotated[tuple[IslandIndex, ...], Field(min_length=1, max_length=1024)]
+    offset: Count = 0
+
+
+class Pull(Model):
+    """Question to a worker; that for states also to the coordinator."""
+
+    body: Annotated[PullMigrants | PullReports | PullStates, Field(discriminator="kind")]
 
 
 class Sent(Model):
@@ -368,6 +430,23 @@ class Reports(Model):
 
     kind: Literal["reports"] = "reports"
     reports: tuple[EpochReport, ...]
+
+
+class Piece(Model):
+    """Bytes from `offset` on of the state of one island; the whole has `size` bytes and the SHA-256 `digest`."""
+
+    island: IslandIndex
+    size: Annotated[int, Field(ge=1, le=MAX_STATE)]
+    digest: Digest
+    offset: Count
+    data: Annotated[bytes, Field(max_length=CHUNK_SIZE)]
+
+
+class States(Model):
+    """As many of the states asked for as one message bears, in their order; the last one may be a part of it."""
+
+    kind: Literal["states"] = "states"
+    pieces: Annotated[tuple[Piece, ...], Field(min_length=1, max_length=1024)]
 
 
 class NotYet(Model):
@@ -388,7 +467,7 @@ class NewerTerm(Model):
 class PullAnswer(Model):
     """Answer of a worker."""
 
-    body: Annotated[Sent | Reports | NotYet | NewerTerm, Field(discriminator="kind")]
+    body: Annotated[Sent | Reports | States | NotYet | NewerTerm, Field(discriminator="kind")]
 
 
 # ---------------------------------------------------------------------------------------------- clients
@@ -417,6 +496,7 @@ class Submit(Model):
     name: Annotated[str, Field(max_length=200)]
     config: JobConfig
     table: Digest
+    priority: Priority = 0
 
 
 class Jobs(Model):
@@ -452,10 +532,24 @@ class Cancel(Model):
     job: Id
 
 
+class GetEvents(Model):
+    """Tell what happened to a job, or at all (`job` None), after the event of number `after`: `limit` of it at most.
+
+    With `after` 0 these are the last ones.
+    """
+
+    kind: Literal["get-events"] = "get-events"
+    job: Id | None = None
+    after: Count = 0
+    limit: Annotated[int, Field(ge=1, le=1000)] = 200
+
+
 class Ask(Model):
     """Question of a client."""
 
-    body: Annotated[Upload | Submit | Jobs | Status | Workers | GetResult | Cancel, Field(discriminator="kind")]
+    body: Annotated[
+        Upload | Submit | Jobs | Status | Workers | GetResult | Cancel | GetEvents, Field(discriminator="kind")
+    ]
 
 
 class Uploaded(Model):
@@ -481,10 +575,18 @@ class JobStatus(Model):
 
 
 class WorkerList(Model):
-    """All workers seen since the coordinator started."""
+    """All workers seen since the coordinator started, and the coordinator itself."""
 
     kind: Literal["worker-list"] = "worker-list"
     workers: tuple[WorkerView, ...]
+    coordinator: CoordinatorView | None = None
+
+
+class EventList(Model):
+    """What happened, in order."""
+
+    kind: Literal["event-list"] = "event-list"
+    events: tuple[EventView, ...]
 
 
 class Result(Model):
@@ -508,7 +610,9 @@ class Failure(Model):
 class Answer(Model):
     """Answer to a client."""
 
-    body: Annotated[Uploaded | JobList | JobStatus | WorkerList | Result | Failure, Field(discriminator="kind")]
+    body: Annotated[
+        Uploaded | JobList | JobStatus | WorkerList | Result | EventList | Failure, Field(discriminator="kind")
+    ]
 
 
 def chunk_count(size: int) -> int:

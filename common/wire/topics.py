@@ -3,11 +3,13 @@
 Everything a worker publishes, serves or announces lies under its own name, a client's requests under the client's own,
 so that one access rule per name fences them all. Column names never enter a key: they travel in payloads.
 
-    atoll/hello                              served by the coordinator; the one key known before the realm is
+    atoll/hello                              served by the coordinator: would we be welcome? changes nothing
+    atoll/hello/{name}                       served by the coordinator: a worker or client of this name comes
     atoll/{realm}/control                    put by the coordinator, to all workers
     atoll/{realm}/control/{worker}           put by the coordinator, to one worker
     atoll/{realm}/job/{job}                  served by the coordinator: announcement
     atoll/{realm}/job/{job}/placement        served by the coordinator: current placements
+    atoll/{realm}/job/{job}/state            served by the coordinator: states of islands at a checkpoint
     atoll/{realm}/blob/{digest}/{index}      served by the coordinator: one chunk of a dataset
     atoll/{realm}/worker/{worker}/alive      presence of a worker
     atoll/{realm}/worker/{worker}/status     put by the worker: heartbeat
@@ -35,7 +37,9 @@ WorkerPart = Literal["alive", "status", "report", "pull"]
 
 @dataclass(frozen=True, slots=True)
 class HelloKey:
-    """The bootstrap question: which realm, which version."""
+    """The first question, before the realm is known: from `name`, or (None) whether there would be a place for it."""
+
+    name: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +61,14 @@ class JobKey:
 @dataclass(frozen=True, slots=True)
 class PlacementKey:
     """A job's current placements."""
+
+    realm: str
+    job: str
+
+
+@dataclass(frozen=True, slots=True)
+class StateKey:
+    """States of a job's islands at its checkpoints."""
 
     realm: str
     job: str
@@ -97,12 +109,17 @@ class ClientKey:
     client: str
 
 
-Key = HelloKey | ControlKey | JobKey | PlacementKey | BlobKey | WorkerKey | MailKey | ClientKey
+Key = HelloKey | ControlKey | JobKey | PlacementKey | StateKey | BlobKey | WorkerKey | MailKey | ClientKey
 
 
 def is_id(text: str) -> bool:
     """Tell whether `text` may name a realm, job, worker or client: 1 to 64 of A-Z a-z 0-9 _ -."""
     return ID.fullmatch(text) is not None
+
+
+def hello(name: str) -> str:
+    """Return the key on which the bearer of `name` greets the coordinator."""
+    return f"{HELLO}/{_id(name)}"
 
 
 def control(realm: str, worker: str | None = None) -> str:
@@ -119,6 +136,11 @@ def job(realm: str, job_id: str) -> str:
 def placement(realm: str, job_id: str) -> str:
     """Return the key of a job's current placements."""
     return f"{job(realm, job_id)}/placement"
+
+
+def state(realm: str, job_id: str) -> str:
+    """Return the key of the states of a job's islands."""
+    return f"{job(realm, job_id)}/state"
 
 
 def blob(realm: str, digest: str, index: int) -> str:
@@ -143,8 +165,13 @@ def client(realm: str, name: str) -> str:
     return f"{ROOT}/{_id(realm)}/client/{_id(name)}/ask"
 
 
+def all_greetings() -> str:
+    """Return the expression of the greetings of all names."""
+    return f"{HELLO}/*"
+
+
 def all_jobs(realm: str) -> str:
-    """Return the expression of all announcements and placements."""
+    """Return the expression of all announcements, placements and states."""
     return f"{ROOT}/{_id(realm)}/job/**"
 
 
@@ -181,11 +208,17 @@ def parse(key: str) -> Key:
 
 
 def _parse(parts: list[str]) -> Key | None:
-    if parts == [ROOT, "hello"]:
-        return HelloKey()
+    if parts[:2] == [ROOT, "hello"]:
+        return _parse_hello(parts[2:])
     if len(parts) < 3 or parts[0] != ROOT or not all(is_id(part) for part in parts[1:]):
         return None
     return _parse_in_realm(parts[1], parts[2:])
+
+
+def _parse_hello(rest: list[str]) -> HelloKey | None:
+    if not rest:
+        return HelloKey()
+    return HelloKey(rest[0]) if len(rest) == 1 and is_id(rest[0]) else None
 
 
 def _parse_in_realm(realm: str, rest: list[str]) -> Key | None:
@@ -199,6 +232,8 @@ def _parse_in_realm(realm: str, rest: list[str]) -> Key | None:
             parsed = JobKey(realm, name)
         case ["job", name, "placement"]:
             parsed = PlacementKey(realm, name)
+        case ["job", name, "state"]:
+            parsed = StateKey(realm, name)
         case ["blob", digest, index] if DIGEST.fullmatch(digest) and re.fullmatch("0|[1-9][0-9]{0,4}", index):
             parsed = BlobKey(realm, digest, int(index)) if int(index) < MAX_CHUNKS else None
         case ["worker", name, part] if part in get_args(WorkerPart):

@@ -21,7 +21,8 @@ import zenoh
 from zenoh.handlers import Callback
 
 from common.errors import LocalProtocolError, UnreachableError, UsageError
-from common.wire.addresses import Address, bindable, parse_address, why_unreachable
+from common.wire.access import Roster, access_control
+from common.wire.addresses import Address, Destination, bindable, check_certificates, destination, why_unreachable
 from common.wire.bus import MAX_PAYLOAD, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from common.wire.inbox import Inbox, Timers
 from common.wire.keys import check_expression, check_key, check_payload
@@ -30,6 +31,8 @@ _WAIT_FOR_PEER_US: Final = 1_000_000
 _LEASE_MS: Final = 4_000
 _ATTEMPT_MS: Final = 3_000
 _PAUSE_S: Final = 0.2
+_QUICK_S: Final = 0.1
+_SLOW_S: Final = 1.0
 _CLOSE_LIMIT_S: Final = 5.0
 _FREE_PORT_ATTEMPTS: Final = 20
 _OVERHEAD: Final = 1024 * 1024  # key and attributes of a message, with room to spare
@@ -37,47 +40,55 @@ _OVERHEAD: Final = 1024 * 1024  # key and attributes of a message, with room to 
 Settings = Mapping[str, object]
 
 
-def open_router(listen: str, settings: Settings | None = None) -> "ZenohBus":
+def open_router(
+    listen: str | Destination, settings: Settings | None = None, roster: Roster | None = None
+) -> "ZenohBus":
     """Start a router listening on `listen` (port 0: any free one, see `ZenohBus.endpoint`) and return a bus in it.
 
     Args:
-        listen: such as ``tcp/0.0.0.0:7447``.
-        settings: further zenoh settings by path, such as ``{"transport/link/tls": {...}}``.
+        listen: such as ``tcp/0.0.0.0:7447``, or with credentials.
+        settings: further zenoh settings by path, such as ``{"transport/unicast/max_sessions": 100}``.
+        roster: who may say what, by the names in certificates; None: whoever can connect may say anything.
 
     Raises:
         UsageError: nobody can listen there, or a setting is unknown to zenoh.
     """
-    wanted = parse_address(listen)
+    wanted = listen if isinstance(listen, Destination) else destination(listen)
+    guards = {**_guards(wanted), **({"access_control": access_control(roster)} if roster is not None else {})}
     for attempt in itertools.count(1):
-        address = bindable(wanted)
+        address = bindable(wanted.address)
         try:
-            session = zenoh.open(_config("router", [str(address)], [], settings))
+            session = zenoh.open(_config("router", [str(address)], [], {**guards, **(settings or {})}))
             return ZenohBus(session, str(address), is_router=True)
         except zenoh.ZError as error:  # between finding a free port and listening on it, somebody may have taken it
-            if wanted.port or attempt == _FREE_PORT_ATTEMPTS:
+            if wanted.address.port or attempt == _FREE_PORT_ATTEMPTS:
                 raise UsageError(f"cannot listen on {address}: {_reason(error)}") from error
     raise AssertionError
 
 
-def open_client(connect: str, wait_s: float = 0.0, settings: Settings | None = None) -> "ZenohBus":
+def open_client(connect: str | Destination, wait_s: float = 0.0, settings: Settings | None = None) -> "ZenohBus":
     """Connect to the router at `connect`, trying again for `wait_s` seconds, and return a bus.
 
     Once connected, the bus finds a router that went away again by itself; Link events tell of both.
 
     Raises:
         UnreachableError: no coordinator answered in time.
+        RefusedError: certificates do not fit, on our side or theirs; trying again would not help.
         UsageError: `connect` is no address, or a setting is unknown to zenoh.
     """
-    address = parse_address(connect)
-    config = _config("client", [], [str(address)], settings)
+    to = connect if isinstance(connect, Destination) else destination(connect)
+    address = to.address
+    config = _config("client", [], [str(address)], {**_guards(to), **(settings or {})})
     end = time.monotonic() + wait_s
     while True:
         reason = why_unreachable(address)
+        if reason is None and to.credentials is not None:
+            reason = check_certificates(to, _QUICK_S)
         if reason is None:
             try:
                 return ZenohBus(zenoh.open(config), str(address), is_router=False)
             except zenoh.ZError:
-                reason = "what listens there did not answer as a coordinator does"
+                reason = check_certificates(to, _SLOW_S) or "what listens there did not answer as a coordinator does"
         if time.monotonic() >= end:
             raise UnreachableError(_unreachable(address, wait_s, reason))
         time.sleep(min(_PAUSE_S, max(0.0, end - time.monotonic())))
@@ -159,6 +170,11 @@ class ZenohBus:
         check_expression(key_expression)
         handler = _directly(self._on_presence)
         self._call(lambda: self._session.liveliness().declare_subscriber(key_expression, handler, history=True))
+
+    @property
+    def dropped(self) -> int:
+        """See `Bus.dropped`."""
+        return self._inbox.dropped
 
     def now(self) -> float:
         """See `Bus.now`."""
@@ -252,6 +268,23 @@ def _config(mode: str, listen: list[str], connect: list[str], settings: Settings
         except zenoh.ZError as error:
             raise UsageError(f"zenoh does not accept the setting {path!r}: {_reason(error)}") from error
     return config
+
+
+def _guards(to: Destination) -> dict[str, object]:
+    """Return the settings for TLS with certificates on both sides; no other protocol is spoken then."""
+    files = to.credentials
+    if files is None:
+        return {}
+    certificate, key = str(files.certificate), str(files.key)
+    tls = {
+        "root_ca_certificate": str(files.authority),
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
+        **{f"{side}_certificate": certificate for side in ("listen", "connect")},
+        **{f"{side}_private_key": key for side in ("listen", "connect")},
+    }
+    return {"transport/link/tls": tls, "transport/link/protocols": [to.address.protocol]}
 
 
 def _tree(mode: str, listen: list[str], connect: list[str]) -> dict[str, object]:

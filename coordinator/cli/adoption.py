@@ -14,6 +14,8 @@ import time
 from collections.abc import Sequence
 from typing import IO, Final
 
+from common.wire.tls_options import OPTIONS as TLS_OPTIONS
+
 _PR_SET_CHILD_SUBREAPER: Final = 36
 _LOOK_S: Final = 0.01
 _MOST: Final = 65_536
@@ -24,6 +26,12 @@ def adopt_orphans() -> bool:
     if sys.platform != "linux":
         return False
     return bool(ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0) == 0)
+
+
+def plain_environment() -> dict[str, str]:
+    """Return this process's environment without certificates: on this machine alone nothing is encrypted."""
+    certificates = {variable for variable, _ in TLS_OPTIONS.values()}
+    return {name: value for name, value in os.environ.items() if name not in certificates}
 
 
 class Adopted:
@@ -77,6 +85,7 @@ class Nursery:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=log,
+            env=plain_environment(),
             start_new_session=True,  # a Ctrl-C on the terminal is ours alone to handle
         )
         assert self._process.stdout is not None

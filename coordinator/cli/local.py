@@ -17,7 +17,7 @@ from typing import IO, Final, Self
 
 from common.errors import AtollError, UnreachableError
 from common.wire.addresses import bindable, parse_address
-from coordinator.cli.adoption import Adopted, Nursery, adopt_orphans
+from coordinator.cli.adoption import Adopted, Nursery, adopt_orphans, plain_environment
 
 _STOP_LIMIT_S: Final = 5.0
 _OPEN_LIMIT_S: Final = 20.0
@@ -128,6 +128,7 @@ class Workers:
             stdin=subprocess.DEVNULL,
             stdout=self._file,
             stderr=self._file,
+            env=plain_environment(),
             start_new_session=True,  # a Ctrl-C on the terminal is ours alone to handle
         )
 
@@ -147,7 +148,7 @@ def nursery_command(endpoint: str, number: int) -> Sequence[str]:
 
 
 def _command(endpoint: str, name: str, number: int) -> Sequence[str]:
-    options = ["--connect", endpoint, "--processes", str(number), "--name", name, "--wait", "30"]
+    options = ["--connect", endpoint, "--processes", str(number), "--name", name, "--wait", "30", "--grace", "0"]
     return [sys.executable, "-m", "island_worker", *options, "--parent", str(os.getpid())]
 
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from common.config import JobConfig
 from common.errors import DataError, RefusedError, UsageError
-from common.wire.addresses import parse_address
+from common.wire.addresses import Destination, destination
+from common.wire.credentials import credentials_of
 from common.wire.views import JobView
 from coordinator.cli.follow import ending, exit_code
 from coordinator.cli.identity import job_id
@@ -32,6 +33,7 @@ class Request:
     config: JobConfig
     files: tuple[Path, ...]
     json: bool
+    priority: int = 0
 
     @property
     def target_error(self) -> float | None:
@@ -50,7 +52,7 @@ class Request:
     def submit(self, client: Client, table: "Table") -> JobView:
         """Upload `table` and submit the job."""
         digest = client.upload(table.to_bytes())
-        return client.submit(self.job, self.name, self.config, digest)
+        return client.submit(self.job, self.name, self.config, digest, self.priority)
 
     def result(self, client: Client, view: JobView) -> dict[str, Any] | None:
         """Return the result of the ended job; None when it ended before there was any."""
@@ -84,7 +86,9 @@ def request_of(options: argparse.Namespace) -> Request:
     """
     files = tuple(Path(name) for name in options.data)
     name = options.name if options.name is not None else files[0].name
-    request = Request(job_id(options.id), name, job_config(options), files, options.json)
+    request = Request(
+        job_id(options.id), name, job_config(options), files, options.json, getattr(options, "priority", 0)
+    )
     for file in files:
         if not file.is_file():
             found = _what_is_there(file)
@@ -98,9 +102,9 @@ def _what_is_there(path: Path) -> str:
     return "is a pipe or a device" if path.exists() else "does not exist"
 
 
-def address_of(options: argparse.Namespace) -> str:
-    """Return the coordinator's address from ``--connect`` or ``ATOLL_CONNECT``; raises UsageError."""
+def address_of(options: argparse.Namespace) -> Destination:
+    """Return where the coordinator is, by ``--connect`` and ``--tls-*`` or the environment; raises UsageError."""
     address = options.connect or os.environ.get("ATOLL_CONNECT")
     if not address:
         raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
-    return str(parse_address(address))
+    return destination(address, credentials_of(vars(options), os.environ, "connect"))

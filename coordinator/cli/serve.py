@@ -2,7 +2,8 @@
 
 import argparse
 import contextlib
-import logging
+import ipaddress
+import os
 import socket
 import struct
 import sys
@@ -11,14 +12,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from common import VERSION
-from common.errors import StoreError, UsageError
-from common.wire.addresses import Address, parse_address
+from common.errors import RefusedError, StoreError, UnreachableError, UsageError
+from common.logs import configure
+from common.wire.access import Roster, read_roster
+from common.wire.addresses import Address, Destination, destination, parse_address
+from common.wire.connect_file import announced
+from common.wire.credentials import credentials_of
 from coordinator.cli.exits import DONE
 from coordinator.cli.output import note, say
 from coordinator.cli.signals import stopping
 
 if TYPE_CHECKING:
+    from common.wire.bus import Bus
+    from common.wire.zenoh_bus import ZenohBus
     from coordinator.service.store import Store
+
+ANOTHER_LIMIT_S: Final = 0.5
+"""How long another coordinator behind the same router is listened for."""
 
 _EVERYWHERE: Final = ("0.0.0.0", "::")
 _SIOCGIFADDR: Final = 0x8915
@@ -26,18 +36,68 @@ _SIOCGIFADDR: Final = 0x8915
 
 def serve(options: argparse.Namespace) -> int:
     """Serve until SIGTERM or Ctrl-C; return 0."""
-    wanted = parse_address(options.listen)
-    configure_log()
-    from common.wire.zenoh_bus import open_router
+    behind = options.router is not None
+    credentials = credentials_of(vars(options), os.environ, "connect" if behind else "serve")
+    wanted = destination(options.router or options.listen, credentials)
+    roster = roster_of(options.roster, wanted)
+    configure(options.log_format, options.log_level)
     from coordinator.service.service import Service
 
     stop = threading.Event()
-    with stopping(stop), _opened(options.state) as store, open_router(str(wanted)) as bus:
-        service = Service(bus, store)
-        say(greeting(parse_address(bus.endpoint), options.state))
-        service.run(stop)
+    with stopping(stop), _opened(options.state) as store, _joined(options, wanted, roster) as bus:
+        service = Service(bus, store, roster=roster)
+        service.start()
+        here = Destination(parse_address(bus.endpoint), credentials)
+        with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):
+            say(greeting(here, options.state, roster, behind))
+            service.work(stop)
     note("coordinator: stopped; jobs and results are kept")
     return DONE
+
+
+def roster_of(file: str | None, at: Destination) -> Roster | None:
+    """Return who may do what; None without a file. Raises UsageError."""
+    if file is None:
+        return None
+    if at.credentials is None:
+        raise UsageError(
+            "--roster gives roles to the names in certificates, so it needs --tls-ca, --tls-cert and --tls-key"
+        )
+    return read_roster(Path(file))
+
+
+def _joined(options: argparse.Namespace, wanted: Destination, roster: Roster | None) -> "ZenohBus":
+    """Return a bus with a router of our own in it, or one that joined the router at ``options.router``.
+
+    Raises:
+        UsageError: nobody can listen at ``options.listen``, or another coordinator is behind that router.
+        UnreachableError: the router did not answer in time.
+        RefusedError: it does not accept our certificate, or we not its.
+    """
+    from common.wire.zenoh_bus import open_client, open_router
+
+    if options.router is None:
+        return open_router(wanted, roster=roster)
+    bus = open_client(wanted, wait_s=options.wait)
+    try:
+        refuse_another(bus, bus.endpoint)
+    except BaseException:
+        bus.close()
+        raise
+    return bus
+
+
+def refuse_another(bus: "Bus", router: str) -> None:
+    """Raise UsageError when a coordinator answers already behind `router`: workers could not tell the two apart."""
+    from coordinator.client import Client
+
+    try:
+        Client(bus, router).greet(ANOTHER_LIMIT_S)
+    except UnreachableError:
+        return
+    except RefusedError:  # one of another version
+        pass
+    raise UsageError(f"a coordinator is there already behind the router {router}; stop it first, or use another router")
 
 
 def _opened(state: str) -> "Store":
@@ -50,22 +110,49 @@ def _opened(state: str) -> "Store":
         raise UsageError(str(error)) from error
 
 
-def configure_log() -> None:
-    """Send the log to stderr, one line an event."""
-    logging.basicConfig(
-        level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s %(message)s", force=True
-    )
-
-
-def greeting(listen: Address, state: str) -> str:
-    """Return what a person needs who wants to use this coordinator: one line for each address heard on."""
-    addresses = [Address(listen.protocol, host, listen.port) for host in heard_on(listen.host)]
-    lines = [f"coordinator {VERSION} listens on {listen}, state in {state}", "start a worker with:"]
-    lines += [f"  island-worker --connect {address}" for address in addresses]
+def greeting(at: Destination, state: str, roster: Roster | None = None, is_behind_router: bool = False) -> str:
+    """Return what a person needs who wants to use this coordinator: one line for each address to dial."""
+    addresses = addresses_of(at, is_behind_router)
+    manner = "is behind the router" if is_behind_router else "listens on"
+    lines = [f"coordinator {VERSION} {manner} {at}, state in {state}", "start a worker with:"]
+    lines += [f"  island-worker --connect {each}" for each in addresses]
     lines += ["submit a job with:", f"  coordinator submit DATA --connect {addresses[0]}"]
-    if listen.host in _EVERYWHERE:
-        lines.append("whoever reaches this port can use it: listen on a trusted network only")
-    return "\n".join(lines)
+    return "\n".join([*lines, *warnings_of(at, roster)])
+
+
+def warnings_of(at: Destination, roster: Roster | None) -> list[str]:
+    """Return in plain words who can do what, where that is more than this machine's own programs."""
+    if at.credentials is None and not is_loopback(at.address.host):
+        return [
+            f"NOT ENCRYPTED: whoever reaches port {at.address.port} may submit, read and cancel jobs, join as a",
+            "worker or feed migrants in another's name; listen on a trusted network only, or on",
+            "tls/HOST:PORT with --tls-ca, --tls-cert, --tls-key and --roster (deploy/tls/make-authority makes them)",
+        ]
+    if at.credentials is None:
+        return []
+    lines = [f"certificates: give each --tls-ca, --tls-cert and --tls-key; the authority is {at.credentials.authority}"]
+    if roster is None:
+        lines.append(
+            "no roster: whoever has a certificate of that authority may compute, submit and cancel (see --roster)"
+        )
+    return lines
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether only this machine can reach a listener on `host`."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
+    """Return the addresses to connect to, those for other machines first; with a certificate those that it names."""
+    address, files = at.address, at.credentials
+    if is_behind_router:
+        return [str(address)]
+    hosts = (files.hosts if files is not None else ()) or heard_on(address.host)
+    return [str(Address(address.protocol, host, address.port)) for host in hosts]
 
 
 def heard_on(host: str) -> list[str]:

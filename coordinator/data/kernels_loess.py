@@ -162,14 +162,16 @@ def loess_into(
     times: FloatArray,
     values: FloatArray,
     trust: FloatArray,
+    precision: FloatArray,
     span: int,
     degrees: int,
 ) -> None:
     """Fill `fits` (3, R) with the value, slope and curvature of loess over the `span` nearest rows.
 
-    `gains` (4, R) receives their noise gains, the roots of the sums of squared weights with which the values enter, and
-    the leverage, the weight of a row's own value in its fit. `degrees` counts the degrees used: 3 is a parabola; where
-    too few rows of a window have trust, it is widened.
+    `precision` (R,), positive, divides the variance of each row's noise. `gains` (4, R) receives noise gains, the roots
+    of the sums of squared weights with which the values enter, over their precision, and the leverage, the weight of a
+    row's own value in its fit. `degrees` counts the degrees used: 3 is a parabola; where too few rows of a window have
+    trust, it is widened.
     """
     rows = len(times)
     offsets, weights = np.empty(rows), np.empty(rows)
@@ -211,7 +213,7 @@ def loess_into(
             total, gain = 0.0, 0.0
             for j in range(window):
                 total += influence[derivative, j] * (values[start + j] - values[row])
-                gain += influence[derivative, j] * influence[derivative, j]
+                gain += influence[derivative, j] * influence[derivative, j] / precision[start + j]
             fits[derivative, row] = total * unit + (values[row] if derivative == 0 else 0.0)
             gains[derivative, row] = np.sqrt(gain) * unit
             unit /= bandwidth

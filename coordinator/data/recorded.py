@@ -6,9 +6,11 @@ import numpy as np
 
 from common.dataset import FloatArray
 from coordinator.data.derivatives import Estimate
+from coordinator.data.doubts import doubts_of
 from coordinator.data.inputs import input_slopes
 from coordinator.data.measured import Measured
 from coordinator.data.recording import Method, Recording, Smoothing, Trajectory
+from coordinator.data.rows import Kept
 
 
 def recorded(
@@ -17,7 +19,7 @@ def recorded(
     inputs: Sequence[Sequence[FloatArray]],
     symbols: Mapping[str, str],
     estimates: Sequence[Estimate],
-    doubtful: Sequence[int],
+    kept: Kept,
 ) -> Recording:
     """Return the recording of measured states.
 
@@ -27,7 +29,7 @@ def recorded(
         inputs: for each input, its values along each trajectory.
         symbols: by column name, the name in expressions.
         estimates: one for each state.
-        doubtful: for each state, how many rows the search does not see for its sake.
+        kept: which rows the search sees, and for which state's sake it does not see others.
     """
     assert its.trajectories is not None
     slopes = [input_slopes(its.trajectories.times, parts) for parts in inputs]
@@ -41,18 +43,20 @@ def recorded(
         tuple(symbols[name] for name in its.roles.inputs),
         its.config.order,
         its.trajectories.offset,
-        tuple(_smoothing(*each) for each in zip(its.roles.states, estimates, doubtful, strict=True)),
+        tuple(_smoothing(its, *each) for each in zip(its.roles.states, estimates, kept.doubted, strict=True)),
         tuple(_trajectory(its, run, inputs, slopes, estimates) for run in range(len(its.trajectories.runs))),
         its.config.offsets,
     )
 
 
-def _smoothing(state: str, its: Estimate, doubtful: int) -> Smoothing:
+def _smoothing(of: Measured, state: str, its: Estimate, doubted: frozenset[int]) -> Smoothing:
+    assert of.trajectories is not None
+    doubts = doubts_of(of.trajectories.times, its, doubted, frozenset(of.indices(held_out=False)))
     if its.choice is None:
-        return Smoothing(state, "interpolation", its.error, its.relative, doubtful=doubtful)
+        return Smoothing(state, "interpolation", its.error, its.relative, doubtful=len(doubted), doubts=doubts)
     method: Method = "loess" if its.outliers is None else "robust loess"
     span, degree = its.choice.rows, its.choice.degree
-    return Smoothing(state, method, its.error, its.relative, span, degree, doubtful, its.outliers or 0)
+    return Smoothing(state, method, its.error, its.relative, span, degree, len(doubted), its.outliers or 0, doubts)
 
 
 def _trajectory(
@@ -75,6 +79,7 @@ def _trajectory(
         _stacked([parts[run] for parts in slopes], rows),
         its.held_out[run],
         _trust(estimates, first, last),
+        None if its.weights is None else np.ascontiguousarray(its.weights[first:last]),
     )
 
 

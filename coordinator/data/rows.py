@@ -37,14 +37,19 @@ PASSES: Final = 3
 class Kept:
     """The rows that remain of trajectories `seen` by the search and of those `held_out`.
 
-    `doubtful` counts, for each state, the seen rows that were left out for its sake; `warnings` are sentences for the
-    user.
+    `doubted` has, for each state, the seen rows that were left out for its sake, `doubtful` their numbers; `warnings`
+    are sentences for the user.
     """
 
     seen: list[int]
     held_out: list[int]
-    doubtful: tuple[int, ...]
+    doubted: tuple[frozenset[int], ...]
     warnings: tuple[str, ...]
+
+    @property
+    def doubtful(self) -> tuple[int, ...]:
+        """How many rows were left out for the sake of each state."""
+        return tuple(map(len, self.doubted))
 
 
 def kept_rows(
@@ -60,22 +65,23 @@ def kept_rows(
         paper: keep every row, as the paper does.
     """
     if paper:
-        return Kept(seen, held_out, (0,) * len(estimates), ())
+        return Kept(seen, held_out, (frozenset(),) * len(estimates), ())
     is_clean = any(its.interpolated for its in estimates)
     ends = end_rows(lengths) if is_clean else np.zeros(sum(lengths))
     inner = [row for row in seen if ends[row] == 0.0]
     certain = _certain([its for its in estimates if its.interpolated], inner)
     kept = _undoubted([its for its in estimates if not its.interpolated], certain)
     limits = [float(np.max(_doubt(its)[kept], initial=0.0)) for its in estimates]
-    doubtful = [
-        sum(value > limit for value in _doubt(its)[seen].tolist()) for its, limit in zip(estimates, limits, strict=True)
+    doubted = [
+        frozenset(row for row, value in zip(seen, _doubt(its)[seen].tolist(), strict=True) if value > limit)
+        for its, limit in zip(estimates, limits, strict=True)
     ]
     within = [
         row
         for row in held_out
         if ends[row] == 0.0 and all(_doubt(its)[row] <= limit for its, limit in zip(estimates, limits, strict=True))
     ]
-    return Kept(kept, within, tuple(doubtful), tuple(_sentences(len(seen), len(inner), len(certain), len(kept))))
+    return Kept(kept, within, tuple(doubted), tuple(_sentences(len(seen), len(inner), len(certain), len(kept))))
 
 
 def _doubt(its: Estimate) -> FloatArray:

@@ -12,6 +12,9 @@ from common.expression.program import Program
 from common.pareto import FrontEntry
 
 Grade = Literal["exact", "good", "doubtful", "no model"]
+Origin = Literal["front", "runner-up", "guess", "library", "descent", "known"]
+"""Where an equation comes from: the front or the runners-up of the search, a guess, a library of terms, what was given,
+or a descent from any of these to a shorter description. Constants may have been fitted and made simple since."""
 
 NORMAL_95: Final = 1.959963984540054
 """Standard errors on either side of a 95 % interval."""
@@ -65,7 +68,8 @@ class Contender:
 
     `nats` is how much longer the description of the data is with it (0 for the one shown, negative where it is shorter
     but foretells less well; below about 3 the data hardly decide); `r2` is that of its state's simulation,
-    `held_out_r2` the same on trajectories that did not take part in its fit, None where there are none.
+    `held_out_r2` the same on trajectories that did not take part in its fit, None where there are none:
+    held-out ones, or when it `is_cross_validated` each of the others, left out one at a time.
     """
 
     program: Program
@@ -73,6 +77,8 @@ class Contender:
     r2: float | None
     held_out_r2: float | None = None
     is_shown: bool = False
+    is_cross_validated: bool = False
+    origin: Origin | None = None
 
 
 @dataclass(frozen=True)
@@ -102,6 +108,7 @@ class Refined:
     contenders: tuple[Contender, ...] = ()
     grade: Grade | None = None
     reason: str | None = None
+    origin: Origin | None = None
 
 
 @dataclass(frozen=True, eq=False)

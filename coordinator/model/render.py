@@ -2,8 +2,12 @@
 
 import csv
 import io
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
+
+import numpy as np
 
 from common.errors import UsageError
 from common.expression.export import to_latex
@@ -20,6 +24,8 @@ _COLUMNS: Final = (
     "lhs",
     "pick",
     "selected",
+    "shown",
+    "origin",
     "complexity",
     "error",
     "normalized_error",
@@ -27,6 +33,7 @@ _COLUMNS: Final = (
     "holdout_error",
     "expression",
 )
+_NUMBER: Final = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[+-]?\d+)?")
 _ENDS: Final = {
     "target": "the target error was met",
     "stagnation": "no better equation was found for long",
@@ -98,13 +105,17 @@ def render_text(result: Mapping[str, Any], *, fronts: bool = False) -> str:
 
 
 def render_csv(result: Mapping[str, Any]) -> str:
-    """Return all fronts as CSV, one line for each member, with a header."""
+    """Return the equations as CSV with a header: for each the one that is shown, then all members of its front."""
     stream = io.StringIO()
     writer = csv.DictWriter(stream, _COLUMNS, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     for equation in result["equations"]:
+        its = {"variable": equation["variable"], "lhs": equation["lhs"]}
+        origin = "known" if equation["why"] == "known" else "front"
+        if equation["expression"] is not None:
+            writer.writerow({**equation, "shown": True})
         for number, member in enumerate(equation["front"]):
-            writer.writerow({**member, "variable": equation["variable"], "lhs": equation["lhs"], "pick": number})
+            writer.writerow({**member, **its, "pick": number, "shown": False, "origin": origin})
     return stream.getvalue().rstrip("\n")
 
 
@@ -145,9 +156,10 @@ def _picked(equation: Mapping[str, Any], number: int) -> dict[str, Any]:
     if not 0 <= number < len(front):
         there = f"from 0 to {len(front) - 1}" if front else "there are none yet"
         raise UsageError(f"--pick {equation['variable']}={number} is not on the front; choose a number {there}")
-    taken = ("expression", "complexity", "error", "normalized_error", "constants")
+    taken = ("expression", "complexity", "error", "normalized_error", "r2", "constants")
     members = [{**member, "selected": index == number} for index, member in enumerate(front)]
     best = {key: front[number][key] for key in taken}
+    best["origin"] = "known" if equation["why"] == "known" else "front"
     error = best["normalized_error"]
     converged = error is not None and error <= equation["target_error"]
     unknown: dict[str, Any] = {"verdict": None, "reason": None, "candidates": []}
@@ -159,15 +171,29 @@ def _equation_text(equation: Mapping[str, Any], names: Sequence[str], with_table
         return f"{equation['lhs']} = ?\n    nothing found yet"
     lines = [f"{equation['lhs']} = {display(equation['expression'], names)}"]
     constants = None if with_tables else tables.constants_line(equation["constants"])
+    if with_tables or constants:
+        lines += _written_out(equation, names)
     lines += [f"    {constants}"] if constants else []
     if equation.get("verdict") is not None:
         lines.append(f"    {equation['verdict']}: {equation['reason']}")
     lines.append(f"    {_standing(equation)}")
+    most = None if with_tables else tables.NEAREST
     if with_tables:
         lines += tables.constants_table(equation["constants"])
-        lines += tables.contenders_table(equation.get("candidates", ()), lambda text: display(text, names))
+    if with_tables or equation.get("verdict") != "exact":
+        lines += tables.contenders_table(equation.get("candidates", ()), lambda text: display(text, names), most)
+    if with_tables:
         lines += [*_front_lines(equation["front"], names), ""]
     return "\n".join(lines)
+
+
+def _written_out(equation: Mapping[str, Any], names: Sequence[str]) -> list[str]:
+    """Return the expression with its constants where they are, if the display has other numbers, such as 1/4 for 4."""
+    program = from_infix(equation["expression"], names)
+    rounded = replace(program, constants=np.array([float(f"{value:.{DIGITS}g}") for value in program.constants]))
+    seen = {float(number) for number in _NUMBER.findall(display(equation["expression"], names))}
+    known = {abs(float(f"{each['value']:.{DIGITS}g}")) for each in equation["constants"] if each["value"] is not None}
+    return [] if known <= seen | {1.0} else [f"    written out: {to_infix(rounded, names)}"]
 
 
 def _standing(equation: Mapping[str, Any]) -> str:

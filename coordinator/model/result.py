@@ -22,11 +22,13 @@ from common.expression.text import PRINTABLE_SIZE, to_infix, tree_size
 from common.pareto import FrontEntry
 from common.wire.views import JobState
 from coordinator.data.recording import Preparation
+from coordinator.model.diagnostics import noise, smoothing
 from coordinator.model.digest import result_digest
 from coordinator.model.errors import errors_on
-from coordinator.model.refinement import Constant, Refined, Refinement
+from coordinator.model.figures import finite
+from coordinator.model.refinement import Constant, Origin, Refined, Refinement
 from coordinator.model.select import select, threshold
-from coordinator.model.trust import candidates, correlations, finite, noise, simulation, verdict
+from coordinator.model.trust import candidates, correlations, simulation, verdict
 
 SCHEMA: Final = 1
 KNOWN: Final = "known"
@@ -100,6 +102,7 @@ def build_result(
         "reason": account.reason,
         "equations": [_equation(config, preparation, outcome, account.state) for outcome in outcomes],
         "noise": noise(preparation.recording),
+        "smoothing": smoothing(preparation.recording),
         "correlations": correlations(model.correlations),
         "simulation": simulation(model.simulation, preparation.recording),
         "symbols": dict(dataset.symbols),
@@ -173,7 +176,8 @@ def equation_of(outcome: VariableOutcome, dataset: Dataset, config: JobConfig) -
     front = [outcome.front[index] for index in printable]
     member = printable[select(front, len(target.values), target, config.budget.target_error)]
     entry = outcome.front[member]
-    return Refined(member, _program(entry, dataset), entry.error, entry.mse)
+    origin: Origin = "known" if outcome.why == KNOWN else "front"
+    return Refined(member, _program(entry, dataset), entry.error, entry.mse, origin=origin)
 
 
 def _is_printable(entry: FrontEntry, dataset: Dataset) -> bool:
@@ -189,14 +193,16 @@ def is_printable(program: bytes, inputs: int) -> bool:
 def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobConfig) -> dict[str, Any]:
     """Return what is said of the equation; all null when there is none."""
     if shown is None:
-        unknown = dict.fromkeys(("expression", "complexity", "error", "normalized_error"))
+        unknown = dict.fromkeys(("expression", "origin", "complexity", "error", "normalized_error", "r2"))
         return {**unknown, "converged": False, "constants": [], "implied": []}
     normalized = shown.error / target.deviation if target.deviation else math.inf
     return {
         "expression": to_infix(shown.program, dataset.names),
+        "origin": shown.origin,
         "complexity": len(shown.program),
         "error": finite(shown.error),
         "normalized_error": finite(normalized),
+        "r2": _r2(shown.mse, target),
         "converged": normalized <= threshold(target, config.budget.target_error),
         "constants": _constants(shown.program, shown.constants),
         "implied": [{"of": to_infix(each.of, dataset.names), **_constant(each.constant)} for each in shown.implied],
@@ -220,15 +226,20 @@ def _course(entry: FrontEntry | None, outcome: VariableOutcome, config: JobConfi
 
 def _member(entry: FrontEntry, dataset: Dataset, target: Target) -> dict[str, Any]:
     program = _program(entry, dataset)
-    variance = target.deviation * target.deviation
     return {
         "expression": to_infix(program, dataset.names),
         "complexity": entry.complexity,
         "error": finite(entry.error),
         "normalized_error": finite(entry.error / target.deviation if target.deviation else math.inf),
-        "r2": finite(1.0 - entry.mse / variance if variance else math.nan),
+        "r2": _r2(entry.mse, target),
         "constants": _constants(program),
     }
+
+
+def _r2(mse: float, target: Target) -> float | None:
+    """Return the share of the target's variance that a mean squared error leaves explained; None if that is unknown."""
+    variance = target.deviation * target.deviation
+    return finite(1.0 - mse / variance if variance else math.nan)
 
 
 def _unseen_error(program: Program, unseen: Problem | None, loss: Loss) -> float | None:

@@ -9,6 +9,9 @@ from typing import Any, Final
 
 MOST_LINES: Final = 12
 """Trajectories and pairs of constants listed one by one; of more, the worst are."""
+NEAREST: Final = 2
+"""Contenders shown beside the chosen equation where there is room for a few lines only."""
+_PLACES: Final = {"end": "near ends", "gap": "near gaps", "jump": "at jumps", "outlier": "outliers"}
 
 _EXACT_SHARE: Final = 1e-6
 """Standard errors below this share of their constants are those of rounding, and not worth a line."""
@@ -108,12 +111,20 @@ def _interval(bounds: Sequence[float | None] | None) -> str:
 # ------------------------------------------------------------------------------------------------ contenders
 
 
-def contenders_table(candidates: Sequence[Mapping[str, Any]], display: Callable[[str], str]) -> list[str]:
-    """Return the contenders, the one shown first, by how much longer a description they are; nothing for one alone."""
+def contenders_table(
+    candidates: Sequence[Mapping[str, Any]], display: Callable[[str], str], most: int | None = None
+) -> list[str]:
+    """Return the contenders, the one shown first, by how much longer a description they are; nothing for one alone.
+
+    At most `most` others are listed; of the rest their number.
+    """
     if len(candidates) < 2:
         return []
-    is_held_out = any(each["held_out_r2"] is not None for each in candidates)
-    heads = ("contender", "nats", "R2", *(("held out",) if is_held_out else ()), "size", "expression")
+    shown = candidates if most is None else candidates[: most + 1]
+    is_held_out = any(each["held_out_r2"] is not None for each in shown)
+    is_crossed = any(each.get("cross_validated") for each in shown)
+    unseen = "cross-validated" if is_crossed else "held out"
+    heads = ("contender", "nats", "R2", *((unseen,) if is_held_out else ()), "size", "origin", "expression")
     rows = [
         (
             "*" if each["selected"] else "",
@@ -121,11 +132,13 @@ def contenders_table(candidates: Sequence[Mapping[str, Any]], display: Callable[
             r2_text(each["r2"]),
             *((r2_text(each["held_out_r2"]),) if is_held_out else ()),
             str(each["complexity"]),
+            each.get("origin") or "-",
             display(each["expression"]),
         )
-        for each in candidates
+        for each in shown
     ]
-    return columns(heads, rows, "    ")
+    rest = len(candidates) - len(shown)
+    return [*columns(heads, rows, "    "), *([f"    {rest} more: coordinator result"] if rest else [])]
 
 
 # ---------------------------------------------------------------------------------------- the model as a whole
@@ -169,10 +182,28 @@ def _noise_text(its: Mapping[str, Any]) -> str:
         size = "?" if its["sd"] is None else f"{its['sd']:.3g}"
         text = f"{size}, {percent(its['relative'])} of its deviation; {its['method']}"
         text += f" of degree {its['degree']} over {its['span']} rows"
+        text += _residual_text(its)
     if its["doubtful_rows"]:
         text += f"; derivatives doubtful on {its['doubtful_rows']} rows"
     many = "1 outlier" if its["outliers"] == 1 else f"{its['outliers']} outliers"
-    return f"{text}; {many}" if its["outliers"] else text
+    text = f"{text}; {many}" if its["outliers"] else text
+    reasons = _reasons(its.get("doubtful", ()))
+    return f"{text}; not used: {reasons}" if reasons else text
+
+
+def _residual_text(its: Mapping[str, Any]) -> str:
+    """Return how far measurements lie from the smoothed curve at most; nothing where that is not known."""
+    largest = its.get("largest_residual")
+    if largest is None or largest["value"] is None:
+        return ""
+    where = f"t = {largest['time']:.6g} of trajectory {largest['trajectory']}"
+    return f"; residuals {its['residual_rms']:.3g}, the largest {largest['value']:.3g} at {where}"
+
+
+def _reasons(doubtful: Sequence[Mapping[str, Any]]) -> str:
+    """Return how many rows are not used for each reason, such as ``8 rows near ends, 3 outliers``."""
+    counts = {reason: sum(len(each["times"]) for each in doubtful if each["reason"] == reason) for reason in _PLACES}
+    return ", ".join(f"{count} {_PLACES[reason]}" for reason, count in counts.items() if count)
 
 
 def simulation_table(result: Mapping[str, Any]) -> list[str]:

@@ -1,4 +1,4 @@
-"""What a result says of how far its model can be trusted: noise, contenders, verdicts, correlations, simulations.
+"""What a result says of how far its model can be trusted: contenders, verdicts, correlations, simulations.
 
 Plain dictionaries, lists, texts and numbers for ``result.json``; a number that is not known or not finite is null.
 """
@@ -12,7 +12,8 @@ import numpy as np
 from common.dataset import Dataset, FloatArray, Target
 from common.expression.text import PRINTABLE_SIZE, to_infix, tree_size
 from common.wire.views import FINAL_STATES, JobState
-from coordinator.data.recording import Recording, Smoothing
+from coordinator.data.recording import Recording
+from coordinator.model.figures import curve, finite, thinned
 from coordinator.model.refinement import NORMAL_95, Contender, Correlation, Refined, Simulated, Simulation
 from coordinator.model.verdict import Evidence, judge
 
@@ -21,31 +22,7 @@ MOST_POINTS: Final = 200
 MOST_NUMBERS: Final = 100_000
 """Numbers of all curves together, about 1 MB as text."""
 LEAST_POINTS: Final = 2
-CURVE_DIGITS: Final = 7
-"""Significant digits of simulated values: curves are looked at, and there are many of their numbers."""
 MOST_CANDIDATES: Final = 20
-
-
-def finite(value: float | None) -> float | None:
-    """Return `value` as JSON can hold it: None when it is not finite."""
-    return float(value) if value is not None and math.isfinite(value) else None
-
-
-def noise(recording: Recording | None) -> dict[str, Any]:
-    """Return what is known of the measurement errors of each state; empty when no state was measured in time."""
-    return {each.state: _smoothing(each) for each in recording.smoothing} if recording is not None else {}
-
-
-def _smoothing(its: Smoothing) -> dict[str, Any]:
-    return {
-        "sd": finite(its.noise),
-        "relative": finite(its.relative),
-        "method": its.method,
-        "span": its.span,
-        "degree": its.degree,
-        "doubtful_rows": its.doubtful,
-        "outliers": its.outliers,
-    }
 
 
 def verdict(shown: Refined | None, target: Target, state: JobState, *, is_known: bool = False) -> dict[str, Any]:
@@ -81,6 +58,8 @@ def candidates(contenders: Sequence[Contender], dataset: Dataset) -> list[dict[s
             "nats": finite(each.nats),
             "r2": finite(each.r2),
             "held_out_r2": finite(each.held_out_r2),
+            "cross_validated": each.is_cross_validated,
+            "origin": each.origin,
             "selected": each.is_shown,
         }
         for each in ordered[:MOST_CANDIDATES]
@@ -110,13 +89,13 @@ def simulation(its: Simulation | None, recording: Recording | None) -> dict[str,
 
 
 def _trajectory(its: Simulated, states: Sequence[str], offset: float, most: int) -> dict[str, Any]:
-    rows = _thinned(len(its.times), most)
+    rows = thinned(len(its.times), most)
     return {
         "name": its.name,
         "held_out": its.held_out,
         "r2": dict(zip(states, map(finite, its.r2), strict=True)),
         "offsets": {state: finite(value) for state, value in its.offsets.items()},
-        "times": _curve(its.times[rows] + offset, digits=12),
+        "times": curve(its.times[rows] + offset, digits=12),
         "values": _curves(its.values, states, rows),
         "lower": _curves(_beside(its, -NORMAL_95), states, rows),
         "upper": _curves(_beside(its, NORMAL_95), states, rows),
@@ -130,18 +109,7 @@ def _beside(its: Simulated, errors: float) -> FloatArray | None:
         return np.asarray(its.values + errors * its.errors)
 
 
-def _thinned(rows: int, most: int) -> list[int]:
-    """Return at most `most` row numbers spread evenly, the first and the last among them."""
-    if rows <= most:
-        return [*range(rows)]
-    return [(index * (rows - 1)) // (most - 1) for index in range(most)]
-
-
 def _curves(values: FloatArray | None, states: Sequence[str], rows: list[int]) -> dict[str, Any] | None:
     if values is None:
         return None
-    return {state: _curve(curve[rows]) for state, curve in zip(states, values, strict=True)}
-
-
-def _curve(values: FloatArray, digits: int = CURVE_DIGITS) -> list[float | None]:
-    return [finite(float(f"{value:.{digits}g}")) for value in values.tolist()]
+    return {state: curve(its[rows]) for state, its in zip(states, values, strict=True)}

@@ -7,7 +7,7 @@ far an island got beyond the cut.
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from common.errors import AtollError, RemoteProtocolError
@@ -61,12 +61,16 @@ class _Filed:
 
 @dataclass(slots=True)
 class Progress:
-    """The archipelago after its `epochs` completely reported epochs."""
+    """The archipelago after its `epochs` completely reported epochs.
+
+    `counted` are the point evaluations of each island that has any, `evaluations` their sums, both by part.
+    """
 
     epochs: int = 0
     front: tuple[FrontEntry, ...] = ()
     runners_up: tuple[FrontEntry, ...] = ()
     evaluations: dict[str, int] = field(default_factory=dict)
+    counted: dict[int, dict[str, int]] = field(default_factory=dict)
     best_length: float = math.inf
     improved_at: int = 0
     seconds: float = 0.0
@@ -80,9 +84,10 @@ class Collector:
         self.limits: Final = limits
         self.progress = Progress()
         self.cut: Cut | None = None
+        self.duplicates = 0
         self._measure = measure
         self._filed: dict[tuple[int, int], _Filed] = {}
-        self._counted: dict[int, dict[str, int]] = {}
+        self._past: dict[int, Progress] = {}
         self._pending: Why | None = None
 
     def receive(self, worker: str, epoch: int, reports: Iterable[IslandReport], seconds: float) -> bool:
@@ -105,6 +110,7 @@ class Collector:
             self._check(worker, epoch, report)
         for report in reports:
             filed = _Filed(worker, report.generations, report.hit is not None, report.digest, report)
+            self.duplicates += (epoch, report.island) in self._filed
             self._filed.setdefault((epoch, report.island), filed)
         before = self.progress.epochs
         while self.cut is None and self._is_complete(self.progress.epochs):
@@ -120,6 +126,20 @@ class Collector:
             return
         self._end(why)
 
+    def at(self, epochs: int) -> Progress | None:
+        """Return how the archipelago stood after so many epochs; None: not so far yet, or forgotten."""
+        return self._past.get(epochs)
+
+    def forget(self, before: int) -> None:
+        """Forget how it stood before so many epochs, and what was reported of them: none of it comes again."""
+        self._past = {epochs: past for epochs, past in self._past.items() if epochs >= before}
+        if before <= self.progress.epochs:
+            self._filed = {key: filed for key, filed in self._filed.items() if key[0] >= before}
+
+    def resume(self, progress: Progress) -> None:
+        """Go on from where an archipelago stood; only before the first report."""
+        self.progress = progress
+
     def first_missing(self, islands: Iterable[int], before: int) -> int | None:
         """Return the first epoch below `before` of which a report of any of these islands is missing; None: of none."""
         wanted = tuple(islands)
@@ -127,6 +147,13 @@ class Collector:
             if any((epoch, island) not in self._filed for island in wanted):
                 return epoch
         return None
+
+    def awaited(self) -> tuple[int, ...]:
+        """Return the islands whose reports the next epoch still waits for; none once there is a cut."""
+        epoch, hit = self.progress.epochs, self._hit(self.progress.epochs)
+        filed = {island: self._filed[epoch, island].generations for _, island in self._keys(epoch)}
+        islands = range(self.limits.islands) if self.cut is None else ()
+        return tuple(island for island in islands if filed.get(island, 0) < self._needed(hit, island))
 
     def validate(self) -> None:
         """Check the invariants; raises AssertionError."""
@@ -192,10 +219,11 @@ class Collector:
             self._note_improvement(epoch)
         for report, end in counted:
             if end > 0:
-                self._counted[report.island] = evaluations_at(report, end)
+                progress.counted[report.island] = evaluations_at(report, end)
         progress.epochs = epoch + 1
         progress.seconds = seconds
-        progress.evaluations = total_evaluations(self._counted.values())
+        progress.evaluations = total_evaluations(progress.counted.values())
+        self._past[progress.epochs] = replace(progress, counted=dict(progress.counted))
         self._consider_end(epoch, hit)
 
     def _release(self, epoch: int) -> list[IslandReport]:

@@ -43,14 +43,15 @@ class Cut(Model):
 
     def entries(self) -> tuple[FrontEntry, ...]:
         """Return the front."""
-        return _entries(self.front)
+        return entries(self.front)
 
     def pool(self) -> Pool:
         """Return the front and the runners-up."""
-        return Pool(_entries(self.front), _entries(self.runners_up))
+        return Pool(entries(self.front), entries(self.runners_up))
 
 
-def _entries(stored: tuple[CutEntry, ...]) -> tuple[FrontEntry, ...]:
+def entries(stored: tuple[CutEntry, ...]) -> tuple[FrontEntry, ...]:
+    """Return front members that were stored."""
     return tuple(FrontEntry(**entry.model_dump()) for entry in stored)
 
 

@@ -7,7 +7,7 @@ from typing import Final, Literal
 from common.config import JobConfig
 from common.dataset import Dataset, Target
 from common.errors import LocalProtocolError, RemoteProtocolError
-from common.expression.program import Program
+from common.expression.program import check_program_bytes
 from common.pareto import FrontEntry
 from common.slices import Course
 from common.wire.messages import Commit, EpochReport, JobAnnouncement, chunk_count
@@ -16,12 +16,14 @@ from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pool, Refinement
 from coordinator.model.select import count_constants, description_length
 from coordinator.service.archipelago import Archipelago
+from coordinator.service.checkpoint import StoredProgress
 from coordinator.service.collector import DivergedError, Limits, Measure
 from coordinator.service.cut import Cut
 from coordinator.service.resolve import stagnation_of
+from coordinator.service.store import JobRecord
 
 JobStep = Literal["prepare", "prepared", "searched", "refined", "fail", "cancel"]
-Fault = Literal["data", "diverged", "internal"]
+Fault = Literal["data", "diverged", "poison", "internal"]
 
 JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
     "queued": {"prepare": "preparing", "fail": "failed", "cancel": "cancelled"},
@@ -44,7 +46,7 @@ class KeepCut:
 
 @dataclass(frozen=True, slots=True)
 class TellCommit:
-    """Tell the workers of a new commit."""
+    """Tell the workers what they may forget."""
 
     commit: Commit
 
@@ -91,20 +93,22 @@ class Prepared:
 class Job:
     """A job from its submission to its end."""
 
-    def __init__(self, job: str, name: str, config: JobConfig, table: str, submitted: str, now: float) -> None:
-        """`table` is the digest of the uploaded table, `submitted` an ISO time, `now` the bus's seconds."""
-        self.id: Final = job
-        self.name: Final = name
+    def __init__(self, record: JobRecord, config: JobConfig, now: float) -> None:
+        """`record` is what the store keeps of it, `config` its specification read, `now` the bus's seconds."""
+        self.id: Final = record.id
+        self.name: Final = record.name
         self.config: Final = config
-        self.table: Final = table
-        self.submitted: Final = submitted
-        self.submitted_at: Final = now
+        self.table: Final = record.table_digest
+        self.submitted: Final = record.submitted
+        self.submitted_at: Final = now - record.elapsed
+        self.priority: Final = record.priority
         self.state: JobState = "queued"
         self.reason: str | None = None
         self.fault: Fault | None = None
         self.prepared: Prepared | None = None
         self.archipelagos: dict[str, Archipelago] = {}
         self.started_at: float | None = None
+        self.searched_before = 0.0
         self.refinement = Refinement()
 
     @property
@@ -130,20 +134,26 @@ class Job:
             blob=self.prepared.blob,
             size=self.prepared.size,
             chunks=chunk_count(self.prepared.size),
+            priority=self.priority,
         )
 
     def prepare(self) -> None:
         """Note that its data are being prepared."""
         self._step("prepare")
 
-    def begin(self, prepared: Prepared, cuts: Mapping[str, Cut]) -> list[JobAction]:
-        """Set up the archipelagos; those of `cuts` have ended before."""
+    def begin(
+        self, prepared: Prepared, cuts: Mapping[str, Cut], resumed: Mapping[str, StoredProgress] | None = None
+    ) -> list[JobAction]:
+        """Set up the archipelagos; those of `cuts` have ended before, those of `resumed` go on from a checkpoint."""
         self._step("prepared")
         self.prepared = prepared
         for target in prepared.sought:
             archipelago = self._archipelago(prepared, target)
             if target.variable in cuts:
                 archipelago.restore(cuts[target.variable])
+            elif resumed and target.variable in resumed:
+                archipelago.resume(resumed[target.variable].progress())
+                self.searched_before = max(self.searched_before, resumed[target.variable].search_seconds)
             self.archipelagos[target.variable] = archipelago
         return self._conclude_if_cut()
 
@@ -153,8 +163,8 @@ class Job:
             self.started_at = now
 
     def search_seconds(self, now: float) -> float:
-        """Return how long the search has lasted."""
-        return now - self.started_at if self.started_at is not None else 0.0
+        """Return how long the search has lasted, under earlier incarnations as well."""
+        return self.searched_before + (now - self.started_at if self.started_at is not None else 0.0)
 
     def receive(self, worker: str, report: EpochReport, now: float) -> list[JobAction]:
         """Take in a report; raises RemoteProtocolError when it cannot be."""
@@ -241,7 +251,7 @@ class Job:
         return [*self._cut_of(archipelago), *self._conclude_if_cut()]
 
     def _commit_of(self, archipelago: Archipelago) -> list[JobAction]:
-        commit = archipelago.commit_due()
+        commit = archipelago.forget_due()
         return [TellCommit(commit)] if commit is not None else []
 
     def _cut_of(self, archipelago: Archipelago) -> list[JobAction]:
@@ -282,4 +292,4 @@ def measure_of(target: Target) -> Measure:
 
 def check_program(data: bytes, inputs: int) -> None:
     """Raise RemoteProtocolError unless `data` is a program over that many inputs."""
-    Program.from_bytes(data, inputs)
+    check_program_bytes(data, inputs)

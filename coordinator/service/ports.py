@@ -1,12 +1,15 @@
 """What the service needs from outside itself, beside the bus: a store, a place for slow work, the time of day."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
 from common.config import JobConfig
+from common.wire.pieces import State
+from common.wire.views import StoreView
 from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pools, Refinement
+from coordinator.service.event_table import EventRecord
 from coordinator.service.store import JobRecord
 
 
@@ -35,6 +38,10 @@ class StorePort(Protocol):
 
     def result(self, job: str) -> str | None: ...
 
+    def keep_submitter(self, job: str, name: str) -> None: ...
+
+    def submitter(self, job: str) -> str | None: ...
+
     def raise_term(self, job: str, variable: str) -> int: ...
 
     def commit_placement(self, job: str, variable: str, placement: bytes) -> None: ...
@@ -42,6 +49,22 @@ class StorePort(Protocol):
     def commit_cut(self, job: str, variable: str, cut: bytes) -> bool: ...
 
     def cuts(self, job: str) -> dict[str, bytes]: ...
+
+    def add_events(self, events: Iterable[EventRecord]) -> None: ...
+
+    def events(self, job: str | None, after: int, limit: int) -> tuple[EventRecord, ...]: ...
+
+    def commit_checkpoint(
+        self, job: str, variable: str, epoch: int, progress: bytes, states: Mapping[int, State], elapsed: float
+    ) -> bool: ...
+
+    def checkpoints(self, job: str) -> dict[str, tuple[int, bytes]]: ...
+
+    def state(self, job: str, variable: str, epoch: int, island: int) -> State: ...
+
+    def check(self) -> None: ...
+
+    def timing(self) -> StoreView: ...
 
     def put_blob(self, data: bytes) -> str: ...
 
@@ -83,12 +106,21 @@ def _nothing() -> None:
     """Have nothing to make ready."""
 
 
+def at_once(work: Callable[[], None]) -> None:
+    """Do a piece of work on the caller's thread."""
+    work()
+
+
 @dataclass(frozen=True, slots=True)
 class Ports:
-    """The outside world of a service. `clock` gives the time of day as ISO text."""
+    """The outside world of a service. `clock` gives the time of day as ISO text.
+
+    `writer` does what it is given in the order in which it came, one piece at a time.
+    """
 
     preparer: Preparer
     background: Background
     clock: Callable[[], str]
     refiner: Refiner = refine
     warm_up: WarmUp = _nothing
+    writer: Background = at_once

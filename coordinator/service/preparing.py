@@ -1,5 +1,6 @@
 """From an uploaded table to regression problems, away from the service's loop."""
 
+import queue
 import threading
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -36,9 +37,28 @@ def in_thread(work: Callable[[], None]) -> None:
     threading.Thread(target=work, name="preparing", daemon=True).start()
 
 
+class Writer:
+    """One thread, begun when there is first something to do, that keeps no process alive."""
+
+    def __init__(self) -> None:
+        self._works: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+
+    def __call__(self, work: Callable[[], None]) -> None:
+        """Have `work` done after all that came before it."""
+        self._works.put(work)
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._work, name="writing", daemon=True)
+            self._thread.start()
+
+    def _work(self) -> None:
+        while True:
+            self._works.get()()
+
+
 def iso_now() -> str:
     """Return the time of day, UTC, to the millisecond."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
-REAL: Final = Ports(prepare_table, in_thread, iso_now, warm_up=make_refining_ready)
+REAL: Final = Ports(prepare_table, in_thread, iso_now, warm_up=make_refining_ready, writer=Writer())

@@ -12,11 +12,10 @@ from common.errors import StoreError
 
 FILE_NAME: Final = "atoll.sqlite3"
 LOCK_NAME: Final = "lock"
-SCHEMA_VERSION: Final = 1
 _APPLICATION: Final = 0x41544F4C  # "ATOL"; SQLite keeps it in the file's head
 _CHECKED_BYTES: Final = 256 * 1024 * 1024
 
-_TABLES: Final = """
+_LAYOUT_1: Final = """
 CREATE TABLE realm (id TEXT NOT NULL, incarnation INTEGER NOT NULL);
 CREATE TABLE jobs (
     number INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT NOT NULL UNIQUE, name TEXT NOT NULL, spec TEXT NOT NULL,
@@ -33,6 +32,38 @@ CREATE TABLE archipelagos (
     cut BLOB, PRIMARY KEY (job, variable)
 );
 """
+
+_LAYOUT_2_PRIORITIES: Final = "ALTER TABLE jobs ADD COLUMN priority INTEGER NOT NULL DEFAULT 0"
+
+_LAYOUT_2_EVENTS: Final = """
+CREATE TABLE events (
+    number INTEGER PRIMARY KEY AUTOINCREMENT, job TEXT, time TEXT NOT NULL, kind TEXT NOT NULL, contents TEXT NOT NULL
+);
+CREATE INDEX events_of_job ON events (job, number);
+"""
+
+_LAYOUT_2_CHECKPOINTS: Final = """
+CREATE TABLE checkpoints (
+    job TEXT NOT NULL, variable TEXT NOT NULL, epoch INTEGER NOT NULL, progress BLOB NOT NULL,
+    PRIMARY KEY (job, variable, epoch), FOREIGN KEY (job, variable) REFERENCES archipelagos
+);
+CREATE TABLE states (
+    job TEXT NOT NULL, variable TEXT NOT NULL, epoch INTEGER NOT NULL, island INTEGER NOT NULL, digest TEXT NOT NULL,
+    data BLOB NOT NULL, PRIMARY KEY (job, variable, epoch, island),
+    FOREIGN KEY (job, variable, epoch) REFERENCES checkpoints ON DELETE CASCADE
+);
+"""
+
+_LAYOUT_2_SUBMITTERS: Final = "CREATE TABLE submitters (job TEXT PRIMARY KEY, name TEXT NOT NULL)"
+
+_LAYOUTS: Final = (
+    _LAYOUT_1,
+    ";".join((_LAYOUT_2_PRIORITIES, _LAYOUT_2_EVENTS, _LAYOUT_2_CHECKPOINTS, _LAYOUT_2_SUBMITTERS)),
+)
+"""What each version of the layout adds to the one before. A new store goes through all of them, an old one through
+those that it lacks."""
+
+SCHEMA_VERSION: Final = len(_LAYOUTS)
 
 
 def connect(directory: Path | None) -> sqlite3.Connection:
@@ -116,8 +147,9 @@ def _prepare(connection: sqlite3.Connection, file: Path | None) -> None:
         connection.execute(f"PRAGMA {pragma}")
     _check(connection, file)
     connection.execute("BEGIN IMMEDIATE")
+    _migrate(connection, version)
     if not tables:
-        _create(connection)
+        _baptize(connection)
     connection.execute("UPDATE realm SET incarnation = incarnation + 1")
     connection.execute("COMMIT")
 
@@ -131,9 +163,15 @@ def _check(connection: sqlite3.Connection, file: Path | None) -> None:
         raise StoreError(f"the store {file} is damaged ({finding.splitlines()[-1]}); restore it from a copy")
 
 
-def _create(connection: sqlite3.Connection) -> None:
-    for statement in _TABLES.split(";"):
-        connection.execute(statement)
-    connection.execute(f"PRAGMA application_id = {_APPLICATION}")
+def _migrate(connection: sqlite3.Connection, version: int) -> None:
+    """Add what is missing in a file of an older version (0: nothing is there); part of the opening transaction."""
+    for layout in _LAYOUTS[version:]:
+        for statement in filter(str.strip, layout.split(";")):
+            connection.execute(statement)
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+
+
+def _baptize(connection: sqlite3.Connection) -> None:
+    """Mark a new file as ours and give it a name."""
+    connection.execute(f"PRAGMA application_id = {_APPLICATION}")
     connection.execute("INSERT INTO realm VALUES (?, 0)", (uuid.uuid4().hex[:12],))

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
 
-from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION, usage
 from common.config import JobConfig
-from common.errors import DataError, RemoteProtocolError, UsageError
+from common.errors import DataError, RemoteProtocolError, StoreError, UsageError
+from common.logs import fields
 from common.wire import topics
+from common.wire.access import Roster
 from common.wire.bus import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from common.wire.codec import dataset_to_bytes, decode, encode
 from common.wire.messages import (
@@ -29,15 +31,23 @@ from common.wire.messages import (
     Pull,
     PullAnswer,
     PullReports,
+    PullStates,
     Refusal,
     Reports,
     Shutdown,
+    States,
+    Submit,
     Welcome,
     WorkerStatus,
 )
+from common.wire.metered_bus import MeteredBus
+from common.wire.pieces import cut
 from common.wire.rejects import Rejects
+from common.wire.views import CoordinatorView, Counters
 from coordinator.model.known import known_entries, with_remarks
 from coordinator.model.refinement import Pools, Refinement
+from coordinator.service.admission import Admission
+from coordinator.service.archipelago import Checkpoint
 from coordinator.service.conductor import Conductor, WorkerWord
 from coordinator.service.desk import Body, Desk
 from coordinator.service.job import Fault, Prepared
@@ -51,6 +61,11 @@ _LOG = logging.getLogger(__name__)
 TICK_S: Final = 0.5
 PULL_TIMEOUT_S: Final = 5.0
 _TICK: Final = "tick"
+
+
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """Posted by the timer, behind everything that has come before it: silence counts only then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +94,14 @@ class _Refined:
     refinement: Refinement
 
 
+@dataclass(frozen=True, slots=True)
+class _Written:
+    """Posted by the writer: a checkpoint is durable, or why it is not."""
+
+    checkpoint: Checkpoint
+    error: StoreError | None = None
+
+
 class Service:
     """One coordinator on one bus, over one store. Owned by the bus's owner thread."""
 
@@ -90,6 +113,7 @@ class Service:
         expected_workers: int = 1,
         dismisses_workers: bool = False,
         ports: Ports | None = None,
+        roster: Roster | None = None,
     ) -> None:
         """Set up a coordinator.
 
@@ -99,15 +123,20 @@ class Service:
             expected_workers: how many workers the first placement waits for, within limits.
             dismisses_workers: whether workers are told to end when this ends; otherwise they wait for its return.
             ports: preparing, background work and time of day; the real ones unless given.
+            roster: names and roles, where certificates prove names; None: every name may be anybody.
         """
         self.rejects: Final = Rejects(_LOG)
-        self._bus = bus
+        self._bus = MeteredBus(bus)
+        self._began_at = bus.now()
+        self._dropped = 0
         self._store = store
         self._dismisses_workers = dismisses_workers
         self._ports = ports or REAL
-        self._asked: dict[int, str] = {}
+        self._is_linked = True
+        self._asked: dict[int, tuple[str, PullReports | PullStates]] = {}
         self.conductor: Final = Conductor(store, self, self._ports.clock, expected_workers)
-        self._desk = Desk(self.conductor, store, bus.now)
+        self._admission = Admission(roster, store)
+        self._desk = Desk(self.conductor, store, bus.now, self.view)
 
     # ------------------------------------------------------------------------------------------- life
 
@@ -118,14 +147,20 @@ class Service:
         self._bus.subscribe(topics.all_workers(realm, "status"))
         self._bus.subscribe(topics.all_workers(realm, "report"))
         self._bus.watch(topics.all_workers(realm, "alive"))
-        for expression in (topics.all_jobs(realm), topics.all_blobs(realm), topics.all_clients(realm), topics.HELLO):
+        for expression in (topics.all_jobs(realm), topics.all_blobs(realm), topics.all_clients(realm)):
+            self._bus.serve(expression)
+        for expression in (topics.HELLO, topics.all_greetings()):
             self._bus.serve(expression)
         self._bus.call_later(TICK_S, _TICK)
-        _LOG.info("coordinator ready realm=%s incarnation=%d", realm, self._store.incarnation)
+        self.conductor.watch.started(realm, self._store.incarnation)
 
     def run(self, stop: threading.Event) -> None:
-        """Work until `stop` is set."""
+        """Start, and work until `stop` is set."""
         self.start()
+        self.work(stop)
+
+    def work(self, stop: threading.Event) -> None:
+        """Work until `stop` is set."""
         while not stop.is_set():
             event = self._bus.receive(0.1)
             if event is not None:
@@ -135,10 +170,28 @@ class Service:
 
     def step(self, event: Event) -> None:
         """Take in one event. What a peer did wrong is counted, logged once and changes nothing."""
+        self._bus.note(event)
         try:
             self._on(event)
         except RemoteProtocolError as error:
             self.rejects.note(event.key if isinstance(event, Message | Query | Presence) else "answer", error)
+
+    def view(self) -> CoordinatorView:
+        """Return what people are shown of the coordinator itself."""
+        counters = Counters(
+            traffic=self._bus.traffic(),
+            dropped=self._bus.dropped,
+            refused=self.rejects.total,
+            memory_bytes=usage.memory_bytes(),
+            cpu_s=usage.cpu_s(),
+        )
+        return CoordinatorView(
+            version=VERSION,
+            incarnation=self._store.incarnation,
+            seconds=self._bus.now() - self._began_at,
+            counters=counters,
+            store=self._store.timing(),
+        )
 
     # ------------------------------------------------------------------------------- what others hear
 
@@ -146,10 +199,24 @@ class Service:
         """See `Outlet.tell`."""
         self._put(topics.control(self._store.realm, worker), Control(body=body))
 
-    def pull(self, worker: str, body: PullReports) -> None:
+    def pull(self, worker: str, body: PullReports | PullStates) -> None:
         """See `Outlet.pull`."""
         key = topics.worker(self._store.realm, worker, "pull")
-        self._asked[self._bus.get(key, encode(Pull(body=body)), PULL_TIMEOUT_S)] = worker
+        self._asked[self._bus.get(key, encode(Pull(body=body)), PULL_TIMEOUT_S)] = (worker, body)
+
+    def write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> None:
+        """See `Outlet.write`."""
+        self._ports.writer(lambda: self._bus.post(self._write(checkpoint, progress, elapsed)))
+
+    def _write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> _Written:
+        """Make a checkpoint durable; runs in the writer."""
+        try:
+            self._store.commit_checkpoint(
+                checkpoint.job, checkpoint.variable, checkpoint.epoch, progress, checkpoint.states, elapsed
+            )
+        except StoreError as error:
+            return _Written(checkpoint, error)
+        return _Written(checkpoint)
 
     def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
         """See `Outlet.prepare`."""
@@ -177,7 +244,7 @@ class Service:
         except (DataError, UsageError, RemoteProtocolError) as error:
             return _Unprepared(job, "data", str(error))
         except Exception as error:  # the job fails with it, the coordinator goes on
-            _LOG.exception("preparing broke job=%s", job)
+            _LOG.exception("preparing broke", extra=fields(job=job))
             return _Unprepared(job, "internal", f"preparing the data broke ({type(error).__name__}: {error})")
 
     def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
@@ -189,7 +256,7 @@ class Service:
         try:
             return _Refined(job, self._ports.refiner(prepared.preparation, prepared.config, pools))
         except Exception as error:  # the job is done all the same
-            _LOG.exception("refining broke job=%s", job)
+            _LOG.exception("refining broke", extra=fields(job=job))
             sentence = f"Refining broke ({type(error).__name__}: {error}); equations are as found."
             return _Refined(job, Refinement(warnings=(sentence,)))
 
@@ -205,13 +272,15 @@ class Service:
     @_on.register
     def _on_timer(self, event: Timer) -> None:
         if event.name == _TICK:
-            self.conductor.tick(self._bus.now())
+            self._bus.post(_Look())
             self._bus.call_later(TICK_S, _TICK)
 
     @_on.register
     def _on_posted(self, event: Posted) -> None:
         item, now = event.item, self._bus.now()
         match item:
+            case _Look():
+                self._look(now)
             case _Ready():
                 self._store.put_blob(item.data)
                 self.conductor.prepared(item.job, item.prepared, now)
@@ -219,10 +288,27 @@ class Service:
                 self.conductor.job_failed(item.job, item.fault, item.sentence, now)
             case _Refined():
                 self.conductor.refined(item.job, item.refinement, now)
+            case _Written(error=None):
+                self.conductor.written(item.checkpoint, now)
+            case _Written(error=StoreError() as error):
+                raise error
+
+    def _look(self, now: float) -> None:
+        """Let time pass, now that everything has been taken in that had come before."""
+        if self._bus.dropped > self._dropped:
+            self._dropped = self._bus.dropped
+            _LOG.warning("messages were dropped, since they came too fast", extra=fields(dropped=self._dropped))
+            self.conductor.membership.renew(now)
+        if self._is_linked:  # else nobody can be heard, and nobody's silence says anything
+            self.conductor.tick(now)
 
     @_on.register
     def _on_link(self, event: Link) -> None:
-        _LOG.warning("router link up=%s", event.up)
+        """The router that this coordinator has joined went away or came back; a router of its own does neither."""
+        _LOG.warning("router link", extra=fields(up=event.up))
+        self._is_linked = event.up
+        if event.up:
+            self.conductor.membership.renew(self._bus.now())
 
     @_on.register
     def _on_presence(self, event: Presence) -> None:
@@ -245,13 +331,23 @@ class Service:
 
     @_on.register
     def _on_reply(self, event: Reply) -> None:
-        worker = self._asked.pop(event.token, None)
-        if worker is None or event.payload is None:
-            return
-        body = decode(event.payload, PullAnswer, MAX_MESSAGE).body
-        if isinstance(body, Reports):
-            for report in body.reports:
-                self.conductor.report(worker, report, self._bus.now())
+        asked = self._asked.pop(event.token, None)
+        match asked:
+            case (worker, PullStates() as pull):
+                self._states_came(worker, pull, event.payload)
+            case (worker, PullReports()) if event.payload is not None:
+                body = decode(event.payload, PullAnswer, MAX_MESSAGE).body
+                for report in body.reports if isinstance(body, Reports) else ():
+                    self.conductor.report(worker, report, self._bus.now())
+
+    def _states_came(self, worker: str, pull: PullStates, payload: bytes | None) -> None:
+        """Hand on what came, also that nothing came: it is asked for again."""
+        try:
+            body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else None
+        except RemoteProtocolError:
+            self.conductor.states_came(worker, pull, None, self._bus.now())
+            raise
+        self.conductor.states_came(worker, pull, body if isinstance(body, States) else None, self._bus.now())
 
     # ---------------------------------------------------------------------------------------- queries
 
@@ -268,20 +364,23 @@ class Service:
         key = topics.parse(event.key)
         match key:
             case topics.HelloKey():
-                return encode(GreetingAnswer(body=self._greet(event.payload)))
+                return encode(GreetingAnswer(body=self._greet(event.payload, key.name)))
             case topics.JobKey():
                 announcement = self.conductor.announcement(key.job)
                 return encode(Control(body=announcement)) if announcement is not None else None
             case topics.PlacementKey():
                 return encode(Control(body=self.conductor.placements(key.job)))
+            case topics.StateKey():
+                return self._states(key, event.payload)
             case topics.BlobKey():
                 return self._chunk(key)
             case topics.ClientKey():
-                return encode(Answer(body=self._serve_client(event)))
+                return encode(Answer(body=self._serve_client(event, key.client)))
             case _:
                 raise RemoteProtocolError(f"nothing is served on key {event.key}")
 
-    def _greet(self, payload: bytes) -> Welcome | Refusal:
+    def _greet(self, payload: bytes, name: str | None) -> Welcome | Refusal:
+        """Answer a greeting on the key of `name`, or (None) only say how it would be answered there."""
         try:
             hello = decode(payload, Greeting, MAX_MESSAGE).body
         except RemoteProtocolError as error:
@@ -290,9 +389,10 @@ class Service:
                 f"the coordinator is Atoll {VERSION} (protocol {PROTOCOL_VERSION}) and did not understand the "
                 "greeting; install the same version on both sides"
             )
-        sentence = self._refuse(hello)
+        sentence = self._refuse(hello, name)
         if sentence is not None:
-            _LOG.warning("refused role=%s name=%s reason=%s", hello.role, hello.name, sentence)
+            if hello.role == "client":
+                _LOG.warning("client refused", extra=fields(client=hello.name, reason=sentence))
             return _refusal(sentence)
         return Welcome(
             realm=self._store.realm,
@@ -300,11 +400,15 @@ class Service:
             protocol=PROTOCOL_VERSION,
             version=VERSION,
             engine=ENGINE_REVISION,
+            clock=self._ports.clock(),
         )
 
-    def _refuse(self, hello: Hello) -> str | None:
-        if hello.role == "client":
-            return version_refusal(hello)
+    def _refuse(self, hello: Hello, name: str | None) -> str | None:
+        if name not in (None, hello.name):
+            return f"{hello.name!r} greeted under the name {name!r}; install the same version on both sides"
+        refusal = version_refusal(hello) or self._admission.refuse_role(hello)
+        if refusal is not None or hello.role == "client" or name is None:
+            return refusal
         return self.conductor.greet(hello, self._bus.now())
 
     def _chunk(self, key: topics.BlobKey) -> bytes | None:
@@ -313,13 +417,34 @@ class Service:
         except KeyError:
             return None
 
-    def _serve_client(self, event: Query) -> Body:
+    def _states(self, key: topics.StateKey, payload: bytes) -> bytes | None:
+        """Return states of a committed checkpoint, as many as one message bears; None when it is not there."""
+        pull = decode(payload, Pull, MAX_MESSAGE).body
+        if not isinstance(pull, PullStates) or pull.job != key.job:
+            raise RemoteProtocolError(f"states of job {key.job} were to be asked for, and {pull.kind!r} came")
+        try:
+            pieces = cut(
+                pull.islands,
+                pull.offset,
+                lambda island: self._store.state(pull.job, pull.variable, pull.epoch, island),
+            )
+        except KeyError:
+            return None
+        return encode(PullAnswer(body=States(pieces=pieces)))
+
+    def _serve_client(self, event: Query, client: str) -> Body:
         try:
             ask = decode(event.payload, Ask, MAX_MESSAGE)
         except RemoteProtocolError as error:
             self.rejects.note(event.key, error)
             return Failure(failure="protocol", sentence=f"the coordinator did not understand the question: {error}")
-        return self._desk.answer(ask)
+        refusal = self._admission.refuse_ask(client, ask)
+        if refusal is not None:
+            return Failure(failure="refused", sentence=refusal)
+        answer = self._desk.answer(ask)
+        if isinstance(ask.body, Submit) and not isinstance(answer, Failure):
+            self._admission.submitted(client, ask.body.job)
+        return answer
 
 
 def _refusal(sentence: str) -> Refusal:

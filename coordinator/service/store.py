@@ -8,14 +8,18 @@ import contextlib
 import hashlib
 import sqlite3
 import threading
-from collections.abc import Collection, Iterator
+import time
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self, cast
 
-from common.errors import LocalProtocolError, RemoteProtocolError
+from common.errors import LocalProtocolError, RemoteProtocolError, StoreError
 from common.wire.messages import CHUNK_SIZE, chunk_count
+from common.wire.pieces import State
+from common.wire.views import StoreView
+from coordinator.service.event_table import EventRecord, append_events, read_events
 from coordinator.service.schema import Lock, connect, translated
 
 
@@ -23,7 +27,8 @@ from coordinator.service.schema import Lock, connect, translated
 class JobRecord:
     """One job as it is kept. `spec` is JSON; `submitted` and `finished` are ISO times; `elapsed` is seconds of work.
 
-    `table_digest` names the uploaded table and `dataset_digest` the prepared dataset among the blobs.
+    `table_digest` names the uploaded table and `dataset_digest` the prepared dataset among the blobs. `priority` is
+    from -10 to 10; each step doubles the job's share of the workers.
     """
 
     id: str
@@ -36,10 +41,11 @@ class JobRecord:
     dataset_digest: str | None = None
     elapsed: float = 0.0
     finished: str | None = None
+    priority: int = 0
 
 
 _COLUMNS: Final = tuple(field.name for field in fields(JobRecord))
-_FIXED: Final = ("id", "spec", "table_digest", "submitted")
+_FIXED: Final = ("id", "spec", "table_digest", "submitted", "priority")
 
 
 class Store:
@@ -53,6 +59,7 @@ class Store:
         self._lock_on_directory = lock
         self._directory = directory
         self._lock = threading.RLock()
+        self._timing = StoreView()
         self.realm, self.incarnation = connection.execute("SELECT id, incarnation FROM realm").fetchone()
 
     @classmethod
@@ -87,6 +94,16 @@ class Store:
                 self._lock_on_directory.release()
                 self._lock_on_directory = None
 
+    def check(self) -> None:
+        """Raise StoreError when another coordinator has opened the store since."""
+        with self._transaction():
+            pass
+
+    def timing(self) -> StoreView:
+        """Return how many transactions there were since the store was opened, and how long they took."""
+        with self._lock:
+            return self._timing
+
     # jobs
 
     def add_job(self, job: JobRecord) -> bool:
@@ -109,6 +126,17 @@ class Store:
             rows = sql.execute(f"SELECT {', '.join(_COLUMNS)} FROM jobs ORDER BY number").fetchall()
         return tuple(JobRecord(*row) for row in rows)
 
+    def keep_submitter(self, job: str, name: str) -> None:
+        """Keep who submitted a job, by the name in the certificate; what is kept already stays."""
+        with self._transaction() as sql:
+            sql.execute("INSERT OR IGNORE INTO submitters VALUES (?, ?)", (job, name))
+
+    def submitter(self, job: str) -> str | None:
+        """Return who submitted a job; None when nobody proved it."""
+        with self._transaction() as sql:
+            row = sql.execute("SELECT name FROM submitters WHERE job = ?", (job,)).fetchone()
+        return row[0] if row else None
+
     def update_job(self, job: str, only_in: Collection[str] | None = None, **changes: str | float | None) -> bool:
         """Change fields of a job; return False, changing nothing, when its state is not in `only_in` (if given).
 
@@ -128,7 +156,10 @@ class Store:
     def commit_result(
         self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None
     ) -> bool:
-        """Make a job's final `state` and `result` (JSON) durable; return False when it had ended before: first wins."""
+        """Make a job's final `state` and `result` (JSON) durable and forget its checkpoints.
+
+        Return False when it had ended before: the first end wins.
+        """
         with self._transaction() as sql:
             self._is_in(sql, job, None)
             done = sql.execute(
@@ -136,6 +167,7 @@ class Store:
                 "WHERE id = ? AND state NOT IN ('done', 'failed', 'cancelled')",
                 (state, result, reason, finished, job),
             )
+            sql.execute("DELETE FROM checkpoints WHERE job = ?", (job,))
             return done.rowcount == 1
 
     def result(self, job: str) -> str | None:
@@ -176,6 +208,7 @@ class Store:
             done = sql.execute(
                 "UPDATE archipelagos SET cut = ? WHERE job = ? AND variable = ? AND cut IS NULL", (cut, job, variable)
             )
+            sql.execute("DELETE FROM checkpoints WHERE job = ? AND variable = ?", (job, variable))
             return done.rowcount == 1
 
     def cuts(self, job: str) -> dict[str, bytes]:
@@ -185,6 +218,65 @@ class Store:
                 "SELECT variable, cut FROM archipelagos WHERE job = ? AND cut IS NOT NULL", (job,)
             ).fetchall()
         return dict(rows)
+
+    # events
+
+    def add_events(self, events: Iterable[EventRecord]) -> None:
+        """Keep what has happened; of each job, and of no job in particular, the last `MAX_EVENTS` are kept."""
+        with self._transaction() as sql:
+            append_events(sql, tuple(events))
+
+    def events(self, job: str | None, after: int, limit: int) -> tuple[EventRecord, ...]:
+        """Return what happened to a job, or at all (None), after the event of that number; `limit` of it at most.
+
+        With `after` 0 these are the last ones, otherwise those that come next.
+        """
+        with self._transaction() as sql:
+            return read_events(sql, job, after, limit)
+
+    # checkpoints
+
+    def commit_checkpoint(
+        self, job: str, variable: str, epoch: int, progress: bytes, states: Mapping[int, State], elapsed: float
+    ) -> bool:
+        """Make a checkpoint of an archipelago durable, and `elapsed` of its job; keep the one before, but no older one.
+
+        Return False, changing nothing, when the archipelago or its job has ended.
+        """
+        with self._transaction() as sql:
+            if self._has_ended(sql, job, variable):
+                return False
+            archipelago = (job, variable)
+            sql.execute("DELETE FROM checkpoints WHERE job = ? AND variable = ? AND epoch >= ?", (*archipelago, epoch))
+            sql.execute("INSERT INTO checkpoints VALUES (?, ?, ?, ?)", (*archipelago, epoch, progress))
+            rows = ((*archipelago, epoch, island, state.digest, state.data) for island, state in states.items())
+            sql.executemany("INSERT INTO states VALUES (?, ?, ?, ?, ?, ?)", rows)
+            sql.execute(
+                "DELETE FROM checkpoints WHERE job = ? AND variable = ? AND epoch NOT IN "
+                "(SELECT epoch FROM checkpoints WHERE job = ? AND variable = ? ORDER BY epoch DESC LIMIT 2)",
+                (*archipelago, *archipelago),
+            )
+            sql.execute("UPDATE jobs SET elapsed = ? WHERE id = ?", (elapsed, job))
+            return True
+
+    def checkpoints(self, job: str) -> dict[str, tuple[int, bytes]]:
+        """Return epoch and progress of the last checkpoint by variable."""
+        with self._transaction() as sql:
+            rows = sql.execute(
+                "SELECT variable, epoch, progress FROM checkpoints WHERE job = ? ORDER BY epoch", (job,)
+            ).fetchall()
+        return {variable: (epoch, progress) for variable, epoch, progress in rows}
+
+    def state(self, job: str, variable: str, epoch: int, island: int) -> State:
+        """Return the state of an island at a checkpoint; raises KeyError when it is not there."""
+        with self._transaction() as sql:
+            row = sql.execute(
+                "SELECT data, digest FROM states WHERE job = ? AND variable = ? AND epoch = ? AND island = ?",
+                (job, variable, epoch, island),
+            ).fetchone()
+        if row is None:
+            raise KeyError(f"{job} {variable} {epoch} {island}")
+        return State(*row)
 
     # blobs
 
@@ -276,14 +368,43 @@ class Store:
     @contextlib.contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
         with self._lock, translated(self._directory):
+            began = time.perf_counter()
             self._connection.execute("BEGIN IMMEDIATE")
             try:
+                self._check_incarnation()
                 yield self._connection
                 self._connection.execute("COMMIT")
+                self._count(time.perf_counter() - began)
             except BaseException:
                 if self._connection.in_transaction:  # SQLite rolls back by itself when the disk is full
                     self._connection.execute("ROLLBACK")
                 raise
+
+    def _check_incarnation(self) -> None:
+        """Raise StoreError when somebody else has opened the store since: nothing is written over another's work."""
+        (incarnation,) = self._connection.execute("SELECT incarnation FROM realm").fetchone()
+        if incarnation != self.incarnation:
+            raise StoreError(
+                f"another coordinator (incarnation {incarnation}) has taken over the store {self._directory}; "
+                f"this one (incarnation {self.incarnation}) ends"
+            )
+
+    def _has_ended(self, sql: sqlite3.Connection, job: str, variable: str) -> bool:
+        self._ensure_archipelago(sql, job, variable)
+        row = sql.execute(
+            "SELECT cut IS NOT NULL OR state IN ('done', 'failed', 'cancelled') FROM archipelagos JOIN jobs "
+            "ON jobs.id = job WHERE job = ? AND variable = ?",
+            (job, variable),
+        ).fetchone()
+        return bool(row[0])
+
+    def _count(self, seconds: float) -> None:
+        before = self._timing
+        self._timing = StoreView(
+            transactions=before.transactions + 1,
+            total_s=before.total_s + seconds,
+            worst_s=max(before.worst_s, seconds),
+        )
 
     def _is_in(self, sql: sqlite3.Connection, job: str, states: Collection[str] | None) -> bool:
         row = sql.execute("SELECT state FROM jobs WHERE id = ?", (job,)).fetchone()

@@ -33,9 +33,15 @@ def left_out_error(times: FloatArray, values: FloatArray, row: int, count: int) 
 
 
 def loess(
-    times: FloatArray, values: FloatArray, trust: FloatArray, row: int, span: int, degree: int
+    times: FloatArray,
+    values: FloatArray,
+    trust: FloatArray,
+    row: int,
+    span: int,
+    degree: int,
+    precision: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return value, slope and curvature of a local polynomial, and the norms of their weights with the leverage."""
+    """Return value, slope and curvature of a local polynomial, and their noise gains with the leverage."""
     window = min(span, len(times))
     rows = sorted(sorted(range(len(times)), key=lambda each: (abs(times[each] - times[row]), -each))[:window])
     bandwidth = max(abs(times[rows] - times[row])) * (1 + 1 / window) * max(1.0, span / window)
@@ -45,5 +51,6 @@ def loess(
     influence = np.linalg.pinv(roots[:, None] * powers) * roots
     scales = np.array([factorial(order) / bandwidth**order for order in range(degree + 1)])
     influence = (influence.T * scales).T
-    norms = np.linalg.norm(influence[:3], axis=1)
+    deviations = np.ones(len(rows)) if precision is None else 1.0 / np.sqrt(precision[rows])
+    norms = np.linalg.norm(influence[:3] * deviations, axis=1)
     return influence[:3] @ values[rows], np.append(norms, influence[0, rows.index(row)])

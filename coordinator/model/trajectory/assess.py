@@ -172,21 +172,34 @@ def r2_of(its: Measurements, shot: Shot, rows: FloatArray | slice) -> list[float
         weights = its.weights[state, rows]
         left = weights * shot.residuals[state, rows] ** 2
         values = its.measured[state, rows][weights > 0.0]
-        spread = float(((values - values.mean()) ** 2).sum()) if len(values) else 0.0
+        precision = np.ones(len(values)) if its.precision is None else its.precision[rows][weights > 0.0]
+        mean = float((precision * values).sum() / precision.sum()) if len(values) else 0.0
+        spread = float((precision * (values - mean) ** 2).sum())
         found.append(1.0 - float(left.sum()) / spread if spread > 0.0 else None)
     return found
 
 
-def bands(its: Measurements, standing: Standing, errors: Errors) -> FloatArray:
+def spread_of(contest: Contest, shot: Shot, errors: Errors) -> tuple[FloatArray, float]:
+    """Return the covariance (P, P) of the constants, large where it is infinite, and what variances are to be scaled
+    by: the sum of weights over the rows left to judge by."""
+    scale = float(contest.shooter.measurements.weights.sum()) / errors.freedom
+    return scale * bounded_covariance(shot), scale
+
+
+def bands(its: Measurements, shot: Shot, spread: FloatArray, scale: float) -> FloatArray:
     """Return the standard errors (O, N) of the simulated states: those of constants and initial states together.
 
     To first order: with sensitivities J of the constants and Y of a piece's initial state, whose normal equations have
-    blocks B (coupling) and C (own), the variance of a state is K S K' + Y C^-1 Y' with K = J - Y C^-1 B'.
+    blocks B (coupling) and C (own), the variance of a state is K S K' + Y C^-1 Y' with K = J - Y C^-1 B'. The
+    constants may have been fitted to these trajectories or to others.
+
+    Args:
+        its: the trajectories.
+        shot: the fit of their initial states, in which the constants are free.
+        spread: S, the covariance (P, P) of the constants.
+        scale: what variances that follow from normal equations are multiplied by.
     """
-    shot = standing.shot
     fitted = len(shot.system.places)
-    scale = float(its.weights.sum()) / errors.freedom
-    spread = scale * bounded_covariance(shot)
     found = np.zeros((len(its.observed), its.rows))
     for group, (first, end) in enumerate(shot.segments.tolist()):
         own = np.linalg.pinv(shot.own[group], hermitian=True)

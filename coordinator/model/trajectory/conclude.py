@@ -9,9 +9,11 @@ import numpy as np
 from common.dataset import FloatArray, Problem
 from common.expression.program import Program
 from coordinator.model.errors import errors_on
+from coordinator.model.gathering import gathered
 from coordinator.model.refinement import Contender, Pool, Refined, Refinement, Simulated, Simulation
 from coordinator.model.rewrite import constant_places, structure, tidied
 from coordinator.model.trajectory.assess import (
+    Errors,
     Known,
     bands,
     constants_of,
@@ -21,11 +23,13 @@ from coordinator.model.trajectory.assess import (
     not_simulated,
     r2_of,
     simulated,
+    spread_of,
 )
 from coordinator.model.trajectory.contest import Contest, Standing
 from coordinator.model.trajectory.measurements import Measurements
 from coordinator.model.trajectory.model import Chosen, Field
 from coordinator.model.trajectory.opened import Opened, as_it_is, opened
+from coordinator.model.trajectory.origins import Origins
 from coordinator.model.trajectory.pieces import on_all_rows, remarks
 from coordinator.model.trajectory.rivals import VALIDATED_NATS, Race, decided
 from coordinator.model.trajectory.rounding import rounded
@@ -44,6 +48,7 @@ class _Final:
 
     field: Field
     race: Race
+    origins: Origins
     unseen: Contest | None
     contest: Contest
     shown: tuple[Program, ...]
@@ -62,19 +67,21 @@ class _HeldOut:
 
 def concluded(choice: Chosen, pools: Mapping[str, Pool]) -> Refinement | None:
     """Return the refinement that the chosen system gives; None when it cannot be simulated on all rows."""
-    final = _finalized(decided(choice, choice.field.dataset.inputs))
+    origins = Origins(choice.field, pools, choice.lists)
+    final = _finalized(decided(choice, choice.field.dataset.inputs), origins)
     if final is None:
         return None
     field = final.field
     errors = errors_of(final.contest, final.free)
     constants = constants_of(final.contest, final.openings, final.shown, errors)
-    out = None if final.unseen is None else _held_out(final, final.unseen, final.shown)
+    out = None if final.unseen is None else _held_out(final, final.unseen, final.shown, errors)
     equations = {
         name: _refined(final, index, constants[index], _foretold(final, out, index), pools.get(name))
         for index, name in enumerate(field.variables)
     }
     its = final.contest.shooter.measurements
-    trajectories = simulated(its, final.held.shot, bands(its, final.free, errors), field.variables, held_out=False)
+    spread = bands(its, final.free.shot, *spread_of(final.contest, final.free.shot, errors))
+    trajectories = simulated(its, final.held.shot, spread, field.variables, held_out=False)
     return Refinement(
         equations,
         Simulation(field.variables, (*trajectories, *(out.trajectories if out is not None else ()))),
@@ -83,19 +90,26 @@ def concluded(choice: Chosen, pools: Mapping[str, Pool]) -> Refinement | None:
     )
 
 
-def _finalized(race: Race) -> _Final | None:
+def _finalized(race: Race, origins: Origins) -> _Final | None:
     """Fit the chosen system to all rows, make its constants simple, and fit what is shown again."""
     whole = on_all_rows(race.choice)
     if whole is None:
         return None
     contest, best = whole.contest, whole.standing
-    for shown in (rounded(contest, best), best.programs):  # as fitted, where simple constants cannot be simulated
+    for programs in (rounded(contest, best), best.programs):  # as fitted, where simple constants cannot be simulated
+        shown = tuple(_tidy(whole.field, contest, equation, program) for equation, program in enumerate(programs))
         openings, free = _freed(contest, best, shown)
         shot = held(contest, shown, best.shot)
         if free is not None and shot is not None:
             final = contest.measured(shown, shot)
-            return _Final(whole.field, race, _unseen(whole.field), contest, shown, openings, free, final)
+            return _Final(whole.field, race, origins, _unseen(whole.field), contest, shown, openings, free, final)
     return None
+
+
+def _tidy(field: Field, contest: Contest, equation: int, program: Program) -> Program:
+    """Return a program with like terms gathered, unless it is given or would be larger than is allowed."""
+    made = program if equation in contest.fixed else gathered(program)
+    return made if field.may_be_shown(made) else program
 
 
 def _freed(contest: Contest, best: Standing, shown: Sequence[Program]) -> tuple[tuple[Opened, ...], Standing | None]:
@@ -116,15 +130,27 @@ def _unseen(field: Field) -> Contest | None:
     return field.contest(field.measurements(field.variables, held_out=True), field.variables)
 
 
-def _held_out(final: _Final, unseen: Contest, programs: Sequence[Program]) -> _HeldOut:
-    """Simulate the held-out trajectories from initial states that are fitted to them."""
+def _held_out(final: _Final, unseen: Contest, programs: Sequence[Program], errors: Errors | None = None) -> _HeldOut:
+    """Simulate the held-out trajectories from initial states that are fitted to them.
+
+    With the `errors` of the constants there are bands; these programs are the ones shown, then.
+    """
     its = unseen.shooter.measurements
     shot = held(unseen, programs)
     if shot is None:
         return _HeldOut(tuple(not_simulated(its, held_out=True)), tuple(-np.inf for _ in its.observed))
+    spread = None if errors is None else _carried_bands(final, unseen, shot, errors)
     return _HeldOut(
-        tuple(simulated(its, shot, None, final.field.variables, held_out=True)), tuple(r2_of(its, shot, slice(None)))
+        tuple(simulated(its, shot, spread, final.field.variables, held_out=True)), tuple(r2_of(its, shot, slice(None)))
     )
+
+
+def _carried_bands(final: _Final, unseen: Contest, shot: Shot, errors: Errors) -> FloatArray | None:
+    """Return the standard errors (O, N) of held-out trajectories as simulated; None when they cannot be told."""
+    system = unseen.system([each.program for each in final.openings])
+    free = final.free.shot
+    near = unseen.shooter.fit(system, None, 0, shot.starts, free.sigmas, is_stiff=shot.is_stiff)
+    return None if near is None else bands(unseen.shooter.measurements, near, *spread_of(final.contest, free, errors))
 
 
 def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None, pool: Pool | None) -> Refined:
@@ -153,7 +179,8 @@ def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None,
     )
     grade, reason = judge(evidence)
     member = _member(program, pool, problem)
-    return Refined(member, program, error, mse, known.written, known.implied, contenders, grade, reason)
+    origin = final.origins.of(name, final.race.choice.standing.programs[index])
+    return Refined(member, program, error, mse, known.written, known.implied, contenders, grade, reason, origin)
 
 
 def _no_elaborations(program: Program, contenders: Sequence[Contender]) -> list[Contender]:
@@ -177,9 +204,10 @@ def _member(program: Program, pool: Pool | None, problem: Problem) -> int | None
 
 
 def _residuals(its: Measurements, shot: Shot, index: int) -> list[FloatArray]:
-    """Return what is left of a state along each piece, where it was measured and counts."""
+    """Return what is left of a state along each piece, where it was measured and counts, as in a row of weight 1."""
     pieces = [slice(first, end) for first, end in its.bounds.tolist()]
-    parts = [shot.residuals[index, rows][its.weights[index, rows] > 0.0] for rows in pieces]
+    residuals = shot.residuals[index] if its.precision is None else shot.residuals[index] * np.sqrt(its.precision)
+    parts = [residuals[rows][its.weights[index, rows] > 0.0] for rows in pieces]
     return [part for part in parts if len(part)]
 
 
@@ -197,15 +225,18 @@ def _foretold(final: _Final, out: _HeldOut | None, index: int) -> float | None:
 
 def _contenders(final: _Final, index: int, held_out_r2: float | None) -> tuple[Contender, ...]:
     """Return the equation that is shown and what came closest to it, all other equations as they are."""
-    race = final.race
+    race, name = final.race, final.field.variables[index]
     contest, best = race.choice.contest, race.choice.standing
     r2 = r2_of(final.contest.shooter.measurements, final.held.shot, slice(None))[index]
-    found = [Contender(final.shown[index], 0.0, r2, held_out_r2, is_shown=True)]
+    origin = final.origins.of(name, best.programs[index])
+    is_crossed = final.unseen is None and race.validated is not None
+    found = [Contender(final.shown[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
     for rival in race.rivals[index]:
         program, nats = rival.standing.programs[index], rival.standing.nats - best.nats
         r2 = r2_of(contest.shooter.measurements, rival.standing.shot, slice(None))[index]
         held_out_r2 = None if rival.validated is None else rival.validated.r2[index]
         if nats <= VALIDATED_NATS and final.unseen is not None:
             held_out_r2 = _held_out(final, final.unseen, rival.standing.programs).r2[index]
-        found.append(Contender(program, nats, r2, held_out_r2))
+        is_crossed = rival.validated is not None
+        found.append(Contender(program, nats, r2, held_out_r2, False, is_crossed, final.origins.of(name, program)))
     return tuple(found)

@@ -12,7 +12,17 @@ import numpy as np
 from common.dataset import FloatArray
 from common.expression.kernels import Ints
 from common.jit import kernel
-from coordinator.model.trajectory.kernels_rates import BLOWN_UP, EXHAUSTED, Table, put_inputs, rates, slopes
+from coordinator.model.trajectory.kernels_rates import (
+    BLOWN_UP,
+    EXHAUSTED,
+    Path,
+    Scratch,
+    Table,
+    Tape,
+    put_inputs,
+    rates,
+    slopes,
+)
 
 _G: Final = 1767732205903 / 4055673282236
 _B: Final = (1471266399579 / 7840856788654, -4482444167858 / 7529755066697, 11266239266428 / 11593286722821, _G)
@@ -82,10 +92,9 @@ def put_matrix(jacobian: FloatArray, scale: float, matrix: FloatArray) -> None:
 
 
 @kernel
-def solve_stage(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: Ints,
-                parameters: Ints, stage: int, h: float, y: FloatArray, tolerance: FloatArray, points: FloatArray,
-                values: FloatArray, adjoints: FloatArray, jacobian: FloatArray, direct: FloatArray, rate: FloatArray,
-                matrix: FloatArray, column: FloatArray) -> bool:  # fmt: skip
+def solve_stage(table: Table, tape: Tape, stage: int, h: float, y: FloatArray, tolerance: FloatArray,
+                points: FloatArray, values: FloatArray, adjoints: FloatArray, jacobian: FloatArray, direct: FloatArray,
+                rate: FloatArray, matrix: FloatArray, column: FloatArray) -> bool:  # fmt: skip
     """Write the point and the rate of a stage, inputs being there; False when Newton's method does not find them."""
     weights = table[0]
     states = y.shape[0]
@@ -93,8 +102,8 @@ def solve_stage(table: Table, code: Ints, left: Ints, right: Ints, constants: Fl
     for d in range(states):
         points[stage, d] = points[stage - 1, d]
     for _ in range(NEWTON_STEPS):
-        rates(code, left, right, constants, outputs, points[stage], values[stage], stage, rate)
-        slopes(code, left, right, outputs, parameters, values[stage], adjoints, jacobian, direct)
+        rates(tape, points[stage], values[stage], stage, rate)
+        slopes(tape, values[stage], adjoints, jacobian, direct)
         put_matrix(jacobian, scale, matrix)
         for d in range(states):
             known = y[d]
@@ -121,7 +130,7 @@ def solve_stage(table: Table, code: Ints, left: Ints, right: Ints, constants: Fl
 
 
 @kernel
-def carry(table: Table, h: float, stage: int, outputs: Ints, owners: Ints, sensitivity: FloatArray, stages: FloatArray,
+def carry(table: Table, h: float, stage: int, owners: Ints, sensitivity: FloatArray, stages: FloatArray,
           jacobian: FloatArray, direct: FloatArray, moved: FloatArray, matrix: FloatArray) -> bool:  # fmt: skip
     """Write the rates of the sensitivities at a stage, where the slopes are known, into ``stages[stage]``."""
     weights = table[0]
@@ -150,28 +159,26 @@ def carry(table: Table, h: float, stage: int, outputs: Ints, owners: Ints, sensi
 
 
 @kernel
-def advance_implicitly(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: Ints,
-                       parameters: Ints, owners: Ints, times: FloatArray, inputs: FloatArray,
-                       input_slopes: FloatArray, row: int, tolerance: FloatArray, limits: FloatArray, y: FloatArray,
-                       step: float, budget: int, sensitivity: FloatArray, wants: bool, points: FloatArray,
-                       stages: FloatArray, values: FloatArray, adjoints: FloatArray, jacobian: FloatArray,
-                       direct: FloatArray, moved: FloatArray, rate: FloatArray, matrix: FloatArray,
-                       column: FloatArray, is_first: bool) -> tuple[float, int]:  # fmt: skip
+def advance_implicitly(table: Table, tape: Tape, owners: Ints, path: Path, row: int, tolerance: FloatArray,
+                       limits: FloatArray, y: FloatArray, step: float, budget: int, sensitivity: FloatArray,
+                       wants: bool, scratch: Scratch, matrix: FloatArray, column: FloatArray,
+                       is_first: bool) -> tuple[float, int]:  # fmt: skip
     """Carry the state `y` and its sensitivity from `row` to the next one, as `kernels_integrate.advance` does.
 
-    `rate[0]` and `stages[0]` hold the last rates; `is_first` tells that there are none yet.
+    The first row of rates and of stages, see `Scratch`, hold the last ones; `is_first` tells that there are none yet.
     """
+    points, stages, values, adjoints, jacobian, direct, moved, rate = scratch
     weights, nodes, errors, order = table
     last = nodes.shape[0] - 1
     states, columns = sensitivity.shape
-    width = times[row + 1] - times[row]
+    width = path[0][row + 1] - path[0][row]
     for d in range(states):
         points[0, d] = y[d]
     if is_first:
-        put_inputs(points[0], states, inputs, input_slopes, row, 0.0, width)
-        rates(code, left, right, constants, outputs, points[0], values[0], 0, rate)
-        slopes(code, left, right, outputs, parameters, values[0], adjoints, jacobian, direct)
-        if wants and not carry(table, 0.0, 0, outputs, owners, sensitivity, stages, jacobian, direct, moved, matrix):
+        put_inputs(points[0], states, path, row, 0.0, width)
+        rates(tape, points[0], values[0], 0, rate)
+        slopes(tape, values[0], adjoints, jacobian, direct)
+        if wants and not carry(table, 0.0, 0, owners, sensitivity, stages, jacobian, direct, moved, matrix):
             return step, BLOWN_UP
     done = 0.0
     while done < 1.0:
@@ -187,10 +194,9 @@ def advance_implicitly(table: Table, code: Ints, left: Ints, right: Ints, consta
         h = share * width
         is_solved = True
         for s in range(1, last + 1):
-            put_inputs(points[s], states, inputs, input_slopes, row, done + share * nodes[s], width)
+            put_inputs(points[s], states, path, row, done + share * nodes[s], width)
             is_solved = solve_stage(
-                table, code, left, right, constants, outputs, parameters, s, h, y, tolerance, points, values, adjoints,
-                jacobian, direct, rate, matrix, column,
+                table, tape, s, h, y, tolerance, points, values, adjoints, jacobian, direct, rate, matrix, column
             )  # fmt: skip
             if not is_solved:
                 break
@@ -213,9 +219,9 @@ def advance_implicitly(table: Table, code: Ints, left: Ints, right: Ints, consta
             continue
         if wants:
             for s in range(1, last + 1):
-                rates(code, left, right, constants, outputs, points[s], values[s], last + 1, rate)
-                slopes(code, left, right, outputs, parameters, values[s], adjoints, jacobian, direct)
-                if not carry(table, h, s, outputs, owners, sensitivity, stages, jacobian, direct, moved, matrix):
+                rates(tape, points[s], values[s], last + 1, rate)
+                slopes(tape, values[s], adjoints, jacobian, direct)
+                if not carry(table, h, s, owners, sensitivity, stages, jacobian, direct, moved, matrix):
                     return step, BLOWN_UP
             for d in range(states):
                 for q in range(columns):

@@ -17,7 +17,17 @@ from common.dataset import FloatArray
 from common.expression.kernels import Ints
 from common.jit import allocating_kernel, kernel
 from coordinator.model.trajectory.kernels_implicit import advance_implicitly
-from coordinator.model.trajectory.kernels_rates import BLOWN_UP, EXHAUSTED, Table, put_inputs, rates, slopes
+from coordinator.model.trajectory.kernels_rates import (
+    BLOWN_UP,
+    EXHAUSTED,
+    Path,
+    Scratch,
+    Table,
+    Tape,
+    put_inputs,
+    rates,
+    slopes,
+)
 
 PRECISE: Final[Table] = (
     np.array([
@@ -45,24 +55,22 @@ QUICK: Final[Table] = (
 
 
 @kernel
-def advance(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: Ints, parameters: Ints,
-            owners: Ints, times: FloatArray, inputs: FloatArray, input_slopes: FloatArray, row: int,
-            tolerance: FloatArray, limits: FloatArray, y: FloatArray, step: float, budget: int,
-            sensitivity: FloatArray, wants: bool, points: FloatArray, stages: FloatArray, values: FloatArray,
-            adjoints: FloatArray, jacobian: FloatArray, direct: FloatArray, moved: FloatArray,
-            rate: FloatArray) -> tuple[float, int]:  # fmt: skip
+def advance(table: Table, tape: Tape, owners: Ints, path: Path, row: int, tolerance: FloatArray, limits: FloatArray,
+            y: FloatArray, step: float, budget: int, sensitivity: FloatArray, wants: bool,
+            scratch: Scratch) -> tuple[float, int]:  # fmt: skip
     """Carry the state `y` (D,), and `sensitivity` (D, Q) if it `wants` them, from `row` to the next one.
 
     `tolerance` (D,) is the error allowed in a step, `limits` (D, 2) the range outside of which the state has blown up;
     `budget` the steps that may be taken. Returns the step to begin with next and the budget left, `BLOWN_UP` or
-    `EXHAUSTED` when the end was not reached. The other arguments are scratch.
+    `EXHAUSTED` when the end was not reached.
     """
+    points, stages, values, adjoints, jacobian, direct, moved, rate = scratch
     weights, nodes, errors, order = table
     last = nodes.shape[0] - 1
     states = y.shape[0]
     columns = sensitivity.shape[1]
     fitted = columns - states
-    width = times[row + 1] - times[row]
+    width = path[0][row + 1] - path[0][row]
     done = 0.0
     while done < 1.0:
         if budget <= 0:
@@ -79,8 +87,8 @@ def advance(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatA
                 for k in range(s):
                     total += weights[s, k] * rate[k, d]
                 points[s, d] = y[d] + h * total
-            put_inputs(points[s], states, inputs, input_slopes, row, done + share * nodes[s], width)
-            rates(code, left, right, constants, outputs, points[s], values[s], s, rate)
+            put_inputs(points[s], states, path, row, done + share * nodes[s], width)
+            rates(tape, points[s], values[s], s, rate)
         error = 0.0
         for d in range(states):
             off = 0.0
@@ -95,7 +103,7 @@ def advance(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatA
             continue
         if wants:
             for s in range(last):
-                slopes(code, left, right, outputs, parameters, values[s], adjoints, jacobian, direct)
+                slopes(tape, values[s], adjoints, jacobian, direct)
                 for d in range(states):
                     for q in range(columns):
                         total = sensitivity[d, q]
@@ -130,10 +138,9 @@ def advance(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatA
 
 
 @allocating_kernel
-def shoot(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: Ints, parameters: Ints,
-          owners: Ints, times: FloatArray, inputs: FloatArray, input_slopes: FloatArray, segments: Ints,
-          starts: FloatArray, tolerance: FloatArray, limits: FloatArray, budget: int, wants: bool,
-          simulated: FloatArray, gradients: FloatArray, taken: Ints) -> int:  # fmt: skip
+def shoot(table: Table, tape: Tape, owners: Ints, path: Path, segments: Ints, starts: FloatArray,
+          tolerance: FloatArray, limits: FloatArray, budget: int, wants: bool, simulated: FloatArray,
+          gradients: FloatArray, taken: Ints) -> int:  # fmt: skip
     """Integrate every segment from its start; write states (D, N) and sensitivities (N, D, Q) at its rows.
 
     `segments` (G, 2) are half-open row ranges, `starts` (G, D) their states at the first row, `budget` the steps that
@@ -143,16 +150,19 @@ def shoot(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatArr
     """
     stage_count = table[1].shape[0]
     is_implicit = table[0].shape[1] == stage_count
-    nodes, states = code.shape[0], outputs.shape[0]
+    times, inputs, _ = path
+    nodes, states = tape[0].shape[0], tape[4].shape[0]
     columns = owners.shape[0] + states
-    rate = np.zeros((stage_count + 1, states))
-    points = np.zeros((stage_count, states + inputs.shape[0]))
-    values = np.zeros((stage_count, nodes))
-    adjoints = np.zeros(nodes)
-    jacobian = np.zeros((states, states + inputs.shape[0]))
-    direct = np.zeros(owners.shape[0])
-    moved = np.zeros((states, columns))
-    stages = np.zeros((stage_count, states, columns))
+    scratch = (
+        np.zeros((stage_count, states + inputs.shape[0])),
+        np.zeros((stage_count, states, columns)),
+        np.zeros((stage_count, nodes)),
+        np.zeros(nodes),
+        np.zeros((states, states + inputs.shape[0])),
+        np.zeros(owners.shape[0]),
+        np.zeros((states, columns)),
+        np.zeros((stage_count + 1, states)),
+    )
     sensitivity = np.zeros((states, columns))
     matrix = np.zeros((states, states))
     column = np.zeros((states, 1))
@@ -169,15 +179,12 @@ def shoot(table: Table, code: Ints, left: Ints, right: Ints, constants: FloatArr
         for row in range(first, end):
             if row > first and is_implicit:
                 step, budget = advance_implicitly(
-                    table, code, left, right, constants, outputs, parameters, owners, times, inputs, input_slopes,
-                    row - 1, tolerance, limits, y, step, budget, sensitivity, wants, points, stages, values, adjoints,
-                    jacobian, direct, moved, rate, matrix, column, row == first + 1,
+                    table, tape, owners, path, row - 1, tolerance, limits, y, step, budget, sensitivity, wants, scratch,
+                    matrix, column, row == first + 1,
                 )  # fmt: skip
             elif row > first:
                 step, budget = advance(
-                    table, code, left, right, constants, outputs, parameters, owners, times, inputs, input_slopes,
-                    row - 1, tolerance, limits, y, step, budget, sensitivity, wants, points, stages, values, adjoints,
-                    jacobian, direct, moved, rate,
+                    table, tape, owners, path, row - 1, tolerance, limits, y, step, budget, sensitivity, wants, scratch
                 )  # fmt: skip
             if budget >= 0:
                 taken[0] = given - budget

@@ -1,8 +1,7 @@
 """The rates of a system's states at a point, with their slopes, and inputs between rows.
 
-A *tape* holds the nodes of all equations one after another: `code`, `left`, `right` (N,) int64 and `constants` (N,);
-arguments are indices of earlier nodes, a VARIABLE's `left` is its place in the point z. Letters: D states with an
-equation, U inputs, Z = D + U numbers of a point, P fitted constants.
+Letters: N nodes of all equations, D states with an equation, U inputs, Z = D + U numbers of a point, P fitted
+constants, R rows.
 """
 
 import math
@@ -39,6 +38,18 @@ Table = tuple[FloatArray, FloatArray, FloatArray, float]
 """An embedded Runge-Kutta method whose last stage is the next step's first: coefficients (S, S - 1), or (S, S) where
 stages are implicit, times (S,), error weights (S,), and the order of the error estimate."""
 
+Tape = tuple[Ints, Ints, Ints, FloatArray, Ints, Ints]
+"""The nodes of all equations one after another: code, left, right (N,) and constants (N,), where arguments are indices
+of earlier nodes and a VARIABLE's left is its place in the point z; then the equations' outputs (D,), and the number of
+the fitted constant at each node (N,), -1 at all others."""
+
+Path = tuple[FloatArray, FloatArray, FloatArray]
+"""Times (R,) of all rows, inputs (U, R) and their slopes (U, R)."""
+
+Scratch = tuple[FloatArray, ...]
+"""Room for S stages of a step, Q columns of sensitivities: points (S, Z), rates of the sensitivities (S, D, Q), values
+(S, N), adjoints (N,), Jacobian (D, Z), slopes by constants (P,), carried sensitivities (D, Q), rates (S + 1, D)."""
+
 EXHAUSTED: Final = -1
 """Instead of a number of steps left: there were too few."""
 BLOWN_UP: Final = -2
@@ -46,9 +57,9 @@ BLOWN_UP: Final = -2
 
 
 @kernel
-def rates(code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: Ints, z: FloatArray,
-          values: FloatArray, stage: int, rate: FloatArray) -> None:  # fmt: skip
+def rates(tape: Tape, z: FloatArray, values: FloatArray, stage: int, rate: FloatArray) -> None:
     """Write the value of every node at the point `z` (Z,) into `values` (N,), the equations' into ``rate[stage]``."""
+    code, left, right, constants, outputs, _ = tape
     for i in range(code.shape[0]):
         op = code[i]
         if op == VARIABLE:
@@ -93,13 +104,12 @@ def rates(code: Ints, left: Ints, right: Ints, constants: FloatArray, outputs: I
 
 
 @kernel
-def slopes(code: Ints, left: Ints, right: Ints, outputs: Ints, parameters: Ints, values: FloatArray,
-           adjoints: FloatArray, jacobian: FloatArray, direct: FloatArray) -> None:  # fmt: skip
+def slopes(tape: Tape, values: FloatArray, adjoints: FloatArray, jacobian: FloatArray, direct: FloatArray) -> None:
     """Write d rate / d z into `jacobian` (D, Z) and d rate / d constant into `direct` (P,), after `rates`.
 
-    `parameters` (N,) is the number of the fitted constant at a node, -1 elsewhere. One reverse sweep for each equation,
-    whose nodes lie between the output of the one before and its own.
+    One reverse sweep for each equation, whose nodes lie between the output of the one before and its own.
     """
+    code, left, right, _, outputs, parameters = tape
     direct[:] = 0.0
     jacobian[:] = 0.0
     first = 0
@@ -161,9 +171,9 @@ def slopes(code: Ints, left: Ints, right: Ints, outputs: Ints, parameters: Ints,
 
 
 @inlined
-def put_inputs(z: FloatArray, states: int, inputs: FloatArray, input_slopes: FloatArray, row: int, at: float,
-               width: float) -> None:  # fmt: skip
+def put_inputs(z: FloatArray, states: int, path: Path, row: int, at: float, width: float) -> None:
     """Write the inputs at `at` in [0, 1] between `row` and the next, `width` apart, behind the states in `z`."""
+    _, inputs, input_slopes = path
     for u in range(inputs.shape[0]):
         p, q = inputs[u, row], inputs[u, row + 1]
         m, n = input_slopes[u, row] * width, input_slopes[u, row + 1] * width

@@ -25,7 +25,7 @@ from coordinator.model.rewrite import tidied
 from coordinator.model.select import enough, may_be_shown
 from coordinator.model.trajectory.candidates import ranked
 from coordinator.model.trajectory.contest import Contest, Standing
-from coordinator.model.trajectory.descent import Descent
+from coordinator.model.trajectory.descent import LEAST, Descent
 from coordinator.model.trajectory.measurements import PIECE, Measurements, measurements_of
 from coordinator.model.trajectory.plausibility import is_function
 from coordinator.model.trajectory.shooting import Shooter
@@ -53,16 +53,19 @@ AGAIN: Final = 30
 """Candidates of a variable that are tried again after another variable's program has changed."""
 
 _SMALL: Final = 9
-_LEAST: Final = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """The system that describes the trajectories in the fewest nats: its fit, and the contest where that was found."""
+    """The system that describes the trajectories in the fewest nats: its fit, and the contest where that was found.
+
+    `lists` are the candidates of each variable that there were to begin with.
+    """
 
     field: "Field"
     contest: Contest
     standing: Standing
+    lists: Sequence[Sequence[Program]] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,9 +193,9 @@ def _exchanged(contest: Contest, best: Standing, lists: Sequence[Sequence[Progra
         for equation, programs in enumerate(tried):
             if len(programs) > 1:
                 found = contest.halved(best, equation, programs, _EXCHANGING)
-                if found and found[0].nats < best.nats - _LEAST:
+                if found and found[0].nats < best.nats - LEAST:
                     best = found[0]
-        if best.nats > before - _LEAST:
+        if best.nats > before - LEAST:
             return best
         tried = [programs[:AGAIN] for programs in lists]
 
@@ -233,7 +236,7 @@ def _restarted(
         if descent.is_exhausted:
             break
         end = descent.down(other, [equation])
-        if end.nats < best.nats - _LEAST:
+        if end.nats < best.nats - LEAST:
             best = descent.down(end, [*(each for each in range(len(best.programs)) if each not in contest.fixed)])
     return best
 

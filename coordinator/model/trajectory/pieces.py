@@ -49,8 +49,8 @@ def chosen(field: Field, pools: Mapping[str, Pool], settled: Mapping[str, Refine
     for choice in _ever_shorter(field, lists):
         found.append(choice)
         if _excess(choice.contest, choice.standing) <= AT_NOISE:
-            return _lengthened(field, choice, lists)
-    return found[0] if found else None
+            return replace(_lengthened(field, choice, lists), lists=lists)
+    return replace(found[0], lists=lists) if found else None
 
 
 def on_all_rows(choice: Chosen) -> Chosen | None:

@@ -230,9 +230,8 @@ class Shooter:
         gradients = np.zeros((its.rows, states, fitted + local))
         taken = np.zeros(1, dtype=np.int64)
         done = shoot(
-            method.table, system.code, system.left, system.right, system.constants, system.outputs, system.parameters,
-            system.owners, its.times, its.inputs, its.input_slopes, segments, starts, method.tolerance, its.limits,
-            200 + method.steps * its.rows, True, simulated, gradients, taken,
+            method.table, system.tape, system.owners, (its.times, its.inputs, its.input_slopes), segments, starts,
+            method.tolerance, its.limits, 200 + method.steps * its.rows, True, simulated, gradients, taken,
         )  # fmt: skip
         with self._lock:
             self.work += method.work(int(taken[0]), its.rows) * (OVERHEAD + states * (1 + fitted + local))

@@ -12,11 +12,12 @@ from common.dataset import FloatArray
 from common.expression.kernels import Ints
 from common.expression.operators import CONSTANT, VARIABLE
 from common.expression.program import Program
+from coordinator.model.trajectory.kernels_rates import Tape
 
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """D equations on one tape, see `kernels_integrate`.
+    """D equations on one tape, see `kernels_rates.Tape`.
 
     `parameters` (N,) numbers the fitted constants; `places` are their nodes, `owners` (P,) their equations.
     """
@@ -29,6 +30,11 @@ class System:
     parameters: Ints
     owners: Ints
     places: Ints
+
+    @property
+    def tape(self) -> Tape:
+        """The nodes, as kernels take them."""
+        return self.code, self.left, self.right, self.constants, self.outputs, self.parameters
 
     @property
     def values(self) -> FloatArray:

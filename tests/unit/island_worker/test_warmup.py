@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from common import jit
+from common import compiled, jit
 from common.errors import AtollError
-from island_worker import warmup
 from island_worker.warmup import warm_up
 
 
@@ -56,11 +55,26 @@ def test_another_processor_is_another_first_time(monkeypatch: pytest.MonkeyPatch
     assert len(said) == 2
 
 
+def test_kernels_for_a_chosen_processor_are_ready_on_every_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in an image, which is made on one machine and used on others."""
+    monkeypatch.setenv("NUMBA_CPU_NAME", "x86-64-v3")
+    monkeypatch.setenv("NUMBA_CPU_FEATURES", "")
+    said: list[str] = []
+    warm_up(said.append, Exercise())
+    monkeypatch.setattr(compiled.platform, "processor", lambda: "another")
+    monkeypatch.setattr(compiled, "Path", lambda _: Path("/nowhere"))
+    warm_up(said.append, Exercise())
+    assert len(said) == 1
+    monkeypatch.delenv("NUMBA_CPU_FEATURES")
+    warm_up(said.append, Exercise())
+    assert len(said) == 2
+
+
 def test_a_copy_of_the_sources_elsewhere_is_another_first_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The machine code of one checkout is not found from another, however equal the sources."""
     said: list[str] = []
     warm_up(said.append, Exercise())
-    monkeypatch.setattr(warmup, "_ROOT", tmp_path)
+    monkeypatch.setattr(compiled, "_ROOT", tmp_path)
     warm_up(said.append, Exercise())
     assert len(said) == 2
 
@@ -88,7 +102,7 @@ def test_who_comes_while_another_compiles_waits_and_then_loads(cache: Path) -> N
 
 
 def _marker_names() -> list[str]:
-    return [f"ready-{warmup._machine()}"]
+    return [f"ready-{compiled._machine()}"]
 
 
 def test_a_cache_that_cannot_be_written_is_said_with_advice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from common.errors import RemoteProtocolError
 from common.expression.operators import ADD, CONSTANT, NEGATE, OPERATORS, VARIABLE
-from common.expression.program import MAX_NODES, Program
+from common.expression.program import MAX_NODES, Program, check_program_bytes
 
 
 def packed(*nodes: tuple[int, int, int], constants: tuple[float, ...] = ()) -> bytes:
@@ -17,6 +17,7 @@ def packed(*nodes: tuple[int, int, int], constants: tuple[float, ...] = ()) -> b
 
 def test_canonical_bytes_come_back() -> None:
     data = packed((VARIABLE, 1, 0), (CONSTANT, 0, 0), (ADD, 0, 1), (NEGATE, 2, 0), constants=(2.5,))
+    check_program_bytes(data, 2)
     program = Program.from_bytes(data, 2)
     assert program.to_bytes() == data
     assert program.constants.tolist() == [0.0, 2.5, 0.0, 0.0]
@@ -46,3 +47,5 @@ def test_canonical_bytes_come_back() -> None:
 def test_what_cannot_be_a_program_is_refused(data: bytes) -> None:
     with pytest.raises(RemoteProtocolError):
         Program.from_bytes(data, 2)
+    with pytest.raises(RemoteProtocolError):
+        check_program_bytes(data, 2)

@@ -19,6 +19,7 @@ def test_every_key_that_is_built_is_parsed_back(
 ) -> None:
     pairs = [
         (topics.HELLO, topics.HelloKey()),
+        (topics.hello(name), topics.HelloKey(name)),
         (topics.control(realm), topics.ControlKey(realm)),
         (topics.control(realm, name), topics.ControlKey(realm, name)),
         (topics.job(realm, name), topics.JobKey(realm, name)),
@@ -40,6 +41,8 @@ def test_expressions_receive_the_keys_they_are_meant_for(realm: str, name: str, 
     assert matches(topics.all_workers(realm, "status"), topics.worker(realm, name, "status"))
     assert not matches(topics.all_workers(realm, "status"), topics.worker(realm, name, "report"))
     assert matches(topics.all_clients(realm), topics.client(realm, name))
+    assert matches(topics.all_greetings(), topics.hello(name))
+    assert not matches(topics.all_greetings(), topics.HELLO)
     assert matches(topics.inbox(realm, peer), topics.mail(realm, name, peer))
 
 
@@ -49,7 +52,8 @@ def test_expressions_receive_the_keys_they_are_meant_for(realm: str, name: str, 
         "",
         "atoll",
         "other/hello",
-        "atoll/hello/x",
+        "atoll/hello/x/y",
+        "atoll/hello/x y",
         "atoll/r/unknown",
         "atoll/r/worker/w/other",
         "atoll/r/worker/w/to",

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 import pytest
 
 from common.errors import RefusedError
+from common.wire.addresses import Destination
 from common.wire.views import JobView, VariableView, WorkerView
 from coordinator.cli import jobs as verbs
 from coordinator.cli.main import main
@@ -63,8 +64,8 @@ def client(monkeypatch: pytest.MonkeyPatch) -> FakeClient:
     fake = FakeClient(job("alpha", "done"), job("beta", "running"), job("gamma", "failed"))
 
     @contextmanager
-    def connected(address: str, wait_s: float) -> Iterator[FakeClient]:
-        assert address == "tcp/there:7447"
+    def connected(address: Destination, wait_s: float) -> Iterator[FakeClient]:
+        assert str(address) == "tcp/there:7447"
         yield fake
 
     monkeypatch.setattr(verbs, "connected", connected)
@@ -79,7 +80,8 @@ class TestWithACoordinator:
     def test_jobs_are_a_table(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["jobs"]) == 0
         lines = capsys.readouterr().out.splitlines()
-        assert lines[0].split() == ["ID", "NAME", "STATE", "TIME", "WORKERS", "EPOCHS", "POINT-EVALS", "FOUND"]
+        heads = "ID NAME STATE PRIORITY TIME WORKERS EPOCHS POINT-EVALS FOUND NOTE"
+        assert " ".join(lines[0].split()) == heads
         assert [line.split()[0] for line in lines[1:]] == ["alpha", "beta", "gamma"]
 
     def test_jobs_and_workers_may_be_filtered(self, capsys: pytest.CaptureFixture[str]) -> None:

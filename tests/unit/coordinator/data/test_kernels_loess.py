@@ -15,9 +15,11 @@ def uneven(rows, seed=0):
     return times, np.sin(times) + 0.3 * rng.standard_normal(rows)
 
 
-def loess(times, values, span, degree, trust=None):
+def loess(times, values, span, degree, trust=None, precision=None):
     fits, gains = np.empty((3, len(times))), np.empty((4, len(times)))
-    loess_into(fits, gains, times, values, np.ones(len(times)) if trust is None else trust, span, degree + 1)
+    whole = np.ones(len(times))
+    trust, precision = whole if trust is None else trust, whole if precision is None else precision
+    loess_into(fits, gains, times, values, trust, precision, span, degree + 1)
     return fits, gains
 
 
@@ -33,6 +35,18 @@ def test_loess_is_the_weighted_least_squares_fit(span, degree, is_weighed):
         assert fits[:used, row] == pytest.approx(expected_fits[:used], rel=1e-7, abs=1e-7)
         assert gains[:used, row] == pytest.approx(expected_gains[:used], rel=1e-7)
         assert gains[3, row] == pytest.approx(expected_gains[-1], rel=1e-7)
+
+
+def test_rows_that_are_known_less_well_make_what_is_fitted_more_uncertain():
+    times, values = uneven(40, seed=3)
+    rng = np.random.default_rng(6)
+    precision = rng.uniform(0.1, 4.0, 40)
+    _, gains = loess(times, values, 12, 3, precision, precision)
+    for row in range(40):
+        _, expected = oracle.loess(times, values, precision, row, 12, 3, precision)
+        assert gains[:, row] == pytest.approx(expected, rel=1e-7)
+    drawn = [loess(times, rng.standard_normal(40) / np.sqrt(precision), 12, 3, precision)[0] for _ in range(1500)]
+    assert np.std(drawn, axis=0) == pytest.approx(gains[:3], rel=0.1)
 
 
 @settings(max_examples=40, deadline=None)

@@ -205,11 +205,14 @@ def test_text_of_a_result_from_before_verdicts_is_shown_as_it_is():
     assert "3*x" in render_text(old)
 
 
-def test_csv_has_one_line_for_each_member():
+def test_csv_has_the_equation_shown_and_one_line_for_each_member():
     rows = list(csv.DictReader(io.StringIO(render(result(), "csv"))))
-    assert [row["pick"] for row in rows] == ["0", "1", "2"]
-    assert rows[2]["expression"] == TRUTH
-    assert rows[2]["selected"] == "True"
+    assert [row["pick"] for row in rows] == ["", "0", "1", "2"]
+    assert rows[3]["expression"] == TRUTH
+    assert rows[3]["selected"] == "True"
+    assert [row["shown"] for row in rows] == ["True", "False", "False", "False"]
+    assert {row["origin"] for row in rows} == {"front"}
+    assert (rows[0]["expression"], rows[0]["r2"]) == (rows[3]["expression"], rows[3]["r2"])
 
 
 def test_sympy_source_runs_and_gives_the_equations():
@@ -284,3 +287,15 @@ def test_what_is_no_model_is_not_said_to_have_converged():
     equation |= {"complexity": 3, "epoch": 2}
     assert _standing(equation) == "error 0.1 of the target's deviation, size 3, epoch 2"
     assert _standing({**equation, "verdict": "good"}).startswith("converged: error 0.1")
+
+
+def test_an_equation_whose_display_has_other_numbers_is_written_out():
+    def text_of(expression, *values):
+        given = result()
+        known = {"std_error": 0.1, "interval": None, "identifiable": True}
+        constants = [{**known, "value": value, "fitted": value} for value in values]
+        given["equations"][0] |= {"expression": expression, "constants": constants}
+        return render_text(given)
+
+    assert "written out: x/(4.0*S)" in text_of("x/(4.0*S)", 4.0)
+    assert "written out" not in text_of("3.0*x - 0.25*x*S", 3.0, -0.25)

@@ -101,15 +101,20 @@ def test_the_table_of_constants_has_intervals() -> None:
 def test_contenders_show_how_close_the_race_was() -> None:
     def contender(text: str, nats: float | None, held_out: float | None) -> dict[str, Any]:
         shown = {"expression": text, "complexity": 3, "r2": 0.998, "selected": nats == 0.0}
-        return {**shown, "nats": nats, "held_out_r2": held_out}
+        return {**shown, "nats": nats, "held_out_r2": held_out, "origin": "front"}
 
     lines = contenders_table([contender("a*x", 0.0, 0.9), contender("a+x", 2.13, None)], str.upper)
-    assert lines[0].split() == ["contender", "nats", "R2", "held", "out", "size", "expression"]
-    assert lines[1].split() == ["*", "0.0", "0.9980", "0.9000", "3", "A*X"]
-    assert lines[2].split() == ["2.1", "0.9980", "-", "3", "A+X"]
+    assert lines[0].split() == ["contender", "nats", "R2", "held", "out", "size", "origin", "expression"]
+    assert lines[1].split() == ["*", "0.0", "0.9980", "0.9000", "3", "front", "A*X"]
+    assert lines[2].split() == ["2.1", "0.9980", "-", "3", "front", "A+X"]
     without = contenders_table([contender("a*x", 0.0, None), contender("a+x", None, None)], str)
     assert "held" not in without[0]
     assert contenders_table([contender("a*x", 0.0, None)], str) == []
+    crossed = [{**contender(text, 0.0, 0.9), "cross_validated": True} for text in ("a", "b", "c", "d")]
+    heads, *rest = contenders_table(crossed, str, most=2)
+    assert heads.split()[3] == "cross-validated"
+    assert [line.split()[-1] for line in rest[:3]] == ["a", "b", "c"]
+    assert rest[3:] == ["    1 more: coordinator result"]
 
 
 def test_noise_is_said_in_a_line_for_each_state() -> None:
@@ -118,6 +123,16 @@ def test_noise_is_said_in_a_line_for_each_state() -> None:
         "noise of x: 0.123, 5.1 % of its deviation; loess of degree 3 over 21 rows; 1 outlier",
         "noise of y: none to speak of; interpolated; derivatives doubtful on 9 rows",
     ]
+
+
+def test_residuals_and_reasons_are_said_where_they_are_known() -> None:
+    largest = {"value": -0.5, "trajectory": "2", "time": 3.25}
+    times = (("end", [0.0, 0.1]), ("end", [9.0]), ("jump", [2.0]))
+    doubtful = [{"trajectory": "1", "reason": reason, "times": its} for reason, its in times]
+    its = {**LOESS, "doubtful_rows": 4, "outliers": 0, "residual_rms": 0.1, "largest_residual": largest}
+    (line,) = noise_lines({"noise": {"x": {**its, "doubtful": doubtful}}})
+    assert "; residuals 0.1, the largest -0.5 at t = 3.25 of trajectory 2; " in line
+    assert line.endswith("; not used: 3 near ends, 1 at jumps")
     assert noise_lines({}) == []
 
 

@@ -11,7 +11,7 @@ from common.dataset import Dataset, Target
 from common.expression.parse import from_infix
 from coordinator.data.recording import Recording, Smoothing
 from coordinator.model.refinement import Contender, Correlation, Refined, Simulated, Simulation
-from coordinator.model.trust import MOST_POINTS, candidates, correlations, noise, simulation, verdict
+from coordinator.model.trust import MOST_POINTS, candidates, correlations, simulation, verdict
 
 VALUES = np.linspace(-1.0, 1.0, 20)
 TARGET = Target("x", "dx/dt", VALUES, 1e-9, 0.6)
@@ -33,21 +33,6 @@ def simulated(rows: int, **changes: object) -> Simulated:
     times = np.linspace(-5.0, 5.0, rows)
     values = np.sin(times)[np.newaxis]
     return replace(Simulated("1", False, times, values, 0.1 * np.ones_like(values), (0.99,)), **changes)
-
-
-def test_noise_is_said_of_each_state() -> None:
-    assert noise(RECORDING) == {
-        "x": {
-            "sd": 0.1,
-            "relative": 0.05,
-            "method": "loess",
-            "span": 21,
-            "degree": 3,
-            "doubtful_rows": 4,
-            "outliers": 1,
-        }
-    }
-    assert noise(None) == {}
 
 
 def test_a_curve_is_at_the_times_of_the_file_with_its_band() -> None:

@@ -1,5 +1,7 @@
 """Errors of constants and of simulations, by simulation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from coordinator.model.trajectory.assess import (
     not_simulated,
     r2_of,
     simulated,
+    spread_of,
 )
 from coordinator.model.trajectory.measurements import measurements_of
 from coordinator.model.trajectory.opened import as_it_is
@@ -31,6 +34,10 @@ def constants_of(its, shown, errors):
 
 def correlations_of(its, variables, shown, errors):
     return assess.correlations_of(its, variables, tuple(map(as_it_is, shown)), errors)
+
+
+def banded(its, rows, standing):
+    return bands(rows, standing.shot, *spread_of(its, standing.shot, errors_of(its, standing)))
 
 
 def drawn(seed, noise=NOISE):
@@ -77,7 +84,7 @@ def test_intervals_are_those_of_students_t():
 
 def test_bands_are_the_spread_of_the_simulations(draws):
     spread = np.std([standing.shot.simulated[0] for _, standing in draws], axis=0)
-    errors = [bands(its.shooter.measurements, standing, errors_of(its, standing))[0] for its, standing in draws]
+    errors = [banded(its, its.shooter.measurements, standing)[0] for its, standing in draws]
     found = np.mean(errors, axis=0)
     assert found == pytest.approx(spread, rel=0.25)
     assert found.mean() == pytest.approx(spread.mean(), rel=0.05)
@@ -97,7 +104,7 @@ def test_bands_of_a_coupled_system_are_those_of_its_linearisation():
     errors = errors_of(its, standing)
     covariance = np.linalg.inv(weighed.T @ weighed) * (80.0 / errors.freedom)
     expected = np.sqrt(np.einsum("nop,pq,noq->on", whole, covariance, whole))
-    assert bands(rows, standing, errors) == pytest.approx(expected, rel=1e-4)
+    assert banded(its, rows, standing) == pytest.approx(expected, rel=1e-4)
 
 
 def test_bands_of_a_system_without_constants_are_those_of_its_initial_states():
@@ -108,7 +115,7 @@ def test_bands_of_a_system_without_constants_are_those_of_its_initial_states():
     standing = its.stand([bare.parsed("-x")], lengths=(None,))
     decay = np.exp(-TIMES)
     error = standing.shot.sigmas[0] * np.sqrt(20.0 / 19.0) / np.sqrt(decay @ decay)
-    assert bands(rows, standing, errors_of(its, standing))[0] == pytest.approx(error * decay, rel=1e-4)
+    assert banded(its, rows, standing)[0] == pytest.approx(error * decay, rel=1e-4)
     assert constants_of(its, standing.programs, errors_of(its, standing)) == [()]
 
 
@@ -197,3 +204,28 @@ def test_r2_is_the_share_that_is_explained_of_what_was_measured():
     expected = 1.0 - float(left @ left) / float(((values - values.mean()) ** 2).sum())
     assert r2_of(rows, shot, slice(None)) == [pytest.approx(expected)]
     assert r2_of(rows, shot, np.array([3])) == [None]
+
+
+def test_constants_are_fitted_by_weight_and_their_errors_say_so():
+    """Every other row has ten times the error of its neighbours."""
+    deviations = np.where(np.arange(len(TIMES)) % 2 == 0, 0.01, 0.1)
+    weights = deviations**-2 / np.mean(deviations**-2)
+    rates, told = [], []
+    for seed in range(60):
+        its = recording(DECAY, ([1.0],), TIMES, 1e-9)
+        (bare,) = its.trajectories
+        noise = deviations * np.random.default_rng(seed).standard_normal((1, len(TIMES)))
+        weighed = replace(its, trajectories=(replace(bare, measured=bare.smoothed + noise, weights=weights),))
+        compared = contest(DECAY, measurements_of(weighed, [0]), 1e-6)
+        standing = compared.stand([DECAY.parsed("-0.45*x")], lengths=(None,))
+        errors = errors_of(compared, standing)
+        rates.append(rate_of(standing))
+        told.append(np.sqrt(errors.covariance[0, 0]))
+    assert np.std(rates) == pytest.approx(np.mean(told), rel=0.3)
+    alike = contest(
+        DECAY,
+        measurements_of(replace(weighed, trajectories=(replace(weighed.trajectories[0], weights=None),)), [0]),
+        1e-6,
+    )
+    plain = alike.stand([DECAY.parsed("-0.45*x")], lengths=(None,))
+    assert np.mean(told) < 0.5 * np.sqrt(errors_of(alike, plain).covariance[0, 0])

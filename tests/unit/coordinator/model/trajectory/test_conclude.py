@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from common.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
+from common.dataset import Dataset, Target
 from common.expression.operators import BY_NAME
+from common.expression.parse import from_infix
+from common.pareto import FrontEntry
 from coordinator.data.prepare import prepare
 from coordinator.model.refine import NOT_SIMULATED, refine_all
-from coordinator.model.refinement import Contender
+from coordinator.model.refinement import Contender, Pool
 from coordinator.model.rewrite import constant_places
-from coordinator.model.trajectory import conclude, model
+from coordinator.model.trajectory import conclude, model, origins
 from coordinator.model.trajectory.conclude import _deviation, _no_elaborations
 from tests.unit.coordinator.model.trajectory.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, pools, table
 
@@ -106,14 +109,14 @@ def test_the_equation_shown_is_the_first_contender_and_the_others_are_longer(noi
 def test_held_out_trajectories_are_simulated_and_judged(noisy):
     assert [each.held_out for each in noisy.simulation.trajectories] == [False, False, False, True]
     assert all(r2 > 0.8 for each in noisy.simulation.trajectories for r2 in each.r2)
-    assert noisy.simulation.trajectories[-1].errors is None
+    assert all(each.is_cross_validated is False for its in noisy.equations.values() for each in its.contenders)
     for index, its in enumerate(noisy.equations.values()):
         assert its.contenders[0].held_out_r2 == noisy.simulation.trajectories[-1].r2[index]
 
 
 def test_simulations_have_bands_that_hold_the_true_curve(noisy):
     assert noisy.simulation.states == ("x", "y")
-    for start, its in zip(LOTKA_STARTS, noisy.simulation.trajectories[:-1], strict=False):
+    for start, its in zip(LOTKA_STARTS, noisy.simulation.trajectories, strict=True):
         assert its.errors.shape == its.values.shape == (2, 40)
         truth = LOTKA.values(start, TIMES)
         assert (np.abs(its.values - truth) <= 4.5 * its.errors).mean() > 0.95
@@ -226,3 +229,30 @@ def test_data_without_a_law_get_no_good_verdict():
     preparation = prepare(noise, JobConfig(space=ARITHMETIC))
     its = refine_all(preparation, JobConfig(space=ARITHMETIC), pools(preparation, x=("y",), y=("x",)))
     assert {each.grade for each in its.equations.values()} <= {"no model", "doubtful", None}
+
+
+def test_every_equation_says_where_it_comes_from(noisy):
+    for its in noisy.equations.values():
+        assert its.origin == its.contenders[0].origin
+        assert {each.origin for each in its.contenders} <= {"front", "runner-up", "library", "descent"}
+
+
+def test_origins_are_told_by_structure():
+    config = JobConfig(space=ARITHMETIC, prior=PriorConfig(guesses={"y": ("3.5*y*y",)}, known={"z": "x*z"}))
+    targets = tuple(Target(name, f"d{name}/dt", np.arange(9.0), 0.0, 1.0) for name in "xyz")
+    dataset = Dataset(("x", "y", "z"), np.ones((3, 9)), targets, {name: name for name in "xyz"})
+    field = model.Field(dataset, None, config, ("x", "y", "z"), {"z": from_infix("x*z", "xyz")})
+
+    def programs(*texts):
+        return [from_infix(text, ("x", "y", "z")) for text in texts]
+
+    def entries(*texts):
+        return tuple(FrontEntry(1, 0.1, 0.1, 0, 0, 0, program.to_bytes()) for program in programs(*texts))
+
+    found = {"x": Pool(entries("2.5*x"), entries("x + y")), "y": Pool(entries("y", "3*y"))}
+    lists = [programs("2.5*x", "1.5*x + 0.5*x*y"), programs("3.0*y", "x*y"), programs("x*z")]
+    its = origins.Origins(field, found, lists)
+    of = {text: its.of("x", *programs(text)) for text in ("7.0*x", "x + y", "2.0*x + 0.25*x*y", "x - y")}
+    assert of == {"7.0*x": "front", "x + y": "runner-up", "2.0*x + 0.25*x*y": "library", "x - y": "descent"}
+    assert [its.of("y", *programs(text)) for text in ("2.0*y*y", "y", "x*y")] == ["guess", "front", "library"]
+    assert its.of("z", *programs("x*z")) == "known"

@@ -33,8 +33,7 @@ def shot(texts, start, *, table=STIFF, tolerance=1e-7, values=None, budget=100_0
     simulated = np.full((states, len(TIMES)), np.nan)
     gradients = np.full((len(TIMES), states, len(system.places) + states), np.nan)
     done = shoot(
-        table, system.code, system.left, system.right, system.constants, system.outputs, system.parameters,
-        system.owners, TIMES, WAVE, RISE, np.array([[0, len(TIMES)]]), np.array([start], dtype=np.float64),
+        table, system.tape, system.owners, (TIMES, WAVE, RISE), np.array([[0, len(TIMES)]]), np.array([start], float),
         np.full(states, tolerance), np.array([[-limit, limit]] * states), budget, True, simulated, gradients,
         np.zeros(1, np.int64),
     )  # fmt: skip

@@ -41,8 +41,7 @@ def shot(
     simulated = np.full((states, len(times)), np.nan)
     gradients = np.full((len(times), states, len(system.places) + states), np.nan)
     done = shoot(
-        table, system.code, system.left, system.right, system.constants, system.outputs, system.parameters,
-        system.owners, times, inputs, input_slopes, segments, starts, np.full(states, tolerance),
+        table, system.tape, system.owners, (times, inputs, input_slopes), segments, starts, np.full(states, tolerance),
         np.ascontiguousarray(limits[:states]), budget, wants, simulated, gradients, np.zeros(1, np.int64),
     )  # fmt: skip
     return done, simulated, gradients

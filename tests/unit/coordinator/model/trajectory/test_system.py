@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from common.expression.operators import CONSTANT, VARIABLE
 from common.expression.parse import from_infix
 from coordinator.model.rewrite import constant_places
-from coordinator.model.trajectory.kernels_integrate import rates
+from coordinator.model.trajectory.kernels_rates import rates
 from coordinator.model.trajectory.system import split, system_of, variable_program
 from tests.oracles.evaluate import evaluate
 
@@ -22,10 +22,7 @@ def parsed(*texts):
 
 def values(system, point):
     rate, scratch = np.zeros((1, len(system.outputs))), np.zeros(len(system.code))
-    rates(
-        system.code, system.left, system.right, system.constants, system.outputs, np.asarray(point, dtype=np.float64),
-        scratch, 0, rate,
-    )  # fmt: skip
+    rates(system.tape, np.asarray(point, dtype=np.float64), scratch, 0, rate)
     return rate[0].tolist()
 
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from island_worker import cores
-from island_worker.cores import cgroup_quota, usable_cores
+from common import cores
+from common.cores import cgroup_quota, usable_cores
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,107 @@
+"""``coordinator router``: a router without a coordinator.
+
+For a site of its own: workers dial their site's router, which alone dials the central one. Or in front of a
+coordinator (`serve --router`), so that connections stay while that one is restarted.
+"""
+
+import argparse
+import logging
+import os
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from common import VERSION
+from common.errors import RefusedError, UnreachableError
+from common.logs import configure
+from common.wire.access import Roster
+from common.wire.addresses import Destination, destination, parse_address
+from common.wire.connect_file import announced
+from common.wire.credentials import credentials_of
+from coordinator.cli.exits import DONE
+from coordinator.cli.output import note, say
+from coordinator.cli.serve import addresses_of, roster_of, warnings_of
+from coordinator.cli.signals import stopping
+
+if TYPE_CHECKING:
+    from common.wire.zenoh_bus import ZenohBus
+
+_LOG = logging.getLogger(__name__)
+
+LOOK_S: Final = 5.0
+"""How often a coordinator is looked for until it is found, and after it was lost."""
+
+LOOK_LIMIT_S: Final = 1.0
+_REMIND_S: Final = 60.0
+
+
+def router(options: argparse.Namespace) -> int:
+    """Pass messages on until SIGTERM or Ctrl-C; return 0."""
+    credentials = credentials_of(vars(options), os.environ, "serve")
+    wanted = destination(options.listen, credentials)
+    upstream = [str(destination(each, credentials)) for each in options.connect]
+    roster = roster_of(options.roster, wanted)
+    configure(options.log_format, options.log_level)
+    from common.wire.zenoh_bus import open_router
+
+    stop = threading.Event()
+    with stopping(stop), open_router(wanted, upstream_settings(upstream), roster) as bus:
+        here = Destination(parse_address(bus.endpoint), credentials)
+        with announced(options.connect_file and Path(options.connect_file), addresses_of(here)):
+            say(greeting(here, upstream, roster))
+            _Watch(bus, credentials.name if credentials is not None else "client").run(stop)
+    note("coordinator router: stopped")
+    return DONE
+
+
+def upstream_settings(upstream: list[str]) -> dict[str, object]:
+    """Return the settings of a router that keeps dialling others and does not wait for them."""
+    if not upstream:
+        return {}
+    return {"connect/endpoints": upstream, "connect/timeout_ms": -1, "connect/exit_on_failure": False}
+
+
+def greeting(here: Destination, upstream: list[str], roster: Roster | None = None) -> str:
+    """Return what a person needs who wants to use this router."""
+    passes = f", passes on to {', '.join(upstream)}" if upstream else ""
+    lines = [f"router of Atoll {VERSION} listens on {here}{passes}", "start a worker with:"]
+    lines += [f"  island-worker --connect {address}" for address in addresses_of(here)]
+    if not upstream:
+        lines += ["start a coordinator with:", f"  coordinator serve --router {addresses_of(here)[0]} --state DIR"]
+    return "\n".join([*lines, *warnings_of(here, roster)])
+
+
+class _Watch:
+    """Logs when a coordinator is there, and when it is not: a router without one is of no use."""
+
+    def __init__(self, bus: "ZenohBus", bearer: str) -> None:
+        self._bus = bus
+        self._bearer = bearer
+        self._realm: str | None = None
+        self._said_at = -_REMIND_S
+
+    def run(self, stop: threading.Event) -> None:
+        while not stop.is_set():
+            self._look()
+            stop.wait(LOOK_S)
+
+    def _look(self) -> None:
+        realm = coordinator_behind(self._bus, self._bearer)
+        now = time.monotonic()
+        if realm is not None and realm != self._realm:
+            _LOG.info("coordinator found realm=%s", realm)
+        elif realm is None and (self._realm is not None or now - self._said_at >= _REMIND_S):
+            _LOG.warning("no coordinator answers behind this router yet")
+            self._said_at = now
+        self._realm = realm
+
+
+def coordinator_behind(bus: Any, bearer: str = "client") -> str | None:
+    """Return the realm of the coordinator that answers on `bus`; None when there is none, or none that we know."""
+    from coordinator.client import Client
+
+    try:
+        return Client(bus, "this router", bearer).greet(LOOK_LIMIT_S)
+    except (UnreachableError, RefusedError):
+        return None

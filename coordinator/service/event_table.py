@@ -1,0 +1,46 @@
+"""The store's table of events: what happened, in the order in which it did, and not without end."""
+
+import sqlite3
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+MAX_EVENTS: Final = 2000
+"""Events kept of each job, and of no job in particular; older ones are forgotten."""
+
+
+@dataclass(frozen=True, slots=True)
+class EventRecord:
+    """One event as it is kept. `time` is an ISO time, `contents` JSON; `number` rises and is given by the store.
+
+    `job` is None when it concerns no job in particular.
+    """
+
+    job: str | None
+    time: str
+    kind: str
+    contents: str
+    number: int = 0
+
+
+def append_events(sql: sqlite3.Connection, events: Sequence[EventRecord]) -> None:
+    """Add events, in order, and forget the oldest beyond `MAX_EVENTS`; part of the caller's transaction."""
+    rows = [(each.job, each.time, each.kind, each.contents) for each in events]
+    sql.executemany("INSERT INTO events (job, time, kind, contents) VALUES (?, ?, ?, ?)", rows)
+    for job in {each.job: None for each in events}:
+        sql.execute(
+            "DELETE FROM events WHERE job IS ? AND number <= "
+            "(SELECT number FROM events WHERE job IS ? ORDER BY number DESC LIMIT 1 OFFSET ?)",
+            (job, job, MAX_EVENTS),
+        )
+
+
+def read_events(sql: sqlite3.Connection, job: str | None, after: int, limit: int) -> tuple[EventRecord, ...]:
+    """Return events of `job`, or of all (None), in order: the `limit` next ones after `after`, or the last ones (0)."""
+    order = "ASC" if after else "DESC"
+    rows = sql.execute(
+        "SELECT job, time, kind, contents, number FROM events WHERE number > ? AND (? IS NULL OR job = ?) "
+        f"ORDER BY number {order} LIMIT ?",
+        (after, job, job, limit),
+    ).fetchall()
+    return tuple(EventRecord(*row) for row in (rows if after else reversed(rows)))
