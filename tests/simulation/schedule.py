@@ -15,7 +15,7 @@ Kind = Literal[
     "kill", "hang", "stuck", "slow", "cut", "join", "leave",
     "kill-coordinator", "die-before-commit", "die-after-commit", "hang-coordinator",
     "kill-router", "hang-router", "cut-coordinator",
-    "storm", "slow-disk", "slow-background", "cut-client",
+    "storm", "slow-disk", "slow-background", "cut-client", "clock-jump",
 ]  # fmt: skip
 
 WHAT_IT_IS: Final[dict[Kind, str]] = {
@@ -37,6 +37,7 @@ WHAT_IT_IS: Final[dict[Kind, str]] = {
     "slow-disk": "for {span:.2f} s, every access to the store takes {strength:.3f} s",
     "slow-background": "for {span:.2f} s, preparing and refining take {strength:.2f} s",
     "cut-client": "the client is cut off for {span:.2f} s",
+    "clock-jump": "the time of day jumps by {strength:+.0f} s",
 }
 
 JOB_SEEDS: Final = 12
@@ -173,7 +174,7 @@ def _fault(draw: Draw, workers: int, has_own_router: bool, length_s: float) -> F
 _WORKER_KINDS: Final[list[Kind]] = ["kill", "kill", "hang", "hang", "stuck", "slow", "cut", "cut", "join", "leave"]
 _SERVICE_KINDS: Final[list[Kind]] = [
     "kill-coordinator", "die-before-commit", "die-before-commit", "die-after-commit", "die-after-commit",
-    "hang-coordinator", "storm", "storm", "slow-disk", "slow-background", "cut-client",
+    "hang-coordinator", "storm", "storm", "slow-disk", "slow-background", "cut-client", "clock-jump",
 ]  # fmt: skip
 _ROUTER_KINDS: Final[list[Kind]] = ["kill-router", "kill-router", "hang-router", "cut-coordinator"]
 
@@ -199,6 +200,10 @@ def _die_at_commit(draw: Draw, at_s: float, kind: Kind, who: str) -> Fault:
     return Fault(at_s, kind, who, draw.spread(0.05, 20.0), float(draw.whole(1, 6)))
 
 
+def _jump(draw: Draw, at_s: float, kind: Kind, who: str) -> Fault:
+    return Fault(at_s, kind, "", 0.0, draw.pick((-1.0, 1.0)) * draw.spread(1.0, 1e8))
+
+
 _MAKERS: Final[dict[Kind, _Maker]] = {
     "kill": _kill,
     "hang": _for_a_while(0.1, 40.0),
@@ -218,6 +223,7 @@ _MAKERS: Final[dict[Kind, _Maker]] = {
     "slow-disk": _for_a_while(0.5, 20.0, 0.005, 0.5),
     "slow-background": _for_a_while(0.5, 20.0, 0.1, 10.0),
     "cut-client": _for_a_while(0.1, 30.0),
+    "clock-jump": _jump,
 }
 
 

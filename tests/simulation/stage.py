@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
 from functools import cache, partial
 from typing import Any, Final
 
@@ -60,6 +61,7 @@ class Cast:
 
 
 STUBS: Final = Cast()
+_MORNING: Final = datetime(2026, 1, 1, tzinfo=UTC)
 
 
 @dataclass
@@ -94,7 +96,7 @@ class Stage:
         self._store: DiskStore | None = None
         self._storms: list[float] = []
         self._background_s = 0.001
-        self._down_s = 0.0
+        self._down_s = self._jumped_s = 0.0
         self._is_over = False
         self._processes = 0
         self._made: dict[tuple[object, ...], list[int]] = {}
@@ -466,6 +468,9 @@ class Stage:
 
         self._for_a_while(fault, end)
 
+    def _strike_clock_jump(self, fault: Fault) -> None:
+        self._jumped_s += fault.strength
+
     # --------------------------------------------------------------------------------------- remainders
 
     def _is_busy(self) -> bool:
@@ -517,7 +522,7 @@ class Stage:
         self.story.append(f"{self.network.now:8.3f}  {sentence}")
 
     def _time_of_day(self) -> str:
-        return f"2026-01-01T00:00:{self.network.now:09.3f}"
+        return (_MORNING + timedelta(seconds=self.network.now + self._jumped_s)).isoformat(timespec="milliseconds")
 
 
 def calm_schedule(seed: int) -> Schedule:
