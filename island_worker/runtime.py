@@ -184,7 +184,10 @@ class Worker:
                 self._warmed_up(item)
             case WarmUpFailed():
                 self._leave(AtollError(item.sentence))
-            case JobReady() | Unloadable() | Snapshot() | Computed() | Rejected() | Broken() | Abandoned():
+            case JobReady() | Unloadable():
+                if self._datasets.loaded(item.job):
+                    self._tell(item)
+            case Snapshot() | Computed() | Rejected() | Broken() | Abandoned():
                 self._tell(item)
 
     @_on.register
@@ -201,7 +204,10 @@ class Worker:
         elif event.name == _LIFETIME:
             self._begin_leaving()
         elif event.name == _GRACE:
-            _LOG.warning("not let go within %.0f s; what was not committed is computed again", self._leaving.grace_s)
+            _LOG.warning(
+                "not let go in time; what was not committed is computed again",
+                extra=fields(seconds=self._leaving.grace_s),
+            )
             self.exit_code = 0
         elif event.name == _GREET:
             self._greet()
@@ -239,9 +245,10 @@ class Worker:
             return
         if joined.is_restart:
             _LOG.info("the coordinator started anew; what was held is dropped")
-            self._tell(Reset())
+            self._tell(Reset(joined.incarnation))
             for job in self._datasets.jobs():
-                self._forget_job(job)
+                if not self.session.wants(job):
+                    self._forget_job(job)
         if joined.is_new_realm:
             self._listen()
         self._beat()
@@ -264,7 +271,7 @@ class Worker:
             self.exit_code = 0
         elif not self._leaving.has_begun:
             self._leaving.has_begun = True
-            _LOG.info("leaving: what is computed here is handed over, for at most %.0f s", self._leaving.grace_s)
+            _LOG.info("leaving: what is computed here is handed over", extra=fields(at_most_s=self._leaving.grace_s))
             self._bus.call_later(self._leaving.grace_s, _GRACE)
             self._beat()
 
@@ -284,6 +291,7 @@ class Worker:
             progress=self._compute.progress,
             holdings=self.session.holdings(),
             troubles=self.session.troubles(),
+            jobs=tuple(dict.fromkeys((*self.session.jobs(), *self._datasets.jobs()))),
             detail=self._detail,
             doing=doing(self._compute.doing) if self._state() == "computing" else None,
             counters=counters(self._bus, self.session, self.rejects),
@@ -334,7 +342,7 @@ class Worker:
         if body.refused:
             self._leave(RefusedError(body.sentence))
         else:
-            _LOG.info("%s; this worker ends", body.sentence or "the coordinator ended")
+            _LOG.info("this worker ends", extra=fields(reason=body.sentence or "the coordinator ended"))
             self.exit_code = 0
 
     # ---------------------------------------------------------------------------------------- datasets
@@ -400,8 +408,10 @@ class Worker:
                 self._datasets.announcement_came(asked.subject, event.payload)
             case _Asked("chunk"):
                 self._datasets.chunk_came(asked.subject, asked.index, event.payload)
-            case _Asked("placement") if event.payload is not None:
-                self._on_control(decode(event.payload, Control, MAX_MESSAGE).body)
+            case _Asked("placement"):
+                if event.payload is not None:
+                    self._on_control(decode(event.payload, Control, MAX_MESSAGE).body)
+                self.session.forget_early(asked.subject)
             case _Asked("states", states=PullStates() as pull):
                 self._states_came(pull, event.payload)
             case _Asked("pull") if event.payload is not None:

@@ -259,7 +259,10 @@ class Trouble(Model):
 
 
 class WorkerStatus(Model):
-    """The heartbeat. `progress` rises while the compute thread gets on; `detail` says what a person should know."""
+    """The heartbeat. `progress` rises while the compute thread gets on; `detail` says what a person should know.
+
+    `jobs` are those whose dataset is here or on its way, also without islands of theirs.
+    """
 
     kind: Literal["status"] = "status"
     instance: Id
@@ -268,6 +271,7 @@ class WorkerStatus(Model):
     progress: Count
     holdings: tuple[Holding, ...] = ()
     troubles: tuple[Trouble, ...] = ()
+    jobs: tuple[Id, ...] = ()
     detail: Sentence = ""
     doing: Doing | None = None
     counters: Counters = Counters()

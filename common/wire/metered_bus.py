@@ -126,6 +126,7 @@ _KINDS: Final[dict[type, str]] = {
     topics.ControlKey: "control",
     topics.JobKey: "job",
     topics.PlacementKey: "placement",
+    topics.StateKey: "state",
     topics.BlobKey: "blob",
     topics.MailKey: "mail",
     topics.ClientKey: "ask",

@@ -107,7 +107,7 @@ def _estimated(its: Measured, way: Way) -> list[Estimate]:
             for each, part, (first, last) in zip(its.trajectories.times, its.states[name], its.runs, strict=True)
         ]
         estimates.append(estimate(runs, way, its.held_out))
-        finite_spread(f"derivative of {name}", estimates[-1].derivative)
+        _derivative_spread(name, estimates[-1].derivative)
     return estimates
 
 
@@ -166,7 +166,7 @@ def _outliers(state: str, count: int, rows: int) -> str:
 def _target(name: str, lhs: str, its: Estimate, kept: list[int]) -> Target:
     """Return the target over all rows, with floor and deviation of those `kept`."""
     values = np.ascontiguousarray(its.derivative[kept])
-    deviation = finite_spread(f"derivative of {name}", values)
+    deviation = _derivative_spread(name, values)
     floor, _ = moments(np.ascontiguousarray(its.uncertainty[kept] / deviation))
     if not math.isfinite(floor):
         raise DataError(f"the uncertainty of the derivative of '{name}' cannot be told; sample more often")
@@ -174,3 +174,13 @@ def _target(name: str, lhs: str, its: Estimate, kept: list[int]) -> Target:
     if spread < deviation:  # constant but for rounding, of which a comparison of two orders sees only a part
         floor = max(floor, spread / deviation)
     return Target(name, lhs, its.derivative, floor, deviation, its.noise)
+
+
+def _derivative_spread(state: str, values: FloatArray) -> float:
+    """Return the standard deviation of a state's derivative; raises DataError when there is none to compute with."""
+    if not values.any():
+        raise DataError(
+            f"state '{state}' stands still wherever it can be differentiated, as one that is switched between values "
+            f"does, so that no equation can be sought; make it an input with --inputs {state}"
+        )
+    return finite_spread(f"derivative of {state}", values)

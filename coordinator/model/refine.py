@@ -21,6 +21,7 @@ from coordinator.data.prior import known_programs
 from coordinator.data.recording import Preparation
 from coordinator.model.criterion import Criterion
 from coordinator.model.errors import errors_on
+from coordinator.model.gathering import gathered
 from coordinator.model.polish import Polisher
 from coordinator.model.refinement import LOOSE, NORMAL_95, Constant, Pools, Refined, Refinement
 from coordinator.model.rewrite import constant_places, structure, tidied
@@ -122,6 +123,8 @@ def _finished(
     criterion, polisher = Criterion.of(decisive.target), Polisher(decisive, _spread_weights(weights, DECIDING_ROWS))
     if len(problem.target.values) > COMPARED_ROWS:
         program = snapped(polisher.fit(candidate.fitted.program), criterion, polisher).program
+    if may_be_shown(gathered(program), config.space.max_size):
+        program = gathered(program)
     error, mse = errors_on(problem, program, config.evolution.loss)
     fitted = polisher.fit(program).program
     std_errors = criterion.errors(polisher.fit(program, steps=0))

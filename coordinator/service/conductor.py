@@ -35,7 +35,7 @@ from coordinator.service.checkpoint import StoredProgress
 from coordinator.service.cut import Cut
 from coordinator.service.job import Conclude, Fault, Job, JobAction, KeepCut, Prepared, Refine, TellCommit
 from coordinator.service.keeping import Keeper
-from coordinator.service.membership import Membership
+from coordinator.service.membership import Member, Membership
 from coordinator.service.placement import Placer
 from coordinator.service.ports import StorePort
 from coordinator.service.progress import ended_view, job_result, job_view, result_text
@@ -208,7 +208,7 @@ class Conductor:
             self.watch.greeted(hello, refusal)
         if refusal is None and is_new:
             if before is not None:
-                self._lose(hello.name, before.hello.instance, "a new process has its name", now)
+                self._lose(before, "a new process has its name", now)
             for job in self.jobs.values():
                 for archipelago in job.open_archipelagos:
                     if archipelago.placement is not None and hello.name in archipelago.placement.workers:
@@ -217,7 +217,13 @@ class Conductor:
         return refusal
 
     def heartbeat(self, worker: str, status: WorkerStatus, now: float) -> None:
-        """Take in a heartbeat and set right what the worker holds and should not, or should and does not."""
+        """Take in a heartbeat and set right what the worker holds and should not, or should and does not.
+
+        Raises:
+            RemoteProtocolError: The worker has heard of an incarnation that there is not.
+            StoreError: There is: another coordinator has taken over.
+        """
+        self._check_incarnation(worker, status)
         was_ready, was_lost = self.membership.is_ready(worker), self.membership.is_lost(worker)
         if not self.membership.hear(worker, status, now):
             self._outlet.tell(Introduce(), worker)
@@ -231,6 +237,8 @@ class Conductor:
         held = {(each.job, each.variable): each for each in status.holdings}
         for holding in status.holdings:
             self._check_holding(worker, holding)
+        for job in status.jobs:
+            self._check_dataset(worker, job)
         self._send_missing_placements(worker, held)
         if status.state == "leaving":
             self._let_go(worker, now)
@@ -243,6 +251,13 @@ class Conductor:
         placements = (each.placement for job in self.jobs.values() for each in job.open_archipelagos)
         if not any(worker in placement.workers for placement in placements if placement is not None):
             self._outlet.tell(Shutdown(sentence="nothing is placed here any more"), worker)
+
+    def _check_incarnation(self, worker: str, status: WorkerStatus) -> None:
+        if status.incarnation > self._store.incarnation:
+            self._store.check()
+            raise RemoteProtocolError(
+                f"worker {worker} has heard of incarnation {status.incarnation}, but this is {self._store.incarnation}"
+            )
 
     def report(self, worker: str, report: EpochReport, now: float) -> None:
         """Take in a report; raises RemoteProtocolError when it cannot be."""
@@ -267,7 +282,10 @@ class Conductor:
 
     def written(self, checkpoint: Checkpoint, now: float) -> None:
         """Take in that a checkpoint is durable: it is told, and whoever waits for it is placed."""
-        commit = self._keeper.written(self.jobs.get(checkpoint.job), checkpoint, now)
+        job = self.jobs.get(checkpoint.job)
+        commit = self._keeper.written(job, checkpoint, now)
+        if job is not None:
+            self.watch.committed(checkpoint)
         if commit is not None:
             self._outlet.tell(commit)
         self.place(now)
@@ -277,7 +295,7 @@ class Conductor:
         for worker in self.membership.expire(now, self.watch.patience(self.jobs.values())):
             member = self.membership.member(worker)
             if member is not None:
-                self._lose(worker, member.hello.instance, member.lost_by, now)
+                self._lose(member, member.lost_by, now)
         for job in list(self.jobs.values()):
             self._carry_out(job, job.tick(now), now)
         self._prepare_next()
@@ -285,9 +303,9 @@ class Conductor:
         self._keeper.look(self.jobs.values(), now)
         self.watch.look(self.jobs.values(), now)
 
-    def _lose(self, worker: str, instance: str, why: str, now: float) -> None:
+    def _lose(self, member: Member, why: str, now: float) -> None:
         """Take notice that a process is lost, which may be the last one that a job can cost."""
-        for job, sentence in self.watch.lost(worker, instance, why, self.jobs.values()):
+        for job, sentence in self.watch.lost(member, why, self.jobs.values()):
             self.job_failed(job, "poison", sentence, now)
 
     # --------------------------------------------------------------------------------------- placement
@@ -357,9 +375,10 @@ class Conductor:
     def _check_holding(self, worker: str, holding: Holding) -> None:
         archipelago = self._archipelago(holding.job, holding.variable)
         if archipelago is None or archipelago.cut is not None:
-            job = self.jobs.get(holding.job)
-            is_over = job is None or job.state != "running"
-            self._outlet.tell(Close(job=holding.job, variable=None if is_over else holding.variable), worker)
+            if not self._is_open(holding.job):
+                self._outlet.tell(Close(job=holding.job), worker)
+            elif archipelago is not None:
+                self._outlet.tell(Close(job=holding.job, variable=holding.variable), worker)
             return
         placement = archipelago.placement
         if placement is None:
@@ -369,15 +388,26 @@ class Conductor:
         elif holding.term == placement.term:
             self._catch_up(worker, archipelago, holding)
 
+    def _check_dataset(self, worker: str, job_id: str) -> None:
+        """Have a dataset forgotten that is needed no more."""
+        if not self._is_open(job_id):
+            self._outlet.tell(Close(job=job_id), worker)
+
+    def _is_open(self, job_id: str) -> bool:
+        """Tell whether islands of a job are computed now or will be: what is said to be closed may arrive late."""
+        job = self.jobs.get(job_id)
+        return job is not None and job.state in ("queued", "preparing", "running")
+
     def _catch_up(self, worker: str, archipelago: Archipelago, holding: Holding) -> None:
         """Pull reports that were lost, and repeat a commit that was."""
         archipelago.note_holding(worker, holding)
+        self.watch.waited(worker, holding)
         pull = archipelago.missing_reports(worker, holding)
         if pull is not None:
             self._outlet.pull(worker, pull)
         due = archipelago.forget_due()
         if due is not None:
-            self._tell_commit(due)
+            self._outlet.tell(due)
         commit = archipelago.commit()
         if commit is not None and holding.commit < commit.epoch:
             self._outlet.tell(commit, worker)
@@ -411,7 +441,7 @@ class Conductor:
                 case KeepCut():
                     self._keep_cut(job, action.cut)
                 case TellCommit():
-                    self._tell_commit(action.commit)
+                    self._outlet.tell(action.commit)
                 case Refine():
                     if job.prepared is not None:
                         self.watch.refining(job.id)
@@ -423,10 +453,6 @@ class Conductor:
         self._store.commit_cut(job.id, cut.variable, encode(cut))
         self._outlet.tell(Close(job=job.id, variable=cut.variable))
         self.watch.cut(job.id, cut)
-
-    def _tell_commit(self, commit: Commit) -> None:
-        self._outlet.tell(commit)
-        self.watch.committed(commit)
 
     def _live_view(self, job: Job, now: float) -> JobView:
         return self.watch.completed(job_view(job, self.membership, now, tuple(self.jobs.values())), job)

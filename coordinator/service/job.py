@@ -199,15 +199,16 @@ class Job:
         return [Conclude()]
 
     def cancel(self) -> list[JobAction]:
-        """End it and keep what has been found; without effect on a job that has ended."""
+        """End it and keep what has been found; without effect on a job that has ended.
+
+        The result alone is committed: cuts by a cancellation that is then lost would end a job that goes on.
+        """
         if self.has_ended:
             return []
-        actions: list[JobAction] = []
         for archipelago in self.open_archipelagos:
             archipelago.collector.cut_now("cancelled")
-            actions += self._cut_of(archipelago)
         self._step("cancel")
-        return [*actions, Conclude()]
+        return [Conclude()]
 
     def fail(self, fault: Fault, sentence: str) -> list[JobAction]:
         """End it with a reason; without effect on a job that has ended."""

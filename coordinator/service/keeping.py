@@ -1,6 +1,5 @@
 """Has checkpoints gathered and written while the search goes on. Knows no bus: it asks through an outlet."""
 
-import logging
 from collections.abc import Iterable
 from typing import Final, Protocol
 
@@ -8,8 +7,6 @@ from common.wire.codec import encode
 from common.wire.messages import Commit, PullStates, States
 from coordinator.service.archipelago import Archipelago, Checkpoint
 from coordinator.service.job import Job
-
-_LOG = logging.getLogger(__name__)
 
 MOST_ASKS: Final = 4
 """Questions for states under way at the same time; with 4 MB an answer, what may come in at once."""
@@ -64,10 +61,6 @@ class Keeper:
 
     def written(self, job: Job | None, checkpoint: Checkpoint, now: float) -> Commit | None:
         """Take in that a checkpoint is durable; return what the workers are to be told."""
-        _LOG.info(
-            "checkpoint job=%s variable=%s epoch=%d term=%d",
-            checkpoint.job, checkpoint.variable, checkpoint.epoch, checkpoint.term,
-        )  # fmt: skip
         archipelago = job.archipelagos.get(checkpoint.variable) if job is not None else None
         return archipelago.committed(checkpoint, now) if archipelago is not None else None
 

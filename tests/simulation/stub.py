@@ -43,7 +43,7 @@ class StubIsland:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "StubIsland":
-        return cls(data[8:], struct.unpack("<q", data[:8])[0])
+        return cls(data[8:40], struct.unpack("<q", data[:8])[0])
 
 
 @dataclass(frozen=True)

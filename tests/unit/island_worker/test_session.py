@@ -662,3 +662,22 @@ def test_a_term_that_begins_at_a_checkpoint_goes_on_like_any_other(session: Sess
     actions = session.handle(computed(key(0, 6, term=2), {1: b"out"}, 1))
     assert tasks(actions) == [key(0, 7, term=2)]
     assert reported(actions) == [(6, [0])]
+
+
+def test_a_reset_keeps_what_the_new_incarnation_has_placed_already(session: Session) -> None:
+    begun(session, "me", "peer", term=5)
+    assert session.handle(Reset(incarnation=1)) == []
+    assert session.jobs() == ("job",)
+    assert tasks(list(session.handle(placed("me", "peer", term=5)))) == []
+    assert session.handle(Reset(incarnation=2)) == [Discard(ShareKey("job", "x", 5)), DiscardJob("job")]
+    assert session.jobs() == ()
+
+
+def test_early_mail_is_forgotten_when_its_job_is_closed_or_its_placement_has_been_asked_for(session: Session) -> None:
+    asked = [FetchPlacements("job")]
+    assert session.handle(mail(0, (1, 0, b"early"))) == asked
+    assert session.handle(mail(0, (1, 0, b"more"))) == []
+    session.handle(Closed(Close(job="job")))
+    assert session.handle(mail(0, (1, 0, b"late"))) == asked
+    session.forget_early("job")
+    assert session.handle(mail(0, (1, 0, b"again"))) == asked

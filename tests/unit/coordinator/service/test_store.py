@@ -378,6 +378,9 @@ def test_a_store_of_layout_1_is_brought_up_to_date_and_keeps_what_it_has(tmp_pat
         assert store.placements("running") == {"x": (3, b"placement"), "y": (2, None)}
         assert store.cuts("running") == {"y": b"cut"}
         assert store.checkpoints("running") == {}
+        assert [job.priority for job in store.jobs()] == [0, 0]
+        store.add_events([EventRecord("running", "now", "submitted", "{}")])
+        assert len(store.events("running", 0, 9)) == 1
         assert store.commit_checkpoint("running", "x", 8, b"progress", states_of(8), 1.0)
     with Store.open(tmp_path) as store:
         assert store.checkpoints("running") == {"x": (8, b"progress")}
