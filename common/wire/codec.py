@@ -7,7 +7,7 @@ the caller meets a RemoteProtocolError with one sentence. Nothing that travels i
 
 import math
 import struct
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any, Final, TypeVar, cast
 
 import msgpack
