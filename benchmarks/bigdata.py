@@ -1,9 +1,9 @@
 """A large data set on its way to many workers: how long that takes, and the most memory that any process has.
 
 ``python -m benchmarks.bigdata --megabytes 50 --workers 8`` writes a file whose table takes as much, has `coordinator
-submit` read and upload it, waits until every worker has loaded it and computes, and cancels the job. The most memory that a process
-ever had is what the system says of it (Linux, ``VmHWM``); that of `submit` is what it says at its end. Returns 1 when a
-process had more than 1 GB, else 0.
+submit` read and upload it, waits until every worker has loaded it and computes, and cancels the job. The most memory
+that a process ever had is what the system says of it (Linux, ``VmHWM``); that of `submit` is what it says at its end.
+Returns 1 when a process had more than 1 GB, else 0.
 """
 
 import argparse

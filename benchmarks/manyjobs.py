@@ -1,8 +1,8 @@
 """Many jobs submitted at once to few workers: all end, and with the digests that they have alone.
 
-``python -m benchmarks.manyjobs --jobs 8 --workers 2`` starts a coordinator and workers, submits as many jobs as asked for
-without waiting, and follows them to their ends; then submits them again under other ids, each alone. Returns 1 when a
-job does not end well or a digest differs, else 0.
+``python -m benchmarks.manyjobs --jobs 8 --workers 2`` starts a coordinator and workers, submits as many jobs as
+asked for without waiting, and follows them to their ends; then submits them again under other ids, each alone. Returns
+1 when a job does not end well or a digest differs, else 0.
 """
 
 import argparse
