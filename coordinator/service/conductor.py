@@ -224,12 +224,12 @@ class Conductor:
             StoreError: There is: another coordinator has taken over.
         """
         self._check_incarnation(worker, status)
-        was_ready, was_lost = worker in self.membership.ready(), self.membership.is_lost(worker)
+        was_ready, was_lost = self.membership.is_ready(worker), self.membership.is_lost(worker)
         if not self.membership.hear(worker, status, now):
             self._outlet.tell(Introduce(), worker)
             return
         self.watch.heard(worker, status, was_lost)
-        if not was_ready and worker in self.membership.ready():
+        if not was_ready and self.membership.is_ready(worker):
             self.place(now)
         for trouble in status.troubles:
             if self._is_current(trouble.job, trouble.variable, trouble.term):
@@ -242,7 +242,8 @@ class Conductor:
         self._send_missing_placements(worker, held)
         if status.state == "leaving":
             self._let_go(worker, now)
-        self._keeper.look(self.jobs.values(), now)
+        for holding in status.holdings:
+            self._keeper.look_at(self.jobs.get(holding.job), holding.variable, now)
 
     def _let_go(self, worker: str, now: float) -> None:
         """Place elsewhere what a worker has that wants to end; when it has nothing, tell it so."""
@@ -267,7 +268,7 @@ class Conductor:
             return
         self.watch.reported(job.id)
         self._carry_out(job, job.receive(worker, report, now), now)
-        self._keeper.look([job], now)
+        self._keeper.look_at(job, report.variable, now)
 
     def states_came(self, worker: str, asked: PullStates, body: States | None, now: float) -> None:
         """Take in the answer to a question for states; None: there was none, and it is asked again later.

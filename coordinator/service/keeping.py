@@ -33,11 +33,20 @@ class Keeper:
         """Ask for the states that are due, and have written what is complete."""
         for job in jobs:
             for archipelago in job.open_archipelagos:
-                self._ask(archipelago)
-                checkpoint = archipelago.checkpoint_due()
-                if checkpoint is not None:
-                    progress = encode(checkpoint.stored_progress(job.search_seconds(now)))
-                    self._outlet.write(checkpoint, progress, now - job.submitted_at)
+                self._look_at(job, archipelago, now)
+
+    def look_at(self, job: Job | None, variable: str, now: float) -> None:
+        """Do so for one archipelago, of which there is news: to look at all of them each time would take its time."""
+        archipelago = job.archipelagos.get(variable) if job is not None and job.state == "running" else None
+        if job is not None and archipelago is not None and archipelago.cut is None:
+            self._look_at(job, archipelago, now)
+
+    def _look_at(self, job: Job, archipelago: Archipelago, now: float) -> None:
+        self._ask(archipelago)
+        checkpoint = archipelago.checkpoint_due()
+        if checkpoint is not None:
+            progress = encode(checkpoint.stored_progress(job.search_seconds(now)))
+            self._outlet.write(checkpoint, progress, now - job.submitted_at)
 
     def states_came(self, job: Job | None, worker: str, asked: PullStates, body: States | None) -> None:
         """Take in the answer of a worker; None: there was none.

@@ -45,7 +45,7 @@ def stall_of(archipelago: Archipelago, membership: Membership, still_s: float) -
         still_s: seconds since an epoch was completed, or since the archipelago was placed.
     """
     placement = archipelago.placement
-    if placement is None or archipelago.cut is not None:
+    if placement is None or archipelago.cut is not None or still_s < min(PATIENCE_S.values()):
         return None
     awaited = archipelago.collector.awaited()
     workers = sorted({placement.workers[island] for island in awaited if island < len(placement.workers)})
