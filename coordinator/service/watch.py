@@ -85,9 +85,11 @@ class Watch:
         was_isolated = suspicion is not None and suspicion.is_isolated
         if suspicion is not None and suspicion.commits(epoch) and was_isolated:
             self.chronicle.note("pardoned", "it gets on, and is isolated no more", job, variable=variable)
-        size = sum(len(state.data) for state in checkpoint.states.values())
         text = f"the checkpoint of epoch {epoch} is durable"
-        self.chronicle.note("commit", text, job, variable=variable, epoch=epoch, term=checkpoint.term, bytes=size)
+        self.chronicle.note(
+            "commit", text, job, variable=variable, epoch=epoch, term=checkpoint.term, islands=len(checkpoint.states),
+            bytes=checkpoint.size,
+        )  # fmt: skip
 
     def cut(self, job: str, cut: Cut) -> None:
         """Take notice of an archipelago's end."""
