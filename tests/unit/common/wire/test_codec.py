@@ -1,6 +1,7 @@
 """What the codec promises: what goes in comes out, and whatever else arrives ends in one sentence."""
 
 import contextlib
+import tracemalloc
 from typing import Annotated, Literal
 
 import msgpack
@@ -215,3 +216,45 @@ def test_a_dataset_that_is_not_finite_or_does_not_fit_is_refused(values: np.ndar
 def test_a_dataset_without_its_fields_is_refused() -> None:
     with pytest.raises(RemoteProtocolError, match="names"):
         codec.dataset_from_bytes(codec.encode_arrays({}, {"inputs": np.zeros((2, 3))}))
+
+
+class Many(Model):
+    kind: Literal["many"] = "many"
+    pings: tuple[Ping, ...] = ()
+
+
+def long_array(count: int, item: bytes) -> bytes:
+    """Return a message whose `pings` are so many times the same bytes."""
+    return b"\x81\xa5pings\xdd" + count.to_bytes(4, "big") + item * count
+
+
+@pytest.mark.parametrize("item", [b"\x80", b"\x90", b"\xe0", b"\xa2ab", b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00"])
+def test_a_million_wrong_items_cost_no_more_memory_than_a_multiple_of_their_bytes(item: bytes) -> None:
+    data = long_array(300_000, item)
+    tracemalloc.start()
+    try:
+        with pytest.raises(RemoteProtocolError, match="pings"):
+            codec.decode(data, Many)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 50 * 1024 * 1024
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (long_array(codec.MAX_ITEMS + 1, b"\x00"), "exceeds max_array_len"),
+        (long_array(codec.MAX_ITEMS // 2, b"\x91\x00"), "more than 2000000 items"),
+        (long_array(codec.MAX_ITEMS // 2, b"\x80"), "more than 2000000 items|pings"),
+        (b"\xde\x10\x01" + b"".join(b"\xa4%04d\x00" % number for number in range(4097)), "exceeds max_map_len"),
+        (b"\x91" * 1_000_000, "nested deeper"),
+    ],
+)
+def test_too_much_is_refused_before_it_is_built(data: bytes, reason: str) -> None:
+    with pytest.raises(RemoteProtocolError, match=reason):
+        codec.decode(data, Many)
+
+
+def test_the_last_of_equal_keys_counts() -> None:
+    assert codec.decode(b"\x83\xa4kind\xa4ping\xa6number\x01\xa6number\x02", Ping).number == 2
