@@ -20,9 +20,9 @@ def test_messages_of_every_kind_are_overheard(messages: list[Overheard]) -> None
 
 def test_a_mutated_message_is_a_message_or_a_refusal(messages: list[Overheard]) -> None:
     score = Score()
-    fuzz_decoder(messages, 4000, Mutator(1), score)
+    fuzz_decoder(messages, 3000, Mutator(1), score)
     assert score.refused.keys() >= KINDS
-    assert score.refused.total() > 3000
+    assert score.refused.total() > 2000
     assert score.understood.total() > 20
 
 
@@ -31,6 +31,6 @@ def test_a_stranger_who_says_them_changes_no_result(
 ) -> None:
     caplog.set_level(logging.ERROR)
     score = Score()
-    fuzz_sessions(messages, 1000, Mutator(2), score)
-    assert score.sent >= 1000
-    assert score.rejects > 500
+    fuzz_sessions(messages, 300, Mutator(2), score)
+    assert score.sent >= 300
+    assert score.rejects > 150
