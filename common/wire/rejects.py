@@ -28,7 +28,7 @@ class Rejects:
         source = source[:200]
         if source not in self.counts:
             if len(self.counts) < MAX_SOURCES:
-                self._logger.warning("dropped message source=%s reason=%s", source, error)
+                self._logger.warning("dropped message source=%s reason=%.500s", source, error)
             else:
                 source = OTHERS
         self.counts[source] = self.counts.get(source, 0) + 1
