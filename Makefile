@@ -8,13 +8,14 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/atoll-installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick kernels check bench clean
+.PHONY: help demo test quick kernels generic-kernels check soak bench clean
 
 help:
 	@echo "make demo    find the two equations of a Lotka-Volterra system, on two workers"
 	@echo "make test    all tests"
 	@echo "make quick   the tests that take less than about ten seconds each"
 	@echo "make check   style, formatting, types, import contracts"
+	@echo "make soak    schedules of faults, simulated, on all cores: make soak SCHEDULES=10000"
 	@echo "make bench   the short benchmarks; benchmarks/RESULTS.md has the long ones"
 	@echo "             with STROGATZ=folder also the label files there"
 	@echo "make clean   remove the environment, caches and build products"
@@ -30,7 +31,8 @@ $(STAMP): pyproject.toml
 demo: $(STAMP)
 	@$(BIN)/python -m examples.demo
 
-test: $(STAMP) kernels
+test: $(STAMP)
+	@$(MAKE) --no-print-directory -j 2 kernels generic-kernels
 	@$(BIN)/pytest
 
 quick: $(STAMP) kernels
@@ -41,11 +43,19 @@ kernels: $(STAMP)
 	@$(BIN)/python -c "from island_worker.warmup import warm_up; warm_up(print)"
 	@$(BIN)/python -c "from coordinator.warmup import warm_up; warm_up()"
 
+# For the test that compares the bits of different processors; two compilers at a time take no longer than one.
+generic-kernels: $(STAMP)
+	@$(BIN)/python -m tests.generic
+
 check: $(STAMP)
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check --quiet . || { echo "formatting differs; run: $(BIN)/ruff format ."; exit 1; }
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+
+SCHEDULES ?= 1000
+soak: $(STAMP) kernels
+	@$(BIN)/python -m tests.simulation.soak --schedules $(SCHEDULES)
 
 bench: $(STAMP)
 	@$(BIN)/python -m benchmarks.elementary

@@ -8,6 +8,8 @@ Efficiency compares two workers on one job with two independent services of one 
 same time: jobs a second of the former over those of the latter. It asks what the distribution costs, and leaves out
 what two busy cores cost each other.
 
+``--simulated-islands 16,64,256,512,1024`` measures something else: what a coordinator takes (`benchmarks.scale`).
+
 An epoch, where messages are counted, is one of one archipelago. Only payloads count; heartbeats count by the second.
 Returns 1 when a digest differs, else 0.
 """
@@ -26,6 +28,7 @@ from benchmarks.derivatives import table_of
 from benchmarks.figures import write_figures
 from benchmarks.options import positive, whole
 from benchmarks.reporting import load, plain_errors, seeds
+from benchmarks.scale import measure_scale
 from benchmarks.services import Searches, searching
 from benchmarks.systems import TABLE_III, trajectories
 from benchmarks.watching import Idleness, Load, counting, load_of
@@ -234,6 +237,9 @@ class Findings:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print; return 1 when a digest depends on the number of workers, else 0."""
     options = _parser().parse_args(arguments)
+    if options.simulated_islands:
+        with plain_errors("benchmarks.scaling"):
+            return measure_scale(options.simulated_islands, options, sys.argv[1:] if arguments is None else arguments)
     findings = Findings(sys.argv[1:] if arguments is None else arguments, options.out)
     with plain_errors("benchmarks.scaling"):
         _measure(Bench(options), options, findings)
@@ -272,6 +278,11 @@ def _parser() -> argparse.ArgumentParser:
         "--max-time", type=positive, default=600.0, metavar="SECONDS", help="limit of a search (%(default)g)"
     )
     parser.add_argument("--no-efficiency", action="store_true", help="leave out the two services side by side")
+    simulated = parser.add_argument_group("what a coordinator takes, with workers whose islands only pretend")
+    simulated.add_argument("--simulated-islands", type=_numbers, metavar="16,64", help="numbers of islands")
+    simulated.add_argument("--period", type=positive, default=1.0, help="seconds of an epoch (%(default)g)")
+    simulated.add_argument("--seconds", type=positive, default=15.0, help="length of a measurement (%(default)g)")
+    simulated.add_argument("--noise", type=float, default=0.0, help="of the data that reports are from (%(default)g)")
     parser.add_argument("--out", type=Path, help="file for all figures as JSON")
     return parser
 

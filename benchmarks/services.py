@@ -9,7 +9,8 @@ import subprocess
 import sys
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO, Any, Final
@@ -129,19 +130,41 @@ def progress(name: str, view: JobView) -> str:
 def searching(workers: int, environment: dict[str, str] | None = None) -> Iterator[Searches]:
     """Start a coordinator and `workers` in `environment` (this process's if None); end them afterwards."""
     with ExitStack() as stack:
+        its = stack.enter_context(coordinating(environment))
+        commands = [worker_command(its.address, f"w{index}") for index in range(workers)]
+        ours = [its.process, *(stack.enter_context(its.started(each)) for each in commands)]
+        client = stack.enter_context(connected(its.address, CONNECT_LIMIT_S))
+        searches = Searches(client, its.address, ours)
+        searches.wait_for(workers)
+        searches.warm_up()
+        note(f"{workers} workers ready at {its.address}")
+        yield searches
+
+
+@dataclass(frozen=True)
+class Coordinating:
+    """A coordinator as a process of this machine; `folder` is removed at its end."""
+
+    address: str
+    process: subprocess.Popen[str]
+    folder: Path
+    log: IO[str]
+    environment: dict[str, str] | None
+
+    def started(self, command: Sequence[str]) -> AbstractContextManager[subprocess.Popen[str]]:
+        """Start another process, which ends with the block; what it says on stderr goes to the log."""
+        return _process(command, self.log, self.environment)
+
+
+@contextmanager
+def coordinating(environment: dict[str, str] | None = None) -> Iterator[Coordinating]:
+    """Start a coordinator on a free port, in `environment` (this process's if None); end it afterwards."""
+    with ExitStack() as stack:
         stack.enter_context(raising_interrupts())
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="atoll-benchmark-")))
         log = stack.enter_context((folder / "log").open("w", encoding="utf-8"))
         coordinator = stack.enter_context(_process(_serve_command(folder), log, environment))
-        address = _address(coordinator, folder / "log")
-        commands = [worker_command(address, f"w{index}") for index in range(workers)]
-        ours = [coordinator, *(stack.enter_context(_process(each, log, environment)) for each in commands)]
-        client = stack.enter_context(connected(address, CONNECT_LIMIT_S))
-        searches = Searches(client, address, ours)
-        searches.wait_for(workers)
-        searches.warm_up()
-        note(f"{workers} workers ready at {address}")
-        yield searches
+        yield Coordinating(_address(coordinator, folder / "log"), coordinator, folder, log, environment)
 
 
 def _serve_command(folder: Path) -> Sequence[str]:

@@ -68,6 +68,7 @@ class DataConfig(Model):
     holdout: Annotated[int, Field(ge=1)] | Annotated[str, Field(pattern=r"^.+=.+$")] | None = Field(
         None, description="trajectories kept from the search: so many last ones, or COLUMN=VALUE"
     )
+    weights: str | None = Field(None, description="column of row weights: inverse variances, up to a factor; 0: unused")
     offsets: tuple[str, ...] = Field((), description="states measured up to an offset that each trajectory has its own")
     missing: Literal["refuse", "drop"] = Field("refuse", description="what to do with rows holding NaN or infinity")
 

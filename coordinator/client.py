@@ -23,8 +23,10 @@ from common.wire.messages import (
     Answer,
     Ask,
     Cancel,
+    EventList,
     Failure,
     FailureKind,
+    GetEvents,
     GetResult,
     Greeting,
     GreetingAnswer,
@@ -42,7 +44,7 @@ from common.wire.messages import (
     WorkerList,
     Workers,
 )
-from common.wire.views import JobView, WorkerView
+from common.wire.views import CoordinatorView, EventView, JobView, WorkerView
 
 ANSWER_LIMIT_S: Final = 10.0
 """How long any other question may remain without an answer."""
@@ -62,7 +64,7 @@ _ERRORS: Final[dict[FailureKind, type[AtollError]]] = {
 }
 
 A = TypeVar("A")
-Body = Upload | Submit | Jobs | Status | Workers | GetResult | Cancel
+Body = Upload | Submit | Jobs | Status | Workers | GetResult | Cancel | GetEvents
 
 
 class Client:
@@ -134,9 +136,9 @@ class Client:
             self._upload_chunk(blob, data, index)
         return blob
 
-    def submit(self, job: str, name: str, config: JobConfig, table: str) -> JobView:
+    def submit(self, job: str, name: str, config: JobConfig, table: str, priority: int = 0) -> JobView:
         """Submit a job under the id `job` on the uploaded table of that digest."""
-        body = Submit(job=job, name=name[:200], config=config, table=table)
+        body = Submit(job=job, name=name[:200], config=config, table=table, priority=priority)
         return self._ask(body, JobStatus, f"the acceptance of job {job}").job
 
     def jobs(self) -> tuple[JobView, ...]:
@@ -150,6 +152,15 @@ class Client:
     def workers(self) -> tuple[WorkerView, ...]:
         """Return the workers that the coordinator knows."""
         return self._ask(Workers(), WorkerList, "the list of workers").workers
+
+    def coordinator(self) -> CoordinatorView | None:
+        """Return the coordinator's view of itself."""
+        return self._ask(Workers(), WorkerList, "the coordinator's counters").coordinator
+
+    def events(self, job: str | None, after: int = 0, limit: int = 200) -> tuple[EventView, ...]:
+        """Return what happened to `job`, or at all (None), after that event; the last events when `after` is 0."""
+        body = GetEvents(job=job, after=after, limit=limit)
+        return self._ask(body, EventList, "the log of events").events
 
     def result(self, job: str) -> dict[str, Any]:
         """Return the contents of result.json; while the job runs, the best so far."""

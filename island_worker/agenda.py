@@ -1,7 +1,8 @@
 """What is under way on a worker, slice by slice: the compute thread's order of work. Pure; time comes from a clock.
 
-Islands take turns of one slice: first the job charged least, then the slice that counts first (`common.slices`). When
-the target is met, what is no longer needed is given up at once, and what has come far enough is reported.
+Islands take turns of one slice: first the job charged least by its weight, then the slice that counts first
+(`common.slices`). When the target is met, what is no longer needed is given up at once, and what has come far enough is
+reported.
 """
 
 from collections.abc import Callable, Iterable
@@ -54,17 +55,23 @@ class Agenda:
     """The tasks of one worker that are not done yet."""
 
     def __init__(self, begin: Begin, clock: Callable[[], float]) -> None:
-        """`clock` gives seconds, by which jobs are charged for their turns."""
+        """`clock` gives seconds, by which jobs are charged for their turns; `doing` is the task of the last turn."""
         self._begin = begin
         self._clock = clock
         self._open: dict[TaskKey, _Open] = {}
         self._hits: dict[ShareKey, Position] = {}
         self._charged: dict[str, float] = {}
+        self._weights: dict[str, float] = {}
+        self.doing: TaskKey | None = None
 
     @property
     def is_idle(self) -> bool:
         """Whether there is nothing to compute."""
         return not self._open
+
+    def weigh(self, job: str, weight: float) -> None:
+        """Charge a job's turns by 1/`weight` of their time, so that it gets that many times the share of others."""
+        self._weights[job] = weight
 
     def add(self, task: Task) -> list[Outcome]:
         """Take in a task; return that it is given up when it is not needed."""
@@ -83,6 +90,7 @@ class Agenda:
         """Compute one slice of the task whose turn it is; return its snapshot and what came of tasks done by it."""
         key = min(self._open, key=self._rank)
         opened = self._open[key]
+        self.doing = key
         began = self._clock()
         snapshots: list[Snapshot | Outcome] = []
         outcome: Outcome | None = None
@@ -93,7 +101,7 @@ class Agenda:
             outcome = Rejected(key, str(error))
         except Exception as error:  # it is the job that fails, not the worker
             outcome = Broken(key, f"island {key.island} of {key.variable} broke in epoch {key.epoch}: {brief(error)}")
-        self._charged[key.job] += self._clock() - began
+        self._charged[key.job] += (self._clock() - began) / self._weights.get(key.job, 1.0)
         if outcome is None and not opened.task.is_held:
             return snapshots + self._settle([key])
         del self._open[key]
@@ -108,6 +116,7 @@ class Agenda:
     def discard_job(self, job: str) -> None:
         """Forget what a job was charged."""
         self._charged.pop(job, None)
+        self._weights.pop(job, None)
 
     def _rank(self, key: TaskKey) -> tuple[float, int, int, int, str, str, int]:
         opened = self._open[key]

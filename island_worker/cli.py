@@ -9,6 +9,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from functools import partial
 from typing import TYPE_CHECKING, Final, NoReturn
 
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 INTERRUPTED: Final = 130
 _WAIT_S: Final = 10.0
+_GRACE_S: Final = 30.0
+_UNITS: Final = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 _NAME: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _MOST_PROCESSES: Final = 1024
 
@@ -30,6 +33,7 @@ examples:
   ATOLL_CONNECT=tcp/lab1:7447 island-worker --processes 4    the address from the environment
   island-worker --connect tcp/lab1:7447 --wait 3600          wait up to an hour for a coordinator to come (back)
   island-worker --connect tls/lab1:7447 --tls-ca authority.pem --tls-cert certificate.pem --tls-key key.pem
+  island-worker --connect tcp/lab1:7447 --lifetime 55m       hand over and end before the hour that was reserved is over
 """
 
 
@@ -91,6 +95,7 @@ class _Parser(argparse.ArgumentParser):
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     from common import VERSION
+    from common.log_options import add_log_options
     from common.wire.tls_options import OPTIONS
 
     parser = _Parser(
@@ -129,6 +134,20 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         default=_WAIT_S,
         help="how long the coordinator may be away, at the start or later (default: %(default)g)",
     )
+    parser.add_argument(
+        "--lifetime",
+        metavar="TIME",
+        type=_duration,
+        help="leave after this time, such as 90s, 30m or 12h: what is computed here is handed over, nothing is lost",
+    )
+    parser.add_argument(
+        "--grace",
+        metavar="TIME",
+        type=_duration,
+        default=_GRACE_S,
+        help="how long handing over may take, then and after SIGTERM; a second SIGTERM ends at once (default: 30s)",
+    )
+    add_log_options(parser)
     parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # end with this process
     parser.add_argument("--leave", action="store_true", help=argparse.SUPPRESS)  # the workers to the parent, and end
     parser.add_argument("--version", action="version", version=f"atoll {VERSION}")
@@ -147,7 +166,7 @@ def _dispatch(options: argparse.Namespace) -> int:
         number, reason = choose_number(os.environ)
         sys.stderr.write(f"island-worker: {number} {'process' if number == 1 else 'processes'}: {reason}\n")
     if number == 1 and not options.leave:
-        return _work(connect, name, options.wait, options.parent)
+        return _work(connect, name, options, options.parent)
     names = [f"{name[:58]}-{index}" for index in range(number)]
     return _work_together(connect, names, options)
 
@@ -182,7 +201,11 @@ def _work_together(connect: "Destination", names: Sequence[str], options: argpar
     from island_worker.processes import ending_on_signals, hear_of_death, supervise, supervise_forks, worker_command
 
     if not can_fork():
-        return supervise([worker_command(connect, each, options.wait) for each in names], options.parent)
+        commands = [
+            worker_command(connect, each, options.wait, options.grace, options.lifetime, _log_options(options))
+            for each in names
+        ]
+        return supervise(commands, options.parent, options.grace)
     with ending_on_signals():
         if options.parent is not None:
             hear_of_death()
@@ -190,38 +213,34 @@ def _work_together(connect: "Destination", names: Sequence[str], options: argpar
         if options.parent not in (None, os.getppid()):
             return 0
     parent = options.parent if options.leave else os.getpid()
-    works = {name: partial(_work_guarded, connect, name, options.wait, parent) for name in names}
+    works = {name: partial(_work_guarded, connect, name, options, parent) for name in names}
     if not options.leave:
-        return supervise_forks(list(works.values()), options.parent)
+        return supervise_forks(list(works.values()), options.parent, options.grace)
     leave(works)
     return 0
 
 
-def _work_guarded(connect: "Destination", name: str, wait_s: float, parent: int) -> int:
-    return _guarded(partial(_work, connect, name, wait_s, parent))
+def _log_options(options: argparse.Namespace) -> list[str]:
+    return ["--log-format", options.log_format, "--log-level", options.log_level]
 
 
-def _work(connect: "Destination", name: str, wait_s: float, parent: int | None) -> int:
-    from island_worker.processes import end_with_parent, ending_on_signals
+def _work_guarded(connect: "Destination", name: str, options: argparse.Namespace, parent: int) -> int:
+    return _guarded(partial(_work, connect, name, options, parent))
+
+
+def _work(connect: "Destination", name: str, options: argparse.Namespace, parent: int | None) -> int:
+    from common.logs import configure
+    from island_worker.processes import end_with_parent, ending_on_signals, leaving_on_signals
 
     with ending_on_signals():
         if parent is not None:
             end_with_parent(parent)
-        _configure_log(name)
-        from island_worker.runtime import run_worker
+        configure(options.log_format, options.log_level, worker=name)
+        from island_worker.runtime import Leaving, run_worker
 
-        return run_worker(connect, name, wait_s)
-
-
-def _configure_log(name: str) -> None:
-    import logging
-
-    logging.basicConfig(
-        level=logging.INFO,
-        stream=sys.stderr,
-        format=f"%(asctime)s %(levelname)s {name} %(name)s %(message)s",
-        force=True,
-    )
+        leaving = Leaving(options.lifetime, options.grace)
+        on_signal = partial(leaving_on_signals, parent) if options.grace > 0.0 else lambda leave: nullcontext()
+        return run_worker(connect, name, options.wait, leaving, on_signal)
 
 
 def _name_for(bearer: str | None, wanted: str | None) -> str:
@@ -265,6 +284,17 @@ def _name(text: str) -> str:
     if _NAME.fullmatch(text):
         return text
     raise argparse.ArgumentTypeError(f"up to 64 letters, digits, - and _ were expected, but {text!r} was given")
+
+
+def _duration(text: str) -> float:
+    """Return seconds: a number of them, or a number with one of the units s, m, h and d."""
+    number, factor = (text[:-1], _UNITS[text[-1]]) if text[-1:] in _UNITS else (text, 1.0)
+    try:
+        return _seconds(number) * factor
+    except argparse.ArgumentTypeError:
+        raise argparse.ArgumentTypeError(
+            f"a time such as 90s, 30m or 12h was expected, but {text!r} was given"
+        ) from None
 
 
 def _seconds(text: str) -> float:

@@ -17,7 +17,7 @@ from common.config import JobConfig
 from common.slices import Course, Position
 from island_worker.agenda import Agenda, brief
 from island_worker.engine import Engine
-from island_worker.events import JobReady, Outcome, ShareKey, Snapshot, Task, Unloadable
+from island_worker.events import JobReady, Outcome, ShareKey, Snapshot, Task, TaskKey, Unloadable
 
 _LOG = logging.getLogger(__name__)
 _JOIN_LIMIT_S: Final = 2.0
@@ -56,14 +56,18 @@ class Compute(Protocol):
     def progress(self) -> int:
         """A number that rises while work gets on."""
 
+    @property
+    def doing(self) -> TaskKey | None:
+        """What the last turn was about; None before the first."""
+
     def attach(self, post: Callable[[object], None]) -> None:
         """Post every word, also those that came before, through `post`."""
 
     def warm_up(self) -> None:
         """Make the kernels ready: any number of WarmUpNote, then WarmedUp or WarmUpFailed."""
 
-    def load(self, job: str, config: JobConfig, dataset: bytes) -> None:
-        """Take in a job's configuration and encoded dataset: JobReady or Unloadable."""
+    def load(self, job: str, config: JobConfig, dataset: bytes, weight: float = 1.0) -> None:
+        """Take in a job's configuration and encoded dataset: JobReady or Unloadable. By `weight` it gets its turns."""
 
     def advance(self, task: Task) -> None:
         """Compute one epoch of one island: Computed, Rejected, Broken or Abandoned follows, unless it is discarded.
@@ -104,6 +108,11 @@ class IslandCompute:
         """See `Compute.progress`."""
         return self._progress
 
+    @property
+    def doing(self) -> TaskKey | None:
+        """See `Compute.doing`."""
+        return self._agenda.doing
+
     def attach(self, post: Callable[[object], None]) -> None:
         """See `Compute.attach`."""
         with self._lock:
@@ -116,9 +125,9 @@ class IslandCompute:
         """See `Compute.warm_up`."""
         self._commands.put(self._warm_up)
 
-    def load(self, job: str, config: JobConfig, dataset: bytes) -> None:
+    def load(self, job: str, config: JobConfig, dataset: bytes, weight: float = 1.0) -> None:
         """See `Compute.load`."""
-        self._commands.put(lambda: self._say([self._engine.load(job, config, dataset)]))
+        self._commands.put(lambda: self._load(job, config, dataset, weight))
 
     def advance(self, task: Task) -> None:
         """See `Compute.advance`."""
@@ -175,6 +184,10 @@ class IslandCompute:
             self._say([WarmUpFailed(f"the kernels cannot be made ready on this machine: {brief(error)}")])
         else:
             self._say([WarmedUp(time.monotonic() - began, source_digest())])
+
+    def _load(self, job: str, config: JobConfig, dataset: bytes, weight: float) -> None:
+        self._agenda.weigh(job, weight)
+        self._say([self._engine.load(job, config, dataset)])
 
     def _forget(self, share: ShareKey) -> None:
         self._agenda.discard(share)

@@ -88,6 +88,7 @@ class Datasets:
         self._asker = asker
         self._downloads: dict[str, Download] = {}
         self._here: set[str] = set()
+        self._loading: dict[str, int] = {}
 
     def announced(self, announcement: JobAnnouncement) -> None:
         """Begin to fetch a job's dataset, once; raises RemoteProtocolError when the announcement cannot be."""
@@ -122,6 +123,7 @@ class Datasets:
             return
         del self._downloads[job]
         self._here.add(job)
+        self._loading[job] = self._loading.get(job, 0) + 1
         self._asker.load(download.announcement, data)
 
     def fetch(self, job: str) -> None:
@@ -132,6 +134,13 @@ class Datasets:
                 self._asker.ask_chunk(job, download.announcement.blob, index)
         elif self._asker.wants(job) and job not in self._here:
             self._asker.ask_announcement(job)
+
+    def loaded(self, job: str) -> bool:
+        """Note that a dataset was loaded; return whether it is the one that is here, and not one forgotten since."""
+        left = self._loading.pop(job, 1) - 1
+        if left:
+            self._loading[job] = left
+        return left == 0 and job in self._here
 
     def forget(self, job: str) -> bool:
         """Stop fetching a job's dataset; return whether it was here."""

@@ -196,7 +196,12 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class Reset:
-    """Everything held is void: another coordinator, or another incarnation of ours, is there."""
+    """Another coordinator, or another incarnation of ours, is there: what others have placed is void.
+
+    What `incarnation`, of our coordinator, has placed already is kept; 0: nothing is.
+    """
+
+    incarnation: int = 0
 
 
 SessionEvent = (

@@ -16,12 +16,14 @@ class Joined:
     """What an accepted greeting changed.
 
     `is_new_realm`: nothing has been subscribed there yet; `is_restart`: the coordinator, or its store, is another one
-    than before, and what is held is void; `greets_again`: the kernels became ready while the greeting was under way.
+    than before, and what is held is void, but for what this `incarnation` of the same store (0: of another one) has
+    placed; `greets_again`: the kernels became ready while the greeting was under way.
     """
 
     is_new_realm: bool
     is_restart: bool
     greets_again: bool
+    incarnation: int = 0
 
 
 class Joining:
@@ -95,11 +97,13 @@ class Joining:
     def _join(self, welcome: Welcome, fingerprint: str) -> Joined:
         former, self.welcome, self._away_since = self.welcome, welcome, None
         self.is_accepted = self.is_accepted or bool(fingerprint)
+        is_same_store = former is not None and former.realm == welcome.realm
+        is_same = is_same_store and former is not None and former.incarnation == welcome.incarnation
         joined = Joined(
             is_new_realm=welcome.realm not in self._realms,
-            is_restart=former is not None
-            and (former.realm, former.incarnation) != (welcome.realm, welcome.incarnation),
+            is_restart=former is not None and not is_same,
             greets_again=bool(self.fingerprint) and not self.is_accepted,
+            incarnation=welcome.incarnation if is_same_store and not is_same else 0,
         )
         self._realms.add(welcome.realm)
         return joined

@@ -35,20 +35,19 @@ choose_number = usable_cores
 Command = Sequence[str]
 
 
-def worker_command(connect: Destination, name: str, wait_s: float) -> Command:
-    """Return the command of one worker process that ends with this one."""
-    options = [
-        "--connect",
-        str(connect),
-        *tls_options(connect),
-        "--processes",
-        "1",
-        "--name",
-        name,
-        "--wait",
-        f"{wait_s:g}",
-    ]
-    return [sys.executable, "-m", "island_worker", *options, "--parent", str(os.getpid())]
+def worker_command(
+    connect: Destination,
+    name: str,
+    wait_s: float,
+    grace_s: float = 0.0,
+    lifetime_s: float | None = None,
+    further: Sequence[str] = (),
+) -> Command:
+    """Return the command of one worker process that ends with this one; `further` are options for it."""
+    options = ["--connect", str(connect), *tls_options(connect)]
+    options += ["--processes", "1", "--name", name, "--wait", f"{wait_s:g}", "--grace", f"{grace_s:g}"]
+    options += ["--lifetime", f"{lifetime_s:g}"] if lifetime_s is not None else []
+    return [sys.executable, "-m", "island_worker", *options, *further, "--parent", str(os.getpid())]
 
 
 def tls_options(connect: Destination) -> list[str]:
@@ -74,18 +73,19 @@ class Child(Protocol):
         """End it."""
 
 
-def supervise(commands: Sequence[Command], parent: int | None = None) -> int:
+def supervise(commands: Sequence[Command], parent: int | None = None, grace_s: float = 0.0) -> int:
     """Run the commands as children until all have ended; return the worst exit code, or 130 after a Ctrl-C.
 
-    SIGTERM and Ctrl-C are passed on as SIGTERM; who has not ended `_STOP_LIMIT_S` later, or at a second signal, is
-    killed. `parent`: the process with which this one ends.
+    SIGTERM and Ctrl-C are passed on as SIGTERM; who has not ended `_STOP_LIMIT_S` later (after a SIGTERM `grace_s`
+    more, in which children hand over what they compute), or at a second signal, is killed. `parent`: the process with
+    which this one ends.
     """
-    return _Children().run([partial(_started, command) for command in commands], parent)
+    return _Children(grace_s).run([partial(_started, command) for command in commands], parent)
 
 
-def supervise_forks(works: Sequence[Work], parent: int | None = None) -> int:
+def supervise_forks(works: Sequence[Work], parent: int | None = None, grace_s: float = 0.0) -> int:
     """Do the same with children that are forked from this process, which must have no other thread."""
-    return _Children().run([partial(Forked, work) for work in works], parent)
+    return _Children(grace_s).run([partial(Forked, work) for work in works], parent)
 
 
 def _started(command: Command) -> Child:
@@ -107,6 +107,26 @@ def ending_on_signals() -> Iterator[None]:
         raise SystemExit(0)
 
     with _handlers({**dict.fromkeys(_ending_signals(), end), signal.SIGINT: signal.default_int_handler}):
+        yield
+
+
+@contextlib.contextmanager
+def leaving_on_signals(parent: int | None, leave: Callable[[], None]) -> Iterator[None]:
+    """Call `leave` at the first SIGTERM or hang-up, and raise SystemExit(0) at the second.
+
+    A death of the process `parent`, of which the system tells by the same signal, ends this one at the first.
+    """
+    signals: list[int] = []
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        signals.append(number)
+        if len(signals) > 1 or parent not in (None, os.getppid()):
+            for each in _ENDING:
+                signal.signal(each, signal.SIG_IGN)
+            raise SystemExit(0)
+        leave()
+
+    with _handlers(dict.fromkeys(_ending_signals(), on_signal)):
         yield
 
 
@@ -133,7 +153,8 @@ def _watch(parent: int) -> None:
 class _Children:
     """Children of this process; whatever happens is one event in one queue."""
 
-    def __init__(self) -> None:
+    def __init__(self, grace_s: float) -> None:
+        self._grace_s = grace_s
         self._events: queue.SimpleQueue[tuple[str, int]] = queue.SimpleQueue()
         self._children: list[Child] = []
         self._deadline: float | None = None
@@ -186,7 +207,8 @@ class _Children:
                 return self._events.get(timeout=_WAIT_S)
 
     def _tell(self) -> None:
-        self._deadline = time.monotonic() + _STOP_LIMIT_S
+        grace_s = 0.0 if signal.SIGINT in self._signals else self._grace_s
+        self._deadline = time.monotonic() + _STOP_LIMIT_S + grace_s
         for child in self._children:
             child.terminate()
 

@@ -5,11 +5,14 @@ the command line calls.
 """
 
 import logging
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
 
 from common.errors import AtollError, RefusedError, RemoteProtocolError, UnreachableError
+from common.logs import fields
 from common.wire import topics
 from common.wire.addresses import Destination
 from common.wire.bus import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
@@ -30,6 +33,7 @@ from common.wire.messages import (
     States,
     WorkerStatus,
 )
+from common.wire.metered_bus import MeteredBus
 from common.wire.rejects import Rejects
 from common.wire.views import WorkerState
 from island_worker.compute import Compute, IslandCompute, WarmedUp, WarmUpFailed, WarmUpNote
@@ -67,6 +71,7 @@ from island_worker.events import (
     Unloadable,
 )
 from island_worker.events import Compute as ComputeTask
+from island_worker.heartbeat import counters, doing
 from island_worker.joining import Joining
 from island_worker.session import Session
 
@@ -79,11 +84,24 @@ GREET_PAUSE_S: Final = 0.2
 PULL_TIMEOUT_S: Final = 5.0
 FETCH_TIMEOUT_S: Final = 20.0
 FETCH_PAUSE_S: Final = 0.5
+GRACE_S: Final = 30.0
 
 _BEAT: Final = "heartbeat"
 _TICK: Final = "tick"
 _GREET: Final = "greet"
+_LIFETIME: Final = "lifetime"
+_GRACE: Final = "grace"
 _FETCH: Final = "fetch/"
+
+
+@dataclass(slots=True)
+class Leaving:
+    """When a worker asks to be let go (after `lifetime_s`, if given), and how long it waits for that at most."""
+
+    lifetime_s: float | None = None
+    grace_s: float = GRACE_S
+    is_wanted: bool = False
+    has_begun: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,16 +117,18 @@ class _Asked:
 class Worker:
     """One worker process on one bus. Owned by the bus's owner thread."""
 
-    def __init__(self, bus: Bus, compute: Compute, name: str, wait_s: float) -> None:
-        """`wait_s`: how long the coordinator may be away; `compute` begins to warm up elsewhere."""
+    def __init__(self, bus: Bus, compute: Compute, name: str, wait_s: float, leaving: Leaving | None = None) -> None:
+        """Set up a worker whose `compute` warms up elsewhere; `wait_s`: how long the coordinator may be away."""
         self.exit_code: int | None = None
         self.error: AtollError | None = None
         self.name: Final = name
         self.session = Session(name)
         self.rejects = Rejects(_LOG)
-        self._bus = bus
+        self._bus = MeteredBus(bus)
+        self._told_at = bus.now()
         self._compute = compute
         self._wait_s = wait_s
+        self._leaving = leaving or Leaving()
         self._joining = Joining(name, bus.now())
         self._datasets = Datasets(self)
         self._detail = "loading kernels"
@@ -122,6 +142,12 @@ class Worker:
         self._greet()
         self._bus.call_later(HEARTBEAT_S, _BEAT)
         self._bus.call_later(TICK_S, _TICK)
+        if self._leaving.lifetime_s is not None:
+            self._bus.call_later(self._leaving.lifetime_s, _LIFETIME)
+
+    def leave(self) -> None:
+        """Ask, at the next tick, to be let go: what is computed here is handed over first. Signal handlers may call."""
+        self._leaving.is_wanted = True
 
     def run(self) -> int:
         """Work until the coordinator ends, refuses us or stays away; return the exit code."""
@@ -136,6 +162,7 @@ class Worker:
         """Take in one event. What a peer did wrong is counted, logged once and changes nothing."""
         if self.exit_code is not None:
             return
+        self._bus.note(event)
         try:
             self._on(event)
         except RemoteProtocolError as error:
@@ -151,13 +178,16 @@ class Worker:
         match item:
             case WarmUpNote():
                 self._detail = item.sentence
-                _LOG.info("%s", item.sentence)
+                _LOG.info("warm-up", extra=fields(detail=item.sentence))
                 self._beat()
             case WarmedUp():
                 self._warmed_up(item)
             case WarmUpFailed():
                 self._leave(AtollError(item.sentence))
-            case JobReady() | Unloadable() | Snapshot() | Computed() | Rejected() | Broken() | Abandoned():
+            case JobReady() | Unloadable():
+                if self._datasets.loaded(item.job):
+                    self._tell(item)
+            case Snapshot() | Computed() | Rejected() | Broken() | Abandoned():
                 self._tell(item)
 
     @_on.register
@@ -167,8 +197,18 @@ class Worker:
             self._bus.call_later(HEARTBEAT_S, _BEAT)
         elif event.name == _TICK:
             self._check_absence()
+            if self._leaving.is_wanted:
+                self._begin_leaving()
             self._tell(Tick(self._bus.now()))
             self._bus.call_later(TICK_S, _TICK)
+        elif event.name == _LIFETIME:
+            self._begin_leaving()
+        elif event.name == _GRACE:
+            _LOG.warning(
+                "not let go in time; what was not committed is computed again",
+                extra=fields(seconds=self._leaving.grace_s),
+            )
+            self.exit_code = 0
         elif event.name == _GREET:
             self._greet()
         elif event.name.startswith(_FETCH):
@@ -205,9 +245,10 @@ class Worker:
             return
         if joined.is_restart:
             _LOG.info("the coordinator started anew; what was held is dropped")
-            self._tell(Reset())
+            self._tell(Reset(joined.incarnation))
             for job in self._datasets.jobs():
-                self._forget_job(job)
+                if not self.session.wants(job):
+                    self._forget_job(job)
         if joined.is_new_realm:
             self._listen()
         self._beat()
@@ -222,9 +263,21 @@ class Worker:
         self._bus.subscribe(topics.inbox(realm, self.name))
         self._bus.serve(topics.worker(realm, self.name, "pull"))
         self._bus.announce(topics.worker(realm, self.name, "alive"))
-        _LOG.info("joined realm=%s worker=%s", realm, self.name)
+        _LOG.info("joined", extra=fields(realm=realm))
+
+    def _begin_leaving(self) -> None:
+        """Say that this worker wants to end; it ends when it is told that nothing is left here, or after a while."""
+        if self._joining.welcome is None or self._leaving.grace_s <= 0.0:
+            self.exit_code = 0
+        elif not self._leaving.has_begun:
+            self._leaving.has_begun = True
+            _LOG.info("leaving: what is computed here is handed over", extra=fields(at_most_s=self._leaving.grace_s))
+            self._bus.call_later(self._leaving.grace_s, _GRACE)
+            self._beat()
 
     def _state(self) -> WorkerState:
+        if self._leaving.has_begun:
+            return "leaving"
         return self.session.state() if self._joining.is_accepted else "compiling"
 
     def _beat(self) -> None:
@@ -238,7 +291,10 @@ class Worker:
             progress=self._compute.progress,
             holdings=self.session.holdings(),
             troubles=self.session.troubles(),
+            jobs=tuple(dict.fromkeys((*self.session.jobs(), *self._datasets.jobs()))),
             detail=self._detail,
+            doing=doing(self._compute.doing) if self._state() == "computing" else None,
+            counters=counters(self._bus, self.session, self.rejects),
         )
         self._bus.put(topics.worker(welcome.realm, self.name, "status"), encode(status))
 
@@ -252,7 +308,7 @@ class Worker:
     def _warmed_up(self, item: WarmedUp) -> None:
         """Greet once more, now with the fingerprint; then say that islands can be computed here."""
         self._detail, self._joining.fingerprint = "", item.fingerprint
-        _LOG.info("kernels ready seconds=%.2f fingerprint=%s", item.seconds, item.fingerprint)
+        _LOG.info("kernels ready", extra=fields(seconds=item.seconds, fingerprint=item.fingerprint))
         if self._joining.welcome is not None:
             self._greet()
 
@@ -286,7 +342,7 @@ class Worker:
         if body.refused:
             self._leave(RefusedError(body.sentence))
         else:
-            _LOG.info("the coordinator ended; so does this worker")
+            _LOG.info("this worker ends", extra=fields(reason=body.sentence or "the coordinator ended"))
             self.exit_code = 0
 
     # ---------------------------------------------------------------------------------------- datasets
@@ -309,7 +365,8 @@ class Worker:
 
     def load(self, announcement: JobAnnouncement, data: bytes) -> None:
         """See `Asker.load`."""
-        self._compute.load(announcement.job, announcement.config, data)
+        weight = 2.0**announcement.priority
+        self._compute.load(announcement.job, announcement.config, data, weight)
 
     def _forget_job(self, job: str) -> None:
         if self._datasets.forget(job):
@@ -351,8 +408,10 @@ class Worker:
                 self._datasets.announcement_came(asked.subject, event.payload)
             case _Asked("chunk"):
                 self._datasets.chunk_came(asked.subject, asked.index, event.payload)
-            case _Asked("placement") if event.payload is not None:
-                self._on_control(decode(event.payload, Control, MAX_MESSAGE).body)
+            case _Asked("placement"):
+                if event.payload is not None:
+                    self._on_control(decode(event.payload, Control, MAX_MESSAGE).body)
+                self.session.forget_early(asked.subject)
             case _Asked("states", states=PullStates() as pull):
                 self._states_came(pull, event.payload)
             case _Asked("pull") if event.payload is not None:
@@ -377,6 +436,9 @@ class Worker:
     # ------------------------------------------------------------------------------------------ actions
 
     def _tell(self, event: SessionEvent) -> None:
+        now = self._bus.now()
+        self.session.elapse(now - self._told_at)
+        self._told_at = now
         for action in self.session.handle(event):
             self._act(action)
 
@@ -416,11 +478,14 @@ class Worker:
                 self._get(topics.placement(realm, action.job), b"", PULL_TIMEOUT_S, _Asked("placement", action.job))
 
 
-def run_worker(connect: str | Destination, name: str, wait_s: float) -> int:
-    """Join the coordinator at `connect` as worker `name` and work until it ends; return the exit code.
+OnSignal = Callable[[Callable[[], None]], AbstractContextManager[None]]
+
+
+def run_worker(connect: str | Destination, name: str, wait_s: float, leaving: Leaving, on_signal: OnSignal) -> int:
+    """Join the coordinator at `connect` as worker `name` and work until it ends or lets us go; return the exit code.
 
     Kernels are made ready while the connection is still being sought. `wait_s` limits both the first connection and
-    any later absence of the coordinator.
+    any later absence of the coordinator. `on_signal` has a function called when this process is told to end.
 
     Raises:
         UnreachableError: The coordinator was not there, or stayed away.
@@ -432,8 +497,9 @@ def run_worker(connect: str | Destination, name: str, wait_s: float) -> int:
     compute.warm_up()
     try:
         with open_client(connect, wait_s=wait_s) as bus:
-            worker = Worker(bus, compute, name, wait_s)
-            code = worker.run()
+            worker = Worker(bus, compute, name, wait_s, leaving)
+            with on_signal(worker.leave):
+                code = worker.run()
             if worker.error is not None:
                 raise worker.error
             return code

@@ -71,6 +71,23 @@ class Session:
         self._terms: dict[Archipelago, int] = {}
         self._early: list[Mailed] = []
         self._troubles: list[Trouble] = []
+        self._waited_before_s = 0.0
+        self._duplicates_before = 0
+
+    @property
+    def waited_s(self) -> float:
+        """Seconds that islands here have waited for migrants, summed over islands."""
+        return self._waited_before_s + sum(share.waited_s for share in self._shares.values())
+
+    @property
+    def duplicates(self) -> int:
+        """Blocks of migrants that came again, or too late, and changed nothing."""
+        return self._duplicates_before + sum(share.duplicates for share in self._shares.values())
+
+    def elapse(self, seconds: float) -> None:
+        """Let time pass, before an event that came after it."""
+        for share in self._shares.values():
+            share.elapse(seconds)
 
     def handle(self, event: SessionEvent) -> list[Action]:
         """Take in one event and return what is to be done, computations first.
@@ -96,9 +113,17 @@ class Session:
         """Return what broke and has not been closed yet."""
         return tuple(self._troubles)
 
+    def jobs(self) -> tuple[str, ...]:
+        """Return the jobs of which configuration and dataset are here or on their way."""
+        return tuple(job for job, state in self._jobs.items() if state != "unknown")
+
     def wants(self, job: str) -> bool:
         """Tell whether the job's dataset is still wanted."""
         return any(name == job for name, _ in self._shares)
+
+    def forget_early(self, job: str) -> None:
+        """Forget a job's mail whose placement was asked for and did not come with the answer: it can be pulled."""
+        self._early = [each for each in self._early if each.body.job != job]
 
     def validate(self) -> None:
         """Check the invariants; raises LocalProtocolError."""
@@ -157,6 +182,9 @@ class Session:
         job, variable = event.close.job, event.close.variable
         keys = [key for key in self._shares if key[0] == job and variable in (None, key[1])]
         actions: list[Action] = [action for key in keys for action in self._drop(key)]
+        self._early = [
+            each for each in self._early if each.body.job != job or variable not in (None, each.body.variable)
+        ]
         if variable is None and self._jobs.get(job, "unknown") != "unknown":
             self._step_job(job, "close")
             actions.append(DiscardJob(job))
@@ -164,10 +192,11 @@ class Session:
 
     @_on.register
     def _reset(self, event: Reset) -> list[Action]:
-        actions: list[Action] = [action for key in list(self._shares) for action in self._drop(key)]
-        actions += [DiscardJob(job) for job, state in self._jobs.items() if state != "unknown"]
-        self._jobs.clear()
-        self._terms.clear()
+        void = [key for key, each in self._shares.items() if each.placement.incarnation != event.incarnation]
+        actions: list[Action] = [action for key in void for action in self._drop(key)]
+        actions += [DiscardJob(job) for job in self.jobs() if not self.wants(job)]
+        self._jobs = {job: state for job, state in self._jobs.items() if self.wants(job)}
+        self._terms = {key: share.placement.term for key, share in self._shares.items()}
         self._early.clear()
         return actions
 
@@ -314,6 +343,9 @@ class Session:
 
     def _drop(self, key: Archipelago) -> list[Action]:
         share = self._shares.pop(key, None)
+        if share is not None:
+            self._waited_before_s += share.waited_s
+            self._duplicates_before += share.duplicates
         self._troubles = [each for each in self._troubles if (each.job, each.variable) != key]
         return [Discard(share.key)] if share is not None else []
 

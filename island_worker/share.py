@@ -42,7 +42,7 @@ ISLAND_TRANSITIONS: Final[Mapping[IslandState, Mapping[IslandStep, IslandState]]
     "stopped": {},
 }
 """State of one island -> what happens -> its next state. `restoring`: its state is on its way; `computing`: it is on
-the agenda; `held`: it waits at a checkpoint for another placement. `end`: a hit here or elsewhere, or the last epoch."""
+the agenda; `held`: it waits at a checkpoint for a placement. `end`: a hit here or elsewhere, or the last epoch."""
 
 PULL_AFTER_S: Final = 1.0
 """An island that has waited this long asks the senders; the pause doubles with every question."""
@@ -83,6 +83,8 @@ class Share:
         self.islands = {island: LocalIsland(island, "restoring" if first else "ready", first) for island in mine}
         self.hits: dict[int, Finished] = {}
         self.commit = self.reported = first
+        self.waited_s = 0.0
+        self.duplicates = 0
         self._assembly = Assembly(mine if first else ())
         self._is_fetching = False
         self._inbox: dict[tuple[int, int], dict[int, bytes]] = {}
@@ -116,7 +118,13 @@ class Share:
             reported=self.reported,
             commit=self.commit,
             snapshots=self._kept.snapshots(),
+            waited_s=self.waited_s,
         )
+
+    def elapse(self, seconds: float) -> None:
+        """Let time pass: it counts for every island here that waits for migrants."""
+        waiting = sum(local.state == "waiting" for local in self.islands.values())
+        self.waited_s += seconds * waiting
 
     def runnable(self) -> Iterator[LocalIsland]:
         """Yield the islands that may begin an epoch now, or take a snapshot: ready, and within the schedule."""
@@ -348,8 +356,11 @@ class Share:
         was_handed_over = local.state in ("restoring", "computing", "held") or local.epoch == self.placement.epoch
         is_late = epoch < local.epoch - 1 or (epoch == local.epoch - 1 and was_handed_over)
         if is_late or local.state == "stopped":
+            self.duplicates += 1
             return
-        self._inbox.setdefault((epoch, block.destination), {}).setdefault(block.source, block.data)
+        filed = self._inbox.setdefault((epoch, block.destination), {})
+        self.duplicates += block.source in filed
+        filed.setdefault(block.source, block.data)
         self._complete(local)
 
     def _complete(self, local: LocalIsland) -> None:

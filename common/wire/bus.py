@@ -92,6 +92,10 @@ class Bus(Protocol):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
 
+    @property
+    def dropped(self) -> int:
+        """How many messages and queries were lost because they came faster than they were received."""
+
     def put(self, key: str, payload: bytes) -> None:
         """Publish `payload` on `key` to whoever subscribes now. Never raises for an unreachable peer."""
 

@@ -46,13 +46,17 @@ _ALERTS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Credentials:
-    """Three files that fit each other. `name` is the certificate's common name, `hosts` whom else it speaks for."""
+    """Three files that fit each other. `name` is the certificate's common name, `hosts` whom else it speaks for.
+
+    It expires at `expires`, in seconds of Unix time, if that is known.
+    """
 
     authority: Path
     certificate: Path
     key: Path
     name: str
     hosts: tuple[str, ...] = ()
+    expires: float | None = None
 
 
 def credentials_of(options: Mapping[str, Any], environ: Mapping[str, str], use: Use) -> Credentials | None:
@@ -101,7 +105,9 @@ def load(authority: Path, certificate: Path, key: Path, use: Use) -> Credentials
             f"the certificate {certificate} has the common name {', '.join(names)[:100]!r}, but one of 1 to {MAX_NAME} "
             "letters, digits, - and _ was expected"
         )
-    return Credentials(authority, certificate, key, names[0], hosts)
+    last = shown.get("notAfter")
+    expires = None if last is None else float(ssl.cert_time_to_seconds(last))
+    return Credentials(authority, certificate, key, names[0], hosts, expires)
 
 
 def check_welcome(host: str, port: int, credentials: Credentials, listen_s: float) -> str | None:

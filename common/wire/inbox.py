@@ -19,6 +19,7 @@ class Inbox:
         self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._bytes = 0
+        self.dropped = 0
 
     def add(self, event: Event) -> None:
         """Hand in an event; from any thread, never blocking."""
@@ -39,6 +40,7 @@ class Inbox:
     def _admit(self, event: Event, size: int) -> bool:
         with self._lock:
             if isinstance(event, Message | Query) and self._bytes + size > INBOX_BYTES:
+                self.dropped += 1
                 return False
             self._bytes += size
             return True

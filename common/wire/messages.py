@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field
 
 from common.config import JobConfig, Model
 from common.slices import Course
-from common.wire.views import JobView, WorkerState, WorkerView
+from common.wire.views import CoordinatorView, Counters, EventView, JobView, WorkerState, WorkerView
 
 CHUNK_SIZE: Final = 4 * 1024 * 1024
 """Bytes per chunk of an upload or a dataset; the last chunk may be shorter."""
@@ -38,6 +38,9 @@ Count = Annotated[int, Field(ge=0, lt=2**63)]
 IslandIndex = Annotated[int, Field(ge=0, lt=1024)]
 Term = Annotated[int, Field(ge=1, lt=2**63)]
 Sentence = Annotated[str, Field(max_length=4000)]
+Seconds = Annotated[float, Field(ge=0.0, lt=1e12)]
+Priority = Annotated[int, Field(ge=-10, le=10)]
+"""Each step doubles a job's share of the workers."""
 
 
 # ---------------------------------------------------------------------------------------------- greeting
@@ -118,6 +121,7 @@ class JobAnnouncement(Model):
     blob: Digest
     size: Count
     chunks: Annotated[int, Field(ge=1)]
+    priority: Priority = 0
 
 
 class Schedule(Model):
@@ -222,6 +226,7 @@ class Holding(Model):
 
     All epochs below `reported` have been finished and reported by all of its islands there; `commit` is the last
     commit it knows of; `snapshots` are the epochs after it of which there is a snapshot of every island there.
+    `waited_s` are the seconds that its islands there have waited for migrants, summed over them.
     """
 
     job: Id
@@ -231,6 +236,16 @@ class Holding(Model):
     reported: Count
     commit: Count
     snapshots: Annotated[tuple[Count, ...], Field(max_length=8)] = ()
+    waited_s: Seconds = 0.0
+
+
+class Doing(Model):
+    """What a worker's compute thread is at."""
+
+    job: Id
+    variable: Variable
+    island: IslandIndex
+    epoch: Count
 
 
 class Trouble(Model):
@@ -244,7 +259,10 @@ class Trouble(Model):
 
 
 class WorkerStatus(Model):
-    """The heartbeat. `progress` rises while the compute thread gets on; `detail` says what a person should know."""
+    """The heartbeat. `progress` rises while the compute thread gets on; `detail` says what a person should know.
+
+    `jobs` are those whose dataset is here or on its way, also without islands of theirs.
+    """
 
     kind: Literal["status"] = "status"
     instance: Id
@@ -253,7 +271,10 @@ class WorkerStatus(Model):
     progress: Count
     holdings: tuple[Holding, ...] = ()
     troubles: tuple[Trouble, ...] = ()
+    jobs: tuple[Id, ...] = ()
     detail: Sentence = ""
+    doing: Doing | None = None
+    counters: Counters = Counters()
 
 
 # ---------------------------------------------------------------------------------------------- reports
@@ -475,6 +496,7 @@ class Submit(Model):
     name: Annotated[str, Field(max_length=200)]
     config: JobConfig
     table: Digest
+    priority: Priority = 0
 
 
 class Jobs(Model):
@@ -510,10 +532,24 @@ class Cancel(Model):
     job: Id
 
 
+class GetEvents(Model):
+    """Tell what happened to a job, or at all (`job` None), after the event of number `after`: `limit` of it at most.
+
+    With `after` 0 these are the last ones.
+    """
+
+    kind: Literal["get-events"] = "get-events"
+    job: Id | None = None
+    after: Count = 0
+    limit: Annotated[int, Field(ge=1, le=1000)] = 200
+
+
 class Ask(Model):
     """Question of a client."""
 
-    body: Annotated[Upload | Submit | Jobs | Status | Workers | GetResult | Cancel, Field(discriminator="kind")]
+    body: Annotated[
+        Upload | Submit | Jobs | Status | Workers | GetResult | Cancel | GetEvents, Field(discriminator="kind")
+    ]
 
 
 class Uploaded(Model):
@@ -539,10 +575,18 @@ class JobStatus(Model):
 
 
 class WorkerList(Model):
-    """All workers seen since the coordinator started."""
+    """All workers seen since the coordinator started, and the coordinator itself."""
 
     kind: Literal["worker-list"] = "worker-list"
     workers: tuple[WorkerView, ...]
+    coordinator: CoordinatorView | None = None
+
+
+class EventList(Model):
+    """What happened, in order."""
+
+    kind: Literal["event-list"] = "event-list"
+    events: tuple[EventView, ...]
 
 
 class Result(Model):
@@ -566,7 +610,9 @@ class Failure(Model):
 class Answer(Model):
     """Answer to a client."""
 
-    body: Annotated[Uploaded | JobList | JobStatus | WorkerList | Result | Failure, Field(discriminator="kind")]
+    body: Annotated[
+        Uploaded | JobList | JobStatus | WorkerList | Result | EventList | Failure, Field(discriminator="kind")
+    ]
 
 
 def chunk_count(size: int) -> int:

@@ -4,6 +4,7 @@ import logging
 from typing import Final
 
 from common.errors import RemoteProtocolError
+from common.logs import fields
 
 MAX_SOURCES: Final = 1000
 """Sources told apart at most; further ones are counted together and not logged, so that a flood cannot fill memory."""
@@ -28,7 +29,7 @@ class Rejects:
         source = source[:200]
         if source not in self.counts:
             if len(self.counts) < MAX_SOURCES:
-                self._logger.warning("dropped message source=%s reason=%.500s", source, error)
+                self._logger.warning("dropped message", extra=fields(source=source, reason=str(error)[:500]))
             else:
                 source = OTHERS
         self.counts[source] = self.counts.get(source, 0) + 1

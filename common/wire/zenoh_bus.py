@@ -185,6 +185,11 @@ class ZenohBus:
         handler = _directly(self._on_presence)
         self._call(lambda: self._session.liveliness().declare_subscriber(key_expression, handler, history=True))
 
+    @property
+    def dropped(self) -> int:
+        """See `Bus.dropped`."""
+        return self._inbox.dropped
+
     def now(self) -> float:
         """See `Bus.now`."""
         return time.monotonic()

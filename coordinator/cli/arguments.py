@@ -22,13 +22,13 @@ HANDLERS: Final = {
     "status": "coordinator.cli.jobs",
     "workers": "coordinator.cli.jobs",
     "cancel": "coordinator.cli.jobs",
+    "logs": "coordinator.cli.logs",
     "result": "coordinator.cli.result",
     "doctor": "coordinator.cli.doctor",
 }
 """The module of each verb. Its function of the verb's name takes the parsed options and returns the exit code."""
 
-LATER_VERBS: Final = ("logs", "simulate", "analyse", "analyze", "report", "export")
-LATER_OPTIONS: Final = ("--weights",)
+LATER_VERBS: Final = ("simulate", "analyse", "analyze", "report", "export")
 
 EXIT_CODES: Final = (
     "exit codes: 0 done, 1 job failed, 2 bad usage or bad data, 3 coordinator not reachable,\n"
@@ -36,6 +36,7 @@ EXIT_CODES: Final = (
 )
 RESULT_FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
 MOST_WORKERS: Final = 1024
+MOST_LINES: Final = 1000
 
 
 class _Parser(argparse.ArgumentParser):
@@ -52,18 +53,11 @@ class _Parser(argparse.ArgumentParser):
         return message.replace("unrecognized arguments:", "unknown option").removeprefix("argument ")
 
 
-class _NotInThisVersion(argparse.Action):
-    """Refuses an option of a later version."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
-        raise UsageError(f"{self.option_strings[0]} is not in this version")
-
-
 def parse(argv: Sequence[str]) -> argparse.Namespace:
     """Return the parsed options; `verb` is one of `HANDLERS`.
 
     Raises:
-        UsageError: an option or verb is unknown, incomplete or of a later version.
+        UsageError: an option or verb is unknown or incomplete, or the verb of a later version.
         SystemExit: after ``--help`` or ``--version``.
     """
     verb = next((word for word in argv if not word.startswith("-")), None)
@@ -141,6 +135,10 @@ def _add_submit(verbs: Any) -> None:
     _add_job(parser)
     parser.add_argument("--no-wait", action="store_true", help="print the job id, and nothing else, and return")
     parser.add_argument("--out", metavar="DIR", help="also write result.json into this folder")
+    parser.add_argument(
+        "--priority", type=_priority, default=0, metavar="N",
+        help="-10 to 10; each step doubles the job's share of the workers, and it is taken up sooner (default: 0)",
+    )  # fmt: skip
 
 
 def _add_readers(verbs: Any) -> None:
@@ -153,6 +151,7 @@ def _add_readers(verbs: Any) -> None:
             "id or its beginning, or PATH/result.json",
         ),
         "cancel": ("end a job and keep its best equations", "id or its beginning (default: the only one not ended)"),
+        "logs": ("tell what happened to a job", "id or its beginning (default: what happened at all)"),
     }
     for name, (text, subject) in texts.items():
         parser = _verb(verbs, name, text)
@@ -161,6 +160,15 @@ def _add_readers(verbs: Any) -> None:
         parser.add_argument("--json", action="store_true", help="print JSON")
         if name == "result":
             _add_result(parser)
+        if name in ("status", "logs"):
+            text = "go on until the job has ended" + (", with its exit code" if name == "status" else "")
+            parser.add_argument("--follow", action="store_true", help=text)
+        if name == "logs":
+            parser.add_argument(
+                "--lines", type=_lines, default=200, metavar="N", help="at most the N last events (default: 200)"
+            )
+        if name == "workers":
+            parser.add_argument("--coordinator", action="store_true", help="show the coordinator's own counters")
 
 
 def _add_result(parser: argparse.ArgumentParser) -> None:
@@ -184,8 +192,6 @@ def _add_job(parser: argparse.ArgumentParser) -> None:
     _add_data(parser.add_argument_group("data"))
     _add_search(parser.add_argument_group("search"))
     _add_budget(parser.add_argument_group("budget"))
-    for option in LATER_OPTIONS:
-        parser.add_argument(option, nargs="?", action=_NotInThisVersion, help=argparse.SUPPRESS)
 
 
 def _add_data(group: Any) -> None:
@@ -207,6 +213,9 @@ def _add_data(group: Any) -> None:
     group.add_argument("--robust", action="store_true", help="smooth so that outliers lose their weight")
     group.add_argument(
         "--holdout", metavar="K|run=4", help="keep K last trajectories, or that one, from the search, to judge by them"
+    )
+    group.add_argument(
+        "--weights", metavar="w", help="column of row weights, such as 1/variance; rows of weight 0 are left out"
     )
 
 
@@ -250,6 +259,18 @@ def _add_budget(group: Any) -> None:
 
 
 def _workers(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= MOST_WORKERS):
-        raise argparse.ArgumentTypeError(f"expected a whole number from 1 to {MOST_WORKERS}, but {text!r} was given")
+    return _whole(text, 1, MOST_WORKERS)
+
+
+def _lines(text: str) -> int:
+    return _whole(text, 1, MOST_LINES)
+
+
+def _priority(text: str) -> int:
+    return _whole(text, -10, 10)
+
+
+def _whole(text: str, least: int, most: int) -> int:
+    if not (re.fullmatch("-?[0-9]{1,6}", text) and least <= int(text) <= most):
+        raise argparse.ArgumentTypeError(f"expected a whole number from {least} to {most}, but {text!r} was given")
     return int(text)

@@ -8,45 +8,46 @@ import argparse
 from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
-from coordinator.cli.doctor_data import check_data
-from coordinator.cli.doctor_machine import (
-    check_cores,
-    check_kernels,
-    check_memory,
-    check_open_files,
-    check_state,
-    check_versions,
-)
-from coordinator.cli.doctor_network import check_coordinator, check_listen
+from coordinator.cli.doctor_address import check_address
 from coordinator.cli.exits import DONE, FAILED
 from coordinator.cli.finding import Finding, as_text, as_tree
 from coordinator.cli.output import as_json, say
 
 Check = Callable[[argparse.Namespace], Iterable[Finding]]
 
-CHECKS: Final[Sequence[Check]] = (
-    check_versions,
-    check_cores,
-    check_memory,
-    check_open_files,
-    check_kernels,
-    check_state,
-    check_listen,
-    check_coordinator,
-    check_data,
-)
-"""What is looked at, in this order."""
+QUICK: Final[Sequence[Check]] = (check_address,)
+"""What is looked at with ``--quick``; light, since it may be asked twice a minute."""
 
 
 def doctor(options: argparse.Namespace) -> int:
     """Examine and print; return 1 when there is a problem, else 0."""
-    findings = examine(options)
+    findings = examine(options, QUICK if options.quick else all_checks())
     say(as_json(as_tree(findings)) if options.json else as_text(findings))
     return FAILED if any(each.grade == "problem" for each in findings) else DONE
 
 
-def examine(options: argparse.Namespace, checks: Sequence[Check] = CHECKS) -> list[Finding]:
-    """Return what all checks find."""
+def all_checks() -> Sequence[Check]:
+    """Return everything that is looked at, in this order."""
+    from coordinator.cli import doctor_machine as machine
+    from coordinator.cli import doctor_network as network
+    from coordinator.cli.doctor_data import check_data
+
+    return (
+        machine.check_versions,
+        machine.check_cores,
+        machine.check_memory,
+        machine.check_open_files,
+        machine.check_kernels,
+        machine.check_state,
+        network.check_certificates,
+        network.check_listen,
+        network.check_coordinator,
+        check_data,
+    )
+
+
+def examine(options: argparse.Namespace, checks: Sequence[Check]) -> list[Finding]:
+    """Return what these checks find."""
     return [finding for check in checks for finding in _found(check, options)]
 
 

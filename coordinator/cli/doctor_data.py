@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from common.errors import DataError, UsageError
-from coordinator.cli.finding import Finding, fine
+from coordinator.cli.finding import Finding, fine, problem
 
 
 def check_data(options: argparse.Namespace) -> Iterator[Finding]:
@@ -24,8 +24,7 @@ def check_data(options: argparse.Namespace) -> Iterator[Finding]:
         table = read_table([Path(name) for name in options.data], request.config.data)
         text, remarks = describe(table, request.config), measured(table, request.config.data).warnings
     except (DataError, UsageError) as error:
-        found, _, advice = str(error).partition("; ")
-        yield Finding("data", "problem", found, advice)
+        yield problem("data", error)
         return
     yield fine("data", text)
     for remark in remarks:

@@ -2,25 +2,27 @@
 
 import argparse
 import os
+import time
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from typing import Final
 
 from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from common.errors import AtollError, UsageError
-from common.wire.addresses import Destination, bindable, destination, parse_address, why_unreachable
-from common.wire.credentials import credentials_of
+from common.wire.addresses import Destination, bindable, destination, parse_address
+from common.wire.credentials import Credentials, credentials_of
 from common.wire.messages import Welcome
 from common.wire.views import WorkerView
-from coordinator.cli.finding import Finding, fine
-
-LIMIT_S: Final = 3.0
-"""How long a coordinator may take to answer."""
+from coordinator.cli.doctor_address import LIMIT_S, check_address
+from coordinator.cli.finding import Finding, fine, problem
 
 CLOCK_S: Final = 5.0
 """Clocks that differ by more make logs of several machines hard to read, and certificates invalid too early."""
 
 SILENT_S: Final = 5.0
+
+EXPIRY_S: Final = 30 * 86400.0
+"""A certificate that expires sooner is pointed out."""
 
 
 def check_listen(options: argparse.Namespace) -> Iterator[Finding]:
@@ -31,10 +33,37 @@ def check_listen(options: argparse.Namespace) -> Iterator[Finding]:
         address = parse_address(options.listen)
         bindable(address)
     except UsageError as error:
-        found, _, advice = str(error).partition("; ")
-        yield Finding("port", "problem", found, advice)
+        yield problem("port", error)
         return
     yield fine("port", f"{address} is free")
+
+
+def check_certificates(options: argparse.Namespace) -> Iterator[Finding]:
+    """Whether our certificate can be shown: key, authority, purpose, dates; for ``--listen`` also the names in it."""
+    files = _shown(options)
+    if files is not None:
+        yield files if isinstance(files, Finding) else certificate_finding(files, time.time())
+
+
+def certificate_finding(files: Credentials, now: float) -> Finding:
+    """Say whose certificate this is and how long it will do; `now` is in seconds of Unix time."""
+    hosts = f", for {', '.join(files.hosts)}" if files.hosts else ""
+    if files.expires is None:
+        return fine("certificate", f"of {files.name}{hosts}")
+    left = files.expires - now
+    found = f"of {files.name}{hosts}, valid for {left / 86400.0:.0f} more days"
+    if left >= EXPIRY_S:
+        return fine("certificate", found)
+    advice = f"renew it in time: deploy/tls/make-authority DIR --renew {files.name}"
+    return Finding("certificate", "warning", found, advice)
+
+
+def _shown(options: argparse.Namespace) -> Credentials | Finding | None:
+    """Return what is to be shown to the other side, or what is wrong with it."""
+    try:
+        return credentials_of(vars(options), os.environ, "serve" if options.listen else "connect")
+    except AtollError as error:
+        return problem("certificate", error)
 
 
 def check_coordinator(options: argparse.Namespace) -> Iterator[Finding]:
@@ -43,30 +72,15 @@ def check_coordinator(options: argparse.Namespace) -> Iterator[Finding]:
     if not text:
         yield fine("coordinator", "none was named (--connect or ATOLL_CONNECT), so none was examined")
         return
-    try:
-        to = destination(text, credentials_of(vars(options), os.environ, "connect"))
-    except UsageError as error:
-        yield Finding("address", "problem", str(error), "write it as `coordinator serve` printed it")
+    findings = list(check_address(options))
+    yield from findings
+    files = _shown(options)
+    if any(each.grade == "problem" for each in findings) or isinstance(files, Finding):
         return
-    address = to.address
-    reason = why_unreachable(address, LIMIT_S)
-    if reason is not None:
-        yield Finding("address", "problem", f"{address} cannot be reached: {reason}", _advice(reason))
-        return
-    yield fine("address", f"{address} accepts connections")
     try:
-        yield from _greeted(to)
+        yield from _greeted(destination(text, files))
     except AtollError as error:
-        found, _, advice = str(error).partition("; ")
-        yield Finding("coordinator", "problem", found, advice)
-
-
-def _advice(reason: str) -> str:
-    if "not known" in reason:
-        return "check the name, or use the machine's number"
-    if "refused" in reason:
-        return "start `coordinator serve` there, on an address that others reach (not 127.0.0.1), or check the port"
-    return "check that the machine is on and that no firewall keeps this port closed"
+        yield problem("coordinator", error)
 
 
 def _greeted(address: Destination) -> Iterator[Finding]:

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Final, Literal
 
+from common.errors import AtollError
+
 Grade = Literal["fine", "warning", "problem"]
 
 _MARKS: Final[dict[Grade, str]] = {"fine": "ok     ", "warning": "warning", "problem": "PROBLEM"}
@@ -22,6 +24,12 @@ class Finding:
 def fine(subject: str, found: str) -> Finding:
     """Return a finding about which nothing needs to be done."""
     return Finding(subject, "fine", found)
+
+
+def problem(subject: str, error: AtollError) -> Finding:
+    """Return a finding in the words of an error: what was found, and after a semicolon what to do."""
+    found, _, advice = str(error).partition("; ")
+    return Finding(subject, "problem", found, advice)
 
 
 def as_text(findings: Sequence[Finding]) -> str:

@@ -5,11 +5,15 @@ from collections.abc import Sequence
 
 from common.config import Model
 from common.errors import UsageError
+from common.wire.addresses import Destination
 from common.wire.views import FINAL_STATES, JobView, WorkerView
 from coordinator.cli.exits import DONE
-from coordinator.cli.output import as_json, clipped, count, duration, say, table
-from coordinator.cli.progress import plain_lines
+from coordinator.cli.fleet import coordinator_lines, worker_table
+from coordinator.cli.follow import Follower, ending, exit_code
+from coordinator.cli.output import as_json, clipped, count, duration, note, say, table
+from coordinator.cli.progress import Display, JsonDisplay, LiveDisplay, PlainDisplay, is_screen, plain_lines
 from coordinator.cli.request import CONNECT_LIMIT_S, address_of
+from coordinator.cli.signals import raising_interrupts
 from coordinator.client import Client, connected
 
 
@@ -22,8 +26,10 @@ def jobs(options: argparse.Namespace) -> int:
 
 
 def status(options: argparse.Namespace) -> int:
-    """Show one job, or all that have not ended."""
+    """Show one job, or all that have not ended; with ``--follow`` one, until it ends, with its exit code."""
     address = address_of(options)
+    if options.follow:
+        return _follow(options, address)
     with connected(address, CONNECT_LIMIT_S) as client:
         views = _open_jobs(client) if options.job is None else [client.status(client.resolve(options.job))]
         workers = client.workers()
@@ -35,15 +41,36 @@ def status(options: argparse.Namespace) -> int:
     return DONE
 
 
+def _follow(options: argparse.Namespace, address: Destination) -> int:
+    """Show a job, the only one under way unless it is named, whenever it changes; return its exit code."""
+    with raising_interrupts(), connected(address, CONNECT_LIMIT_S) as client:
+        job = _only_open_job(client) if options.job is None else client.resolve(options.job)
+        with _display(options, f"island-worker --connect {address}") as display:
+            view = Follower(client, job, display).to_the_end()
+    sentence = ending(view, view.target_error)
+    if sentence:
+        note(f"coordinator: {sentence}")
+    return exit_code(view, view.target_error)
+
+
+def _display(options: argparse.Namespace, hint: str) -> Display:
+    if options.json:
+        return JsonDisplay(say)
+    return LiveDisplay(hint) if is_screen() else PlainDisplay(hint, say)
+
+
 def workers(options: argparse.Namespace) -> int:
-    """List all workers, or those whose name begins with ``options.job``."""
+    """List all workers, or those whose name begins with ``options.job``; or show the coordinator's own counters."""
     address = address_of(options)
     with connected(address, CONNECT_LIMIT_S) as client:
         views = [view for view in client.workers() if view.worker.startswith(options.job or "")]
-    if options.json:
+        own = client.coordinator() if options.coordinator else None
+    if options.coordinator:
+        say(as_json(own.model_dump(mode="json") if own else None) if options.json else coordinator_lines(own))
+    elif options.json:
         say(_json(views))
     else:
-        say(_worker_table(views) if views else f"no worker is here; start one with: island-worker --connect {address}")
+        say(worker_table(views) if views else f"no worker is here; start one with: island-worker --connect {address}")
     return DONE
 
 
@@ -79,26 +106,24 @@ def _json(views: Sequence[Model]) -> str:
 
 
 def _status_text(view: JobView, workers: Sequence[WorkerView], hint: str) -> str:
-    notes = [f"  note: {warning}" for warning in view.warnings]
+    notes = [f"  stands still: {stall}" for stall in view.stalls]
+    notes += [f"  note: {warning}" for warning in view.warnings]
     return "\n".join([*plain_lines(view, workers, hint), *notes])
 
 
 def _job_table(views: Sequence[JobView]) -> str:
     if not views:
         return "no job is here; give one with: coordinator submit DATA"
-    rows = [(view.job, clipped(view.name, 24), view.state, duration(view.elapsed), *_measures(view)) for view in views]
-    return table(("ID", "NAME", "STATE", "TIME", "WORKERS", "EPOCHS", "POINT-EVALS", "FOUND"), rows)
-
-
-def _measures(view: JobView) -> tuple[str, str, str, str]:
-    epochs = ",".join(str(variable.epoch) for variable in view.variables) or "-"
-    found = sum(variable.converged for variable in view.variables)
-    return str(view.workers), epochs, count(view.point_evaluations), f"{found} of {len(view.variables)}"
-
-
-def _worker_table(views: Sequence[WorkerView]) -> str:
     rows = [
-        (view.worker, view.host, str(view.pid), view.state, str(view.islands), f"{view.silent:.1f} s", view.version)
+        (view.job, clipped(view.name, 24), view.state, str(view.priority), duration(view.elapsed), *_measures(view))
         for view in views
     ]
-    return table(("NAME", "HOST", "PID", "STATE", "ISLANDS", "SILENT", "VERSION"), rows)
+    heads = ("ID", "NAME", "STATE", "PRIORITY", "TIME", "WORKERS", "EPOCHS", "POINT-EVALS", "FOUND", "NOTE")
+    return table(heads, rows)
+
+
+def _measures(view: JobView) -> tuple[str, ...]:
+    epochs = ",".join(str(variable.epoch) for variable in view.variables) or "-"
+    found = sum(variable.converged for variable in view.variables)
+    note = clipped(view.reason or (view.stalls[0] if view.stalls else ""), 70)
+    return str(view.workers), epochs, count(view.point_evaluations), f"{found} of {len(view.variables)}", note

@@ -148,7 +148,7 @@ def nursery_command(endpoint: str, number: int) -> Sequence[str]:
 
 
 def _command(endpoint: str, name: str, number: int) -> Sequence[str]:
-    options = ["--connect", endpoint, "--processes", str(number), "--name", name, "--wait", "30"]
+    options = ["--connect", endpoint, "--processes", str(number), "--name", name, "--wait", "30", "--grace", "0"]
     return [sys.executable, "-m", "island_worker", *options, "--parent", str(os.getpid())]
 
 

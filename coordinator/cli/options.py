@@ -110,6 +110,7 @@ _OPTIONS: Final[Mapping[str, tuple[str, _Reader]]] = {
     "offsets": ("data.offsets", names),
     "missing": ("data.missing", _text),
     "holdout": ("data.holdout", _holdout),
+    "weights": ("data.weights", _text),
     "max_size": ("space.max_size", _whole),
     "islands": ("evolution.islands", _whole),
     "max_time": ("budget.max_time", seconds),
@@ -256,6 +257,7 @@ def _check_columns(data: DataConfig) -> None:
         "--derivatives": data.derivatives or (),
         "--target": (data.target,) if data.target is not None else (),
         "--trajectory": (data.trajectory,) if data.trajectory is not None else (),
+        "--weights": (data.weights,) if data.weights is not None else (),
     }
     first: dict[str, str] = {}
     for role, columns in roles.items():

@@ -4,7 +4,9 @@ The texts are pure functions of what the coordinator says of a job and its worke
 and how they appear.
 """
 
+import json
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol
@@ -13,6 +15,7 @@ from common.wire.views import FINAL_STATES, JobView, VariableView, WorkerView
 from coordinator.cli.output import clipped, count, duration, error_text, note, shortened
 
 PLAIN_INTERVAL_S: Final = 5.0
+_SECONDS: Final = re.compile(r"\b[0-9]+ s\b")
 _HEADS: Final = ("equation", "epoch", "error", "size", "best so far", "")
 
 
@@ -32,8 +35,12 @@ class Display(Protocol):
 
 def open_display(connect_hint: str) -> Display:
     """Return the display that suits stderr. `connect_hint` is the command that starts a worker, "" if nobody need."""
-    is_screen = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
-    return LiveDisplay(connect_hint) if is_screen else PlainDisplay(connect_hint)
+    return LiveDisplay(connect_hint) if is_screen() else PlainDisplay(connect_hint)
+
+
+def is_screen() -> bool:
+    """Tell whether stderr is a terminal on which a table can be redrawn."""
+    return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
 def headline(view: JobView, workers: Sequence[WorkerView], connect_hint: str) -> str:
@@ -43,7 +50,8 @@ def headline(view: JobView, workers: Sequence[WorkerView], connect_hint: str) ->
         parts.append(f"{count(view.point_evaluations)} point evaluations")
     if view.point_evaluations_per_second and view.state not in FINAL_STATES:
         parts.append(f"{count(view.point_evaluations_per_second)}/s")
-    return ", ".join(parts) + _waiting(view, workers, connect_hint)
+    waits = waiting(view, workers, connect_hint)
+    return ", ".join(parts) + (f"; {waits}" if waits else "")
 
 
 def _workers(view: JobView, workers: Sequence[WorkerView]) -> str:
@@ -51,19 +59,17 @@ def _workers(view: JobView, workers: Sequence[WorkerView]) -> str:
     return "1 worker" if number == 1 else f"{number} workers"
 
 
-def _waiting(view: JobView, workers: Sequence[WorkerView], connect_hint: str) -> str:
-    """Return what an unfinished job waits for, if anything."""
+def waiting(view: JobView, workers: Sequence[WorkerView], connect_hint: str) -> str:
+    """Return what an unfinished job waits for, or where it stands still, if anywhere."""
     if view.state in FINAL_STATES:
         return ""
     alive = [worker for worker in workers if worker.state != "lost"]
     if not alive:
-        return (
-            f"; no worker has joined; start one with: {connect_hint}" if connect_hint else "; its workers are starting"
-        )
+        return f"no worker has joined; start one with: {connect_hint}" if connect_hint else "its workers are starting"
     if all(worker.state == "compiling" for worker in alive):
         details = sorted(worker.detail for worker in alive if worker.detail)  # "compiling …" before "waiting …"
-        return f"; workers are getting ready: {details[0] if details else 'loading kernels'}"
-    return f"; {view.reason}" if view.reason else ""
+        return f"workers are getting ready: {details[0] if details else 'loading kernels'}"
+    return view.reason or (view.stalls[0] if view.stalls else "")
 
 
 def row(variable: VariableView) -> tuple[str, ...]:
@@ -98,6 +104,11 @@ def plain_lines(view: JobView, workers: Sequence[WorkerView], connect_hint: str)
     return lines
 
 
+def unmeasured(sentence: str) -> str:
+    """Return a sentence without its numbers of seconds, so that it is the same a second later."""
+    return _SECONDS.sub("", sentence)
+
+
 class PlainDisplay:
     """Plain lines: whenever the state of the job or of an equation changes, and every few seconds."""
 
@@ -116,7 +127,7 @@ class PlainDisplay:
     def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
         """Write the lines when there is something to say."""
         standings = tuple((variable.finished, variable.converged) for variable in view.variables)
-        state = (view.state, standings, _waiting(view, workers, self._hint))
+        state = (view.state, standings, unmeasured(waiting(view, workers, self._hint)))
         if state == self._shown and now < self._due:
             return
         self._shown, self._due = state, now + PLAIN_INTERVAL_S
@@ -126,6 +137,32 @@ class PlainDisplay:
     def say(self, sentence: str) -> None:
         """Write the sentence."""
         self._write(sentence)
+
+
+class JsonDisplay:
+    """One JSON object a line for every state that differs from the one before; sentences go to stderr."""
+
+    def __init__(self, write: Callable[[str], None]) -> None:
+        self._write = write
+        self._shown: JobView | None = None
+
+    def __enter__(self) -> "JsonDisplay":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
+        """Write the view, unless only time has passed."""
+        del workers, now
+        timeless = view.model_copy(update={"elapsed": 0.0, "point_evaluations_per_second": None})
+        if timeless != self._shown:
+            self._shown = timeless
+            self._write(json.dumps(view.model_dump(mode="json"), ensure_ascii=False))
+
+    def say(self, sentence: str) -> None:
+        """Write the sentence on stderr."""
+        note(sentence)
 
 
 class LiveDisplay:

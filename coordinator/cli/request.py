@@ -33,6 +33,7 @@ class Request:
     config: JobConfig
     files: tuple[Path, ...]
     json: bool
+    priority: int = 0
 
     @property
     def target_error(self) -> float | None:
@@ -51,7 +52,7 @@ class Request:
     def submit(self, client: Client, table: "Table") -> JobView:
         """Upload `table` and submit the job."""
         digest = client.upload(table.to_bytes())
-        return client.submit(self.job, self.name, self.config, digest)
+        return client.submit(self.job, self.name, self.config, digest, self.priority)
 
     def result(self, client: Client, view: JobView) -> dict[str, Any] | None:
         """Return the result of the ended job; None when it ended before there was any."""
@@ -85,7 +86,9 @@ def request_of(options: argparse.Namespace) -> Request:
     """
     files = tuple(Path(name) for name in options.data)
     name = options.name if options.name is not None else files[0].name
-    request = Request(job_id(options.id), name, job_config(options), files, options.json)
+    request = Request(
+        job_id(options.id), name, job_config(options), files, options.json, getattr(options, "priority", 0)
+    )
     for file in files:
         if not file.is_file():
             found = _what_is_there(file)

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 from common import VERSION
 from common.errors import RefusedError, UnreachableError
+from common.logs import configure, fields
 from common.wire.access import Roster
 from common.wire.addresses import Destination, destination, parse_address
 from common.wire.connect_file import announced
 from common.wire.credentials import credentials_of
 from coordinator.cli.exits import DONE
 from coordinator.cli.output import note, say
-from coordinator.cli.serve import addresses_of, configure_log, roster_of, warnings_of
+from coordinator.cli.serve import addresses_of, roster_of, warnings_of
 from coordinator.cli.signals import stopping
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def router(options: argparse.Namespace) -> int:
     wanted = destination(options.listen, credentials)
     upstream = [str(destination(each, credentials)) for each in options.connect]
     roster = roster_of(options.roster, wanted)
-    configure_log()
+    configure(options.log_format, options.log_level)
     from common.wire.zenoh_bus import open_router
 
     stop = threading.Event()
@@ -89,7 +90,7 @@ class _Watch:
         realm = coordinator_behind(self._bus, self._bearer)
         now = time.monotonic()
         if realm is not None and realm != self._realm:
-            _LOG.info("coordinator found realm=%s", realm)
+            _LOG.info("coordinator found", extra=fields(realm=realm))
         elif realm is None and (self._realm is not None or now - self._said_at >= _REMIND_S):
             _LOG.warning("no coordinator answers behind this router yet")
             self._said_at = now

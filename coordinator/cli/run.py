@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from common.errors import DataError, UsageError
+from common.logs import configure
 from coordinator.cli.exits import BAD_INPUT, INTERRUPTED
 from coordinator.cli.identity import job_id
 from coordinator.cli.local import Workers, cores, free_endpoint
@@ -55,9 +56,7 @@ def _log_into(folder: Path) -> None:
         raise UsageError(
             f"the folder {folder} cannot be written ({error.strerror}); name another with --out"
         ) from error
-    logging.basicConfig(
-        level=logging.INFO, handlers=[log], format="%(asctime)s %(levelname)s %(name)s %(message)s", force=True
-    )
+    configure(handler=log)
 
 
 def _remove_logs(folder: Path) -> None:

@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import ipaddress
-import logging
 import os
 import socket
 import struct
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from common import VERSION
 from common.errors import RefusedError, StoreError, UnreachableError, UsageError
+from common.logs import configure
 from common.wire.access import Roster, read_roster
 from common.wire.addresses import Address, Destination, destination, parse_address
 from common.wire.connect_file import announced
@@ -40,7 +40,7 @@ def serve(options: argparse.Namespace) -> int:
     credentials = credentials_of(vars(options), os.environ, "connect" if behind else "serve")
     wanted = destination(options.router or options.listen, credentials)
     roster = roster_of(options.roster, wanted)
-    configure_log()
+    configure(options.log_format, options.log_level)
     from coordinator.service.service import Service
 
     stop = threading.Event()
@@ -108,13 +108,6 @@ def _opened(state: str) -> "Store":
         return Store.open(Path(state))
     except StoreError as error:
         raise UsageError(str(error)) from error
-
-
-def configure_log() -> None:
-    """Send the log to stderr, one line an event."""
-    logging.basicConfig(
-        level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s %(message)s", force=True
-    )
 
 
 def greeting(at: Destination, state: str, roster: Roster | None = None, is_behind_router: bool = False) -> str:

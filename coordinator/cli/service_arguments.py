@@ -4,6 +4,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any, Final
 
+from common.log_options import add_log_options
 from common.wire.tls_options import OPTIONS as TLS_OPTIONS
 
 DEFAULT_LISTEN: Final = "tcp/127.0.0.1:7447"
@@ -30,6 +31,7 @@ def add_serve(verb: Verb, verbs: Any) -> None:
     _add_connect_file(parser)
     add_tls(parser)
     _add_roster(parser)
+    add_log_options(parser)
     parser.add_argument(
         "--wait",
         type=seconds,
@@ -55,6 +57,7 @@ def add_router(verb: Verb, verbs: Any) -> None:
     _add_connect_file(parser)
     add_tls(parser)
     _add_roster(parser)
+    add_log_options(parser)
 
 
 def add_doctor(verb: Verb, verbs: Any) -> argparse.ArgumentParser:
@@ -70,7 +73,11 @@ def add_doctor(verb: Verb, verbs: Any) -> argparse.ArgumentParser:
         "--listen", metavar="tcp/HOST:PORT", help="an address at which a coordinator shall listen: is it free?"
     )
     parser.add_argument("--state", metavar="DIR", help="the folder of a coordinator's job store (default: the current)")
+    parser.add_argument(
+        "--quick", action="store_true", help="look only whether the coordinator's address accepts connections"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
+    add_tls(parser)
     return parser
 
 

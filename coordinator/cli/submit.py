@@ -5,11 +5,11 @@ from pathlib import Path
 
 from common.errors import UsageError
 from common.wire.addresses import Destination
-from common.wire.views import JobView
+from common.wire.views import FINAL_STATES, JobView
 from coordinator.cli.exits import DONE, INTERRUPTED
 from coordinator.cli.follow import Follower
 from coordinator.cli.output import note, refuse_existing_result, say, write_result
-from coordinator.cli.progress import open_display
+from coordinator.cli.progress import open_display, waiting
 from coordinator.cli.request import CONNECT_LIMIT_S, Request, address_of, request_of
 from coordinator.cli.signals import raising_interrupts
 from coordinator.client import Client, connected
@@ -24,11 +24,20 @@ def submit(options: argparse.Namespace) -> int:
     if folder is not None:
         refuse_existing_result(folder)
     with raising_interrupts(), connected(address, CONNECT_LIMIT_S) as client:
-        request.submit(client, request.read())
+        view = request.submit(client, request.read())
         if options.no_wait:
+            _say_what_it_waits_for(view, client, address)
             say(request.job)
             return DONE
         return _see_through(request, client, address, folder)
+
+
+def _say_what_it_waits_for(view: JobView, client: Client, address: Destination) -> None:
+    """Tell somebody who leaves now what keeps the job from being searched at once, if anything does."""
+    if view.state in FINAL_STATES:
+        note(f"job {view.job} is known, and has ended: {view.state}")
+    elif waits := waiting(view, client.workers(), f"island-worker --connect {address}"):
+        note(f"job {view.job} {view.state}; {waits}")
 
 
 def _see_through(request: Request, client: Client, address: Destination, folder: Path | None) -> int:

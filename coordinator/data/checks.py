@@ -18,22 +18,25 @@ TURNS: Final = ((6.283185307179586, "2 pi", ""), (360.0, "360", ":deg"))
 """A full turn, how it is called, and what `--angle` appends for its unit."""
 
 
-def finite_rows(table: Table, roles: Roles, drop: bool) -> tuple[list[int], str | None]:
-    """Return the rows whose used columns are all finite, and a sentence when rows were dropped.
+def finite_rows(table: Table, roles: Roles, counted: list[int], drop: bool) -> tuple[list[int], str | None]:
+    """Return those of the rows `counted` whose used columns are all finite, and a sentence when rows were dropped.
 
     Raises:
         DataError: when there are others and `drop` is false, or nothing is left.
     """
     used = [table.names.index(name) for name in roles.used]
     bad = ~np.isfinite(table.columns[used])
-    kept = [int(row) for row in np.flatnonzero(~bad.any(axis=0))]
-    if len(kept) == table.rows:
+    uncounted = np.ones(table.rows, dtype=np.bool_)
+    uncounted[counted] = False
+    bad &= ~uncounted
+    kept = [int(row) for row in np.flatnonzero(~(bad.any(axis=0) | uncounted))]
+    if len(kept) == len(counted):
         return kept, None
     if not drop:
         raise DataError(_not_finite(table, [table.names[index] for index in used], bad))
     if not kept:
         raise DataError(f"every row of {table.files[0]} holds NaN or infinity; nothing is left to search")
-    count = table.rows - len(kept)
+    count = len(counted) - len(kept)
     return kept, f"{count} of {table.rows} rows hold NaN or infinity and were dropped."
 
 

@@ -20,7 +20,7 @@ class Roles:
     """Column names by the part they play; `inputs` are variables without an equation.
 
     `target` is set in explicit regression and `derivatives` (one per state) where they are given; with neither, the
-    states are differentiated in time.
+    states are differentiated in time. `weights` says how much each row counts.
     """
 
     time: str | None
@@ -29,11 +29,12 @@ class Roles:
     inputs: tuple[str, ...]
     target: str | None = None
     derivatives: tuple[str, ...] = ()
+    weights: str | None = None
 
     @property
     def used(self) -> tuple[str, ...]:
         """Every column that is looked at, once."""
-        extra = [name for name in (self.time, self.trajectory, self.target) if name is not None]
+        extra = [name for name in (self.time, self.trajectory, self.target, self.weights) if name is not None]
         return tuple(dict.fromkeys((*extra, *self.states, *self.inputs, *self.derivatives)))
 
     @property
@@ -67,7 +68,8 @@ def _fresh(name: str, taken: Sequence[str]) -> str:
 
 def mentioned(config: DataConfig) -> frozenset[str]:
     """Return every column name that the options mention."""
-    single = [name for name in (config.time, config.trajectory, config.target) if name is not None]
+    named = (config.time, config.trajectory, config.target, config.weights)
+    single = [name for name in named if name is not None]
     angles = [angle.column for angle in config.angles]
     several = (*(config.states or ()), *config.inputs, *(config.derivatives or ()), *(config.only or ()))
     return frozenset((*single, *several, *angles, *config.offsets))
@@ -91,7 +93,7 @@ def without_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
     def several(those: Iterable[str] | None) -> tuple[str, ...] | None:
         return None if those is None else tuple(plain(name) for name in those)
 
-    single = {part: getattr(config, part) for part in ("time", "trajectory", "target")}
+    single = {part: getattr(config, part) for part in ("time", "trajectory", "target", "weights")}
     changes: dict[str, object] = {part: plain(name) for part, name in single.items() if name is not None}
     changes |= {part: several(getattr(config, part)) for part in ("states", "inputs", "derivatives", "only", "offsets")}
     if isinstance(config.holdout, str):
@@ -161,6 +163,7 @@ def _check_parts(config: DataConfig) -> None:
         ("the target", [config.target] if config.target is not None else []),
         ("the trajectory column", [config.trajectory] if config.trajectory is not None else []),
         ("the time", [config.time] if config.time is not None else []),
+        ("the weights", [config.weights] if config.weights is not None else []),
     ]
     owner: dict[str, str] = {}
     for part, names in parts:
@@ -175,20 +178,20 @@ def _check_parts(config: DataConfig) -> None:
 def _resolved(names: Sequence[str], config: DataConfig) -> Roles:
     time = config.time or next((name for name in TIME_NAMES if name in names and _is_free(name, config)), None)
     trajectory = trajectory_name(names, config)
-    taken = {time, trajectory, config.target, *config.inputs, *(config.derivatives or ())}
+    taken = {time, trajectory, config.target, config.weights, *config.inputs, *(config.derivatives or ())}
     rest = tuple(name for name in names if name not in taken)
     if config.target is not None:
         inputs = (*(config.states or ()), *config.inputs)
         if not inputs:
             inputs = rest or ((time,) if time is not None else ())
-        return Roles(None, trajectory, (), inputs, target=config.target)
+        return Roles(None, trajectory, (), inputs, target=config.target, weights=config.weights)
     states = config.states if config.states is not None else rest
-    return Roles(time, trajectory, states, config.inputs, derivatives=config.derivatives or ())
+    return Roles(time, trajectory, states, config.inputs, derivatives=config.derivatives or (), weights=config.weights)
 
 
 def _is_free(name: str, config: DataConfig) -> bool:
     """Say whether a column called t or time may be the time: as an input it may, with another part it may not."""
-    other = (config.target, config.trajectory, *(config.states or ()), *(config.derivatives or ()))
+    other = (config.target, config.trajectory, config.weights, *(config.states or ()), *(config.derivatives or ()))
     return name not in other
 
 

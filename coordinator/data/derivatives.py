@@ -3,7 +3,8 @@
 Noisy states are smoothed by loess. Where leaving rows out shows that the data follow local polynomials of high order
 better than any smoother (there is no noise to speak of), they are interpolated instead: the derivative is that of the
 polynomial through the 3 to 15 nearest rows, each row taking the stencil whose step from the next narrower one is least
-(weights by Fornberg 1988, good for uneven steps). That difference between two orders is the row's uncertainty.
+(weights by Fornberg 1988, good for uneven steps). That difference between two orders is the row's uncertainty. Rows of
+different weights say that there is noise.
 """
 
 import math
@@ -104,7 +105,7 @@ def estimate(runs: Sequence[Run], way: Way, held_out: Sequence[bool] = ()) -> Es
         held_out: for each run, whether it takes no part in any choice; empty: all do.
     """
     _, exponent = math.frexp(max(float(np.max(np.abs(run.values))) for run in runs))
-    scaled = [Run(run.times, np.ldexp(run.values, -exponent)) for run in runs]
+    scaled = [replace(run, values=np.ldexp(run.values, -exponent)) for run in runs]
     return _rescaled(_estimate(scaled, way, held_out or [False] * len(runs)), exponent)
 
 
@@ -128,7 +129,8 @@ def _estimate(runs: Sequence[Run], way: Way, held_out: Sequence[bool]) -> Estima
     choice = choose(seen, way.degrees)
     smoothed = [smooth(run, choice) for run in seen]
     is_tailed = has_heavy_tails(seen, smoothed)
-    if not way.paper and not (way.robust and is_tailed):
+    is_weighed = any(run.precision is not None for run in runs)
+    if not way.paper and not is_weighed and not (way.robust and is_tailed):
         errors, gains = _left_out(seen)
         noise = _value_noise(errors, gains)
         if noise <= LARGEST_NOISE * _deviation(seen) and _is_better(seen, errors, smoothed):
@@ -138,7 +140,7 @@ def _estimate(runs: Sequence[Run], way: Way, held_out: Sequence[bool]) -> Estima
         return replace(_by_loess(runs, choice, way, seen), has_heavy_tails=is_tailed)
     rest = iter(its.runs)
     weighed = [retrusted(run, its) if out else next(rest) for run, out in zip(runs, held_out, strict=True)]
-    trust = np.concatenate([run.weights for run in weighed])
+    trust = np.concatenate([np.ones(len(run.times)) if run.trust is None else run.trust for run in weighed])
     return replace(_by_loess(weighed, its.choice, way, its.runs), outliers=outliers(its.runs), trust=trust)
 
 

@@ -28,6 +28,7 @@ def describe(table: Table, config: JobConfig) -> str:
     parts = [("states", roles.states), ("derivatives", roles.derivatives), ("inputs", roles.inputs)]
     if roles.target is not None:
         parts = [("target", (roles.target,)), ("inputs", roles.inputs)]
+    parts.append(("weights", () if roles.weights is None else (roles.weights,)))
     lines += [f"{part}: {', '.join(_with_unit(table, name) for name in names)}" for part, names in parts if names]
     return "\n".join([*lines, *_prior(resolved.prior, its)])
 

@@ -4,6 +4,7 @@ Cheap enough for a client to meet every objection to its data before it uploads 
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from common.table import Table
 from coordinator.data import checks
 from coordinator.data.columns import Roles, resolve, without_units
 from coordinator.data.holdout import held_out_runs
+from coordinator.data.row_weights import relative_weights, weighty_rows
 from coordinator.data.trajectories import Trajectories, in_radians, runs_of, trajectories_of, unwrapped
 
 
@@ -34,6 +36,11 @@ class Measured:
     trajectories: Trajectories | None
     states: dict[str, list[FloatArray]]
     warnings: tuple[str, ...]
+
+    @cached_property
+    def weights(self) -> FloatArray | None:
+        """How much each of the rows kept counts, (R,), 1 on average; None where all count alike."""
+        return None if self.roles.weights is None else relative_weights(self.column(self.roles.weights))
 
     def indices(self, *, held_out: bool) -> list[int]:
         """Return the indices into `rows` of those that are held out, or of those that are not."""
@@ -63,7 +70,8 @@ def measured(table: Table, config: DataConfig) -> Measured:
     config = without_units(config, table.names)
     roles = resolve(table, config)
     checks.check_rows(table, table.rows)
-    rows, dropped = checks.finite_rows(table, roles, config.missing == "drop")
+    counted, unused = weighty_rows(table, roles.weights)
+    rows, dropped = checks.finite_rows(table, roles, counted, config.missing == "drop")
     runs = runs_of(table, rows, roles.trajectory)
     held_out = held_out_runs(config.holdout, table, roles, rows, runs)
     seen = [row for (first, last), out in zip(runs, held_out, strict=True) if not out for row in rows[first:last]]
@@ -71,7 +79,8 @@ def measured(table: Table, config: DataConfig) -> Measured:
     for name in roles.derivatives or roles.equations:
         part = "state" if name in roles.states else "derivative" if roles.derivatives else "target"
         checks.check_varies(table, name, table.column(name)[seen], part)
-    warnings = (*([dropped] if dropped else []), *_remarks(table, roles, rows, config))
+    said = [sentence for sentence in (unused, dropped) if sentence is not None]
+    warnings = (*said, *_remarks(table, roles, rows, config))
     if roles.target is not None or roles.derivatives:
         return Measured(table, config, roles, tuple(rows), runs, held_out, None, {}, warnings)
     trajectories = trajectories_of(table, roles, rows)

@@ -21,6 +21,7 @@ from coordinator.data.measured import Measured, measured
 from coordinator.data.prior import resolve_roles
 from coordinator.data.recorded import recorded
 from coordinator.data.recording import Preparation
+from coordinator.data.row_weights import weighty_enough
 from coordinator.data.rows import Kept, kept_rows
 from coordinator.data.smoothing import Run
 from coordinator.data.spread import finite_spread
@@ -65,13 +66,22 @@ def _given(its: Measured) -> Preparation:
     names = variable_columns(its.roles, its.config.order)
     columns = _Columns(symbols_for(names), np.array([its.column(name) for name in names]))
     seen, held_out = its.indices(held_out=False), its.indices(held_out=True)
+    everything = len(seen)
+    if its.weights is not None:
+        seen = weighty_enough(its.weights, seen)
+    if len(seen) < everything:
+        sentence = f"{everything - len(seen)} of {everything} rows have little weight and are left out of the search."
+        its = replace(its, warnings=(*its.warnings, sentence))
     targets = []
     for name, column in zip(its.roles.equations, its.roles.derivatives or its.roles.equations, strict=True):
         values = its.column(column, angle_of=name)
         deviation = finite_spread(column, values[seen])
         targets.append(Target(name, left_hand_side(its.roles, name, its.config.order), values, 0.0, deviation))
     return Preparation(
-        _dataset(its, columns, targets, seen), None, _dataset(its, columns, targets, held_out) if held_out else None
+        _dataset(its, columns, targets, seen),
+        None,
+        _dataset(its, columns, targets, held_out) if held_out else None,
+        None if its.weights is None else its.weights[seen],
     )
 
 
@@ -92,9 +102,12 @@ def _estimated(its: Measured, way: Way) -> list[Estimate]:
     assert its.trajectories is not None
     estimates = []
     for name in its.roles.states:
-        runs = [Run(each, part) for each, part in zip(its.trajectories.times, its.states[name], strict=True)]
+        runs = [
+            Run(each, part, precision=None if its.weights is None else its.weights[first:last])
+            for each, part, (first, last) in zip(its.trajectories.times, its.states[name], its.runs, strict=True)
+        ]
         estimates.append(estimate(runs, way, its.held_out))
-        finite_spread(f"derivative of {name}", estimates[-1].derivative)
+        _derivative_spread(name, estimates[-1].derivative)
     return estimates
 
 
@@ -153,7 +166,7 @@ def _outliers(state: str, count: int, rows: int) -> str:
 def _target(name: str, lhs: str, its: Estimate, kept: list[int]) -> Target:
     """Return the target over all rows, with floor and deviation of those `kept`."""
     values = np.ascontiguousarray(its.derivative[kept])
-    deviation = finite_spread(f"derivative of {name}", values)
+    deviation = _derivative_spread(name, values)
     floor, _ = moments(np.ascontiguousarray(its.uncertainty[kept] / deviation))
     if not math.isfinite(floor):
         raise DataError(f"the uncertainty of the derivative of '{name}' cannot be told; sample more often")
@@ -161,3 +174,13 @@ def _target(name: str, lhs: str, its: Estimate, kept: list[int]) -> Target:
     if spread < deviation:  # constant but for rounding, of which a comparison of two orders sees only a part
         floor = max(floor, spread / deviation)
     return Target(name, lhs, its.derivative, floor, deviation, its.noise)
+
+
+def _derivative_spread(state: str, values: FloatArray) -> float:
+    """Return the standard deviation of a state's derivative; raises DataError when there is none to compute with."""
+    if not values.any():
+        raise DataError(
+            f"state '{state}' stands still wherever it can be differentiated, as one that is switched between values "
+            f"does, so that no equation can be sought; make it an input with --inputs {state}"
+        )
+    return finite_spread(f"derivative of {state}", values)

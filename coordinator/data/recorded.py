@@ -79,6 +79,7 @@ def _trajectory(
         _stacked([parts[run] for parts in slopes], rows),
         its.held_out[run],
         _trust(estimates, first, last),
+        None if its.weights is None else np.ascontiguousarray(its.weights[first:last]),
     )
 
 

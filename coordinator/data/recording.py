@@ -32,7 +32,8 @@ class Trajectory:
     strictly, centred over all trajectories; `measured`, `smoothed` and `slopes` are (S, R), angles unwrapped and in
     radians; `slopes` are first derivatives. `inputs` and `input_slopes` are (U, R): an input between rows is the cubic
     with these values and slopes. `held_out` trajectories were kept from the search and from every fit. `trust` (S, R)
-    says between 0 (an outlier) and 1 how much a measurement counts; None: all count wholly.
+    says between 0 (an outlier) and 1 how much a measurement is believed; None: wholly. `weights` (R,) divide the
+    variance of the errors of each row and are 1 on average over all rows; None: all alike.
     """
 
     name: str
@@ -44,17 +45,18 @@ class Trajectory:
     input_slopes: FloatArray
     held_out: bool = False
     trust: FloatArray | None = None
+    weights: FloatArray | None = None
 
 
 @dataclass(frozen=True)
 class Smoothing:
     """How one state was smoothed.
 
-    `noise` is the estimated standard deviation of its measurement errors, in its unit (where it was interpolated, an
-    upper estimate, often of rounding alone), and `relative` that over the state's pooled standard deviation; `span`
-    (rows) and `degree` are those of loess, None where it was interpolated; `doubtful` counts rows whose derivative
-    cannot be trusted, and `outliers` those that robust loess all but ignored. `doubts` are the rows of trajectories
-    that are not held out which are not used because of this state, in order.
+    `noise` is the estimated standard deviation of its measurement errors, in its unit and in rows of weight 1 (where it
+    was interpolated, an upper estimate, often of rounding alone), and `relative` that over the state's pooled standard
+    deviation; `span` (rows) and `degree` are those of loess, None where it was interpolated; `doubtful` counts rows
+    whose derivative cannot be trusted, and `outliers` those that robust loess all but ignored. `doubts` are the rows of
+    trajectories that are not held out which are not used because of this state, in order.
     """
 
     state: str
@@ -96,8 +98,10 @@ class Preparation:
 
     `dataset` is what the search sees; `recording` is None where the left-hand sides were given; `held_out` has the same
     targets over rows of held-out trajectories, with floor, deviation and noise of `dataset`, None where there are none.
+    `weights` say how much each row of `dataset` counts where the left-hand sides were given, None: all alike.
     """
 
     dataset: Dataset
     recording: Recording | None = None
     held_out: Dataset | None = None
+    weights: FloatArray | None = None

@@ -5,7 +5,7 @@ Medians are taken by sorting.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -88,7 +88,11 @@ def _isolated(sizes: list[float], limit: float) -> int:
 
 
 def _residuals(runs: Sequence[Run], smoothed: Sequence[Smoothed]) -> list[FloatArray]:
-    return [run.values - its.fits[0] for run, its in zip(runs, smoothed, strict=True)]
+    """Return measured minus smoothed values, over the deviation that a row of this precision has."""
+    parts = [run.values - its.fits[0] for run, its in zip(runs, smoothed, strict=True)]
+    return [
+        part if run.precision is None else part * np.sqrt(run.precision) for part, run in zip(parts, runs, strict=True)
+    ]
 
 
 def _median(residuals: Sequence[FloatArray]) -> float:
@@ -101,4 +105,4 @@ def _weighed(run: Run, residuals: FloatArray, median: float) -> Run:
     """Return `run` with bisquare weights (Cleveland 1979, section 2)."""
     shares = residuals / (REACH * median)
     rest = np.maximum(1.0 - shares * shares, 0.0)
-    return Run(run.times, run.values, rest * rest)
+    return replace(run, trust=rest * rest)

@@ -136,8 +136,13 @@ def _binned(run: Run, thinning: int) -> _Bins:
     bins = max(rows // thinning, min(rows, FEWEST_BINS))
     share = rows / bins / thinning if bins > rows // thinning else 1.0
     its = Run(np.empty(bins), np.empty(bins), np.empty(bins))
+    if run.precision is not None:
+        precision = np.empty(bins)
+        thin_into(its.times, its.values, precision, run.times, run.values, run.precision)
     thin_into(its.times, its.values, its.weights, run.times, run.values, run.weights)
-    return _Bins(Run(its.times, its.values, share * its.weights), share)
+    if run.precision is None:
+        return _Bins(Run(its.times, its.values, share * its.weights), share)
+    return _Bins(Run(its.times, its.values, share * its.weights / precision, precision), share)
 
 
 def _chosen(parts: Sequence[_Bins], degrees: Sequence[int]) -> Choice:
@@ -202,7 +207,7 @@ def _loess(run: Run, span: int, degree: int) -> Smoothed:
 
 
 def noise_of(runs: Sequence[Run], smoothed: Sequence[Smoothed]) -> float:
-    """Return the estimated standard deviation of the noise: residuals over their degrees of freedom.
+    """Return the estimated standard deviation of the noise in a row of precision 1: residuals over degrees of freedom.
 
     Cleveland & Devlin 1988, section 3: rows minus twice the trace of the smoother plus the trace of its square. Rows
     without trust do not count.
@@ -210,9 +215,10 @@ def noise_of(runs: Sequence[Run], smoothed: Sequence[Smoothed]) -> float:
     squares, freedom = 0.0, 0.0
     for run, its in zip(runs, smoothed, strict=True):
         residuals, weights = (run.values - its.fits[0]).tolist(), run.weights.tolist()
-        freedoms = (1.0 - 2.0 * its.gains[3] + its.gains[0] * its.gains[0]).tolist()
-        for residual, weight, free in zip(residuals, weights, freedoms, strict=True):
+        freedoms = (1.0 - 2.0 * its.gains[3] + run.precisions * its.gains[0] * its.gains[0]).tolist()
+        precisions = run.precisions.tolist()
+        for residual, weight, precision, free in zip(residuals, weights, precisions, freedoms, strict=True):
             if weight > 0.0:
-                squares += residual * residual
+                squares += precision * residual * residual
                 freedom += free
     return math.sqrt(squares / max(freedom, 1.0))

@@ -1,6 +1,7 @@
 """The constants of a program fitted to all rows, to convergence: Levenberg's method with Marquardt's damping.
 
-Maximum likelihood for noise of one variance on every row. Letters: R rows, K constants that are fitted.
+Maximum likelihood for noise of one variance on every row, or of one that the rows' weights divide. Letters: R rows, K
+constants that are fitted.
 """
 
 import math
@@ -42,15 +43,21 @@ class Fitted:
 class Polisher:
     """Fits programs to the rows of one problem; `evaluations` counts the point evaluations, overhead included."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, weights: FloatArray | None = None) -> None:
+        """`weights` (R,) of the rows, 1 on average; None: all alike."""
         self._inputs = problem.inputs
         self._target = problem.target.values
+        self._roots = None if weights is None else np.sqrt(weights)
         self.evaluations = 0
 
     def mse(self, program: Program) -> float:
         """Return the mean squared error of `program`."""
         self.evaluations += len(self._target) + OVERHEAD
-        return _mse(values_of(program, self._inputs) - self._target)
+        with np.errstate(all="ignore"):
+            return _mse(self._weighed(values_of(program, self._inputs) - self._target))
+
+    def _weighed(self, rows: FloatArray) -> FloatArray:
+        return rows if self._roots is None else np.asarray(rows * self._roots)
 
     def fit(self, program: Program, fixed: Sequence[int] = (), enough: float = 0.0, steps: int = MOST_STEPS) -> Fitted:
         """Return `program` with its constants fitted.
@@ -87,7 +94,7 @@ class Polisher:
         """Return mean squared error, gradient (K,) and normal matrix (K, K); the latter two empty beyond `limit`."""
         values = node_values(program, self._inputs)
         with np.errstate(all="ignore"):
-            errors = values[-1] - self._target
+            errors = self._weighed(values[-1] - self._target)
         self.evaluations += len(errors) + OVERHEAD
         mse = _mse(errors)
         if not mse <= limit or math.isinf(mse):
@@ -95,6 +102,7 @@ class Polisher:
         slopes = gradient_of(program, values, places)
         self.evaluations += 2 * len(errors)
         with np.errstate(all="ignore"):
+            slopes = self._weighed(slopes)
             gradient, normal = slopes @ errors, slopes @ slopes.T
         is_finite = bool(np.isfinite(gradient).all() and np.isfinite(normal).all())
         return mse if is_finite else math.inf, gradient, normal

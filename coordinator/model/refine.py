@@ -10,9 +10,10 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from common.config import JobConfig
-from common.dataset import Problem
+from common.dataset import FloatArray, Problem
 from common.expression.operators import BY_NAME
 from common.expression.program import Program
 from common.pareto import FrontEntry
@@ -20,6 +21,7 @@ from coordinator.data.prior import known_programs
 from coordinator.data.recording import Preparation
 from coordinator.model.criterion import Criterion
 from coordinator.model.errors import errors_on
+from coordinator.model.gathering import gathered
 from coordinator.model.polish import Polisher
 from coordinator.model.refinement import LOOSE, NORMAL_95, Constant, Pools, Refined, Refinement
 from coordinator.model.rewrite import constant_places, structure, tidied
@@ -46,7 +48,8 @@ def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Ref
     """Return the refined equation of each variable; those are missing of which the front has nothing better."""
     problems = {name: preparation.dataset.problem(name) for name in pools}
     if preparation.recording is None:
-        found = {name: refine(problems[name], config, pool.front) for name, pool in pools.items()}
+        weights = preparation.weights
+        found = {name: refine(problems[name], config, pool.front, weights) for name, pool in pools.items()}
         # errors of given left-hand sides are independent, those of smoothed ones are not: only here there are intervals
         return Refinement({name: _with_intervals(refined) for name, refined in found.items() if refined is not None})
     clean = {
@@ -65,9 +68,12 @@ def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Ref
     return Refinement(settled, warnings=(NOT_SIMULATED,))
 
 
-def refine(problem: Problem, config: JobConfig, front: Sequence[FrontEntry]) -> Refined | None:
+def refine(
+    problem: Problem, config: JobConfig, front: Sequence[FrontEntry], weights: FloatArray | None = None
+) -> Refined | None:
     """Return the shortest model that can be made of `front`; None when that must stay as it is.
 
+    `weights` (R,) of the rows, 1 on average, decide the constants; errors are those of all rows alike.
     That is so when the front is empty, and when a member meets the error at which the equation counts as found, but
     nothing shorter does. Pure. Takes about a second for a few hundred noisy rows, less for exact ones.
     """
@@ -81,11 +87,13 @@ def refine(problem: Problem, config: JobConfig, front: Sequence[FrontEntry]) -> 
     variable = problem.target.variable
     operators = frozenset(BY_NAME[name].code for name in config.space.operators_for(variable))
     allowed = config.space.columns_for(variable, problem.names)
-    shortening = Shortening(_spread(problem, COMPARED_ROWS), operators, allowed)
+    shortening = Shortening(
+        _spread(problem, COMPARED_ROWS), operators, allowed, _spread_weights(weights, COMPARED_ROWS)
+    )
     candidates = shortening.candidates([programs[index] for index in kept], looks_around=not has_converged)
     for candidate in candidates[:_ATTEMPTS]:
         member = kept[candidate.member]
-        refined = _finished(problem, candidate, member, config)
+        refined = _finished(problem, candidate, member, config, weights)
         is_member = structure(tidied(programs[member])) == structure(tidied(candidate.fitted.program))
         refined = replace(refined, origin="front" if is_member else "descent")
         if refined.error <= limit and may_be_shown(refined.program, config.space.max_size):
@@ -106,13 +114,17 @@ def _with_interval(constant: Constant) -> Constant:
     return replace(constant, interval=bounds, identifiable=error <= LOOSE * abs(fitted))
 
 
-def _finished(problem: Problem, candidate: Candidate, member: int, config: JobConfig) -> Refined:
+def _finished(
+    problem: Problem, candidate: Candidate, member: int, config: JobConfig, weights: FloatArray | None
+) -> Refined:
     """Decide the constants on more rows where there are more; measure errors and standard errors."""
     program = candidate.model.program
     decisive = _spread(problem, DECIDING_ROWS)
-    criterion, polisher = Criterion.of(decisive.target), Polisher(decisive)
+    criterion, polisher = Criterion.of(decisive.target), Polisher(decisive, _spread_weights(weights, DECIDING_ROWS))
     if len(problem.target.values) > COMPARED_ROWS:
         program = snapped(polisher.fit(candidate.fitted.program), criterion, polisher).program
+    if may_be_shown(gathered(program), config.space.max_size):
+        program = gathered(program)
     error, mse = errors_on(problem, program, config.evolution.loss)
     fitted = polisher.fit(program).program
     std_errors = criterion.errors(polisher.fit(program, steps=0))
@@ -138,6 +150,18 @@ def _spread(problem: Problem, most: int) -> Problem:
     rows = len(problem.target.values)
     if rows <= most:
         return problem
-    index = np.arange(most) * rows // most
+    index = _places(rows, most)
     target = replace(problem.target, values=problem.target.values[index])
     return Problem(problem.names, np.ascontiguousarray(problem.inputs[:, index]), target)
+
+
+def _spread_weights(weights: FloatArray | None, most: int) -> FloatArray | None:
+    """Return the weights of the rows that `_spread` returns, 1 on average."""
+    if weights is None:
+        return None
+    chosen = weights if len(weights) <= most else weights[_places(len(weights), most)]
+    return np.asarray(chosen / chosen.mean())
+
+
+def _places(rows: int, most: int) -> npt.NDArray[np.intp]:
+    return np.asarray(np.arange(most) * rows // most)

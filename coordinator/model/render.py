@@ -2,8 +2,12 @@
 
 import csv
 import io
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
+
+import numpy as np
 
 from common.errors import UsageError
 from common.expression.export import to_latex
@@ -29,6 +33,7 @@ _COLUMNS: Final = (
     "holdout_error",
     "expression",
 )
+_NUMBER: Final = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[+-]?\d+)?")
 _ENDS: Final = {
     "target": "the target error was met",
     "stagnation": "no better equation was found for long",
@@ -166,6 +171,8 @@ def _equation_text(equation: Mapping[str, Any], names: Sequence[str], with_table
         return f"{equation['lhs']} = ?\n    nothing found yet"
     lines = [f"{equation['lhs']} = {display(equation['expression'], names)}"]
     constants = None if with_tables else tables.constants_line(equation["constants"])
+    if with_tables or constants:
+        lines += _written_out(equation, names)
     lines += [f"    {constants}"] if constants else []
     if equation.get("verdict") is not None:
         lines.append(f"    {equation['verdict']}: {equation['reason']}")
@@ -178,6 +185,15 @@ def _equation_text(equation: Mapping[str, Any], names: Sequence[str], with_table
     if with_tables:
         lines += [*_front_lines(equation["front"], names), ""]
     return "\n".join(lines)
+
+
+def _written_out(equation: Mapping[str, Any], names: Sequence[str]) -> list[str]:
+    """Return the expression with its constants where they are, if the display has other numbers, such as 1/4 for 4."""
+    program = from_infix(equation["expression"], names)
+    rounded = replace(program, constants=np.array([float(f"{value:.{DIGITS}g}") for value in program.constants]))
+    seen = {float(number) for number in _NUMBER.findall(display(equation["expression"], names))}
+    known = {abs(float(f"{each['value']:.{DIGITS}g}")) for each in equation["constants"] if each["value"] is not None}
+    return [] if known <= seen | {1.0} else [f"    written out: {to_infix(rounded, names)}"]
 
 
 def _standing(equation: Mapping[str, Any]) -> str:

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from common.dataset import Problem
+from common.dataset import FloatArray, Problem
 from common.expression.program import Program
 from coordinator.model.criterion import Criterion, program_length
 from coordinator.model.neighbours import neighbours
@@ -56,10 +56,19 @@ class Candidate:
 class Shortening:
     """Shortens the front of one problem. Remembers what it has fitted, by structure."""
 
-    def __init__(self, problem: Problem, operators: Collection[int], variables: Collection[int] | None = None) -> None:
-        """`operators` (codes) and `variables` (indices, all unless given) are what new programs may bring in."""
+    def __init__(
+        self,
+        problem: Problem,
+        operators: Collection[int],
+        variables: Collection[int] | None = None,
+        weights: FloatArray | None = None,
+    ) -> None:
+        """`operators` (codes) and `variables` (indices, all unless given) are what new programs may bring in.
+
+        `weights` (R,) of the rows are 1 on average; None: all alike.
+        """
         self.criterion: Final = Criterion.of(problem.target)
-        self.polisher: Final = Polisher(problem)
+        self.polisher: Final = Polisher(problem, weights)
         self._variables = range(len(problem.names)) if variables is None else variables
         self._operators = operators
         self._fits: dict[bytes, tuple[Fitted, float]] = {}

@@ -1,4 +1,4 @@
-"""One archipelago as the coordinator sees it: its collector, its placement, its checkpoints, how far its workers are. Pure.
+"""One archipelago as the coordinator sees it: collector, placement, checkpoints, how far its workers are. Pure.
 
 A checkpoint goes through three hands: its states are gathered from the workers; when all are there and all reports of
 the epochs before it are taken in, it is written; when it is durable, `committed` says what the workers are to be told.
@@ -82,6 +82,11 @@ class Archipelago:
     def is_held(self) -> bool:
         """Whether all islands wait, with all that they are durable, for another placement."""
         return self.placement is not None and self._schedule.holds and self.durable == self._schedule.last
+
+    @property
+    def has_begun_only(self) -> bool:
+        """Whether nothing has become durable since it was placed."""
+        return self.placement is not None and self.durable == self.placement.epoch
 
     @property
     def is_planned(self) -> bool:
@@ -191,9 +196,10 @@ class Archipelago:
             RemoteProtocolError: A state was damaged on its way, and is asked for again.
         """
         placement, gathering = self.placement, self._gathering
-        if placement is not None and gathering is not None:
-            if (placement.term, gathering.epoch) == (asked.term, asked.epoch):
-                gathering.take(worker, body)
+        if placement is None or gathering is None:
+            return
+        if (placement.term, gathering.epoch) == (asked.term, asked.epoch):
+            gathering.take(worker, body)
 
     def checkpoint_due(self) -> Checkpoint | None:
         """Return the checkpoint that can be written now, once; `committed` or another term follows."""

@@ -21,8 +21,8 @@ MOST_INTERVAL: Final = 1 << 16
 MOST_GROWTH: Final = 8
 """An interval is at most so many times the one before: a few epochs say little about many."""
 
-PAUSE_S: Final = 5.0
-"""What is aimed at between two checkpoints, in seconds; as much is computed again at most when a worker is lost."""
+PAUSE_S: Final = 1.0
+"""What is aimed at between two checkpoints, in seconds; about as much is computed again when a worker is lost."""
 
 SHARE: Final = 0.03
 """What checkpoints may cost of all work."""

@@ -4,7 +4,6 @@ Knows no bus: what is to be said goes through an `Outlet`, what must last throug
 same: first commit, then say.
 """
 
-import logging
 from collections.abc import Callable
 from typing import Final, Protocol
 
@@ -36,16 +35,13 @@ from coordinator.service.checkpoint import StoredProgress
 from coordinator.service.cut import Cut
 from coordinator.service.job import Conclude, Fault, Job, JobAction, KeepCut, Prepared, Refine, TellCommit
 from coordinator.service.keeping import Keeper
-from coordinator.service.membership import Membership
+from coordinator.service.membership import Member, Membership
 from coordinator.service.placement import Placer
 from coordinator.service.ports import StorePort
 from coordinator.service.progress import ended_view, job_result, job_view, result_text
 from coordinator.service.store import JobRecord
-
-_LOG = logging.getLogger(__name__)
-
-MAX_RUNNING: Final = 4
-"""Jobs searched at the same time; further ones wait in the order of their submission."""
+from coordinator.service.turns import next_job
+from coordinator.service.watch import Watch
 
 WorkerWord = JobAnnouncement | Placements | Commit | Close | Introduce | Shutdown
 
@@ -80,7 +76,8 @@ class Conductor:
         self._store = store
         self._outlet = outlet
         self._clock = clock
-        self._placer = Placer(self.membership, expected_workers)
+        self.watch: Final = Watch(self.membership, store, clock)
+        self._placer = Placer(self.membership, expected_workers, self.watch.isolation)
         self._keeper = Keeper(outlet)
 
     # ------------------------------------------------------------------------------------------- jobs
@@ -92,9 +89,7 @@ class Conductor:
                 self.ended[record.id] = ended_view(record, self._store.result(record.id))
             else:
                 config = JobConfig.model_validate_json(record.spec)
-                self.jobs[record.id] = Job(
-                    record.id, record.name, config, record.table_digest, record.submitted, now - record.elapsed
-                )
+                self.jobs[record.id] = Job(record, config, now)
 
     def submit(self, body: Submit, now: float) -> None:
         """Take in a job. The same id with the same contents again changes nothing.
@@ -105,15 +100,16 @@ class Conductor:
         spec = body.config.model_dump_json()
         known = self._store.job(body.job)
         if known is not None:
-            if (known.spec, known.table_digest) != (spec, body.table):
+            if (known.spec, known.table_digest, known.priority) != (spec, body.table, body.priority):
                 raise RefusedError(f"job {body.job} exists already with other contents; submit under another id")
             return
         if not self._store.has_blob(body.table):
             raise RefusedError(f"the table of job {body.job} has not been uploaded; upload it, then submit again")
         submitted = self._clock()
-        self._store.add_job(JobRecord(body.job, body.name, spec, body.table, submitted))
-        self.jobs[body.job] = Job(body.job, body.name, body.config, body.table, submitted, now)
-        _LOG.info("job submitted job=%s name=%s", body.job, body.name)
+        record = JobRecord(body.job, body.name, spec, body.table, submitted, priority=body.priority)
+        self._store.add_job(record)
+        self.jobs[body.job] = Job(record, body.config, now)
+        self.watch.submitted(body)
         self._prepare_next()
 
     def cancel(self, job_id: str, now: float) -> None:
@@ -142,6 +138,7 @@ class Conductor:
             return
         actions = job.begin(prepared, cuts, resumed)
         self._store.update_job(job_id, state="running", dataset_digest=prepared.blob)
+        self.watch.prepared(job)
         self._outlet.tell(job.announcement())
         self._carry_out(job, actions, now)
         self.place(now)
@@ -157,8 +154,8 @@ class Conductor:
         engines = {each.engine for each in resumed.values()} - {ENGINE_REVISION}
         if engines:
             return (
-                f"it was begun by engine revision {min(engines)}, and this is revision {ENGINE_REVISION}, which computes "
-                "otherwise; serve its store with the earlier version, or submit it again under another id"
+                f"it was begun by engine revision {min(engines)}, and this is revision {ENGINE_REVISION}, which "
+                "computes otherwise; serve its store with the earlier version, or submit it again under another id"
             )
         return None
 
@@ -177,7 +174,7 @@ class Conductor:
     def view(self, job_id: str, now: float) -> JobView | None:
         """Return what people are shown of a job; None for an unknown one."""
         if job_id in self.jobs:
-            return job_view(self.jobs[job_id], self.membership, now)
+            return self._live_view(self.jobs[job_id], now)
         return self.ended.get(job_id)
 
     def result(self, job_id: str, now: float) -> str | None:
@@ -205,9 +202,13 @@ class Conductor:
 
         A new process under a known name does not have the islands of the old one: they are placed anew.
         """
-        is_new = self.membership.is_new(hello)
+        is_new, before = self.membership.is_new(hello), self.membership.member(hello.name)
         refusal = self.membership.greet(hello, now)
+        if is_new or refusal is not None:
+            self.watch.greeted(hello, refusal)
         if refusal is None and is_new:
+            if before is not None:
+                self._lose(before, "a new process has its name", now)
             for job in self.jobs.values():
                 for archipelago in job.open_archipelagos:
                     if archipelago.placement is not None and hello.name in archipelago.placement.workers:
@@ -216,12 +217,19 @@ class Conductor:
         return refusal
 
     def heartbeat(self, worker: str, status: WorkerStatus, now: float) -> None:
-        """Take in a heartbeat and set right what the worker holds and should not, or should and does not."""
-        was_ready = worker in self.membership.ready()
+        """Take in a heartbeat and set right what the worker holds and should not, or should and does not.
+
+        Raises:
+            RemoteProtocolError: The worker has heard of an incarnation that there is not.
+            StoreError: There is: another coordinator has taken over.
+        """
+        self._check_incarnation(worker, status)
+        was_ready, was_lost = self.membership.is_ready(worker), self.membership.is_lost(worker)
         if not self.membership.hear(worker, status, now):
             self._outlet.tell(Introduce(), worker)
             return
-        if not was_ready and worker in self.membership.ready():
+        self.watch.heard(worker, status, was_lost)
+        if not was_ready and self.membership.is_ready(worker):
             self.place(now)
         for trouble in status.troubles:
             if self._is_current(trouble.job, trouble.variable, trouble.term):
@@ -229,8 +237,27 @@ class Conductor:
         held = {(each.job, each.variable): each for each in status.holdings}
         for holding in status.holdings:
             self._check_holding(worker, holding)
+        for job in status.jobs:
+            self._check_dataset(worker, job)
         self._send_missing_placements(worker, held)
-        self._keeper.look(self.jobs.values(), now)
+        if status.state == "leaving":
+            self._let_go(worker, now)
+        for holding in status.holdings:
+            self._keeper.look_at(self.jobs.get(holding.job), holding.variable, now)
+
+    def _let_go(self, worker: str, now: float) -> None:
+        """Place elsewhere what a worker has that wants to end; when it has nothing, tell it so."""
+        self.place(now)
+        placements = (each.placement for job in self.jobs.values() for each in job.open_archipelagos)
+        if not any(worker in placement.workers for placement in placements if placement is not None):
+            self._outlet.tell(Shutdown(sentence="nothing is placed here any more"), worker)
+
+    def _check_incarnation(self, worker: str, status: WorkerStatus) -> None:
+        if status.incarnation > self._store.incarnation:
+            self._store.check()
+            raise RemoteProtocolError(
+                f"worker {worker} has heard of incarnation {status.incarnation}, but this is {self._store.incarnation}"
+            )
 
     def report(self, worker: str, report: EpochReport, now: float) -> None:
         """Take in a report; raises RemoteProtocolError when it cannot be."""
@@ -239,8 +266,9 @@ class Conductor:
             if report.job not in self.ended:
                 raise RemoteProtocolError(f"a report of job {report.job} came, which does not exist")
             return
+        self.watch.reported(job.id)
         self._carry_out(job, job.receive(worker, report, now), now)
-        self._keeper.look([job], now)
+        self._keeper.look_at(job, report.variable, now)
 
     def states_came(self, worker: str, asked: PullStates, body: States | None, now: float) -> None:
         """Take in the answer to a question for states; None: there was none, and it is asked again later.
@@ -254,26 +282,37 @@ class Conductor:
 
     def written(self, checkpoint: Checkpoint, now: float) -> None:
         """Take in that a checkpoint is durable: it is told, and whoever waits for it is placed."""
-        commit = self._keeper.written(self.jobs.get(checkpoint.job), checkpoint, now)
+        job = self.jobs.get(checkpoint.job)
+        commit = self._keeper.written(job, checkpoint, now)
+        if job is not None:
+            self.watch.committed(checkpoint)
         if commit is not None:
             self._outlet.tell(commit)
         self.place(now)
 
     def tick(self, now: float) -> None:
         """Let time pass: lost workers, `--max-time`, jobs that wait for their turn."""
-        lost = self.membership.expire(now)
-        for worker in lost:
-            _LOG.warning("worker lost worker=%s", worker)
+        for worker in self.membership.expire(now, self.watch.patience(self.jobs.values())):
+            member = self.membership.member(worker)
+            if member is not None:
+                self._lose(member, member.lost_by, now)
         for job in list(self.jobs.values()):
             self._carry_out(job, job.tick(now), now)
         self._prepare_next()
         self.place(now)
         self._keeper.look(self.jobs.values(), now)
+        self.watch.look(self.jobs.values(), now)
+
+    def _lose(self, member: Member, why: str, now: float) -> None:
+        """Take notice that a process is lost, which may be the last one that a job can cost."""
+        for job, sentence in self.watch.lost(member, why, self.jobs.values()):
+            self.job_failed(job, "poison", sentence, now)
 
     # --------------------------------------------------------------------------------------- placement
 
     def place(self, now: float) -> None:
         """Place, or place anew, every archipelago that has nobody, or somebody who is lost, or newcomers to use."""
+        self.watch.furnish(self.jobs.values())
         for job in list(self.jobs.values()):
             placed_before = 0
             for archipelago in job.archipelagos.values():
@@ -284,12 +323,33 @@ class Conductor:
     def _place(self, job: Job, archipelago: Archipelago, first: int, now: float) -> None:
         if archipelago.is_writing:
             return  # the term after this one begins where that is durable
+        was_held = archipelago.is_held
         if self._placer.is_broken(archipelago):
             archipelago.unplace()
-            _LOG.warning("placement lost job=%s variable=%s", job.id, archipelago.variable)
+            self.watch.unplaced(archipelago)
+        else:
+            self._plan(archipelago, now)
         workers = self._placer.choose(archipelago, first, now)
         if workers is not None:
             self._issue(job, archipelago, workers, now)
+        elif was_held:
+            self._outlet.tell(Close(job=job.id, variable=archipelago.variable))
+
+    def _plan(self, archipelago: Archipelago, now: float) -> None:
+        """Prepare a change of placement that loses nothing: for workers who leave, or newcomers.
+
+        All islands are held at a checkpoint; when it is durable they are placed anew, or, if there is nobody left, kept
+        until somebody comes. Soon after a placement it is quicker to compute the little that there is again.
+        """
+        if archipelago.is_held:
+            archipelago.unplace()
+        elif self._placer.is_left(archipelago):
+            if archipelago.has_begun_only and self._placer.is_young(archipelago, now) and self.membership.ready():
+                archipelago.unplace()
+            else:
+                archipelago.request_hold()
+        elif self._placer.is_worth_planning(archipelago) and not self._placer.is_young(archipelago, now):
+            archipelago.request_hold()
 
     def _issue(self, job: Job, archipelago: Archipelago, workers: tuple[str, ...], now: float) -> None:
         """Begin a term: first in the store, then on the bus."""
@@ -308,19 +368,17 @@ class Conductor:
         archipelago.place(placement, now)
         job.start(now)
         self._outlet.tell(Placements(placements=(placement,)))
-        _LOG.info(
-            "placed job=%s variable=%s term=%d epoch=%d workers=%d",
-            job.id, archipelago.variable, placement.term, placement.epoch, len(set(workers)),
-        )  # fmt: skip
+        self.watch.placed(placement)
 
     # -------------------------------------------------------------------------------- what workers hold
 
     def _check_holding(self, worker: str, holding: Holding) -> None:
         archipelago = self._archipelago(holding.job, holding.variable)
         if archipelago is None or archipelago.cut is not None:
-            job = self.jobs.get(holding.job)
-            is_over = job is None or job.state != "running"
-            self._outlet.tell(Close(job=holding.job, variable=None if is_over else holding.variable), worker)
+            if not self._is_open(holding.job):
+                self._outlet.tell(Close(job=holding.job), worker)
+            elif archipelago is not None:
+                self._outlet.tell(Close(job=holding.job, variable=holding.variable), worker)
             return
         placement = archipelago.placement
         if placement is None:
@@ -330,9 +388,20 @@ class Conductor:
         elif holding.term == placement.term:
             self._catch_up(worker, archipelago, holding)
 
+    def _check_dataset(self, worker: str, job_id: str) -> None:
+        """Have a dataset forgotten that is needed no more."""
+        if not self._is_open(job_id):
+            self._outlet.tell(Close(job=job_id), worker)
+
+    def _is_open(self, job_id: str) -> bool:
+        """Tell whether islands of a job are computed now or will be: what is said to be closed may arrive late."""
+        job = self.jobs.get(job_id)
+        return job is not None and job.state in ("queued", "preparing", "running")
+
     def _catch_up(self, worker: str, archipelago: Archipelago, holding: Holding) -> None:
         """Pull reports that were lost, and repeat a commit that was."""
         archipelago.note_holding(worker, holding)
+        self.watch.waited(worker, holding)
         pull = archipelago.missing_reports(worker, holding)
         if pull is not None:
             self._outlet.pull(worker, pull)
@@ -375,6 +444,7 @@ class Conductor:
                     self._outlet.tell(action.commit)
                 case Refine():
                     if job.prepared is not None:
+                        self.watch.refining(job.id)
                         self._outlet.refine(job.id, job.prepared, action.pools)
                 case Conclude():
                     self._conclude(job, now)
@@ -382,23 +452,25 @@ class Conductor:
     def _keep_cut(self, job: Job, cut: Cut) -> None:
         self._store.commit_cut(job.id, cut.variable, encode(cut))
         self._outlet.tell(Close(job=job.id, variable=cut.variable))
-        _LOG.info("cut job=%s variable=%s epochs=%d why=%s", job.id, cut.variable, cut.epochs, cut.why)
+        self.watch.cut(job.id, cut)
+
+    def _live_view(self, job: Job, now: float) -> JobView:
+        return self.watch.completed(job_view(job, self.membership, now, tuple(self.jobs.values())), job)
 
     def _conclude(self, job: Job, now: float) -> None:
         text = result_text(job_result(job, now)) if job.prepared is not None else None
         self._store.update_job(job.id, elapsed=now - job.submitted_at)
         self._store.commit_result(job.id, job.state, text, job.reason, self._clock())
         self._outlet.tell(Close(job=job.id))
-        self.ended[job.id] = replace_workers(job_view(job, self.membership, now))
+        self.ended[job.id] = replace_workers(self._live_view(job, now))
         del self.jobs[job.id]
-        _LOG.info("job ended job=%s state=%s reason=%s", job.id, job.state, job.reason)
+        self.watch.ended(job)
         self._prepare_next()
 
     def _prepare_next(self) -> None:
-        """Begin to prepare the next job that waits, one at a time, while there is room for more."""
-        states = [job.state for job in self.jobs.values()]
-        waiting = next((job for job in self.jobs.values() if job.state == "queued"), None)
-        if waiting is None or "preparing" in states or states.count("running") >= MAX_RUNNING:
+        """Begin to prepare the next job that waits, if it is its turn."""
+        waiting = next_job(self.jobs.values())
+        if waiting is None:
             return
         waiting.prepare()
         self._store.update_job(waiting.id, state="preparing")
@@ -407,4 +479,4 @@ class Conductor:
 
 def replace_workers(view: JobView) -> JobView:
     """Return the view of a job that has ended: nobody works on it."""
-    return view.model_copy(update={"workers": 0})
+    return view.model_copy(update={"workers": 0, "stalls": (), "ahead": None})

@@ -8,8 +8,10 @@ from common.errors import AtollError, RefusedError, RemoteProtocolError
 from common.wire.messages import (
     Ask,
     Cancel,
+    EventList,
     Failure,
     FailureKind,
+    GetEvents,
     GetResult,
     JobList,
     Jobs,
@@ -22,23 +24,28 @@ from common.wire.messages import (
     WorkerList,
     Workers,
 )
-from common.wire.views import JobView
+from common.wire.views import CoordinatorView, JobView
 from coordinator.service.conductor import Conductor
 from coordinator.service.ports import StorePort
 
 MAX_STORED_BYTES: Final = 16 * 1024**3
 """Uploads are refused when all tables and datasets together would take more than this."""
 
-Body = Uploaded | JobList | JobStatus | WorkerList | Result | Failure
+Body = Uploaded | JobList | JobStatus | WorkerList | Result | EventList | Failure
 
 
 class Desk:
     """One answer for each question."""
 
-    def __init__(self, conductor: Conductor, store: StorePort, now: Callable[[], float]) -> None:
+    def __init__(
+        self, conductor: Conductor, store: StorePort, now: Callable[[], float],
+        coordinator: Callable[[], CoordinatorView | None] = lambda: None,
+    ) -> None:  # fmt: skip
+        """`coordinator` gives the view of the coordinator itself."""
         self._conductor = conductor
         self._store = store
         self._now = now
+        self._coordinator = coordinator
 
     def answer(self, ask: Ask) -> Body:
         """Return the answer to a client's question."""
@@ -62,12 +69,21 @@ class Desk:
             case Status():
                 return self._status(body.job)
             case Workers():
-                return WorkerList(workers=self._conductor.membership.views(self._now()))
+                views = self._conductor.membership.views(self._now())
+                return WorkerList(workers=views, coordinator=self._coordinator())
             case GetResult():
                 return self._result(body.job)
             case Cancel():
                 self._conductor.cancel(body.job, self._now())
                 return self._status(body.job)
+            case GetEvents():
+                return self._events(body)
+
+    def _events(self, question: GetEvents) -> EventList | Failure:
+        """Return what happened; as much of it as one answer bears."""
+        if question.job is not None and self._conductor.view(question.job, self._now()) is None:
+            return _unknown(question.job)
+        return EventList(events=self._conductor.watch.chronicle.read(question.job, question.after, question.limit))
 
     def _upload(self, upload: Upload) -> Uploaded:
         if upload.data is None:

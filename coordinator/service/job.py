@@ -20,9 +20,10 @@ from coordinator.service.checkpoint import StoredProgress
 from coordinator.service.collector import DivergedError, Limits, Measure
 from coordinator.service.cut import Cut
 from coordinator.service.resolve import stagnation_of
+from coordinator.service.store import JobRecord
 
 JobStep = Literal["prepare", "prepared", "searched", "refined", "fail", "cancel"]
-Fault = Literal["data", "diverged", "internal"]
+Fault = Literal["data", "diverged", "poison", "internal"]
 
 JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
     "queued": {"prepare": "preparing", "fail": "failed", "cancel": "cancelled"},
@@ -92,14 +93,15 @@ class Prepared:
 class Job:
     """A job from its submission to its end."""
 
-    def __init__(self, job: str, name: str, config: JobConfig, table: str, submitted: str, now: float) -> None:
-        """`table` is the digest of the uploaded table, `submitted` an ISO time, `now` the bus's seconds."""
-        self.id: Final = job
-        self.name: Final = name
+    def __init__(self, record: JobRecord, config: JobConfig, now: float) -> None:
+        """`record` is what the store keeps of it, `config` its specification read, `now` the bus's seconds."""
+        self.id: Final = record.id
+        self.name: Final = record.name
         self.config: Final = config
-        self.table: Final = table
-        self.submitted: Final = submitted
-        self.submitted_at: Final = now
+        self.table: Final = record.table_digest
+        self.submitted: Final = record.submitted
+        self.submitted_at: Final = now - record.elapsed
+        self.priority: Final = record.priority
         self.state: JobState = "queued"
         self.reason: str | None = None
         self.fault: Fault | None = None
@@ -132,6 +134,7 @@ class Job:
             blob=self.prepared.blob,
             size=self.prepared.size,
             chunks=chunk_count(self.prepared.size),
+            priority=self.priority,
         )
 
     def prepare(self) -> None:
@@ -196,15 +199,16 @@ class Job:
         return [Conclude()]
 
     def cancel(self) -> list[JobAction]:
-        """End it and keep what has been found; without effect on a job that has ended."""
+        """End it and keep what has been found; without effect on a job that has ended.
+
+        The result alone is committed: cuts by a cancellation that is then lost would end a job that goes on.
+        """
         if self.has_ended:
             return []
-        actions: list[JobAction] = []
         for archipelago in self.open_archipelagos:
             archipelago.collector.cut_now("cancelled")
-            actions += self._cut_of(archipelago)
         self._step("cancel")
-        return [*actions, Conclude()]
+        return [Conclude()]
 
     def fail(self, fault: Fault, sentence: str) -> list[JobAction]:
         """End it with a reason; without effect on a job that has ended."""

@@ -1,18 +1,22 @@
 """The workers that the coordinator knows: who is there, in which state, and who is lost. Pure; time comes in."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
 from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from common.wire.messages import Hello, WorkerStatus
-from common.wire.views import WorkerState, WorkerView
+from common.wire.views import Counters, WorkerState, WorkerView
 
 LEASE_S: Final = 15.0
 """Silence after which a worker is lost although its presence is still shown: a process that hangs."""
 
-ABSENCE_S: Final = 2.0
-"""How long a worker's presence may be gone (its connection may come back) before it is lost."""
+ABSENCE_S: Final = 0.5
+"""How long a worker's presence may be gone (its connection may come back) before it is lost. To take a worker for lost
+that is not costs what lies between two checkpoints; to wait costs the wait."""
+
+STANDING_S: Final = 60.0
+"""How long a worker may compute without getting on before it is taken for hung; loading and compiling do not count."""
 
 GAP_S: Final = 3.0
 """If the coordinator itself has not looked for this long, silence is its own fault: everybody gets a fresh lease."""
@@ -20,15 +24,28 @@ GAP_S: Final = 3.0
 FORGET_S: Final = 3600.0
 """How long lost workers stay in the list."""
 
-MemberState = Literal["here", "absent", "lost"]
-MemberStep = Literal["heard", "gone", "back", "expired"]
+MemberState = Literal["here", "absent", "hung", "lost"]
+MemberStep = Literal["heard", "gone", "back", "expired", "stands", "moves"]
 
 MEMBER_TRANSITIONS: Final[Mapping[MemberState, Mapping[MemberStep, MemberState]]] = {
-    "here": {"heard": "here", "gone": "absent", "back": "here", "expired": "lost"},
-    "absent": {"heard": "absent", "gone": "absent", "back": "here", "expired": "lost"},
-    "lost": {"heard": "here", "gone": "lost", "back": "lost", "expired": "lost"},
-}
-"""Whether a worker is there -> what happens -> whether it is there then."""
+    "here": {"heard": "here", "gone": "absent", "back": "here", "expired": "lost", "stands": "hung", "moves": "here"},
+    "absent": {
+        "heard": "absent", "gone": "absent", "back": "here", "expired": "lost", "stands": "absent", "moves": "absent",
+    },
+    "hung": {"heard": "hung", "gone": "absent", "back": "hung", "expired": "lost", "stands": "hung", "moves": "here"},
+    "lost": {"heard": "here", "gone": "lost", "back": "lost", "expired": "lost", "stands": "lost", "moves": "here"},
+}  # fmt: skip
+"""Whether a worker is there -> what happens -> whether it is there then. `stands`: it has computed for too long without
+getting on; `moves`: it gets on."""
+
+Patience = Callable[[str], float]
+"""The factor on a worker's leases."""
+
+
+def _usual(worker: str) -> float:
+    """Be as patient with every worker as the constants say."""
+    del worker
+    return 1.0
 
 
 @dataclass(slots=True)
@@ -40,6 +57,8 @@ class Member:
     heard_at: float
     gone_at: float | None = None
     status: WorkerStatus | None = None
+    progressed_at: float = 0.0
+    lost_by: str = ""
 
     def step(self, step: MemberStep) -> None:
         """Go to the next state by the table."""
@@ -48,7 +67,12 @@ class Member:
     @property
     def is_ready(self) -> bool:
         """Whether islands can be placed there now."""
-        return self.state == "here" and self.status is not None and self.status.state != "compiling"
+        return self.state == "here" and self.status is not None and self.status.state not in ("compiling", "leaving")
+
+    @property
+    def is_leaving(self) -> bool:
+        """Whether it has said that it will end soon."""
+        return self.status is not None and self.status.state == "leaving"
 
 
 class Membership:
@@ -58,13 +82,22 @@ class Membership:
         self._members: dict[str, Member] = {}
         self._looked_at: float | None = None
 
+    @property
+    def looked_at(self) -> float:
+        """When it was last looked who is there."""
+        return self._looked_at or 0.0
+
+    def member(self, worker: str) -> Member | None:
+        """Return what is known of a worker."""
+        return self._members.get(worker)
+
     def greet(self, hello: Hello, now: float) -> str | None:
         """Take in a worker; return a sentence instead when it must be refused."""
         refusal = version_refusal(hello) or self._name_refusal(hello) or self._fingerprint_refusal(hello)
         if refusal is not None:
             return refusal
         if self.is_new(hello):
-            self._members[hello.name] = Member(hello, "here", now)
+            self._members[hello.name] = Member(hello, "here", now, progressed_at=now)
         else:
             known = self._members[hello.name]
             known.hello, known.heard_at = hello, now
@@ -75,8 +108,11 @@ class Membership:
         member = self._members.get(worker)
         if member is None or member.hello.instance != status.instance:
             return False
-        member.step("heard")
-        member.status, member.heard_at = status, now
+        before, member.status, member.heard_at = member.status, status, now
+        gets_on = before is None or status.progress != before.progress
+        if gets_on or member.state == "lost" or not _is_computing(member):
+            member.progressed_at = now
+        member.step("moves" if gets_on and member.state == "hung" else "heard")
         return True
 
     def see(self, worker: str, present: bool, now: float) -> None:
@@ -86,43 +122,54 @@ class Membership:
             return
         if present:
             member.step("back")
-        elif member.state == "here":
+        elif member.state in ("here", "hung"):
             member.step("gone")
             member.gone_at = now
 
-    def expire(self, now: float) -> list[str]:
-        """Return the workers that are lost since the last look."""
+    def renew(self, now: float) -> None:
+        """Give everybody a fresh lease: their words may have been lost on our side."""
+        for member in self._members.values():
+            member.heard_at = member.progressed_at = now
+            if member.gone_at is not None:
+                member.gone_at = now
+
+    def expire(self, now: float, patience: Patience = _usual) -> list[str]:
+        """Return the workers that are lost, or taken for hung, since the last look; `Member.lost_by` says why."""
         if self._looked_at is not None and now - self._looked_at > GAP_S:
             self.renew(now)
         self._looked_at = now
-        lost = [name for name, member in self._members.items() if self._is_overdue(member, now)]
-        for name in lost:
-            self._members[name].step("expired")
+        lost = [name for name, member in self._members.items() if self._is_overdue(member, now, patience(name))]
         for name in [
             name for name, each in self._members.items() if each.state == "lost" and now - each.heard_at > FORGET_S
         ]:
             del self._members[name]
         return lost
 
-    def renew(self, now: float) -> None:
-        """Give everybody a fresh lease: the coordinator could not have heard them."""
-        for member in self._members.values():
-            member.heard_at = now
-            if member.gone_at is not None:
-                member.gone_at = now
-
     def ready(self) -> tuple[str, ...]:
         """Return the workers that can compute islands, sorted."""
         return tuple(sorted(name for name, member in self._members.items() if member.is_ready))
 
+    def is_ready(self, worker: str) -> bool:
+        """Tell whether islands can be placed on this worker."""
+        member = self._members.get(worker)
+        return member is not None and member.is_ready
+
     def arriving(self) -> int:
         """Return how many workers are there but not ready yet."""
-        return sum(member.state == "here" and not member.is_ready for member in self._members.values())
+        return sum(
+            member.state == "here" and not member.is_ready and not member.is_leaving
+            for member in self._members.values()
+        )
 
     def is_lost(self, worker: str) -> bool:
         """Tell whether islands placed on this worker have nobody to compute them."""
         member = self._members.get(worker)
-        return member is None or member.state == "lost"
+        return member is None or member.state in ("lost", "hung")
+
+    def is_leaving(self, worker: str) -> bool:
+        """Tell whether this worker has said that it will end soon."""
+        member = self._members.get(worker)
+        return member is not None and member.is_leaving
 
     def is_new(self, hello: Hello) -> bool:
         """Tell whether this process has not borne its name before."""
@@ -133,10 +180,26 @@ class Membership:
         """Return what people are shown, sorted by name."""
         return tuple(_view(name, self._members[name], now) for name in sorted(self._members))
 
-    def _is_overdue(self, member: Member, now: float) -> bool:
+    def _is_overdue(self, member: Member, now: float, patience: float) -> bool:
+        """Give a worker up whose time is over."""
         if member.state == "absent":
-            return now - (member.gone_at or 0.0) >= ABSENCE_S
-        return member.state == "here" and now - member.heard_at >= LEASE_S
+            is_over = member.is_leaving or now - (member.gone_at or 0.0) >= ABSENCE_S
+            return is_over and self._give_up(member, "its connection has gone")
+        silent, standing = now - member.heard_at, now - member.progressed_at
+        if member.state in ("here", "hung") and silent >= LEASE_S * patience:
+            return self._give_up(member, f"silent for {silent:.0f} s")
+        if member.state == "here" and _is_computing(member) and standing >= STANDING_S * patience:
+            member.step("stands")
+            member.lost_by = f"it has computed for {standing:.0f} s without getting on"
+            return True
+        return False
+
+    def _give_up(self, member: Member, why: str) -> bool:
+        """Count a worker as lost; return whether that is new to the islands it had."""
+        was_hung = member.state == "hung"
+        member.step("expired")
+        member.lost_by = why
+        return not was_hung
 
     def _name_refusal(self, hello: Hello) -> str | None:
         known = self._members.get(hello.name)
@@ -161,6 +224,10 @@ class Membership:
         return None
 
 
+def _is_computing(member: Member) -> bool:
+    return member.status is not None and member.status.state == "computing"
+
+
 def version_refusal(hello: Hello) -> str | None:
     """Return a sentence naming both sides' versions when they do not fit; clients need the same protocol only."""
     ours = f"Atoll {VERSION} (protocol {PROTOCOL_VERSION}, engine {ENGINE_REVISION})"
@@ -175,13 +242,19 @@ def version_refusal(hello: Hello) -> str | None:
 
 def _view(name: str, member: Member, now: float) -> WorkerView:
     status = member.status
-    state: WorkerState = "lost" if member.state == "lost" else (status.state if status else "compiling")
+    state: WorkerState = status.state if status else "compiling"
+    if member.state in ("lost", "hung"):
+        state = "lost" if member.state == "lost" else "hung"
+    doing = status.doing if status is not None else None
     return WorkerView(
         worker=name,
         host=member.hello.host,
         pid=member.hello.pid,
         state=state,
         islands=sum(each.islands for each in status.holdings) if status and state != "lost" else 0,
+        doing=f"{doing.job}/{doing.variable} island {doing.island} epoch {doing.epoch}" if doing is not None else "",
+        standing=max(0.0, now - member.progressed_at) if _is_computing(member) else 0.0,
+        counters=status.counters if status is not None else Counters(),
         silent=max(0.0, now - member.heard_at),
         version=member.hello.version,
         detail=status.detail if status else "",

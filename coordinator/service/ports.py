@@ -6,6 +6,7 @@ from typing import Protocol
 
 from common.config import JobConfig
 from common.wire.pieces import State
+from common.wire.views import StoreView
 from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pools, Refinement
 from coordinator.service.event_table import EventRecord
@@ -62,6 +63,8 @@ class StorePort(Protocol):
     def state(self, job: str, variable: str, epoch: int, island: int) -> State: ...
 
     def check(self) -> None: ...
+
+    def timing(self) -> StoreView: ...
 
     def put_blob(self, data: bytes) -> str: ...
 

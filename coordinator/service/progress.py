@@ -1,6 +1,7 @@
 """What people are shown of a job: its view, and its result, also while it runs. Pure."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal, cast
 
@@ -15,6 +16,7 @@ from coordinator.service.cut import Why
 from coordinator.service.job import Job, Prepared
 from coordinator.service.membership import Membership
 from coordinator.service.store import JobRecord
+from coordinator.service.turns import ahead_of, waits_for_turn
 
 
 def job_result(job: Job, now: float) -> dict[str, Any]:
@@ -66,8 +68,8 @@ def outcome_of(archipelago: Archipelago) -> VariableOutcome:
     )  # fmt: skip
 
 
-def job_view(job: Job, membership: Membership, now: float) -> JobView:
-    """Return what `jobs` and `status` show of a live job, or of one that ends now."""
+def job_view(job: Job, membership: Membership, now: float, jobs: Sequence[Job]) -> JobView:
+    """Return what `jobs` and `status` show of a live job, or of one that ends now; `jobs` are all live ones."""
     outcomes = outcomes_of(job)
     evaluations = sum(sum(outcome.evaluations.values()) for outcome in outcomes)
     seconds = job.search_seconds(now)
@@ -78,7 +80,7 @@ def job_view(job: Job, membership: Membership, now: float) -> JobView:
         state=job.state,
         seed=job.config.seed,
         preset=job.config.preset,
-        reason=job.reason or _waits_for(job, membership),
+        reason=job.reason or _waits_for(job, membership, jobs),
         fault=job.fault,
         warnings=job.prepared.dataset.warnings if job.prepared else (),
         submitted=job.submitted,
@@ -87,6 +89,9 @@ def job_view(job: Job, membership: Membership, now: float) -> JobView:
         point_evaluations=evaluations,
         point_evaluations_per_second=evaluations / seconds if seconds > 0.0 and evaluations else None,
         variables=variables,
+        priority=job.priority,
+        ahead=ahead_of(job, jobs),
+        target_error=job.config.budget.target_error,
     )
 
 
@@ -109,6 +114,8 @@ def ended_view(record: JobRecord, result: str | None) -> JobView:
         workers=0,
         point_evaluations=contents["point_evaluations"],
         variables=tuple(_stored_variable_view(each) for each in contents["equations"]),
+        priority=record.priority,
+        target_error=spec["budget"]["target_error"],
     )
 
 
@@ -151,15 +158,15 @@ def _workers(job: Job) -> int:
     return len({worker for placement in placements if placement is not None for worker in placement.workers})
 
 
-def _waits_for(job: Job, membership: Membership) -> str | None:
+def _waits_for(job: Job, membership: Membership, jobs: Sequence[Job]) -> str | None:
     """Return what a job waits for, if it cannot get on by itself."""
     if job.state == "queued":
-        return "waits for its turn"
+        return waits_for_turn(job, jobs)
     if not any(each.placement is None for each in job.open_archipelagos):
         return None
     arriving = membership.arriving()
     if arriving:
         return f"waits for {arriving} worker{'s' if arriving > 1 else ''} to load or compile the kernels"
     if not membership.ready():
-        return "waits for a worker: none has joined, or all are lost"
+        return "waits for a worker: none has joined, or all are lost or leaving"
     return "waits for the other workers to join"

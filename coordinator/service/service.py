@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
 
-from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION, usage
 from common.config import JobConfig
 from common.errors import DataError, RemoteProtocolError, StoreError, UsageError
+from common.logs import fields
 from common.wire import topics
 from common.wire.access import Roster
 from common.wire.bus import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
@@ -39,8 +40,10 @@ from common.wire.messages import (
     Welcome,
     WorkerStatus,
 )
+from common.wire.metered_bus import MeteredBus
 from common.wire.pieces import cut
 from common.wire.rejects import Rejects
+from common.wire.views import CoordinatorView, Counters
 from coordinator.model.known import known_entries, with_remarks
 from coordinator.model.refinement import Pools, Refinement
 from coordinator.service.admission import Admission
@@ -58,6 +61,11 @@ _LOG = logging.getLogger(__name__)
 TICK_S: Final = 0.5
 PULL_TIMEOUT_S: Final = 5.0
 _TICK: Final = "tick"
+
+
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """Posted by the timer, behind everything that has come before it: silence counts only then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +126,9 @@ class Service:
             roster: names and roles, where certificates prove names; None: every name may be anybody.
         """
         self.rejects: Final = Rejects(_LOG)
-        self._bus = bus
+        self._bus = MeteredBus(bus)
+        self._began_at = bus.now()
+        self._dropped = 0
         self._store = store
         self._dismisses_workers = dismisses_workers
         self._ports = ports or REAL
@@ -126,7 +136,7 @@ class Service:
         self._asked: dict[int, tuple[str, PullReports | PullStates]] = {}
         self.conductor: Final = Conductor(store, self, self._ports.clock, expected_workers)
         self._admission = Admission(roster, store)
-        self._desk = Desk(self.conductor, store, bus.now)
+        self._desk = Desk(self.conductor, store, bus.now, self.view)
 
     # ------------------------------------------------------------------------------------------- life
 
@@ -142,7 +152,7 @@ class Service:
         for expression in (topics.HELLO, topics.all_greetings()):
             self._bus.serve(expression)
         self._bus.call_later(TICK_S, _TICK)
-        _LOG.info("coordinator ready realm=%s incarnation=%d", realm, self._store.incarnation)
+        self.conductor.watch.started(realm, self._store.incarnation)
 
     def run(self, stop: threading.Event) -> None:
         """Start, and work until `stop` is set."""
@@ -155,15 +165,34 @@ class Service:
             event = self._bus.receive(0.1)
             if event is not None:
                 self.step(event)
+        self.conductor.watch.chronicle.flush()
         if self._dismisses_workers:
             self._put(topics.control(self._store.realm), Control(body=Shutdown(sentence="the coordinator ended")))
 
     def step(self, event: Event) -> None:
         """Take in one event. What a peer did wrong is counted, logged once and changes nothing."""
+        self._bus.note(event)
         try:
             self._on(event)
         except RemoteProtocolError as error:
             self.rejects.note(event.key if isinstance(event, Message | Query | Presence) else "answer", error)
+
+    def view(self) -> CoordinatorView:
+        """Return what people are shown of the coordinator itself."""
+        counters = Counters(
+            traffic=self._bus.traffic(),
+            dropped=self._bus.dropped,
+            refused=self.rejects.total,
+            memory_bytes=usage.memory_bytes(),
+            cpu_s=usage.cpu_s(),
+        )
+        return CoordinatorView(
+            version=VERSION,
+            incarnation=self._store.incarnation,
+            seconds=self._bus.now() - self._began_at,
+            counters=counters,
+            store=self._store.timing(),
+        )
 
     # ------------------------------------------------------------------------------- what others hear
 
@@ -216,7 +245,7 @@ class Service:
         except (DataError, UsageError, RemoteProtocolError) as error:
             return _Unprepared(job, "data", str(error))
         except Exception as error:  # the job fails with it, the coordinator goes on
-            _LOG.exception("preparing broke job=%s", job)
+            _LOG.exception("preparing broke", extra=fields(job=job))
             return _Unprepared(job, "internal", f"preparing the data broke ({type(error).__name__}: {error})")
 
     def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
@@ -228,7 +257,7 @@ class Service:
         try:
             return _Refined(job, self._ports.refiner(prepared.preparation, prepared.config, pools))
         except Exception as error:  # the job is done all the same
-            _LOG.exception("refining broke job=%s", job)
+            _LOG.exception("refining broke", extra=fields(job=job))
             sentence = f"Refining broke ({type(error).__name__}: {error}); equations are as found."
             return _Refined(job, Refinement(warnings=(sentence,)))
 
@@ -244,14 +273,15 @@ class Service:
     @_on.register
     def _on_timer(self, event: Timer) -> None:
         if event.name == _TICK:
-            if self._is_linked:  # else nobody can be heard, and nobody's silence says anything
-                self.conductor.tick(self._bus.now())
+            self._bus.post(_Look())
             self._bus.call_later(TICK_S, _TICK)
 
     @_on.register
     def _on_posted(self, event: Posted) -> None:
         item, now = event.item, self._bus.now()
         match item:
+            case _Look():
+                self._look(now)
             case _Ready():
                 self._store.put_blob(item.data)
                 self.conductor.prepared(item.job, item.prepared, now)
@@ -264,10 +294,19 @@ class Service:
             case _Written(error=StoreError() as error):
                 raise error
 
+    def _look(self, now: float) -> None:
+        """Let time pass, now that everything has been taken in that had come before."""
+        if self._bus.dropped > self._dropped:
+            self._dropped = self._bus.dropped
+            _LOG.warning("messages were dropped, since they came too fast", extra=fields(dropped=self._dropped))
+            self.conductor.membership.renew(now)
+        if self._is_linked:  # else nobody can be heard, and nobody's silence says anything
+            self.conductor.tick(now)
+
     @_on.register
     def _on_link(self, event: Link) -> None:
         """The router that this coordinator has joined went away or came back; a router of its own does neither."""
-        _LOG.warning("router link up=%s", event.up)
+        _LOG.warning("router link", extra=fields(up=event.up))
         self._is_linked = event.up
         if event.up:
             self.conductor.membership.renew(self._bus.now())
@@ -353,7 +392,8 @@ class Service:
             )
         sentence = self._refuse(hello, name)
         if sentence is not None:
-            _LOG.warning("refused role=%s name=%s reason=%s", hello.role, hello.name, sentence)
+            if hello.role == "client":
+                _LOG.warning("client refused", extra=fields(client=hello.name, reason=sentence))
             return _refusal(sentence)
         return Welcome(
             realm=self._store.realm,

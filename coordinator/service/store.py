@@ -8,6 +8,7 @@ import contextlib
 import hashlib
 import sqlite3
 import threading
+import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import Final, Self, cast
 from common.errors import LocalProtocolError, RemoteProtocolError, StoreError
 from common.wire.messages import CHUNK_SIZE, chunk_count
 from common.wire.pieces import State
+from common.wire.views import StoreView
 from coordinator.service.event_table import EventRecord, append_events, read_events
 from coordinator.service.schema import Lock, connect, translated
 
@@ -57,6 +59,7 @@ class Store:
         self._lock_on_directory = lock
         self._directory = directory
         self._lock = threading.RLock()
+        self._timing = StoreView()
         self.realm, self.incarnation = connection.execute("SELECT id, incarnation FROM realm").fetchone()
 
     @classmethod
@@ -95,6 +98,11 @@ class Store:
         """Raise StoreError when another coordinator has opened the store since."""
         with self._transaction():
             pass
+
+    def timing(self) -> StoreView:
+        """Return how many transactions there were since the store was opened, and how long they took."""
+        with self._lock:
+            return self._timing
 
     # jobs
 
@@ -360,11 +368,13 @@ class Store:
     @contextlib.contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
         with self._lock, translated(self._directory):
+            began = time.perf_counter()
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 self._check_incarnation()
                 yield self._connection
                 self._connection.execute("COMMIT")
+                self._count(time.perf_counter() - began)
             except BaseException:
                 if self._connection.in_transaction:  # SQLite rolls back by itself when the disk is full
                     self._connection.execute("ROLLBACK")
@@ -387,6 +397,14 @@ class Store:
             (job, variable),
         ).fetchone()
         return bool(row[0])
+
+    def _count(self, seconds: float) -> None:
+        before = self._timing
+        self._timing = StoreView(
+            transactions=before.transactions + 1,
+            total_s=before.total_s + seconds,
+            worst_s=max(before.worst_s, seconds),
+        )
 
     def _is_in(self, sql: sqlite3.Connection, job: str, states: Collection[str] | None) -> bool:
         row = sql.execute("SELECT state FROM jobs WHERE id = ?", (job,)).fetchone()

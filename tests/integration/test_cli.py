@@ -220,3 +220,40 @@ def test_ctrl_c_on_submit_detaches_and_the_job_goes_on(tmp_path: Path) -> None:
         assert "coordinator status mine" in err
         jobs = json.loads(coordinator("jobs", "--json", "--connect", address, cwd=tmp_path).stdout)
         assert [(job["job"], job["state"] in ("done", "failed", "cancelled")) for job in jobs] == [("mine", False)]
+
+
+def test_a_service_says_what_it_waits_for_and_what_happened(tmp_path: Path) -> None:
+    words = ["serve", "--listen", "tcp/127.0.0.1:0", "--state", "s", "--log-format", "json"]
+    with contextlib.ExitStack() as stack:
+        serve = stack.enter_context(started(*words, cwd=tmp_path))
+        address = read_until(serve.stdout, "island-worker --connect").splitlines()[-1].split()[-1]
+        connect = ["--connect", address]
+        job = ["submit", DATA, *connect, "--no-wait", "--id", "one", "--max-epochs", "3", "--priority", "2"]
+        for _ in range(2):
+            submitted = coordinator(*job, cwd=tmp_path)
+            assert (submitted.returncode, submitted.stdout) == (0, "one\n")
+            assert f"no worker has joined; start one with: island-worker {' '.join(connect)}" in submitted.stderr
+        other = coordinator(*job[:-2], cwd=tmp_path)
+        assert (other.returncode, other.stdout) == (2, "")
+        assert "exists already with other contents" in other.stderr
+        (listed,) = json.loads(coordinator("jobs", *connect, "--json", cwd=tmp_path).stdout)
+        assert (listed["job"], listed["priority"], listed["workers"]) == ("one", 2, 0)
+        stack.enter_context(
+            started(*connect, "--processes", "1", "--name", "lab1", cwd=tmp_path, program="island_worker")
+        )
+        followed = coordinator("status", "one", "--follow", *connect, cwd=tmp_path)
+        assert followed.returncode == 0, followed.stderr
+        assert followed.stdout.splitlines()[-3].startswith("job one done")
+        events = json.loads(coordinator("logs", "one", "--json", *connect, cwd=tmp_path).stdout)
+        told = [event["event"] for event in events]
+        assert told[:2] == ["submitted", "prepared"]
+        assert told[-2:] == ["refining", "done"]
+        assert told.count("cut") == 2
+        (worker,) = json.loads(coordinator("workers", *connect, "--json", cwd=tmp_path).stdout)
+        assert worker["counters"]["memory_bytes"] > 10_000_000
+        assert {each["kind"] for each in worker["counters"]["traffic"]} >= {"status", "report", "blob", "control"}
+        serve.send_signal(signal.SIGTERM)
+        _, err = finish(serve)
+    lines = [json.loads(line) for line in err.splitlines() if line.startswith("{")]
+    assert {"started", "submitted", "worker-joined", "placed", "done"} <= {line["event"] for line in lines}
+    assert all(line["job"] == "one" for line in lines if line["event"] == "cut")

@@ -20,7 +20,7 @@ from common.wire.simulated_bus import SimulatedNetwork
 from coordinator.service.job import course_of
 from island_worker.agenda import Agenda, Work
 from island_worker.compute import WarmedUp, WarmUpNote
-from island_worker.events import Computed, JobReady, ShareKey, Task
+from island_worker.events import Computed, JobReady, ShareKey, Task, TaskKey
 
 SLOTS = 4
 """Solutions per island."""
@@ -43,7 +43,7 @@ class StubIsland:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "StubIsland":
-        return cls(data[8:], struct.unpack("<q", data[:8])[0])
+        return cls(data[8:40], struct.unpack("<q", data[:8])[0])
 
 
 @dataclass(frozen=True)
@@ -86,8 +86,9 @@ def hits_of(config: JobConfig, variable: str) -> frozenset[Position]:
 class StubWork:
     """One island's epoch under way."""
 
-    def __init__(self, task: Task, island: StubIsland, config: JobConfig) -> None:
+    def __init__(self, task: Task, island: StubIsland, config: JobConfig, spend: Callable[[], None]) -> None:
         self.generation = 0
+        self._spend = spend
         self._task = task
         self._island = island
         self._config = config
@@ -100,6 +101,7 @@ class StubWork:
 
     def advance(self) -> bool:
         key, island, course = self._task.key, self._island, self._task.course
+        self._spend()
         self.generation = min(self.generation + course.stride, course.generations)
         island.stir(struct.pack("<qq", key.epoch, self.generation))
         island.evaluations += 10 + island.state[0] % 16
@@ -133,7 +135,11 @@ class StubWork:
 
 @dataclass
 class StubCompute:
-    """One worker's compute port on the simulated network."""
+    """One worker's compute port on the simulated network.
+
+    `poisonous` (job, variable, epoch): who begins any island of it there is killed by `kill`. `hangs` (job, epoch): who
+    begins one there computes for ever.
+    """
 
     network: SimulatedNetwork
     worker: str
@@ -142,6 +148,9 @@ class StubCompute:
     warm_up_s: float = 0.5
     broken: tuple[int, int] | None = None
     corrupt: bool = False
+    poisonous: tuple[str, str, int] | None = None
+    kill: Callable[[], None] | None = None
+    hangs: tuple[str, int] | None = None
     progress: int = 0
     fingerprint: str = "stub"
     rejected: int = 0
@@ -154,6 +163,8 @@ class StubCompute:
     _is_at_work: bool = False
     _is_held: bool = False
     _worked_s: float = 0.0
+    _turn_s: float = 0.0
+    _dead_loop: bool = False
 
     def __post_init__(self) -> None:
         self._stream = Stream(stream_key(self.seed, self.worker, -1, 0, "stub-speed"))
@@ -167,8 +178,13 @@ class StubCompute:
     def warm_up(self) -> None:
         """Begins when attached."""
 
-    def load(self, job: str, config: JobConfig, dataset: bytes) -> None:
+    @property
+    def doing(self) -> TaskKey | None:
+        return self._agenda.doing
+
+    def load(self, job: str, config: JobConfig, dataset: bytes, weight: float = 1.0) -> None:
         self._jobs[job] = config
+        self._agenda.weigh(job, weight)
         self._later(0.01, JobReady(job))
 
     def advance(self, task: Task) -> None:
@@ -201,6 +217,10 @@ class StubCompute:
     def begin(self, task: Task) -> Work:
         """Begin an island's epoch."""
         key = task.key
+        if (key.job, key.variable, key.epoch) == self.poisonous and self.kill is not None:
+            self.network.at(self.network.now, self.kill)
+        if (key.job, key.epoch) == self.hangs:
+            self._dead_loop = True
         if (key.island, key.epoch) == self.broken:
             raise ZeroDivisionError("the stub broke as it was told to")
         config = self._jobs[key.job]
@@ -221,7 +241,7 @@ class StubCompute:
             islands[key.island] = StubIsland.from_bytes(islands[key.island].to_bytes())
         if self.corrupt and key.epoch == 3:
             islands[key.island].stir()
-        return StubWork(task, islands[key.island], config)
+        return StubWork(task, islands[key.island], config, self._spend)
 
     def _go_on(self) -> None:
         """Take a turn, if there is one to take, at the end of the time that it takes."""
@@ -233,14 +253,17 @@ class StubCompute:
 
     def _turn(self, seconds: float) -> None:
         self._is_at_work = False
-        if self._dead or self._is_held or self._agenda.is_idle:
+        if self._dead or self._dead_loop or self._is_held or self._agenda.is_idle:
             return
         self.progress += 1
         self.turns += 1
-        words = self._agenda.turn()
-        self._worked_s += seconds
-        self._say_all(words)
+        self._turn_s = seconds
+        self._say_all(self._agenda.turn())
         self._go_on()
+
+    def _spend(self) -> None:
+        """Let the time of the turn pass, while it is taken: jobs are charged for it."""
+        self._worked_s += self._turn_s
 
     def _later(self, delay_s: float, word: object) -> None:
         self.network.at(self.network.now + delay_s, lambda: self._say_all([word]))

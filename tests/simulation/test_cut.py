@@ -42,7 +42,7 @@ def reports_of(config: JobConfig, variable: str, epochs: int) -> Iterator[list[I
     states = [StubIsland(hashlib.sha256(seed).digest()) for seed in seeds]
     for epoch in range(epochs):
         works = [
-            StubWork(Task(TaskKey("job", variable, 1, island, epoch), None, False, course), state, config)
+            StubWork(Task(TaskKey("job", variable, 1, island, epoch), None, False, course), state, config, lambda: None)
             for island, state in enumerate(states)
         ]
         for work in works:

@@ -90,6 +90,7 @@ class World:
     def start_worker(self, name: str, **options: Any) -> Worker:
         bus = self.network.bus(name)
         stub = self.compute(self.network, name, self.seed, **options)
+        stub.kill = lambda: self.crash(name) if self.computes.get(name) is stub else None
         worker = Worker(bus, stub, name, wait_s=60.0)
 
         def step(event: Event) -> None:
@@ -112,10 +113,10 @@ class World:
     def at(self, time_s: float, action: Callable[[], object]) -> None:
         self.network.at(time_s, lambda: (action(), None)[1])
 
-    def submit(self, config: JobConfig, variables: str = "x,y", job: str = "job") -> str:
+    def submit(self, config: JobConfig, variables: str = "x,y", job: str = "job", priority: int = 0) -> str:
         """Submit a job through the client, which tries again whatever is lost."""
         table = patiently(lambda: self.client.upload(variables.encode()))
-        patiently(lambda: self.client.submit(job, "a simulated job", config, table))
+        patiently(lambda: self.client.submit(job, "a simulated job", config, table, priority))
         return job
 
     def finish(self, job: str = "job", limit_s: float = LIMIT_S) -> JobView:

@@ -19,7 +19,7 @@ from coordinator.cli import arguments
 from island_worker import cli as worker_cli
 from tests.unit.documents import PROGRAMS, ROOT
 
-INSTRUCTIONS = {"FROM", "WORKDIR", "COPY", "RUN", "ENV", "USER", "EXPOSE", "CMD"}
+INSTRUCTIONS = {"FROM", "WORKDIR", "COPY", "RUN", "ENV", "USER", "EXPOSE", "HEALTHCHECK", "ENTRYPOINT", "CMD"}
 
 Instruction = tuple[str, str]
 
@@ -37,6 +37,13 @@ def image() -> list[Instruction]:
     joined = re.sub(r"\\\n\s*", "", text)
     pairs = [line.split(maxsplit=1) for line in joined.splitlines() if line.strip()]
     return [(name, rest) for name, rest in pairs]
+
+
+@pytest.fixture(scope="module")
+def final(image: list[Instruction]) -> list[Instruction]:
+    """Return the instructions of the last stage, which make the image."""
+    last = max(place for place, (name, _) in enumerate(image) if name == "FROM")
+    return image[last:]
 
 
 def of(image: list[Instruction], name: str) -> list[str]:
@@ -72,6 +79,19 @@ def test_compose_starts_a_coordinator_that_others_can_reach(compose: dict[str, A
     assert int(outside) == int(inside) == listen(compose).port
 
 
+def test_compose_asks_the_coordinator_whether_it_answers(compose: dict[str, Any]) -> None:
+    mark, *command = compose["services"]["coordinator"]["healthcheck"]["test"]
+    assert mark == "CMD"
+    assert parsed(command).verb == "jobs"
+    assert compose["services"]["worker"]["depends_on"] == {"coordinator": {"condition": "service_healthy"}}
+
+
+def test_compose_gives_workers_the_time_to_hand_over(compose: dict[str, Any]) -> None:
+    assert compose["services"]["worker"]["stop_grace_period"] == "45s"
+    assert all(its["restart"] == "unless-stopped" for its in compose["services"].values())
+    assert interpolated(str(compose["services"]["worker"]["deploy"]["replicas"])) == "2"
+
+
 def test_compose_workers_dial_the_coordinator_and_are_one_process_each(compose: dict[str, Any]) -> None:
     worker = compose["services"]["worker"]
     address = parse_address(worker["environment"]["ATOLL_CONNECT"])
@@ -87,12 +107,11 @@ def test_compose_commands_inside_the_coordinator_need_no_address(compose: dict[s
     assert connect.port == listen(compose).port
 
 
-def test_compose_keeps_state_and_kernels_in_named_volumes(compose: dict[str, Any], image: list[Instruction]) -> None:
-    mounts = {name: dict(each.split(":") for each in its["volumes"]) for name, its in compose["services"].items()}
-    assert {volume for its in mounts.values() for volume in its} == set(compose["volumes"])
-    assert mounts["coordinator"]["state"] == parsed(compose["services"]["coordinator"]["command"]).state
-    for its in mounts.values():
-        assert its["kernels"] == environment(image)["ATOLL_KERNEL_CACHE"]
+def test_compose_keeps_the_state_in_a_named_volume(compose: dict[str, Any]) -> None:
+    mounts = dict(each.split(":") for each in compose["services"]["coordinator"]["volumes"])
+    assert set(mounts) == set(compose["volumes"])
+    assert mounts["state"] == parsed(compose["services"]["coordinator"]["command"]).state
+    assert "volumes" not in compose["services"]["worker"], "kernels are in the image"
 
 
 def test_compose_builds_the_one_image_that_both_services_use(compose: dict[str, Any]) -> None:
@@ -104,15 +123,18 @@ def test_compose_builds_the_one_image_that_both_services_use(compose: dict[str, 
 
 def test_the_image_has_known_instructions_and_a_python_that_will_do(image: list[Instruction]) -> None:
     assert {name for name, _ in image} <= INSTRUCTIONS
-    assert image[0][0] == "FROM"
-    base = re.fullmatch(r"python:3\.(\d+)-slim", image[0][1])
-    assert base
-    assert int(base[1]) >= 11
+    bases = [re.fullmatch(r"python:3\.(\d+)-slim( AS \w+)?", rest) for rest in of(image, "FROM")]
+    minors = {int(base[1]) for base in bases if base}
+    assert len(bases) == 2
+    assert len(minors) == 1, "the environment that one stage makes must fit the Python of the other"
+    assert min(minors) >= 11
 
 
 def test_the_image_copies_what_is_there_and_not_ignored(image: list[Instruction]) -> None:
-    sources = [source for rest in of(image, "COPY") for source in rest.split()[:-1]]
-    assert {"pyproject.toml", "README.md", "LICENSE", "common", "coordinator", "island_worker"} == set(sources)
+    copied = [rest.split()[:-1] for rest in of(image, "COPY") if not rest.startswith("--from=build ")]
+    sources = [source for each in copied for source in each]
+    programs = {"pyproject.toml", "README.md", "LICENSE", "common", "coordinator", "island_worker"}
+    assert set(sources) == programs | {"deploy/entrypoint.sh"}
     assert [source for source in sources if not (ROOT / source).exists()] == []
     assert [source for source in sources if is_ignored(source)] == []
     assert is_ignored(".venv")
@@ -129,20 +151,31 @@ def is_ignored(path: str) -> bool:
     return ignored
 
 
-def test_the_image_installs_as_root_and_runs_as_somebody_else(image: list[Instruction]) -> None:
-    names = [name for name, _ in image]
-    (user,) = of(image, "USER")
+def test_the_image_installs_as_root_and_runs_as_somebody_else(final: list[Instruction]) -> None:
+    names = [name for name, _ in final]
+    (user,) = of(final, "USER")
     assert user not in ("root", "0")
-    installs = next(place for place, (name, rest) in enumerate(image) if name == "RUN" and "pip install" in rest)
-    made = next(place for place, (name, rest) in enumerate(image) if name == "RUN" and "useradd" in rest)
-    assert installs < made < names.index("USER")
-    assert user in shlex.split(image[made][1])
+    made = next(place for place, (name, rest) in enumerate(final) if name == "RUN" and "useradd" in rest)
+    assert made < names.index("USER")
+    assert user in shlex.split(final[made][1])
 
 
-def test_the_image_owns_the_folders_that_are_written(compose: dict[str, Any], image: list[Instruction]) -> None:
-    owned = next(rest for rest in of(image, "RUN") if "chown" in rest).split("chown", 1)[1].split()
-    written = {each.split(":")[1] for its in compose["services"].values() for each in its["volumes"]}
-    assert written <= set(owned)
+def test_the_image_owns_the_folders_that_are_written(compose: dict[str, Any], final: list[Instruction]) -> None:
+    owned = next(rest for rest in of(final, "RUN") if "chown" in rest).split("chown", 1)[1].split()
+    written = {each.split(":")[1] for each in compose["services"]["coordinator"]["volumes"]}
+    assert written | {environment(final)["ATOLL_KERNEL_CACHE"]} <= set(owned)
+
+
+def test_the_image_ends_orphans_and_passes_signals_on(final: list[Instruction]) -> None:
+    (entry,) = of(final, "ENTRYPOINT")
+    assert json.loads(entry) == ["tini", "--", "atoll-entrypoint"]
+    assert "COPY deploy/entrypoint.sh /usr/local/bin/atoll-entrypoint" in [" ".join(each) for each in final]
+
+
+def test_the_image_knows_whether_its_coordinator_can_be_reached(final: list[Instruction]) -> None:
+    (health,) = of(final, "HEALTHCHECK")
+    command = shlex.split(health.split("||")[1])
+    assert parsed(command).quick
 
 
 def test_the_kernel_cache_is_where_the_image_says(image: list[Instruction], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -153,6 +186,7 @@ def test_the_kernel_cache_is_where_the_image_says(image: list[Instruction], monk
 
 def test_python_in_the_image_names_what_exists(image: list[Instruction]) -> None:
     scripts = re.findall(r"python -c (?:\"([^\"]*)\"|'([^']*)')", " ".join(of(image, "RUN")))
+    assert len(scripts) == 3
     imports = [
         node for pair in scripts for node in ast.walk(ast.parse("".join(pair))) if isinstance(node, ast.ImportFrom)
     ]

@@ -176,7 +176,7 @@ def all_options() -> set[str]:
         if isinstance(action, argparse._SubParsersAction):
             parsers += action.choices.values()
     ours = {option for parser in parsers for action in parser._actions for option in action.option_strings}
-    return ours | {"--processes", "--wait", "--name", "--connect"}
+    return ours | {"--processes", "--wait", "--name", "--connect", "--lifetime", "--grace"}
 
 
 def errors() -> Iterable[type[Any]]:

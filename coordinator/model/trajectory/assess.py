@@ -172,7 +172,9 @@ def r2_of(its: Measurements, shot: Shot, rows: FloatArray | slice) -> list[float
         weights = its.weights[state, rows]
         left = weights * shot.residuals[state, rows] ** 2
         values = its.measured[state, rows][weights > 0.0]
-        spread = float(((values - values.mean()) ** 2).sum()) if len(values) else 0.0
+        precision = np.ones(len(values)) if its.precision is None else its.precision[rows][weights > 0.0]
+        mean = float((precision * values).sum() / precision.sum()) if len(values) else 0.0
+        spread = float((precision * (values - mean) ** 2).sum())
         found.append(1.0 - float(left.sum()) / spread if spread > 0.0 else None)
     return found
 

@@ -9,6 +9,7 @@ import numpy as np
 from common.dataset import FloatArray, Problem
 from common.expression.program import Program
 from coordinator.model.errors import errors_on
+from coordinator.model.gathering import gathered
 from coordinator.model.refinement import Contender, Pool, Refined, Refinement, Simulated, Simulation
 from coordinator.model.rewrite import constant_places, structure, tidied
 from coordinator.model.trajectory.assess import (
@@ -95,13 +96,20 @@ def _finalized(race: Race, origins: Origins) -> _Final | None:
     if whole is None:
         return None
     contest, best = whole.contest, whole.standing
-    for shown in (rounded(contest, best), best.programs):  # as fitted, where simple constants cannot be simulated
+    for programs in (rounded(contest, best), best.programs):  # as fitted, where simple constants cannot be simulated
+        shown = tuple(_tidy(whole.field, contest, equation, program) for equation, program in enumerate(programs))
         openings, free = _freed(contest, best, shown)
         shot = held(contest, shown, best.shot)
         if free is not None and shot is not None:
             final = contest.measured(shown, shot)
             return _Final(whole.field, race, origins, _unseen(whole.field), contest, shown, openings, free, final)
     return None
+
+
+def _tidy(field: Field, contest: Contest, equation: int, program: Program) -> Program:
+    """Return a program with like terms gathered, unless it is given or would be larger than is allowed."""
+    made = program if equation in contest.fixed else gathered(program)
+    return made if field.may_be_shown(made) else program
 
 
 def _freed(contest: Contest, best: Standing, shown: Sequence[Program]) -> tuple[tuple[Opened, ...], Standing | None]:
@@ -196,9 +204,10 @@ def _member(program: Program, pool: Pool | None, problem: Problem) -> int | None
 
 
 def _residuals(its: Measurements, shot: Shot, index: int) -> list[FloatArray]:
-    """Return what is left of a state along each piece, where it was measured and counts."""
+    """Return what is left of a state along each piece, where it was measured and counts, as in a row of weight 1."""
     pieces = [slice(first, end) for first, end in its.bounds.tolist()]
-    parts = [shot.residuals[index, rows][its.weights[index, rows] > 0.0] for rows in pieces]
+    residuals = shot.residuals[index] if its.precision is None else shot.residuals[index] * np.sqrt(its.precision)
+    parts = [residuals[rows][its.weights[index, rows] > 0.0] for rows in pieces]
     return [part for part in parts if len(part)]
 
 

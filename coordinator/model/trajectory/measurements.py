@@ -31,12 +31,13 @@ class Measurements:
     """Rows of trajectories for a system of D equations.
 
     `bounds` (B, 2) are the half-open row ranges of the pieces that are simulated at a stretch, `owners` (B,) the
-    trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), from 0, which leaves
-    a number out, to 1; `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured, and `offset`
-    (K,) which of these up to an offset. `scales` (D,) are the states' standard deviations, `noise` (O,) the smoother's
-    estimate of that of the measurement errors; `coherence` is along how many rows errors go together, more than one
-    where states without an equation are inputs as smoothed. `input_slopes` belong to `inputs` (U, N). `variables` names
-    the numbers of a point: D states, then U inputs.
+    trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), 0 leaves a number out;
+    `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured, and `offset` (K,) which of these up
+    to an offset. `scales` (D,) are the states' standard deviations, `noise` (O,) the smoother's estimate of that of the
+    measurement errors; `coherence` is along how many rows errors go together, more than one where states without an
+    equation are inputs as smoothed. `precision` (N,) divides the variance of the errors of each row, 1 on average over
+    the recording; it is part of `weights`. `input_slopes` belong to `inputs` (U, N). `variables` names the numbers of a
+    point: D states, then U inputs.
     """
 
     bounds: Ints
@@ -54,6 +55,7 @@ class Measurements:
     variables: tuple[str, ...]
     names: tuple[str, ...]
     coherence: float = 1.0
+    precision: FloatArray | None = None
 
     @property
     def rows(self) -> int:
@@ -116,6 +118,7 @@ class Measurements:
             times=np.ascontiguousarray(self.times[rows]),
             measured=np.ascontiguousarray(self.measured[:, rows]),
             weights=np.ascontiguousarray(self.weights[:, rows]),
+            precision=None if self.precision is None else self.precision[rows],
             smoothed=np.ascontiguousarray(self.smoothed[:, rows]),
             inputs=np.ascontiguousarray(self.inputs[:, rows]),
             input_slopes=np.ascontiguousarray(self.input_slopes[:, rows]),
@@ -168,6 +171,7 @@ def measurements_of(
         variables=_variables(recording, chosen, others),
         names=tuple(part.name for part in parts),
         coherence=_coherence(recording, others),
+        precision=_precision(parts),
     )
 
 
@@ -192,7 +196,14 @@ def _variables(recording: Recording, chosen: list[int], others: list[int]) -> tu
 def _trust(part: Trajectory, chosen: list[int]) -> FloatArray:
     """Return how much each measurement counts: nothing where it is missing, little where smoothing met an outlier."""
     measured = np.isfinite(part.measured[chosen]).astype(np.float64)
-    return measured if part.trust is None else measured * part.trust[chosen]
+    believed = measured if part.trust is None else measured * part.trust[chosen]
+    return believed if part.weights is None else believed * part.weights
+
+
+def _precision(parts: Sequence[Trajectory]) -> FloatArray | None:
+    if all(part.weights is None for part in parts):
+        return None
+    return np.concatenate([np.ones(len(part.times)) if part.weights is None else part.weights for part in parts])
 
 
 def _stacked(arrays: Iterator[FloatArray]) -> FloatArray:

@@ -8,7 +8,7 @@ from common.errors import RemoteProtocolError
 from common.slices import Course, Position
 from common.wire.messages import HitStatement, IslandReport
 from island_worker.agenda import Agenda
-from island_worker.events import Abandoned, Broken, Computed, Outcome, Rejected, ShareKey, Task, TaskKey
+from island_worker.events import Abandoned, Broken, Computed, Outcome, Rejected, ShareKey, Snapshot, Task, TaskKey
 
 LAST = 50
 COURSE = Course(generations=LAST, stride=10, joining=8)
@@ -41,6 +41,10 @@ class Fake:
     generation: int = 0
     hit: HitStatement | None = None
 
+    @property
+    def snapshot(self) -> bytes | None:
+        return b"state" if self.task.takes_snapshot else None
+
     def advance(self) -> bool:
         key = self.task.key
         if key.island == 6:
@@ -72,8 +76,8 @@ def agenda_of(bench: Bench, *keys: TaskKey) -> Agenda:
     return agenda
 
 
-def emptied(agenda: Agenda) -> list[Outcome]:
-    outcomes = []
+def emptied(agenda: Agenda) -> list[Snapshot | Outcome]:
+    outcomes: list[Snapshot | Outcome] = []
     while not agenda.is_idle:
         outcomes += agenda.turn()
     return outcomes
@@ -115,6 +119,24 @@ def test_the_job_that_was_charged_least_comes_first() -> None:
     for _ in range(8):
         agenda.turn()
     assert [job for job, *_ in bench.slices] == ["a", "b", "b", "b", "a", "b", "b", "a"]
+
+
+def test_a_job_of_twice_the_weight_gets_twice_the_time() -> None:
+    bench = Bench()
+    agenda = agenda_of(bench, *(key(island, job=job) for job in ("a", "b") for island in range(6)))
+    agenda.weigh("b", 2.0)
+    for _ in range(30):
+        agenda.turn()
+    turns = [job for job, *_ in bench.slices]
+    assert (turns.count("a"), turns.count("b")) == (10, 20)
+
+
+def test_the_agenda_knows_what_it_was_at_last() -> None:
+    bench = Bench()
+    agenda = agenda_of(bench, key(0))
+    assert agenda.doing is None
+    agenda.turn()
+    assert agenda.doing == key(0)
 
 
 def test_a_job_that_comes_later_does_not_make_up_for_what_the_others_had() -> None:
@@ -206,3 +228,28 @@ def test_a_slice_may_take_several_turns() -> None:
     agenda.turn()
     agenda.stop_at(SHARE, Position(0, 40, 1), COURSE)
     assert reached(emptied(agenda)) == {(0, 0): 40}
+
+
+def test_a_snapshot_is_taken_before_the_first_slice_and_once() -> None:
+    bench = Bench()
+    agenda = Agenda(bench.begin, lambda: bench.now)
+    agenda.add(Task(key(0, 4), None, is_last=False, course=COURSE, takes_snapshot=True))
+    assert agenda.turn() == [Snapshot(key(0, 4), b"state", is_held=False)]
+    (outcome,) = emptied(agenda)
+    assert isinstance(outcome, Computed)
+    assert len(bench.slices) == 5
+
+
+def test_of_a_held_epoch_there_is_nothing_but_its_snapshot() -> None:
+    bench = Bench()
+    agenda = Agenda(bench.begin, lambda: bench.now)
+    agenda.add(Task(key(0, 4), None, is_last=False, course=COURSE, takes_snapshot=True, is_held=True))
+    assert emptied(agenda) == [Snapshot(key(0, 4), b"state", is_held=True)]
+    assert bench.slices == []
+
+
+def test_a_held_epoch_whose_immigrants_are_malformed_is_refused() -> None:
+    bench = Bench()
+    agenda = Agenda(bench.begin, lambda: bench.now)
+    agenda.add(Task(key(7, 4), None, is_last=False, course=COURSE, takes_snapshot=True, is_held=True))
+    assert emptied(agenda) == [Rejected(key(7, 4), "malformed")]

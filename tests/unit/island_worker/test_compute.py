@@ -58,6 +58,9 @@ class FakeIsland:
     def emigrants(self) -> dict[int, bytes]:
         return {self.island: b"own", 1: b"other"}
 
+    def to_bytes(self) -> bytes:
+        return b"state"
+
     def immigrate(self, blocks: Mapping[int, bytes]) -> None:
         if b"bad" in blocks.values():
             raise RemoteProtocolError("a block is malformed")

@@ -40,7 +40,7 @@ def test_islands_are_accepted_only_after_a_greeting_with_a_fingerprint() -> None
 def test_another_incarnation_or_realm_is_a_restart() -> None:
     joining = Joining("w0", 0.0)
     joining.take("", welcome())
-    assert joining.take("", welcome(incarnation=2)) == Joined(False, True, False)
+    assert joining.take("", welcome(incarnation=2)) == Joined(False, True, False, incarnation=2)
     assert joining.take("", welcome(realm="s")) == Joined(True, True, False)
     assert joining.take("", welcome(realm="r")) == Joined(False, True, False)
     assert joining.realm == "r"

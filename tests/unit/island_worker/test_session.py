@@ -20,12 +20,17 @@ from common.wire.messages import (
     Placement,
     PullMigrants,
     PullReports,
+    PullStates,
     Reports,
+    Schedule,
     Sent,
+    States,
 )
+from common.wire.pieces import State, cut
 from island_worker.events import (
     Abandoned,
     AskPeer,
+    Beat,
     Broken,
     Closed,
     Committed,
@@ -35,6 +40,7 @@ from island_worker.events import (
     DiscardJob,
     FetchJob,
     FetchPlacements,
+    FetchStates,
     JobReady,
     Mailed,
     Placed,
@@ -46,6 +52,8 @@ from island_worker.events import (
     Send,
     SendReport,
     ShareKey,
+    Snapshot,
+    StatesCame,
     StopAt,
     TaskKey,
     Tick,
@@ -61,7 +69,9 @@ def session() -> Iterator[Session]:
     made.validate()
 
 
-def placed(*workers: str, term: int = 1, job: str = "job", variable: str = "x", epochs: int = 100) -> Placed:
+def placed(
+    *workers: str, term: int = 1, job: str = "job", variable: str = "x", epochs: int = 100, epoch: int = 0
+) -> Placed:
     return Placed(
         Placement(
             incarnation=1,
@@ -69,6 +79,7 @@ def placed(*workers: str, term: int = 1, job: str = "job", variable: str = "x", 
             job=job,
             variable=variable,
             workers=workers,
+            epoch=epoch,
             epochs=epochs,
             interval=2,
             course=Course(generations=100, stride=10, joining=8),
@@ -214,20 +225,25 @@ def test_mail_may_come_before_the_island_is_ready_for_it_and_twice(session: Sess
     assert action.task.blocks == {1: b"next"}
 
 
-def test_no_island_runs_ahead_of_the_commit_by_more_than_two_intervals(session: Session) -> None:
+def committed(epoch: int, next_one: int, last: int, holds: bool = False, reported: int = 0) -> Committed:
+    schedule = Schedule(next=next_one, last=last, holds=holds)
+    return Committed(Commit(job="job", variable="x", term=1, epoch=epoch, schedule=schedule, reported=reported))
+
+
+def test_no_island_runs_beyond_the_second_checkpoint_after_the_commit(session: Session) -> None:
     begun(session, "me")
     epoch = 0
     while tasks(list(session.handle(computed(key(0, epoch), {0: b"own"})))):
         epoch += 1
     assert epoch == 4
-    commit = Commit(job="job", variable="x", term=1, epoch=2)
-    assert tasks(list(session.handle(Committed(commit)))) == [key(0, 5)]
+    assert tasks(list(session.handle(committed(2, 4, 9)))) == [key(0, 5)]
 
 
 def test_a_commit_beyond_what_was_reported_is_refused(session: Session) -> None:
     begun(session, "me")
-    with pytest.raises(RemoteProtocolError, match="commit"):
-        session.handle(Committed(Commit(job="job", variable="x", term=1, epoch=5)))
+    for commit in (committed(5, 7, 9), committed(0, 2, 4, reported=5)):
+        with pytest.raises(RemoteProtocolError, match="commit"):
+            session.handle(commit)
 
 
 def test_the_last_epoch_is_marked_and_ends_the_island(session: Session) -> None:
@@ -348,7 +364,7 @@ def test_a_pull_of_what_is_not_computed_yet_is_answered_so(session: Session) -> 
     assert session.handle(PullAsked("h", reports)) == [Respond("h", NotYet())]
 
 
-def test_reports_can_be_pulled_until_the_commit_has_passed_them(session: Session) -> None:
+def test_reports_can_be_pulled_until_all_islands_have_reported_them(session: Session) -> None:
     begun(session, "me")
     for epoch in range(3):
         session.handle(computed(key(0, epoch), {0: b"own"}))
@@ -357,7 +373,7 @@ def test_reports_can_be_pulled_until_the_commit_has_passed_them(session: Session
     assert isinstance(answer, Respond)
     assert isinstance(answer.body, Reports)
     assert [each.epoch for each in answer.body.reports] == [0, 1, 2]
-    session.handle(Committed(Commit(job="job", variable="x", term=1, epoch=2)))
+    session.handle(committed(0, 2, 4, reported=2))
     (answer,) = session.handle(PullAsked("h", question))
     assert isinstance(answer, Respond)
     assert isinstance(answer.body, Reports)
@@ -367,7 +383,7 @@ def test_reports_can_be_pulled_until_the_commit_has_passed_them(session: Session
 def test_an_answer_with_reports_is_no_larger_than_a_message_may_be(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("island_worker.share.ADDITIONS_PER_ANSWER", 1)
+    monkeypatch.setattr("island_worker.kept.ADDITIONS_PER_ANSWER", 1)
     begun(session, "me")
     addition = Addition(complexity=1, error=0.1, mse=0.1, generation=1, program=b"")
     for epoch in range(3):
@@ -411,7 +427,7 @@ def test_news_of_a_higher_term_fetch_the_placement(session: Session) -> None:
         mail(0, (0, 0, b"forged")),
         mail(0, (1, 1, b"not here")),
         mail(0, (9, 0, b"no such island")),
-        mail(99, (1, 0, b"far ahead")),
+        mail(2000, (1, 0, b"far ahead")),
         Mailed("peer", finished(0, 0)),
         Mailed("stranger", finished(1, 0)),
     ],
@@ -507,3 +523,161 @@ def test_a_reset_forgets_everything_also_the_terms(session: Session) -> None:
     assert session.handle(Reset()) == [Discard(ShareKey("job", "x", 5)), DiscardJob("job")]
     session.handle(Abandoned(key(0, 0, term=5)))
     assert tasks(begun(session, "me", "peer", term=2)) == [key(0, 0, term=2)]
+
+
+# ------------------------------------------------------------------------------------------ checkpoints
+
+
+def pull_states(epoch: int, *islands: int, term: int = 1, offset: int = 0) -> PullStates:
+    return PullStates(job="job", variable="x", term=term, epoch=epoch, islands=islands, offset=offset)
+
+
+def states(**of: bytes) -> States:
+    """Return whole states, given by island as i0=b"...", i1=b"..."."""
+    given = {int(name[1:]): State.of(data) for name, data in of.items()}
+    return States(pieces=cut(list(given), 0, given.__getitem__))
+
+
+def to_the_first_checkpoint(session: Session) -> list[object]:
+    begun(session, "me", "me")
+    session.handle(computed(key(0, 0), {0: b"a"}))
+    session.handle(computed(key(1, 0), {1: b"b"}))
+    session.handle(computed(key(0, 1), {0: b"a"}))
+    return list(session.handle(computed(key(1, 1), {1: b"b"})))
+
+
+def test_snapshots_are_wanted_at_checkpoints_only(session: Session) -> None:
+    actions = begun(session, "me")
+    wanted = []
+    for epoch in range(5):
+        (action,) = [each for each in actions if isinstance(each, Compute)]
+        wanted.append(action.task.takes_snapshot)
+        actions = list(session.handle(computed(key(0, epoch), {0: b"own"})))
+    assert wanted == [False, False, True, False, True]
+
+
+def test_snapshots_are_told_when_all_are_there_and_answered_until_they_are_durable(session: Session) -> None:
+    to_the_first_checkpoint(session)
+    assert session.handle(Snapshot(key(0, 2), b"state 0", is_held=False)) == []
+    assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [Respond("h", NotYet())]
+    assert session.holdings()[0].snapshots == ()
+    assert session.handle(Snapshot(key(1, 2), b"state 1", is_held=False)) == [Beat()]
+    assert session.holdings()[0].snapshots == (2,)
+    answer = Respond("h", states(i0=b"state 0", i1=b"state 1"))
+    assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [answer]
+    assert session.handle(PullAsked("h", pull_states(2, 0, offset=7))) == [Respond("h", NotYet())]
+    assert session.handle(PullAsked("h", pull_states(2, 0, term=9))) == [
+        Respond("h", NewerTerm(job="job", variable="x", term=1))
+    ]
+    session.handle(committed(2, 4, 6))
+    assert session.holdings()[0].snapshots == ()
+    assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [Respond("h", NotYet())]
+
+
+def test_a_snapshot_of_a_former_term_is_dropped(session: Session) -> None:
+    to_the_first_checkpoint(session)
+    session.handle(placed("me", "me", term=2))
+    assert session.handle(Snapshot(key(0, 2), b"state", is_held=False)) == []
+
+
+def test_held_islands_take_a_snapshot_and_wait_for_another_placement(session: Session) -> None:
+    begun(session, "me")
+    session.handle(computed(key(0, 0), {0: b"own"}))
+    session.handle(computed(key(0, 1), {0: b"own"}))
+    session.handle(committed(2, 3, 3, holds=True))
+    actions = session.handle(computed(key(0, 2), {0: b"own"}))
+    (action,) = [each for each in actions if isinstance(each, Compute)]
+    assert (action.task.key, action.task.takes_snapshot, action.task.is_held) == (key(0, 3), True, True)
+    assert session.handle(Snapshot(key(0, 3), b"state", is_held=True)) == [Beat()]
+    assert tasks(session.handle(committed(3, 3, 3, holds=True))) == []
+    assert session.state() == "waiting"
+    actions = session.handle(placed("me", term=2, epoch=3))
+    assert FetchStates(pull_states(3, 0, term=2)) in actions
+
+
+def test_a_hit_ends_held_islands(session: Session) -> None:
+    begun(session, "me", "peer")
+    for epoch in range(2):
+        session.handle(mail(epoch, (1, 0, b"in")))
+        session.handle(computed(key(0, epoch), {1: b"out"}, 1))
+    session.handle(committed(2, 3, 3, holds=True))
+    session.handle(mail(2, (1, 0, b"in")))
+    session.handle(computed(key(0, 2), {1: b"out"}, 1))
+    session.handle(Snapshot(key(0, 3), b"state", is_held=True))
+    session.handle(Mailed("peer", finished(1, 2)))
+    assert session.state() == "ready"
+
+
+def test_a_term_that_begins_at_a_checkpoint_waits_for_the_states(session: Session) -> None:
+    session.handle(placed("me", "peer", "me", term=5, epoch=6))
+    assert session.handle(JobReady("job")) == []
+    assert session.holdings()[0].reported == 6
+    asked = pull_states(6, 0, 2, term=5)
+    actions = session.handle(StatesCame(asked, states(i0=b"zero")))
+    assert tasks(actions) == [key(0, 6, term=5)]
+    assert FetchStates(pull_states(6, 2, term=5)) in actions
+    (action,) = [each for each in session.handle(StatesCame(asked, states(i2=b"two"))) if isinstance(each, Compute)]
+    assert (action.task.key, action.task.state, action.task.blocks) == (key(2, 6, term=5), b"two", None)
+
+
+def test_states_that_did_not_come_are_asked_for_again_at_the_next_tick(session: Session) -> None:
+    actions = session.handle(placed("me", term=2, epoch=6))
+    asked = FetchStates(pull_states(6, 0, term=2))
+    assert asked in actions
+    assert session.handle(Tick(1.0)) == []
+    assert session.handle(StatesCame(asked.body, None)) == []
+    assert session.handle(Tick(2.0)) == [asked]
+
+
+def test_a_state_that_was_damaged_is_refused_and_asked_for_again(session: Session) -> None:
+    session.handle(placed("me", term=2, epoch=6))
+    asked = pull_states(6, 0, term=2)
+    (piece,) = states(i0=b"good").pieces
+    with pytest.raises(RemoteProtocolError, match="damaged"):
+        session.handle(StatesCame(asked, States(pieces=(piece.model_copy(update={"data": b"evil"}),))))
+    assert session.handle(Tick(1.0)) == [FetchStates(asked)]
+
+
+def test_states_of_a_former_term_are_dropped(session: Session) -> None:
+    session.handle(placed("me", term=2, epoch=6))
+    session.handle(placed("me", term=3, epoch=8))
+    session.handle(JobReady("job"))
+    assert session.handle(StatesCame(pull_states(6, 0, term=2), states(i0=b"old"))) == []
+
+
+def test_a_state_that_does_not_fit_fails_the_job(session: Session) -> None:
+    session.handle(placed("me", term=2, epoch=6))
+    session.handle(JobReady("job"))
+    session.handle(StatesCame(pull_states(6, 0, term=2), states(i0=b"odd")))
+    session.handle(Rejected(key(0, 6, term=2), "the state of an island does not fit its job"))
+    assert "does not fit" in session.troubles()[0].sentence
+
+
+def test_a_term_that_begins_at_a_checkpoint_goes_on_like_any_other(session: Session) -> None:
+    session.handle(placed("me", "peer", term=2, epoch=6))
+    session.handle(JobReady("job"))
+    session.handle(StatesCame(pull_states(6, 0, term=2), states(i0=b"six")))
+    session.handle(mail(5, (1, 0, b"late"), term=2))
+    session.handle(mail(6, (1, 0, b"in"), term=2))
+    actions = session.handle(computed(key(0, 6, term=2), {1: b"out"}, 1))
+    assert tasks(actions) == [key(0, 7, term=2)]
+    assert reported(actions) == [(6, [0])]
+
+
+def test_a_reset_keeps_what_the_new_incarnation_has_placed_already(session: Session) -> None:
+    begun(session, "me", "peer", term=5)
+    assert session.handle(Reset(incarnation=1)) == []
+    assert session.jobs() == ("job",)
+    assert tasks(list(session.handle(placed("me", "peer", term=5)))) == []
+    assert session.handle(Reset(incarnation=2)) == [Discard(ShareKey("job", "x", 5)), DiscardJob("job")]
+    assert session.jobs() == ()
+
+
+def test_early_mail_is_forgotten_when_its_job_is_closed_or_its_placement_has_been_asked_for(session: Session) -> None:
+    asked = [FetchPlacements("job")]
+    assert session.handle(mail(0, (1, 0, b"early"))) == asked
+    assert session.handle(mail(0, (1, 0, b"more"))) == []
+    session.handle(Closed(Close(job="job")))
+    assert session.handle(mail(0, (1, 0, b"late"))) == asked
+    session.forget_early("job")
+    assert session.handle(mail(0, (1, 0, b"again"))) == asked

@@ -25,7 +25,7 @@ def _no_environment(monkeypatch: pytest.MonkeyPatch) -> None:
 def worked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, float]]:
     """What the one process was told to do."""
     calls: list[tuple[str, str, float]] = []
-    monkeypatch.setattr(runtime, "run_worker", lambda to, *others: calls.append((str(to), *others)) or 0)
+    monkeypatch.setattr(runtime, "run_worker", lambda to, *others: calls.append((str(to), *others[:2])) or 0)
     return calls
 
 
@@ -40,6 +40,8 @@ def worked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, float]]:
         (["--connect", "tcp/a:1", "--name", "a" * 65], "letters, digits"),
         (["--connect", "tcp/a:1", "--wait", "-1"], "number of seconds"),
         (["--connect", "tcp/a:1", "--wait", "nan"], "number of seconds"),
+        (["--connect", "tcp/a:1", "--lifetime", "soon"], "a time such as 90s, 30m or 12h was expected, but 'soon'"),
+        (["--connect", "tcp/a:1", "--grace=-5m"], "a time such as"),
         (["--connect", "tcp/a:1", "--speed", "2"], "unknown option"),
         (["--connect"], "expected one argument"),
         (["--connect", "tcp/a:1", "--connect-file", "f"], "both --connect and --connect-file were given"),
@@ -72,6 +74,19 @@ def test_the_address_may_come_from_the_environment_and_the_name_from_host_and_pr
     assert worked == [("tcp/b:2", "lab-1-17", 10.0)]
 
 
+@pytest.mark.parametrize(
+    ("words", "lifetime_s", "grace_s"),
+    [([], None, 30.0), (["--lifetime", "90"], 90.0, 30.0), (["--lifetime", "1.5h", "--grace", "2m"], 5400.0, 120.0)],
+)
+def test_a_worker_leaves_after_its_lifetime_and_has_some_grace(
+    words: list[str], lifetime_s: float | None, grace_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[runtime.Leaving] = []
+    monkeypatch.setattr(runtime, "run_worker", lambda *arguments: given.append(arguments[3]) or 0)
+    assert cli.main(["--connect", "tcp/a:1", "--processes", "1", *words]) == 0
+    assert [(each.lifetime_s, each.grace_s) for each in given] == [(lifetime_s, grace_s)]
+
+
 @pytest.fixture
 def loads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What was loaded ahead."""
@@ -86,8 +101,8 @@ def test_several_processes_are_forked_when_all_is_loaded_and_have_numbered_names
     monkeypatch.setattr(forking, "can_fork", lambda: True)
     monkeypatch.setattr(processes, "end_with_parent", lambda parent: None)
 
-    def supervise_forks(works: Sequence[Callable[[], int]], parent: int | None) -> int:
-        assert (loads, parent) == (["all"], None)
+    def supervise_forks(works: Sequence[Callable[[], int]], parent: int | None, grace_s: float) -> int:
+        assert (loads, parent, grace_s) == (["all"], None, 30.0)
         return max([work() for work in works]) or 3
 
     monkeypatch.setattr(processes, "supervise_forks", supervise_forks)
@@ -100,14 +115,17 @@ def test_where_a_fork_is_unsafe_several_processes_are_started_and_end_with_this_
 ) -> None:
     started: list[list[str]] = []
     monkeypatch.setattr(forking, "can_fork", lambda: False)
-    monkeypatch.setattr(processes, "supervise", lambda commands, parent: started.extend(commands) or 3)
-    assert cli.main(["--connect", "tcp/a:1", "--processes", "2", "--name", "n" * 64]) == 3
+    monkeypatch.setattr(processes, "supervise", lambda commands, *_: started.extend(commands) or 3)
+    words = ["--connect", "tcp/a:1", "--processes", "2", "--name", "n" * 64, "--lifetime", "30m", "--grace", "5"]
+    assert cli.main(words) == 3
     assert loads == []
     for index, command in enumerate(started):
         assert command[1:3] == ["-m", "island_worker"]
         assert command[command.index("--name") + 1] == "n" * 58 + f"-{index}"
         assert command[command.index("--processes") + 1] == "1"
         assert "--parent" in command
+        assert command[command.index("--lifetime") + 1] == "1800"
+        assert command[command.index("--grace") + 1] == "5"
 
 
 def test_no_worker_is_forked_for_a_parent_that_died_while_loading(

@@ -30,15 +30,19 @@ from common.wire.messages import (
     Migrants,
     NewerTerm,
     NotYet,
+    Piece,
     Placement,
     Placements,
     Pull,
     PullAnswer,
     PullMigrants,
     PullReports,
+    PullStates,
     Refusal,
     Reports,
+    Schedule,
     Sent,
+    States,
     Submit,
     Tally,
     Trouble,
@@ -91,7 +95,7 @@ ALL = [
     GreetingAnswer(body=Refusal(protocol=1, version="0", engine=1, sentence="no")),
     Control(body=JobAnnouncement(job="j", config=JobConfig(), variables=("θ", "x"), blob=DIGEST, size=9, chunks=1)),
     Control(body=Placements(placements=(PLACEMENT,))),
-    Control(body=Commit(**AT, epoch=16)),
+    Control(body=Commit(**AT, epoch=16, schedule=Schedule(next=32, last=33, holds=True), reported=20)),
     Control(body=Close(job="j")),
     STATUS,
     REPORT,
@@ -99,8 +103,10 @@ ALL = [
     Mail(body=FINISHED),
     Pull(body=PullMigrants(**AT, epoch=0, destination=1, sources=(0,))),
     Pull(body=PullReports(**AT, first=0, last=3)),
+    Pull(body=PullStates(**AT, epoch=16, islands=(0, 3), offset=9)),
     PullAnswer(body=Sent(migrants=MIGRANTS, finished=(FINISHED,))),
     PullAnswer(body=Reports(reports=(REPORT,))),
+    PullAnswer(body=States(pieces=(Piece(island=3, size=9, digest=DIGEST, offset=4, data=b"state"),))),
     PullAnswer(body=NotYet()),
     PullAnswer(body=NewerTerm(job="j", variable="x", term=0)),
     Ask(body=Upload(blob=DIGEST, size=3, index=0, sha256=DIGEST, data=b"abc")),
@@ -148,6 +154,12 @@ def test_numbers_that_are_not_finite_are_refused() -> None:
 def test_a_placement_knows_the_islands_of_a_worker() -> None:
     assert PLACEMENT.islands_of("w1") == (1,)
     assert PLACEMENT.islands_of("w2") == ()
+
+
+def test_a_term_s_first_checkpoints_lie_an_interval_apart_and_a_hold_forbids_the_last() -> None:
+    schedule = PLACEMENT.model_copy(update={"epoch": 40}).schedule
+    assert (schedule.next, schedule.last, schedule.limit) == (56, 72, 72)
+    assert schedule.model_copy(update={"holds": True}).limit == 71
 
 
 def test_chunks_are_counted_upwards() -> None:

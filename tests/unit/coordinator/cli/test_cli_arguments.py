@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from common.errors import UsageError
-from coordinator.cli.arguments import HANDLERS, LATER_OPTIONS, LATER_VERBS, build_parser, parse
+from coordinator.cli.arguments import HANDLERS, LATER_VERBS, build_parser, parse
 from coordinator.cli.main import main
 
 
@@ -14,15 +14,6 @@ from coordinator.cli.main import main
 def test_a_verb_of_a_later_version_is_refused_as_such(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([verb, "abc", "--json"]) == 2
     assert capsys.readouterr().err == f"coordinator: {verb} is not in this version\n"
-
-
-@pytest.mark.parametrize("option", LATER_OPTIONS)
-@pytest.mark.parametrize("verb", ["run", "submit"])
-def test_an_option_of_a_later_version_is_refused_as_such(
-    verb: str, option: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([verb, "data.csv", option, "x"]) == 2
-    assert capsys.readouterr().err == f"coordinator: {option} is not in this version\n"
 
 
 def test_help_lists_the_verbs_of_this_version_and_none_of_later_ones() -> None:

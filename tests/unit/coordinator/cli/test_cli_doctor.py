@@ -1,6 +1,8 @@
 """What the doctor finds, what it advises, and that nothing it looks at can break it."""
 
 import json
+import subprocess
+import sys
 from argparse import Namespace
 from collections.abc import Iterable
 from datetime import UTC, datetime, timedelta
@@ -9,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from common.wire.addresses import destination
+from common.wire.credentials import load
 from common.wire.messages import Welcome
 from common.wire.views import WorkerView
 from common.wire.zenoh_bus import ZenohBus, open_router
@@ -17,6 +21,7 @@ from coordinator.cli.doctor_data import check_data
 from coordinator.cli.finding import Finding, as_text, as_tree, fine
 from coordinator.service.service import Service
 from coordinator.service.store import Store
+from tests.certificates import Lab
 from tests.unit.documents import ROOT
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
@@ -261,3 +266,55 @@ def test_data_that_cannot_be_used_is_a_problem_with_the_readers_words(tmp_path: 
     assert finding.found
     (finding,) = check_data(options(DATA, "--states", "nothing"))
     assert (finding.grade, "nothing" in finding.found) == ("problem", True)
+
+
+# ------------------------------------------------------------------------------------------- certificates
+
+
+def test_a_certificate_is_examined_before_anybody_is_dialled(lab: Lab, other_lab: Lab) -> None:
+    (good,) = doctor_network.check_certificates(options(*lab.options("ann")))
+    assert (good.grade, good.found.split(",")[0]) == ("fine", "of ann")
+    (serving,) = doctor_network.check_certificates(options("--listen", "tls/0.0.0.0:0", *lab.options("coordinator")))
+    assert "lab.example" in serving.found
+    authority, certificate, key = other_lab.files("ann")[0], *lab.files("ann")[1:]
+    words = ["--tls-ca", str(authority), "--tls-cert", str(certificate), "--tls-key", str(key)]
+    (foreign,) = doctor_network.check_certificates(options(*words))
+    assert (foreign.grade, "was not issued by the authority" in foreign.found) == ("problem", True)
+    assert foreign.advice
+    assert list(doctor_network.check_certificates(options())) == []
+
+
+def test_a_certificate_that_expires_soon_is_pointed_out(lab: Lab) -> None:
+    files = load(*lab.files("ann"), use="connect")
+    assert files.expires is not None
+    soon = doctor_network.certificate_finding(files, files.expires - 86400.0)
+    assert soon.grade == "warning"
+    assert "--renew ann" in soon.advice
+
+
+def test_an_address_with_tls_and_no_certificate_is_a_problem(lab: Lab) -> None:
+    with open_router(destination("tls/127.0.0.1:0", load(*lab.files("coordinator"), use="serve"))) as bus:
+        found = list(doctor_network.check_coordinator(options("--connect", bus.endpoint)))
+    assert grades(found) == ["fine", "problem"]
+    assert "needs certificates" in found[1].found
+
+
+# ------------------------------------------------------------------------------------------------ quick
+
+
+def test_a_quick_look_is_at_the_address_only(router: ZenohBus, capsys: pytest.CaptureFixture[str]) -> None:
+    assert doctor.doctor(options("--quick", "--connect", router.endpoint)) == 0
+    assert capsys.readouterr().out.splitlines()[0].startswith("ok       address")
+    assert doctor.doctor(options("--quick", "--connect", "tcp/127.0.0.1:9")) == 1
+    assert doctor.doctor(options("--quick")) == 1
+
+
+def test_a_quick_look_loads_nothing_heavy() -> None:
+    code = (
+        "import sys; from coordinator.cli.main import main;"
+        "assert main(['doctor', '--quick', '--connect', 'tcp/127.0.0.1:9']) == 1;"
+        "heavy = {'numba', 'numpy', 'zenoh', 'pydantic', 'sympy'} & set(sys.modules);"
+        "assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -80,7 +80,8 @@ class TestWithACoordinator:
     def test_jobs_are_a_table(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["jobs"]) == 0
         lines = capsys.readouterr().out.splitlines()
-        assert lines[0].split() == ["ID", "NAME", "STATE", "TIME", "WORKERS", "EPOCHS", "POINT-EVALS", "FOUND"]
+        heads = "ID NAME STATE PRIORITY TIME WORKERS EPOCHS POINT-EVALS FOUND NOTE"
+        assert " ".join(lines[0].split()) == heads
         assert [line.split()[0] for line in lines[1:]] == ["alpha", "beta", "gamma"]
 
     def test_jobs_and_workers_may_be_filtered(self, capsys: pytest.CaptureFixture[str]) -> None:

@@ -38,5 +38,8 @@ def test_this_machine_hears_on_its_own_address() -> None:
 def test_a_state_that_cannot_be_a_folder_is_bad_usage(tmp_path: Path) -> None:
     place = tmp_path / "file"
     place.write_text("")
+    options = Namespace(
+        listen="tcp/127.0.0.1:0", router=None, state=str(place), roster=None, log_format="text", log_level="info"
+    )
     with pytest.raises(UsageError, match="choose another directory with --state"):
-        serve.serve(Namespace(listen="tcp/127.0.0.1:0", router=None, state=str(place), roster=None))
+        serve.serve(options)

@@ -115,3 +115,14 @@ def test_functions_open_into_the_beginning_of_their_series(text, inner, outer):
 def test_a_variable_leaps_into_its_sine_and_cosine():
     assert {shown(each) for each in leaps(parsed("0.5*x"), ALL)} == {"0.5*sin(x)", "0.5*cos(x)"}
     assert {shown(each) for each in leaps(parsed("0.5*x"), [ADD, SIN])} == {"0.5*sin(x)"}
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_new_parts_are_small_beside_what_they_are_joined_to_whatever_the_units(unit):
+    inputs = INPUTS * unit
+    program = parsed("3.0*x - 2.0*y")
+    before = values_of(program, inputs)
+    made = [*extensions(program, np.abs(inputs).mean(axis=1).tolist(), (ADD, SUBTRACT, MULTIPLY, DIVIDE))]
+    assert len(made) > 20
+    for extended in made:
+        assert 0.0 < np.abs(values_of(extended, inputs) - before).max() <= 20.0 * SMALL * np.abs(before).max()

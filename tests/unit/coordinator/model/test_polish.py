@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from common.dataset import Problem, Target
+from common.expression.parse import from_infix
 from coordinator.model.criterion import Criterion, program_length
 from coordinator.model.polish import Polisher
 from coordinator.model.rewrite import constant_places
@@ -73,3 +75,16 @@ def test_the_misfit_is_flat_below_the_floor_and_inverts_above():
 
 def test_a_further_use_of_a_node_costs_less_than_a_node():
     assert program_length(parsed("x")) < program_length(parsed("x*x")) < program_length(parsed("x*y"))
+
+
+def test_rows_count_by_their_weights():
+    """A line through the origin: the weighted least squares slope, and its normal equation."""
+    weights = np.array([4.0, 1.0, 0.25])
+    x, y = np.array([1.0, 2.0, 3.0]), np.array([2.0, 5.0, 1.0])
+    problem = Problem(("x",), x[None], Target("y", "y", y, 0.0, 1.0))
+    fitted = Polisher(problem, weights).fit(from_infix("1.5*x", ("x",)))
+    slope = float((weights * x * y).sum() / (weights * x * x).sum())
+    assert fitted.program.constants[fitted.program.operators == 1] == pytest.approx([slope])
+    assert fitted.mse == pytest.approx(float((weights * (slope * x - y) ** 2).mean()))
+    assert fitted.normal == pytest.approx(np.array([[(weights * x * x).sum()]]))
+    assert Polisher(problem, weights).mse(fitted.program) == pytest.approx(fitted.mse)

@@ -287,3 +287,15 @@ def test_what_is_no_model_is_not_said_to_have_converged():
     equation |= {"complexity": 3, "epoch": 2}
     assert _standing(equation) == "error 0.1 of the target's deviation, size 3, epoch 2"
     assert _standing({**equation, "verdict": "good"}).startswith("converged: error 0.1")
+
+
+def test_an_equation_whose_display_has_other_numbers_is_written_out():
+    def text_of(expression, *values):
+        given = result()
+        known = {"std_error": 0.1, "interval": None, "identifiable": True}
+        constants = [{**known, "value": value, "fitted": value} for value in values]
+        given["equations"][0] |= {"expression": expression, "constants": constants}
+        return render_text(given)
+
+    assert "written out: x/(4.0*S)" in text_of("x/(4.0*S)", 4.0)
+    assert "written out" not in text_of("3.0*x - 0.25*x*S", 3.0, -0.25)

@@ -111,7 +111,7 @@ def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(de
     for name in ("a", "b"):
         answer = desk.answer(Ask(body=Submit(job=name, name="", config=JobConfig(), table=BLOB)))
     assert isinstance(answer, JobStatus)
-    assert (answer.job.state, answer.job.reason) == ("queued", "waits for its turn")
+    assert (answer.job.state, answer.job.reason) == ("queued", "waits for its turn (it is next; 1 job is under way)")
     cancelled = desk.answer(Ask(body=Cancel(job="a")))
     assert isinstance(cancelled, JobStatus)
     assert cancelled.job.state == "cancelled"

@@ -13,6 +13,8 @@ from common.wire.messages import Addition, EpochReport, Holding, IslandReport, P
 from common.wire.views import FINAL_STATES
 from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pool, Refinement
+from coordinator.service.checkpoint import StoredProgress
+from coordinator.service.collector import Progress
 from coordinator.service.cut import Cut, stored
 from coordinator.service.job import (
     JOB_TRANSITIONS,
@@ -26,6 +28,7 @@ from coordinator.service.job import (
     course_of,
     measure_of,
 )
+from coordinator.service.store import JobRecord
 
 VALUES = np.linspace(0.0, 1.0, 30)
 DATASET = Dataset(
@@ -39,7 +42,7 @@ BLOB = "a" * 64
 
 def job_with(**budget: object) -> Job:
     config = JobConfig(evolution=EvolutionConfig(islands=2), budget=BudgetConfig(**budget))
-    return Job("job", "name", config, BLOB, "2026-01-01", 0.0)
+    return Job(JobRecord("job", "name", config.model_dump_json(), BLOB, "2026-01-01"), config, 0.0)
 
 
 def running(**budget: object) -> Job:
@@ -140,8 +143,8 @@ def test_cancelling_keeps_what_was_found_and_happens_once() -> None:
     job = running()
     job.receive("w0", report(0, 0), 1.0)
     job.receive("w1", report(1, 0), 1.0)
-    actions = job.cancel()
-    cuts = [action.cut for action in actions if isinstance(action, KeepCut)]
+    assert job.cancel() == [Conclude()]
+    cuts = [archipelago.cut for archipelago in job.archipelagos.values() if archipelago.cut is not None]
     assert [(cut.variable, cut.epochs, cut.why) for cut in cuts] == [("x", 1, "cancelled"), ("y", 0, "cancelled")]
     assert job.state == "cancelled"
     assert job.cancel() == job.fail("internal", "too late") == []
@@ -186,17 +189,17 @@ def test_reports_of_a_lower_term_are_dropped() -> None:
     assert job.archipelagos["x"].collector.first_missing([0], 1) == 0
 
 
-def test_the_commit_moves_in_intervals_when_all_islands_have_reported() -> None:
+def test_workers_are_told_in_steps_what_all_islands_have_reported() -> None:
     job = running(stagnation=1000)
     commits = []
     for epoch in range(40):
         for island in (0, 1):
             actions = job.receive(f"w{island}", report(island, epoch), 1.0)
-            commits += [(epoch, action.commit.epoch) for action in actions if isinstance(action, TellCommit)]
-    assert commits == [(16, 16), (32, 32)]
+            commits += [(epoch, action.commit) for action in actions if isinstance(action, TellCommit)]
+    assert [(epoch, commit.reported, commit.epoch) for epoch, commit in commits] == [(16, 16, 0), (32, 32, 0)]
 
 
-def test_under_a_new_term_the_commit_begins_anew_and_old_epochs_count_once() -> None:
+def test_under_a_new_term_old_epochs_count_once() -> None:
     job = running(stagnation=1000)
     for epoch in range(20):
         for island in (0, 1):
@@ -206,11 +209,24 @@ def test_under_a_new_term_the_commit_begins_anew_and_old_epochs_count_once() -> 
     archipelago.place(archipelago.placement.model_copy(update={"term": 3}), 5.0)
     commit = archipelago.commit()
     assert commit is not None
-    assert (commit.term, commit.epoch) == (3, 0)
+    assert (commit.term, commit.epoch, commit.reported) == (3, 0, 0)
     for island in (0, 1):
         assert job.receive(f"w{island}", report(island, 0, term=3), 6.0) == []
     assert archipelago.collector.progress.epochs == 20
     assert archipelago.collector.progress.evaluations == {"offspring": 20}
+
+
+def test_a_job_goes_on_from_its_checkpoints_and_from_the_time_it_had_taken() -> None:
+    job = job_with()
+    job.prepare()
+    kept = StoredProgress.of(Progress(epochs=24, evaluations={"offspring": 7}, improved_at=3), 12.5)
+    assert job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {}, {"x": kept}) == []
+    resumed, new = job.archipelagos["x"], job.archipelagos["y"]
+    assert (resumed.durable, resumed.collector.progress.epochs, resumed.collector.progress.improved_at) == (24, 24, 3)
+    assert (new.durable, new.collector.progress.epochs) == (0, 0)
+    assert job.search_seconds(5.0) == 12.5
+    job.start(5.0)
+    assert job.search_seconds(6.0) == 13.5
 
 
 def test_reports_that_a_heartbeat_promises_and_that_did_not_come_are_pulled() -> None:

@@ -3,7 +3,14 @@
 from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from common.wire.messages import Hello, Holding, WorkerStatus
 from common.wire.views import WorkerState
-from coordinator.service.membership import ABSENCE_S, LEASE_S, MEMBER_TRANSITIONS, Membership, version_refusal
+from coordinator.service.membership import (
+    ABSENCE_S,
+    LEASE_S,
+    MEMBER_TRANSITIONS,
+    STANDING_S,
+    Membership,
+    version_refusal,
+)
 
 
 def hello(name: str = "w0", instance: str = "a", fingerprint: str = "f", **changes: object) -> Hello:
@@ -26,7 +33,7 @@ def with_worker(name: str = "w0") -> Membership:
 
 
 def test_every_state_knows_every_step() -> None:
-    steps = {"heard", "gone", "back", "expired"}
+    steps = {"heard", "gone", "back", "expired", "stands", "moves"}
     assert all(row.keys() == steps for row in MEMBER_TRANSITIONS.values())
 
 
@@ -139,3 +146,64 @@ def test_lost_workers_are_forgotten_in_the_end() -> None:
     for second in range(6000, 6000 + 4000, 2):
         membership.expire(float(second))
     assert membership.views(11000.0) == ()
+
+
+def compute(membership: Membership, until: int, progress: int = 1, since: int = 0) -> list[int]:
+    """Let w0 be heard every second, always with the same progress; return the seconds at which it was given up."""
+    lost = []
+    for second in range(since, until):
+        membership.hear("w0", status("computing").model_copy(update={"progress": progress}), float(second))
+        lost += [second for _ in membership.expire(float(second))]
+    return lost
+
+
+def test_a_worker_that_computes_without_getting_on_is_hung_until_it_gets_on() -> None:
+    membership = with_worker()
+    assert compute(membership, 100) == [int(STANDING_S)]
+    assert membership.is_lost("w0")
+    assert membership.ready() == ()
+    (view,) = membership.views(100.0)
+    assert (view.state, view.standing) == ("hung", 100.0)
+    member = membership.member("w0")
+    assert member is not None
+    assert member.lost_by == "it has computed for 60 s without getting on"
+    membership.hear("w0", status("ready"), 101.0)
+    assert membership.is_lost("w0")
+    membership.hear("w0", status("computing").model_copy(update={"progress": 2}), 102.0)
+    assert membership.ready() == ("w0",)
+    assert compute(membership, 150, progress=2, since=103) == []
+
+
+def test_loading_waiting_and_getting_on_are_no_hanging() -> None:
+    for state in ("compiling", "waiting", "ready"):
+        membership = with_worker()
+        for second in range(200):
+            membership.hear("w0", status(state), float(second))  # type: ignore[arg-type]
+            assert membership.expire(float(second)) == []
+    membership = with_worker()
+    for second in range(200):
+        membership.hear("w0", status("computing").model_copy(update={"progress": second // 50}), float(second))
+        assert membership.expire(float(second)) == []
+
+
+def test_a_hung_worker_that_goes_silent_is_lost_without_being_given_up_twice() -> None:
+    membership = with_worker()
+    compute(membership, 70)
+    assert [second for second in range(70, 100) if membership.expire(float(second))] == []
+    assert [view.state for view in membership.views(100.0)] == ["lost"]
+
+
+def test_patience_stretches_every_lease() -> None:
+    membership = with_worker()
+    lost = [second for second in range(1, 60) if membership.expire(float(second), lambda worker: 2.0)]
+    assert lost == [int(2 * LEASE_S)]
+
+
+def test_words_lost_on_our_side_give_everybody_a_fresh_lease() -> None:
+    membership = with_worker()
+    lost = []
+    for second in range(1, 60):
+        if second == 10:
+            membership.renew(10.0)
+        lost += [second for _ in membership.expire(float(second))]
+    assert lost == [10 + int(LEASE_S)]

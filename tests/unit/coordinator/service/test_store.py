@@ -13,6 +13,7 @@ import pytest
 
 from common.errors import LocalProtocolError, RemoteProtocolError, StoreError
 from common.wire.messages import CHUNK_SIZE
+from common.wire.pieces import State
 from coordinator.service.event_table import MAX_EVENTS, EventRecord
 from coordinator.service.schema import FILE_NAME, SCHEMA_VERSION
 from coordinator.service.store import JobRecord, Store
@@ -288,22 +289,6 @@ def test_a_closed_store_says_so(tmp_path: Path) -> None:
         store.jobs()
 
 
-def test_a_store_of_an_earlier_layout_is_taken_to_this_one_and_keeps_what_it_has(tmp_path: Path) -> None:
-    with Store.open(tmp_path) as store:
-        store.add_job(JOB)
-        realm = store.realm
-    with contextlib.closing(sqlite3.connect(tmp_path / FILE_NAME)) as file:
-        for statement in (
-            "DROP TABLE events", "ALTER TABLE jobs DROP COLUMN priority", "PRAGMA user_version = 1",
-        ):  # fmt: skip
-            file.execute(statement)
-    with Store.open(tmp_path) as store:
-        assert store.realm == realm
-        assert store.jobs() == (JOB,)
-        store.add_events([EventRecord("j1", "now", "submitted", "{}")])
-        assert len(store.events("j1", 0, 9)) == 1
-
-
 def test_events_come_in_order_from_where_one_left_off_and_the_oldest_are_forgotten(store: Store) -> None:
     store.add_events(EventRecord(job, "t", "k", str(n)) for n in range(3) for job in ("a", "b", None))
     assert [each.contents for each in store.events("a", 0, 2)] == ["1", "2"]
@@ -314,3 +299,103 @@ def test_events_come_in_order_from_where_one_left_off_and_the_oldest_are_forgott
     kept = store.events("a", 0, 2 * MAX_EVENTS)
     assert (len(kept), kept[0].contents, kept[-1].contents) == (MAX_EVENTS, "2", str(MAX_EVENTS + 1))
     assert len(store.events("b", 0, 9)) == 3
+
+
+# ------------------------------------------------------------------------------------------ checkpoints
+
+
+def states_of(epoch: int, size: int = 5) -> dict[int, State]:
+    return {island: State.of(f"{epoch}/{island}".encode() * size) for island in range(3)}
+
+
+def checkpoint(store: Store, epoch: int, variable: str = "x", size: int = 5) -> bool:
+    progress = f"progress {epoch}".encode()
+    return store.commit_checkpoint("j1", variable, epoch, progress, states_of(epoch, size), elapsed=epoch / 2)
+
+
+def test_the_last_checkpoint_is_found_again_whole_and_the_one_before_is_kept(store: Store) -> None:
+    store.add_job(JOB)
+    assert store.checkpoints("j1") == {}
+    for epoch in (8, 24, 40):
+        assert checkpoint(store, epoch)
+        assert checkpoint(store, epoch + 1, "y")
+    assert store.checkpoints("j1") == {"x": (40, b"progress 40"), "y": (41, b"progress 41")}
+    for epoch in (24, 40):
+        assert [store.state("j1", "x", epoch, island) for island in range(3)] == list(states_of(epoch).values())
+    with pytest.raises(KeyError):
+        store.state("j1", "x", 8, 0)
+    job = store.job("j1")
+    assert job is not None
+    assert job.elapsed == 20.5
+
+
+def test_a_checkpoint_written_again_replaces_what_came_after_it(store: Store) -> None:
+    store.add_job(JOB)
+    for epoch in (8, 24, 8):
+        checkpoint(store, epoch)
+    assert store.checkpoints("j1") == {"x": (8, b"progress 8")}
+
+
+def test_checkpoints_go_with_the_end_of_what_they_belong_to(store: Store) -> None:
+    store.add_job(JOB)
+    checkpoint(store, 8)
+    checkpoint(store, 8, "y")
+    store.commit_cut("j1", "x", b"cut")
+    assert list(store.checkpoints("j1")) == ["y"]
+    assert not checkpoint(store, 16)
+    store.commit_result("j1", "done", "{}")
+    assert store.checkpoints("j1") == {}
+    assert not checkpoint(store, 16, "y")
+    with pytest.raises(KeyError):
+        store.state("j1", "y", 8, 0)
+
+
+def test_a_full_disk_is_said_and_everything_committed_before_is_there(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        store.add_job(JOB)
+        checkpoint(store, 8)
+        (pages,) = store._connection.execute("PRAGMA page_count").fetchone()
+        store._connection.execute(f"PRAGMA max_page_count = {pages + 10}")
+        with pytest.raises(StoreError, match=r"full.*there is room"):
+            checkpoint(store, 16, size=100_000)
+        assert store.checkpoints("j1") == {"x": (8, b"progress 8")}
+    with Store.open(tmp_path) as store:
+        assert store.checkpoints("j1") == {"x": (8, b"progress 8")}
+        assert store.state("j1", "x", 8, 2) == states_of(8)[2]
+        assert checkpoint(store, 16)
+
+
+LAYOUT_1 = Path(__file__).with_name("store_layout_1.sql")
+
+
+def test_a_store_of_layout_1_is_brought_up_to_date_and_keeps_what_it_has(tmp_path: Path) -> None:
+    with contextlib.closing(sqlite3.connect(tmp_path / FILE_NAME)) as connection:
+        connection.executescript(LAYOUT_1.read_text("utf-8"))
+    with Store.open(tmp_path) as store:
+        assert (store.realm, store.incarnation) == ("4f2b61c09a3e", 4)
+        assert [job.id for job in store.jobs()] == ["ended", "running"]
+        assert store.result("ended") == '{"state": "done"}'
+        assert store.placements("running") == {"x": (3, b"placement"), "y": (2, None)}
+        assert store.cuts("running") == {"y": b"cut"}
+        assert store.checkpoints("running") == {}
+        assert [job.priority for job in store.jobs()] == [0, 0]
+        store.add_events([EventRecord("running", "now", "submitted", "{}")])
+        assert len(store.events("running", 0, 9)) == 1
+        assert store.commit_checkpoint("running", "x", 8, b"progress", states_of(8), 1.0)
+    with Store.open(tmp_path) as store:
+        assert store.checkpoints("running") == {"x": (8, b"progress")}
+
+
+def test_a_coordinator_whose_store_was_opened_by_another_writes_nothing_more(tmp_path: Path) -> None:
+    """Where locks on files do not reach, as on some network drives, the incarnation still does."""
+    with Store.open(tmp_path) as store:
+        store.add_job(JOB)
+        store.check()
+        with contextlib.closing(sqlite3.connect(tmp_path / FILE_NAME)) as other:
+            other.execute("UPDATE realm SET incarnation = incarnation + 1")
+            other.commit()
+        for act in (store.check, lambda: store.raise_term("j1", "x"), lambda: checkpoint(store, 8)):
+            with pytest.raises(
+                StoreError, match=r"another coordinator \(incarnation 2\) has taken over.*incarnation 1"
+            ):
+                act()

@@ -1,5 +1,7 @@
 """Errors of constants and of simulations, by simulation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -202,3 +204,28 @@ def test_r2_is_the_share_that_is_explained_of_what_was_measured():
     expected = 1.0 - float(left @ left) / float(((values - values.mean()) ** 2).sum())
     assert r2_of(rows, shot, slice(None)) == [pytest.approx(expected)]
     assert r2_of(rows, shot, np.array([3])) == [None]
+
+
+def test_constants_are_fitted_by_weight_and_their_errors_say_so():
+    """Every other row has ten times the error of its neighbours."""
+    deviations = np.where(np.arange(len(TIMES)) % 2 == 0, 0.01, 0.1)
+    weights = deviations**-2 / np.mean(deviations**-2)
+    rates, told = [], []
+    for seed in range(60):
+        its = recording(DECAY, ([1.0],), TIMES, 1e-9)
+        (bare,) = its.trajectories
+        noise = deviations * np.random.default_rng(seed).standard_normal((1, len(TIMES)))
+        weighed = replace(its, trajectories=(replace(bare, measured=bare.smoothed + noise, weights=weights),))
+        compared = contest(DECAY, measurements_of(weighed, [0]), 1e-6)
+        standing = compared.stand([DECAY.parsed("-0.45*x")], lengths=(None,))
+        errors = errors_of(compared, standing)
+        rates.append(rate_of(standing))
+        told.append(np.sqrt(errors.covariance[0, 0]))
+    assert np.std(rates) == pytest.approx(np.mean(told), rel=0.3)
+    alike = contest(
+        DECAY,
+        measurements_of(replace(weighed, trajectories=(replace(weighed.trajectories[0], weights=None),)), [0]),
+        1e-6,
+    )
+    plain = alike.stand([DECAY.parsed("-0.45*x")], lengths=(None,))
+    assert np.mean(told) < 0.5 * np.sqrt(errors_of(alike, plain).covariance[0, 0])

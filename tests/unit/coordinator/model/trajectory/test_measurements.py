@@ -171,3 +171,19 @@ def test_limits_leave_room_on_both_sides():
     low, high = its.smoothed.min(axis=1), its.smoothed.max(axis=1)
     assert its.limits[:, 0] == pytest.approx(low - measurements.ROOM * (high - low))
     assert its.limits[:, 1] == pytest.approx(high + measurements.ROOM * (high - low))
+
+
+def test_rows_count_by_their_weights_and_by_their_trust():
+    its = recording(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES, 0.1)
+    first, second = its.trajectories
+    weights = np.linspace(0.5, 1.5, len(TIMES))
+    trust = np.ones((2, len(TIMES)))
+    trust[1, 2] = 0.25
+    both = (replace(first, weights=weights, trust=trust), replace(second, weights=weights))
+    weighed = replace(its, trajectories=both)
+    found = measurements_of(weighed, [0, 1])
+    assert found.weights[0, : len(TIMES)] == pytest.approx(weights)
+    assert found.weights[1, 2] == pytest.approx(0.25 * weights[2])
+    assert found.precision == pytest.approx(np.tile(weights, 2))
+    assert found.part([1]).precision == pytest.approx(weights)
+    assert measurements_of(its, [0, 1]).precision is None

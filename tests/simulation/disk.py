@@ -1,0 +1,96 @@
+"""A disk in memory under the real store: what was committed outlives its coordinator, which can die at any call.
+
+Every method of the store is one transaction, so a coordinator dies before one or after it, never in between.
+"""
+
+import sqlite3
+from collections.abc import Callable
+from typing import Any, Final
+
+from coordinator.service.schema import _prepare
+from coordinator.service.store import Store
+
+READS: Final = frozenset({
+    "job", "jobs", "result", "placements", "cuts", "has_blob", "blob_size", "get_blob", "get_chunk", "missing_chunks",
+    "blob_bytes",
+})  # fmt: skip
+
+
+class CoordinatorDied(BaseException):
+    """Raised in the middle of what the coordinator does; nothing of its own catches it."""
+
+
+class Disk:
+    """Keeps the database while no coordinator has it open. `slow_s`: how long an access takes now."""
+
+    def __init__(self) -> None:
+        self.slow_s = 0.0
+        self.commits = 0
+        self._connection = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
+        self._death: tuple[int, bool] | None = None
+
+    def open(self, spend: Callable[[float], None]) -> "DiskStore":
+        """Open the store as a new incarnation; `spend` lets the coordinator be busy."""
+        _prepare(self._connection, None)
+        return DiskStore(self, Store(self._connection, None, None), spend)
+
+    def close(self) -> None:
+        self._connection.close()
+
+    def die_at(self, commits: int, before: bool) -> None:
+        """Let the coordinator die at so many commits from now, before or after it."""
+        self._death = (self.commits + commits, before)
+
+    def forget_death(self) -> None:
+        self._death = None
+
+    def is_deadly(self, before: bool) -> bool:
+        """Tell whether the commit counted last is the one to die at, on this side of it."""
+        if self._death is None or self._death != (self.commits, before):
+            return False
+        self._death = None
+        return True
+
+    def rows(self, table_part: str) -> int:
+        """Return how many rows the tables have whose names contain `table_part`."""
+        names = self._connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
+        counts = [
+            self._connection.execute(f"SELECT count(*) FROM {name}").fetchone()[0]
+            for (name,) in names
+            if table_part in name
+        ]
+        return sum(counts)
+
+
+class DiskStore:
+    """The real store as one incarnation of the coordinator has it; after that one's death it does nothing more."""
+
+    def __init__(self, disk: Disk, store: Store, spend: Callable[[float], None]) -> None:
+        self.is_dead = False
+        self._disk = disk
+        self._store = store
+        self._spend = spend
+
+    def __getattr__(self, name: str) -> Any:
+        inner = getattr(self._store, name)
+        if not callable(inner):
+            return inner
+
+        def call(*arguments: object, **named: object) -> object:
+            self._meet(name, before=True)
+            answer = inner(*arguments, **named)
+            self._meet(name, before=False)
+            return answer
+
+        return call
+
+    def _meet(self, name: str, before: bool) -> None:
+        if self.is_dead:
+            raise CoordinatorDied
+        if before and self._disk.slow_s:
+            self._spend(self._disk.slow_s)
+        if name in READS:
+            return
+        self._disk.commits += before
+        if self._disk.is_deadly(before):
+            raise CoordinatorDied

@@ -1,0 +1,243 @@
+"""What is to go wrong, and when: a schedule of faults in virtual time, drawn from a seed. Pure data.
+
+A schedule disturbs until its `horizon_s` and not after it, and leaves somebody to compute: so every job can end.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from common.seeding import Stream, stream_key
+from common.wire.faults import Plan
+
+Kind = Literal[
+    "kill", "hang", "stuck", "slow", "cut", "join", "leave", "close",
+    "kill-coordinator", "die-before-commit", "die-after-commit", "hang-coordinator",
+    "kill-router", "hang-router", "cut-coordinator",
+    "storm", "slow-disk", "slow-background", "cut-client", "clock-jump",
+]  # fmt: skip
+
+WHAT_IT_IS: Final[dict[Kind, str]] = {
+    "kill": "{who} dies without a word{back}",
+    "hang": "{who} is stopped for {span:.2f} s",
+    "stuck": "{who}'s compute thread hangs for {span:.2f} s, its heartbeat does not",
+    "slow": "{who} computes {strength:.0f} times slower for {span:.2f} s",
+    "cut": "{who} is cut off for {span:.2f} s",
+    "join": "{who} joins, {strength:.1f} times as slow as others",
+    "leave": "{who} is asked to leave",
+    "close": "{who} ends at once, and says so",
+    "kill-coordinator": "the coordinator dies, and is back after {span:.2f} s",
+    "die-before-commit": "the coordinator dies before it commits for the {strength:.0f}. time, back after {span:.2f} s",
+    "die-after-commit": "the coordinator dies after it commits for the {strength:.0f}. time, back after {span:.2f} s",
+    "hang-coordinator": "the coordinator is stopped for {span:.2f} s",
+    "kill-router": "the router dies, and is back after {span:.2f} s",
+    "hang-router": "the router is stopped for {span:.2f} s",
+    "cut-coordinator": "the coordinator is cut off for {span:.2f} s",
+    "storm": "for {span:.2f} s, {strength:.0%} of all messages are lost, as many doubled, as many late",
+    "slow-disk": "for {span:.2f} s, every access to the store takes {strength:.3f} s",
+    "slow-background": "for {span:.2f} s, preparing and refining take {strength:.2f} s",
+    "cut-client": "the client is cut off for {span:.2f} s",
+    "clock-jump": "the time of day jumps by {strength:+.0f} s",
+}
+
+JOB_SEEDS: Final = 12
+"""So few different jobs that their calm results can be kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that goes wrong at `at_s`. `for_s` is how long (0: for good), `strength` how much, as kinds have it."""
+
+    at_s: float
+    kind: Kind
+    who: str = ""
+    for_s: float = 0.0
+    strength: float = 0.0
+
+    def __str__(self) -> str:
+        back = f", and a new process of that name comes after {self.for_s:.2f} s" if self.for_s else ""
+        words = WHAT_IT_IS[self.kind].format(who=self.who, span=self.for_s, strength=self.strength, back=back)
+        return f"{self.at_s:8.3f}  {words}"
+
+
+@dataclass(frozen=True, slots=True)
+class JobPlan:
+    """One job: which of the known ones it is, when it is submitted, and when it is cancelled (None: never)."""
+
+    seed: int
+    submit_s: float = 0.0
+    cancel_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """Who takes part, what they do, and what goes wrong. The same schedule gives the same history."""
+
+    seed: int
+    workers: int
+    slowness: float
+    has_own_router: bool
+    is_hurried: bool
+    plan: Plan
+    jobs: tuple[JobPlan, ...]
+    horizon_s: float
+    faults: tuple[Fault, ...]
+
+    def story(self) -> str:
+        """Return what is to happen, in lines of virtual time."""
+        router = "a router of its own" if self.has_own_router else "the coordinator's router"
+        pace = "checkpoints in quick succession" if self.is_hurried else "checkpoints at their usual pace"
+        lines = [f"seed {self.seed}: {self.workers} workers at first, {router}, {pace}, {self.plan}"]
+        for number, job in enumerate(self.jobs):
+            end = f", cancelled at {job.cancel_s:.2f} s" if job.cancel_s is not None else ""
+            lines.append(f"  job-{number} is that of seed {job.seed}, submitted at {job.submit_s:.2f} s{end}")
+        return "\n".join([*lines, *map(str, self.faults), f"{self.horizon_s:8.3f}  all faults are over"])
+
+
+def job_config(seed: int) -> tuple[JobConfig, str]:
+    """Return one of `JOB_SEEDS` small jobs and its variables."""
+    draw = Draw(seed, "job")
+    config = JobConfig(
+        seed=seed,
+        evolution=EvolutionConfig(islands=draw.whole(2, 4), runners_up=draw.pick((0, 2))),
+        migration=MigrationConfig(generations=draw.pick((10, 10, 20, 25)), joining=draw.pick((None, 1, 2))),
+        budget=BudgetConfig(max_epochs=draw.whole(8, 24), stagnation=1000),
+    )
+    return config, draw.pick(("x", "x,y", "x,y"))
+
+
+class Draw:
+    """Draws by name from a seed."""
+
+    def __init__(self, seed: int, purpose: str) -> None:
+        self._stream = Stream(stream_key(seed, "", -1, 0, "schedule/" + purpose))
+
+    def chance(self, probability: float) -> bool:
+        return self._stream.uniform() < probability
+
+    def whole(self, low: int, high: int) -> int:
+        """Both included."""
+        return low + self._stream.below(high - low + 1)
+
+    def real(self, low: float, high: float) -> float:
+        return low + (high - low) * self._stream.uniform()
+
+    def spread(self, low: float, high: float) -> float:
+        """Uniform in the logarithm."""
+        return low * (high / low) ** self._stream.uniform()
+
+    def pick(self, options):  # type: ignore[no-untyped-def]
+        return options[self._stream.below(len(options))]
+
+
+def schedule_of(seed: int) -> Schedule:
+    """Return the schedule of a seed."""
+    draw = Draw(seed, "setting")
+    workers = draw.whole(1, 4)
+    slowness = draw.spread(1.0, 60.0)
+    has_own_router, is_hurried = draw.chance(0.3), draw.chance(0.7)
+    jobs = _jobs(draw)
+    length_s = 1.0 + 0.5 * slowness * len(jobs) / workers
+    plan = Plan(
+        drop=draw.pick((0.0, 0.0, 0.01, 0.05)),
+        duplicate=draw.pick((0.0, 0.0, 0.05)),
+        late=draw.pick((0.0, 0.02, 0.1)),
+        late_s=(0.05, draw.spread(0.2, 8.0)),
+        detection_s=draw.pick((0.002, 0.5, 4.0)),
+        unsent_s=draw.pick((0.0, 0.005)),
+    )
+    horizon_s = length_s + draw.spread(2.0, 40.0)
+    several = draw.pick((1, 2, 3, 3, 4, 5, 6, 8, 12))
+    faults = [_fault(draw, workers, has_own_router, min(length_s, 30.0)) for _ in range(several)]
+    kept = tuple(sorted((each for each in faults if each.at_s < horizon_s), key=lambda each: each.at_s))
+    return Schedule(seed, workers, slowness, has_own_router, is_hurried, plan, jobs, horizon_s, _named(kept))
+
+
+def _jobs(draw: Draw) -> tuple[JobPlan, ...]:
+    count = draw.pick((1, 1, 1, 2, 3))
+    seeds = Stream(draw.whole(0, 2**30)).permutation(JOB_SEEDS)
+    jobs = [JobPlan(seeds[number], draw.pick((0.0, draw.spread(0.1, 10.0)))) for number in range(count)]
+    if draw.chance(0.35 if count > 1 else 0.1):
+        victim = draw.whole(0, count - 1)
+        jobs[victim] = replace(jobs[victim], cancel_s=jobs[victim].submit_s + draw.spread(0.2, 20.0))
+    return tuple(jobs)
+
+
+def _fault(draw: Draw, workers: int, has_own_router: bool, length_s: float) -> Fault:
+    at_s = draw.real(0.0, 1.0 + 1.5 * length_s)
+    kinds = [*_WORKER_KINDS, *_SERVICE_KINDS]
+    if has_own_router:
+        kinds += _ROUTER_KINDS
+    kind = draw.pick(kinds)
+    who = f"w{draw.whole(0, workers - 1)}"
+    return _MAKERS[kind](draw, at_s, kind, who)
+
+
+_WORKER_KINDS: Final[list[Kind]] = ["kill", "kill", "hang", "hang", "stuck", "slow", "cut", "cut", "join", "leave"]
+_WORKER_KINDS += ["join", "leave", "close"]
+_SERVICE_KINDS: Final[list[Kind]] = [
+    "kill-coordinator", "die-before-commit", "die-before-commit", "die-after-commit", "die-after-commit",
+    "hang-coordinator", "storm", "storm", "slow-disk", "slow-background", "cut-client", "clock-jump",
+]  # fmt: skip
+_ROUTER_KINDS: Final[list[Kind]] = ["kill-router", "kill-router", "hang-router", "cut-coordinator"]
+
+_Maker = Callable[[Draw, float, Kind, str], Fault]
+
+
+def _for_a_while(low_s: float, high_s: float, low: float = 1.0, high: float = 1.0) -> _Maker:
+    def make(draw: Draw, at_s: float, kind: Kind, who: str) -> Fault:
+        return Fault(at_s, kind, who, draw.spread(low_s, high_s), draw.spread(low, high))
+
+    return make
+
+
+def _kill(draw: Draw, at_s: float, kind: Kind, who: str) -> Fault:
+    return Fault(at_s, kind, who, draw.pick((0.0, draw.spread(0.05, 20.0))))
+
+
+def _once(draw: Draw, at_s: float, kind: Kind, who: str) -> Fault:
+    return Fault(at_s, kind, who, 0.0, draw.spread(0.3, 6.0))
+
+
+def _die_at_commit(draw: Draw, at_s: float, kind: Kind, who: str) -> Fault:
+    return Fault(at_s, kind, who, draw.spread(0.05, 20.0), float(draw.whole(1, 6)))
+
+
+def _jump(draw: Draw, at_s: float, kind: Kind, who: str) -> Fault:
+    return Fault(at_s, kind, "", 0.0, draw.pick((-1.0, 1.0)) * draw.spread(1.0, 1e8))
+
+
+_MAKERS: Final[dict[Kind, _Maker]] = {
+    "kill": _kill,
+    "hang": _for_a_while(0.1, 40.0),
+    "stuck": _for_a_while(0.1, 30.0),
+    "slow": _for_a_while(0.5, 30.0, 2.0, 50.0),
+    "cut": _for_a_while(0.05, 40.0),
+    "join": _once,
+    "leave": _once,
+    "close": _once,
+    "kill-coordinator": _for_a_while(0.05, 20.0),
+    "die-before-commit": _die_at_commit,
+    "die-after-commit": _die_at_commit,
+    "hang-coordinator": _for_a_while(0.1, 20.0),
+    "kill-router": _for_a_while(0.05, 20.0),
+    "hang-router": _for_a_while(0.1, 20.0),
+    "cut-coordinator": _for_a_while(0.05, 20.0),
+    "storm": _for_a_while(0.2, 20.0, 0.05, 0.5),
+    "slow-disk": _for_a_while(0.5, 20.0, 0.005, 0.5),
+    "slow-background": _for_a_while(0.5, 20.0, 0.1, 10.0),
+    "cut-client": _for_a_while(0.1, 30.0),
+    "clock-jump": _jump,
+}
+
+
+def _named(faults: tuple[Fault, ...]) -> tuple[Fault, ...]:
+    """Give newcomers names of their own."""
+    joins = 0
+    named = []
+    for fault in faults:
+        if fault.kind == "join":
+            fault, joins = replace(fault, who=f"late{joins}"), joins + 1
+        named.append(fault)
+    return tuple(named)

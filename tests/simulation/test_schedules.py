@@ -1,0 +1,205 @@
+"""Whatever a schedule of faults does, every job ends with the calm run's answer, and nothing is left of it."""
+
+import os
+import subprocess
+import sys
+from collections import Counter
+from dataclasses import replace
+from typing import get_args
+
+import pytest
+
+from common.wire.faults import Plan
+from coordinator.service.store import JobRecord
+from tests.simulation.disk import CoordinatorDied, Disk
+from tests.simulation.schedule import Fault, JobPlan, Kind, Schedule, job_config, schedule_of
+from tests.simulation.shrink import shrunk
+from tests.simulation.soak import ROOT, Tally, chunks, is_real, play
+from tests.simulation.stage import Cast, Outcome, Stage, calm_schedule
+from tests.simulation.stub import StubCompute
+
+SEEDS = 200
+BLOCK = 20
+REAL = (99, 199)
+
+
+def told(outcome: Outcome) -> str:
+    return "\n".join([outcome.schedule.story(), "", *outcome.story, "", *outcome.wrong])
+
+
+@pytest.mark.parametrize("first", range(0, SEEDS, BLOCK))
+def test_no_schedule_changes_an_answer_stops_a_job_or_leaves_anything(first: int) -> None:
+    for seed in range(first, first + BLOCK):
+        if not is_real(seed):
+            outcome = play(schedule_of(seed))
+            assert not outcome.wrong, told(outcome)
+
+
+@pytest.mark.parametrize("seed", REAL)
+def test_nor_does_it_with_real_islands(seed: int) -> None:
+    assert is_real(seed)
+    outcome = play(schedule_of(seed))
+    assert not outcome.wrong, told(outcome)
+
+
+def test_a_seed_is_one_history_however_python_hashes() -> None:
+    program = "from tests.simulation.soak import play, schedule_of; print(play(schedule_of(6)).history)"
+    histories = {play(schedule_of(6)).history}
+    for hash_seed in ("1", "2"):
+        environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": str(ROOT)}
+        done = subprocess.run(
+            [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+        )
+        histories.add(done.stdout.strip())
+    assert len(histories) == 1
+    assert play(schedule_of(7)).history not in histories
+
+
+# ---------------------------------------------------------------------------- what the checks would find
+
+
+def disturbed(*faults: Fault, jobs: tuple[JobPlan, ...] = (JobPlan(0),)) -> Schedule:
+    return replace(calm_schedule(0), workers=2, slowness=10.0, jobs=jobs, horizon_s=20.0, faults=faults)
+
+
+def test_a_calm_schedule_goes_well() -> None:
+    outcome = play(disturbed())
+    assert not outcome.wrong
+    assert outcome.seconds < 20.0
+
+
+def test_another_answer_is_found() -> None:
+    class Wrong(StubCompute):
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            self.corrupt = self.worker == "w1"
+
+    outcome = Stage(disturbed(), Cast(compute=Wrong)).play()
+    assert any("another answer" in each for each in outcome.wrong), told(outcome)
+
+
+def test_a_job_that_does_not_end_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("coordinator.service.conductor.Conductor.place", lambda self, now: None)
+    outcome = play(disturbed())
+    assert any("do not end" in each for each in outcome.wrong), told(outcome)
+
+
+def test_what_is_left_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("island_worker.runtime.Worker._forget_job", lambda self, job: None)
+    outcome = play(disturbed())
+    assert any("still holds datasets" in each for each in outcome.wrong), told(outcome)
+
+
+def test_an_island_that_is_evolved_twice_under_a_term_is_found() -> None:
+    stage = Stage(disturbed())
+    stage._made |= {("job-0", "x", term, 0, 1): [77] for term in range(1, 9)}
+    assert any("was evolved by [77" in each for each in stage.play().wrong)
+
+
+def test_what_breaks_a_rule_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(self: object) -> None:
+        raise AssertionError("planted")
+
+    monkeypatch.setattr("coordinator.service.job.Job.validate", broken)
+    assert any("planted" in each for each in play(disturbed()).wrong)
+
+
+# ---------------------------------------------------------------------------------------- faults by kind
+
+
+@pytest.mark.parametrize("kind", get_args(Kind))
+def test_every_kind_of_fault_strikes_and_is_undone(kind: Kind) -> None:
+    needs_router = kind in ("kill-router", "hang-router", "cut-coordinator")
+    fault = Fault(0.9, kind, "late0" if kind == "join" else "w1", 3.0, 2.0 if "die" in kind else 0.3)
+    schedule = replace(disturbed(fault), has_own_router=needs_router)
+    outcome = play(schedule)
+    assert not outcome.wrong, told(outcome)
+    assert outcome.struck == Counter([kind])
+
+
+@pytest.mark.parametrize("kind", ["die-before-commit", "die-after-commit"])
+@pytest.mark.parametrize("commit", range(1, 12))
+def test_the_coordinator_may_die_at_any_commit(kind: Kind, commit: int) -> None:
+    outcome = play(disturbed(Fault(0.0, kind, "", 0.5, float(commit))))
+    assert not outcome.wrong, told(outcome)
+    assert any("dies at commit" in line for line in outcome.story)
+
+
+@pytest.mark.parametrize("kind", ["die-before-commit", "die-after-commit"])
+@pytest.mark.parametrize("commit", range(1, 5))
+def test_a_cancellation_that_dies_half_way_is_whole_or_has_not_been(kind: Kind, commit: int) -> None:
+    jobs = (JobPlan(4, cancel_s=2.0), JobPlan(5))
+    outcome = play(disturbed(Fault(2.0, kind, "", 1.0, float(commit)), jobs=jobs))
+    assert not outcome.wrong, told(outcome)
+
+
+# -------------------------------------------------------------------------------------- schedules, disk
+
+
+def test_schedules_are_drawn_from_their_seeds_and_know_all_kinds() -> None:
+    assert schedule_of(3) == schedule_of(3)
+    schedules = [schedule_of(seed) for seed in range(400)]
+    assert {fault.kind for each in schedules for fault in each.faults} == set(get_args(Kind))
+    assert {len(each.jobs) for each in schedules} == {1, 2, 3}
+    for each in schedules:
+        times = [fault.at_s for fault in each.faults]
+        assert times == sorted(times)
+        assert all(0.0 <= at_s < each.horizon_s for at_s in times)
+        assert all(str(fault) in each.story() for fault in each.faults)
+        assert len({job.seed for job in each.jobs}) == len(each.jobs)
+        assert job_config(each.jobs[0].seed)[0].seed == each.jobs[0].seed
+
+
+def test_a_disk_keeps_what_was_committed_and_counts_incarnations() -> None:
+    disk, spent = Disk(), []
+    store = disk.open(spent.append)
+    disk.die_at(2, before=True)
+    store.add_job(JobRecord("a", "", "{}", "", ""))
+    with pytest.raises(CoordinatorDied):
+        store.add_job(JobRecord("b", "", "{}", "", ""))
+    store.is_dead = True
+    with pytest.raises(CoordinatorDied):
+        store.jobs()
+    again = disk.open(spent.append)
+    assert (again.realm, again.incarnation) == (store.realm, store.incarnation + 1)
+    disk.die_at(1, before=False)
+    disk.slow_s = 0.5
+    with pytest.raises(CoordinatorDied):
+        again.add_job(JobRecord("c", "", "{}", "", ""))
+    assert [job.id for job in disk.open(spent.append).jobs()] == ["a", "c"]
+    assert spent == [0.5, 0.5]
+    disk.close()
+
+
+# ------------------------------------------------------------------------------------- shrinking, tallies
+
+
+def test_a_failing_schedule_is_shrunk_to_what_it_needs() -> None:
+    faults = tuple(Fault(float(at), "cut" if at % 2 else "kill", "w0", 1.0) for at in range(9))
+    jobs = (JobPlan(1), JobPlan(2, cancel_s=3.0))
+    schedule = replace(disturbed(*faults, jobs=jobs), plan=Plan(drop=0.1, late=0.1))
+
+    def fails(schedule: Schedule) -> Outcome:
+        is_bad = {3.0, 6.0} <= {fault.at_s for fault in schedule.faults} and schedule.plan.late > 0.0
+        return Outcome(schedule, ["job-7 is lost"] if is_bad else [], [], Counter(), 0.0, "")
+
+    shortest = shrunk(schedule, fails)
+    assert [fault.at_s for fault in shortest.faults] == [3.0, 6.0]
+    assert len(shortest.jobs) == shortest.workers == 1
+    assert shortest.plan == Plan(late=0.1)
+    assert shrunk(disturbed(), fails) == disturbed()
+
+
+def test_tallies_are_added_and_histories_compared() -> None:
+    total = Tally()
+    for history in ("same", "same", "other"):
+        tally = Tally(histories={5: history})
+        schedule = disturbed(Fault(0.0, "kill", "w0"))
+        tally.take(Outcome(schedule, ["it broke"], [], Counter(["kill"]), 3.0, history), 0.25)
+        total.add(Tally.from_json(tally.to_json()))
+    assert (total.schedules, total.jobs, total.cpu_s, total.virtual_s) == (3, 3, 0.75, 9.0)
+    assert total.struck == Counter({"kill": 3})
+    assert total.faults == Counter({1: 3})
+    assert total.failed == {0: "it broke", 5: "its history is another one with another PYTHONHASHSEED"}
+    assert "3 schedules" in str(total)
+    assert list(chunks(0, 900)) == [(0, 401), (400, 801), (800, 900)]

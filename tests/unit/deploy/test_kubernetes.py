@@ -1,0 +1,139 @@
+"""The manifests, as far as they can be judged without a cluster: they fit each other and the programs."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from common.wire.addresses import parse_address
+from coordinator.cli import arguments
+from island_worker import cli as worker_cli
+from tests.unit.documents import ROOT
+
+BASE = ROOT / "deploy" / "kubernetes" / "base"
+TLS = ROOT / "deploy" / "kubernetes" / "tls"
+
+
+def documents(folder: Path) -> dict[tuple[str, str], dict[str, Any]]:
+    """Return what the files that a kustomization lists hold, by kind and name."""
+    listed = yaml.safe_load((folder / "kustomization.yaml").read_text("utf-8"))
+    files = [name for name in listed["resources"] if name.endswith(".yaml")]
+    files += [each["path"] for each in listed.get("patches", [])]
+    found = [each for name in files for each in yaml.safe_load_all((folder / name).read_text("utf-8"))]
+    return {(each["kind"], each["metadata"]["name"]): each for each in found}
+
+
+@pytest.fixture(scope="module")
+def base() -> dict[tuple[str, str], dict[str, Any]]:
+    return documents(BASE)
+
+
+def pod(manifest: dict[str, Any]) -> dict[str, Any]:
+    its: dict[str, Any] = manifest["spec"]["template"]["spec"]
+    return its
+
+
+def container(manifest: dict[str, Any]) -> dict[str, Any]:
+    (its,) = pod(manifest)["containers"]
+    found: dict[str, Any] = its
+    return found
+
+
+def environment(manifest: dict[str, Any]) -> dict[str, str]:
+    return {each["name"]: each["value"] for each in container(manifest)["env"]}
+
+
+def parsed(words: list[str]) -> argparse.Namespace:
+    """Return the options of a command as its program reads them; raises UsageError."""
+    return arguments.parse(words[1:]) if words[0] == "coordinator" else worker_cli._parse(words[1:])
+
+
+def test_every_manifest_is_listed(base: dict[tuple[str, str], dict[str, Any]]) -> None:
+    for folder in (BASE, TLS):
+        listed = yaml.safe_load((folder / "kustomization.yaml").read_text("utf-8"))
+        named = {*listed["resources"], *(each["path"] for each in listed.get("patches", []))}
+        files = {file.name for file in folder.glob("*.yaml")} - {"kustomization.yaml"}
+        assert files == {name for name in named if name.endswith(".yaml")}
+
+
+def test_the_coordinator_is_one_keeps_its_store_and_listens_where_its_service_leads(
+    base: dict[tuple[str, str], dict[str, Any]],
+) -> None:
+    its, service = base["StatefulSet", "coordinator"], base["Service", "coordinator"]
+    options = parsed(container(its)["args"])
+    assert options.verb == "serve"
+    assert its["spec"]["replicas"] == 1
+    assert its["spec"]["serviceName"] == service["metadata"]["name"]
+    (port,) = container(its)["ports"]
+    assert parse_address(options.listen).port == port["containerPort"] == service["spec"]["ports"][0]["port"]
+    assert service["spec"]["ports"][0]["targetPort"] == port["name"]
+    (mount,) = container(its)["volumeMounts"]
+    (claim,) = its["spec"]["volumeClaimTemplates"]
+    assert (mount["name"], mount["mountPath"]) == (claim["metadata"]["name"], options.state)
+    assert parsed(container(its)["livenessProbe"]["exec"]["command"]).verb == "jobs"
+
+
+def test_labels_select_what_they_are_to_select(base: dict[tuple[str, str], dict[str, Any]]) -> None:
+    for kind, name in (("StatefulSet", "coordinator"), ("Deployment", "worker")):
+        its = base[kind, name]
+        labels = its["spec"]["template"]["metadata"]["labels"]
+        assert its["spec"]["selector"]["matchLabels"] == labels
+        assert base["NetworkPolicy", name]["spec"]["podSelector"]["matchLabels"] == labels
+    service = base["Service", "coordinator"]["spec"]["selector"]
+    assert service == base["StatefulSet", "coordinator"]["spec"]["template"]["metadata"]["labels"]
+    target = base["HorizontalPodAutoscaler", "worker"]["spec"]["scaleTargetRef"]
+    assert (target["kind"], target["name"]) in base
+
+
+def test_workers_dial_the_service_and_have_time_to_hand_over(base: dict[tuple[str, str], dict[str, Any]]) -> None:
+    its = base["Deployment", "worker"]
+    address = parse_address(environment(its)["ATOLL_CONNECT"])
+    port = base["Service", "coordinator"]["spec"]["ports"][0]["port"]
+    assert (address.host, address.port) == ("coordinator", port)
+    assert parsed(container(its)["args"]).processes == 1
+    assert container(its)["resources"]["requests"]["cpu"] == "1"
+    assert pod(its)["terminationGracePeriodSeconds"] >= 40
+    assert "replicas" not in its["spec"], "the autoscaler decides"
+
+
+def test_nobody_is_root_or_may_become_more_than_it_is(base: dict[tuple[str, str], dict[str, Any]]) -> None:
+    for key in (("StatefulSet", "coordinator"), ("Deployment", "worker")):
+        its = base[key]
+        assert pod(its)["securityContext"]["runAsNonRoot"]
+        assert pod(its)["securityContext"]["runAsUser"] == 10001
+        assert container(its)["securityContext"] == {
+            "allowPrivilegeEscalation": False,
+            "capabilities": {"drop": ["ALL"]},
+        }
+
+
+def test_the_network_lets_workers_to_the_coordinator_and_nobody_to_workers(
+    base: dict[tuple[str, str], dict[str, Any]],
+) -> None:
+    worker, coordinator = base["NetworkPolicy", "worker"]["spec"], base["NetworkPolicy", "coordinator"]["spec"]
+    assert worker["ingress"] == []
+    assert "Egress" in worker["policyTypes"]
+    allowed = [each["podSelector"]["matchLabels"] for each in coordinator["ingress"][0]["from"]]
+    assert base["Deployment", "worker"]["spec"]["template"]["metadata"]["labels"] in allowed
+
+
+def test_with_certificates_both_sides_speak_tls_and_their_files_are_mounted(
+    base: dict[tuple[str, str], dict[str, Any]],
+) -> None:
+    for key, patch in documents(TLS).items():
+        assert key in base
+        address = parse_address(environment(patch)["ATOLL_CONNECT"])
+        assert address.protocol == "tls"
+        (mount,) = container(patch)["volumeMounts"]
+        (volume,) = pod(patch)["volumes"]
+        assert mount["name"] == volume["name"]
+        files = [value for name, value in environment(patch).items() if name.startswith("ATOLL_TLS_")]
+        assert len(files) == 3
+        assert all(value.startswith(mount["mountPath"] + "/") for value in files)
+    coordinator = documents(TLS)["StatefulSet", "coordinator"]
+    options = parsed(container(coordinator)["args"])
+    assert parse_address(options.listen).protocol == "tls"
+    assert options.roster.startswith("/tls/")
+    assert parsed(container(coordinator)["livenessProbe"]["exec"]["command"]).quick

@@ -1,0 +1,182 @@
+"""Scripts of deploy/: what they choose, start and stop; run with stand-ins for ssh and for Atoll's programs."""
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from coordinator.cli import arguments
+from island_worker import cli as worker_cli
+from tests.unit.documents import ROOT
+
+DEPLOY = ROOT / "deploy"
+SCRIPTS = (DEPLOY / "entrypoint.sh", DEPLOY / "ssh" / "workers", DEPLOY / "slurm" / "atoll.sbatch")
+LIMIT_S = 30
+
+pytestmark = pytest.mark.skipif(shutil.which("bash") is None, reason="scripts need bash")
+
+
+def run(*words: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(word) for word in words],
+        env={**os.environ, **environment}, capture_output=True, text=True, timeout=LIMIT_S, check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.name)
+def test_scripts_are_of_one_piece(script: Path) -> None:
+    assert run("bash", "-n", script).returncode == 0
+
+
+@pytest.mark.skipif(shutil.which("shellcheck") is None, reason="shellcheck is not installed")
+def test_scripts_have_nothing_that_shellcheck_minds() -> None:
+    done = run("shellcheck", *SCRIPTS)
+    assert done.returncode == 0, done.stdout
+
+
+# ------------------------------------------------------------------------------------------- the image's
+
+FAST = "flags\t\t: fpu avx2 bmi2 fma f16c movbe abm\n"
+SLOW = "flags\t\t: fpu sse2 avx\n"
+
+
+@pytest.fixture
+def kernels(tmp_path: Path) -> Path:
+    (tmp_path / "kinds").write_text("x86-64-v3\ngeneric\n")
+    return tmp_path
+
+
+def chosen(kernels: Path, flags: str, **more: str) -> str:
+    """Return for which processor a program in the image would load kernels; "-" for the one it is on."""
+    (kernels / "cpuinfo").write_text(f"processor: 0\n{flags}")
+    environment = {"ATOLL_KERNEL_CACHE": str(kernels), "ATOLL_CPUINFO": str(kernels / "cpuinfo"), **more}
+    done = run("sh", DEPLOY / "entrypoint.sh", "sh", "-c", 'echo "${NUMBA_CPU_NAME:--}"', **environment)
+    return done.stdout.strip()
+
+
+@pytest.mark.skipif(os.uname().machine != "x86_64", reason="other processors have one kind")
+def test_the_image_loads_the_fastest_kernels_that_the_processor_can_run(kernels: Path) -> None:
+    assert chosen(kernels, FAST) == "x86-64-v3"
+    assert chosen(kernels, SLOW) == "generic"
+    assert chosen(kernels, FAST.replace("fma ", "fma4 ")) == "generic"
+
+
+def test_the_image_loads_only_what_was_compiled_and_what_was_chosen_stays(kernels: Path) -> None:
+    assert chosen(kernels, FAST, NUMBA_CPU_NAME="znver4") == "znver4"
+    (kernels / "kinds").write_text("generic\n")
+    assert chosen(kernels, FAST) == "generic"
+    (kernels / "kinds").unlink()
+    assert chosen(kernels, FAST) == "-"
+
+
+# ---------------------------------------------------------------------------------------------- by ssh
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> dict[str, str]:
+    """An ssh that runs everything here, in a home folder for each machine, but does not reach `off`."""
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    ssh = programs / "ssh"
+    ssh.write_text(
+        "#!/bin/bash\n"
+        "while [[ $1 == -* ]]; do [[ $1 == -o ]] && shift; shift; done\n"
+        '[[ $1 != off ]] || { echo "no route to host" >&2; exit 255; }\n'
+        f'mkdir -p {tmp_path}/$1 && cd {tmp_path}/$1 && exec sh -c "$2"\n'
+    )
+    worker = programs / "worker"
+    worker.write_text('#!/bin/bash\necho "$@"\nexec sleep 60\n')
+    for file in (ssh, worker):
+        file.chmod(0o755)
+    return {"PATH": f"{programs}:{os.environ['PATH']}", "ATOLL_PROGRAM": "worker", "HOME": str(tmp_path)}
+
+
+def workers(lab: dict[str, str], command: str, hosts: str, *options: str) -> subprocess.CompletedProcess[str]:
+    file = Path(lab["HOME"]) / "hosts"
+    file.write_text(hosts)
+    return run("bash", DEPLOY / "ssh" / "workers", command, file, *options, **lab)
+
+
+def test_workers_are_started_once_looked_at_and_stopped_by_ssh(lab: dict[str, str]) -> None:
+    hosts = "a # fast\n\n# none\nb\n"
+    try:
+        started = workers(lab, "start", hosts, "--connect", "tcp/lab1:7447", "--processes", "2")
+        assert (started.returncode, sorted(started.stdout.splitlines())) == (0, ["a: started", "b: started"])
+        pid = int((Path(lab["HOME"]) / "a" / ".atoll-worker" / "pid").read_text())
+        assert "--connect tcp/lab1:7447 --processes 2" in workers(lab, "status", hosts).stdout
+        again = workers(lab, "start", hosts, "--connect", "tcp/lab1:7447")
+        assert sorted(again.stdout.splitlines()) == ["a: runs already", "b: runs already"]
+    finally:
+        stopped = workers(lab, "stop", hosts)
+    assert sorted(stopped.stdout.splitlines()) == ["a: stopped", "b: stopped"]
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+    assert workers(lab, "status", hosts).returncode == 1
+
+
+def test_a_machine_that_is_off_is_named_and_keeps_nobody_from_starting(lab: dict[str, str]) -> None:
+    try:
+        done = workers(lab, "start", "off\na\n", "--connect", "tcp/lab1:7447")
+        assert done.returncode == 1
+        assert sorted(done.stdout.splitlines()) == ["a: started", "off: no route to host"]
+    finally:
+        workers(lab, "stop", "a\n")
+
+
+def test_a_worker_that_ends_at_once_is_said_with_its_last_words(lab: dict[str, str]) -> None:
+    done = workers({**lab, "ATOLL_PROGRAM": "no-such-program"}, "start", "a\n", "--connect", "tcp/lab1:7447")
+    assert done.returncode == 1
+    assert "not found" in done.stdout or "No such file" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("command", "hosts", "options"),
+    [
+        ("start", "a\n", ()),
+        ("start", "a\n", ("--connect", "tcp/lab1:1; rm")),
+        ("start", "-oProxyCommand=x\n", ("--connect", "tcp/lab1:1")),
+        ("start", "# nobody\n", ("--connect", "tcp/lab1:1")),
+        ("stop", "a\n", ("--connect", "tcp/lab1:1")),
+        ("pause", "a\n", ()),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_one_sentence(
+    lab: dict[str, str], command: str, hosts: str, options: tuple[str, ...]
+) -> None:
+    done = workers(lab, command, hosts, *options)
+    assert done.returncode == 2
+    assert done.stderr.startswith("workers: ")
+    assert done.stderr.count("\n") == 1
+
+
+# ---------------------------------------------------------------------------------------------- Slurm
+
+
+def test_slurm_starts_programs_with_options_that_they_have() -> None:
+    text = SCRIPTS[2].read_text("utf-8").replace("\\\n", " ")
+    plain = re.sub(r'"\$\((?:[^()]|\([^()]*\))*\)"|"\$[^"]*"', "tcp/a:1", text)
+    serve = next(line for line in plain.splitlines() if line.startswith("coordinator serve"))
+    submit = next(line for line in plain.splitlines() if line.startswith("coordinator submit"))
+    worker = next(line for line in plain.splitlines() if "island-worker --" in line)
+    options = arguments.parse(serve.split(">>")[0].split()[1:])
+    assert (options.verb, options.listen) == ("serve", "tcp/0.0.0.0:0")
+    assert options.connect_file
+    assert arguments.parse(submit.removesuffix("&").split()[1:]).id
+    assert worker_cli._parse(worker.split("island-worker")[1].removesuffix("&").split()).connect_file
+
+
+def test_slurm_ends_before_its_time_is_over() -> None:
+    text = SCRIPTS[2].read_text("utf-8")
+    signal = re.search(r"^#SBATCH --signal=B:TERM@(\d+)$", text, re.MULTILINE)
+    assert signal
+    assert int(signal[1]) >= 60
+    assert "trap out_of_time TERM" in text
+
+
+def test_slurm_without_data_says_how_it_is_used() -> None:
+    done = run("bash", SCRIPTS[2])
+    assert done.returncode == 2
+    assert done.stderr.startswith("usage: ")

@@ -1,0 +1,63 @@
+"""No decision depends on the time of day: clocks that jump change nothing. Waiting goes by the monotonic clock."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("common", "coordinator", "island_worker")
+WALL_CLOCKS = {
+    "time": {"time", "time_ns", "localtime", "gmtime", "ctime", "strftime", "asctime"},
+    "datetime": {"now", "utcnow", "today", "fromtimestamp"},
+    "date": {"today", "fromtimestamp"},
+}
+
+FOR_PEOPLE = {
+    "common/logs.py": {"_time"},
+    "common/wire/credentials.py": {"_check_dates"},
+    "coordinator/cli/doctor_network.py": {"_greeted", "check_certificates"},
+    "coordinator/service/preparing.py": {"iso_now"},
+}
+"""Functions that ask for the time of day, by file: what they return is shown and stored, and decides about no job. The
+dates in certificates are those of the world."""
+
+
+def asking(tree: ast.AST) -> Iterator[str]:
+    """Yield the names of functions in which the time of day is asked for ("" outside of any)."""
+
+    def visit(node: ast.AST, function: str) -> Iterator[str]:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            function = node.name
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name | ast.Attribute):
+            owner = node.value.id if isinstance(node.value, ast.Name) else node.value.attr
+            if node.attr in WALL_CLOCKS.get(owner, ()):
+                yield function
+        if isinstance(node, ast.ImportFrom) and node.module == "time":
+            yield from (function for each in node.names if each.name in WALL_CLOCKS["time"])
+        for child in ast.iter_child_nodes(node):
+            yield from visit(child, function)
+
+    return visit(tree, "")
+
+
+def test_only_what_is_for_people_asks_for_the_time_of_day() -> None:
+    found: dict[str, set[str]] = {}
+    for package in PACKAGES:
+        for file in sorted((ROOT / package).rglob("*.py")):
+            functions = set(asking(ast.parse(file.read_text("utf-8"))))
+            if functions:
+                found[str(file.relative_to(ROOT))] = functions
+    assert found == FOR_PEOPLE
+
+
+def test_every_way_to_ask_is_seen() -> None:
+    source = """
+import time, datetime
+from time import time as now
+def one(): return time.time()
+def two(): return datetime.datetime.now()
+def three(): return datetime.date.today()
+def four(): return time.monotonic()
+def five(): return time.strftime("%H")
+"""
+    assert list(asking(ast.parse(source))) == ["", "one", "two", "three", "five"]
