@@ -12,7 +12,7 @@ from common.seeding import Stream, stream_key
 from common.wire.faults import Plan
 
 Kind = Literal[
-    "kill", "hang", "stuck", "slow", "cut", "join", "leave",
+    "kill", "hang", "stuck", "slow", "cut", "join", "leave", "close",
     "kill-coordinator", "die-before-commit", "die-after-commit", "hang-coordinator",
     "kill-router", "hang-router", "cut-coordinator",
     "storm", "slow-disk", "slow-background", "cut-client", "clock-jump",
@@ -25,7 +25,8 @@ WHAT_IT_IS: Final[dict[Kind, str]] = {
     "slow": "{who} computes {strength:.0f} times slower for {span:.2f} s",
     "cut": "{who} is cut off for {span:.2f} s",
     "join": "{who} joins, {strength:.1f} times as slow as others",
-    "leave": "{who} leaves",
+    "leave": "{who} is asked to leave",
+    "close": "{who} ends at once, and says so",
     "kill-coordinator": "the coordinator dies, and is back after {span:.2f} s",
     "die-before-commit": "the coordinator dies before it commits for the {strength:.0f}. time, back after {span:.2f} s",
     "die-after-commit": "the coordinator dies after it commits for the {strength:.0f}. time, back after {span:.2f} s",
@@ -77,6 +78,7 @@ class Schedule:
     workers: int
     slowness: float
     has_own_router: bool
+    is_hurried: bool
     plan: Plan
     jobs: tuple[JobPlan, ...]
     horizon_s: float
@@ -85,7 +87,8 @@ class Schedule:
     def story(self) -> str:
         """Return what is to happen, in lines of virtual time."""
         router = "a router of its own" if self.has_own_router else "the coordinator's router"
-        lines = [f"seed {self.seed}: {self.workers} workers at first, {router}, {self.plan}"]
+        pace = "checkpoints in quick succession" if self.is_hurried else "checkpoints at their usual pace"
+        lines = [f"seed {self.seed}: {self.workers} workers at first, {router}, {pace}, {self.plan}"]
         for number, job in enumerate(self.jobs):
             end = f", cancelled at {job.cancel_s:.2f} s" if job.cancel_s is not None else ""
             lines.append(f"  job-{number} is that of seed {job.seed}, submitted at {job.submit_s:.2f} s{end}")
@@ -98,8 +101,8 @@ def job_config(seed: int) -> tuple[JobConfig, str]:
     config = JobConfig(
         seed=seed,
         evolution=EvolutionConfig(islands=draw.whole(2, 4), runners_up=draw.pick((0, 2))),
-        migration=MigrationConfig(generations=draw.pick((10, 20, 25)), joining=draw.pick((None, 1, 2))),
-        budget=BudgetConfig(max_epochs=draw.whole(8, 16), stagnation=1000),
+        migration=MigrationConfig(generations=draw.pick((10, 10, 20, 25)), joining=draw.pick((None, 1, 2))),
+        budget=BudgetConfig(max_epochs=draw.whole(8, 24), stagnation=1000),
     )
     return config, draw.pick(("x", "x,y", "x,y"))
 
@@ -133,7 +136,7 @@ def schedule_of(seed: int) -> Schedule:
     draw = Draw(seed, "setting")
     workers = draw.whole(1, 4)
     slowness = draw.spread(1.0, 60.0)
-    has_own_router = draw.chance(0.3)
+    has_own_router, is_hurried = draw.chance(0.3), draw.chance(0.7)
     jobs = _jobs(draw)
     length_s = 1.0 + 0.5 * slowness * len(jobs) / workers
     plan = Plan(
@@ -148,7 +151,7 @@ def schedule_of(seed: int) -> Schedule:
     several = draw.pick((1, 2, 3, 3, 4, 5, 6, 8, 12))
     faults = [_fault(draw, workers, has_own_router, min(length_s, 30.0)) for _ in range(several)]
     kept = tuple(sorted((each for each in faults if each.at_s < horizon_s), key=lambda each: each.at_s))
-    return Schedule(seed, workers, slowness, has_own_router, plan, jobs, horizon_s, _named(kept))
+    return Schedule(seed, workers, slowness, has_own_router, is_hurried, plan, jobs, horizon_s, _named(kept))
 
 
 def _jobs(draw: Draw) -> tuple[JobPlan, ...]:
@@ -172,6 +175,7 @@ def _fault(draw: Draw, workers: int, has_own_router: bool, length_s: float) -> F
 
 
 _WORKER_KINDS: Final[list[Kind]] = ["kill", "kill", "hang", "hang", "stuck", "slow", "cut", "cut", "join", "leave"]
+_WORKER_KINDS += ["join", "leave", "close"]
 _SERVICE_KINDS: Final[list[Kind]] = [
     "kill-coordinator", "die-before-commit", "die-before-commit", "die-after-commit", "die-after-commit",
     "hang-coordinator", "storm", "storm", "slow-disk", "slow-background", "cut-client", "clock-jump",
@@ -212,6 +216,7 @@ _MAKERS: Final[dict[Kind, _Maker]] = {
     "cut": _for_a_while(0.05, 40.0),
     "join": _once,
     "leave": _once,
+    "close": _once,
     "kill-coordinator": _for_a_while(0.05, 20.0),
     "die-before-commit": _die_at_commit,
     "die-after-commit": _die_at_commit,

@@ -6,8 +6,8 @@ Coordinator, store, workers and client are real; bus, time, disk and (but for so
 import hashlib
 import traceback
 from collections import Counter
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from functools import cache, partial
@@ -22,6 +22,7 @@ from common.wire.simulated_bus import SimulatedBus, SimulatedNetwork
 from common.wire.views import FINAL_STATES, JobView
 from coordinator.client import Client
 from coordinator.model.refinement import Refinement
+from coordinator.service import archipelago, checkpoint
 from coordinator.service.ports import Ports
 from coordinator.service.service import Service
 from island_worker.events import Computed
@@ -61,6 +62,10 @@ class Cast:
 
 
 STUBS: Final = Cast()
+_HURRIED: Final = (
+    (archipelago, "FIRST_INTERVAL", 2), (archipelago, "PLAN_COMMITS", 1), (archipelago, "FORGET_EPOCHS", 2),
+    (checkpoint, "LEAST_INTERVAL", 1), (checkpoint, "PAUSE_S", 0.1), (checkpoint, "COST_S", 0.0),
+)  # fmt: skip
 _MORNING: Final = datetime(2026, 1, 1, tzinfo=UTC)
 
 
@@ -96,7 +101,8 @@ class Stage:
         self._store: DiskStore | None = None
         self._storms: list[float] = []
         self._background_s = 0.001
-        self._down_s = self._jumped_s = 0.0
+        self._down_s = self._jumped_s = self._written_at = 0.0
+        self._buses: dict[str, SimulatedBus] = {}
         self._is_over = False
         self._processes = 0
         self._made: dict[tuple[object, ...], list[int]] = {}
@@ -116,7 +122,8 @@ class Stage:
     def play(self) -> Outcome:
         """Let everything happen; return what came of it."""
         try:
-            self._play()
+            with hurried() if self.schedule.is_hurried else nullcontext():
+                self._play()
         except (AssertionError, AtollError) as error:
             self.wrong.append("".join(traceback.format_exception_only(error)).strip())
             self.story.append("".join(traceback.format_exception(error)))
@@ -200,7 +207,8 @@ class Stage:
         bus = self.network.bus("coordinator", is_router=not self.schedule.has_own_router)
         store = self._store = self.disk.open(bus.spend)
         background = partial(self._do_later, bus, store)
-        ports = Ports(self.cast.prepare, background, self._time_of_day, lambda *_: Refinement())
+        writer = partial(self._write_later, bus, store)
+        ports = Ports(self.cast.prepare, background, self._time_of_day, lambda *_: Refinement(), writer=writer)
         service = self.service = Service(bus, store, ports=ports)
         self._watch_reports(service)
 
@@ -217,6 +225,18 @@ class Stage:
     def _do_later(self, bus: SimulatedBus, store: DiskStore, work: Callable[[], None]) -> None:
         """Do background work of one incarnation, if that one is still alive then."""
         self._at(bus.now() + self._background_s, lambda: None if store.is_dead else self._guarded(store, work))
+
+    def _write_later(self, bus: SimulatedBus, store: DiskStore, work: Callable[[], None]) -> None:
+        """Do what one incarnation's writer is given, one piece after the other; the disk keeps nobody else busy."""
+
+        def write() -> None:
+            if not store.is_dead:
+                slow_s, self.disk.slow_s = self.disk.slow_s, 0.0
+                self._guarded(store, work)
+                self.disk.slow_s = slow_s
+
+        self._written_at = max(self._written_at, bus.now()) + self._background_s + self.disk.slow_s
+        self._at(self._written_at, write)
 
     def _guarded(self, store: DiskStore, act: Callable[[], None]) -> None:
         try:
@@ -278,7 +298,7 @@ class Stage:
                 self._worker_ended(name, worker)
 
         bus.handle_with(step)
-        self.workers[name], self.computes[name] = worker, compute
+        self.workers[name], self.computes[name], self._buses[name] = worker, compute, bus
         worker.start()
 
     def _worker_ended(self, name: str, worker: Worker) -> None:
@@ -289,12 +309,18 @@ class Stage:
         if worker.exit_code:
             self._at(self.network.now + SUPERVISED_S, lambda: self._start_worker(name))
 
-    def _dismiss(self, name: str) -> SimulatedBus:
+    def _dismiss(self, name: str) -> None:
         """Let a worker's process end in order."""
         self.computes.pop(name).close()
-        bus: SimulatedBus = self.workers.pop(name)._bus
-        bus.close()
-        return bus
+        self.workers.pop(name)
+        self._buses.pop(name).close()
+        if self._is_over:
+            self._see_to_workers()
+
+    def _see_to_workers(self) -> None:
+        """See that somebody is there to compute."""
+        if not self.workers:
+            self._start_worker("rescue")
 
     def _crash(self, name: str) -> None:
         self.computes.pop(name).close()
@@ -329,8 +355,7 @@ class Stage:
             compute.slowness = min(compute.slowness, self.schedule.slowness)
         self._start_router()
         self._start_coordinator()
-        if not self.workers:
-            self._start_worker("rescue")
+        self._see_to_workers()
 
     def _for_a_while(self, fault: Fault, end: Callable[[], object]) -> None:
         self._at(self.network.now + fault.for_s, end)
@@ -389,6 +414,12 @@ class Stage:
         self._start_worker(fault.who, fault.strength)
 
     def _strike_leave(self, fault: Fault) -> bool | None:
+        if fault.who not in self.workers:
+            return False
+        self.workers[fault.who].leave()
+        return None
+
+    def _strike_close(self, fault: Fault) -> bool | None:
         if fault.who not in self.workers:
             return False
         self._dismiss(fault.who)
@@ -486,7 +517,7 @@ class Stage:
             return [*found, "there is no coordinator"]
         if service.conductor.jobs:
             found.append(f"the coordinator still has jobs {list(service.conductor.jobs)}")
-        if self.disk.rows("checkpoint"):
+        if self.disk.rows("checkpoints") or self.disk.rows("states"):
             found.append("the store still holds checkpoints")
         expected = {"coordinator", "client", *self.workers, *(["router"] if self.schedule.has_own_router else [])}
         if expected != set(self.network.participants):
@@ -525,9 +556,22 @@ class Stage:
         return (_MORNING + timedelta(seconds=self.network.now + self._jumped_s)).isoformat(timespec="milliseconds")
 
 
+@contextmanager
+def hurried() -> Iterator[None]:
+    """Have checkpoints and planned changes of placements follow each other closely, so that faults meet many."""
+    before = [(module, name, getattr(module, name)) for module, name, _ in _HURRIED]
+    try:
+        for module, name, value in _HURRIED:
+            setattr(module, name, value)
+        yield
+    finally:
+        for module, name, value in before:
+            setattr(module, name, value)
+
+
 def calm_schedule(seed: int) -> Schedule:
     """Return the schedule in which nothing goes wrong: one worker, one job."""
-    return Schedule(seed, 1, 1.0, False, Plan(), (JobPlan(seed),), 1.0, ())
+    return Schedule(seed, 1, 1.0, False, False, Plan(), (JobPlan(seed),), 1.0, ())
 
 
 @cache
