@@ -4,7 +4,8 @@ Knows no bus: what is to be said goes through an `Outlet`, what must last throug
 same: first commit, then say.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Final, Protocol
 
 from common import ENGINE_REVISION
@@ -63,6 +64,15 @@ class Outlet(Protocol):
 
     def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
         """Have the equations made of the pools elsewhere; `Conductor.refined` follows."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Chosen:
+    """An archipelago that is to be placed, and the worker of each of its islands."""
+
+    job: Job
+    archipelago: Archipelago
+    workers: tuple[str, ...]
 
 
 class Conductor:
@@ -313,16 +323,20 @@ class Conductor:
     def place(self, now: float) -> None:
         """Place, or place anew, every archipelago that has nobody, or somebody who is lost, or newcomers to use."""
         self.watch.furnish(self.jobs.values())
+        chosen: list[_Chosen] = []
         for job in list(self.jobs.values()):
             placed_before = 0
             for archipelago in job.archipelagos.values():
                 if archipelago.cut is None and job.state == "running":
-                    self._place(job, archipelago, placed_before, now)
+                    workers = self._choose(job, archipelago, placed_before, now)
+                    chosen += [_Chosen(job, archipelago, workers)] if workers is not None else []
                 placed_before += archipelago.collector.limits.islands
+        self._issue(chosen, now)
 
-    def _place(self, job: Job, archipelago: Archipelago, first: int, now: float) -> None:
+    def _choose(self, job: Job, archipelago: Archipelago, first: int, now: float) -> tuple[str, ...] | None:
+        """Return the workers on which an archipelago is to be placed now; None: it stays as it is."""
         if archipelago.is_writing:
-            return  # the term after this one begins where that is durable
+            return None  # the term after this one begins where that is durable
         was_held = archipelago.is_held
         if self._placer.is_broken(archipelago):
             archipelago.unplace()
@@ -330,10 +344,9 @@ class Conductor:
         else:
             self._plan(archipelago, now)
         workers = self._placer.choose(archipelago, first, now)
-        if workers is not None:
-            self._issue(job, archipelago, workers, now)
-        elif was_held:
+        if workers is None and was_held:
             self._outlet.tell(Close(job=job.id, variable=archipelago.variable))
+        return workers
 
     def _plan(self, archipelago: Archipelago, now: float) -> None:
         """Prepare a change of placement that loses nothing: for workers who leave, or newcomers.
@@ -351,24 +364,36 @@ class Conductor:
         elif self._placer.is_worth_planning(archipelago) and not self._placer.is_young(archipelago, now):
             archipelago.request_hold()
 
-    def _issue(self, job: Job, archipelago: Archipelago, workers: tuple[str, ...], now: float) -> None:
-        """Begin a term: first in the store, then on the bus."""
-        placement = Placement(
+    def _issue(self, chosen: Sequence["_Chosen"], now: float) -> None:
+        """Begin terms: first all of them in the store, since each commit takes its time, then on the bus."""
+        if not chosen:
+            return
+        placements: list[Placement] = []
+
+        def place(index: int, term: int) -> bytes:
+            placements.append(self._placement(chosen[index], term))
+            return encode(placements[-1])
+
+        self._store.begin_terms([(each.job.id, each.archipelago.variable) for each in chosen], place)
+        for each, placement in zip(chosen, placements, strict=True):
+            each.archipelago.place(placement, now)
+            each.job.start(now)
+            self._outlet.tell(Placements(placements=(placement,)))
+            self.watch.placed(placement)
+
+    def _placement(self, chosen: "_Chosen", term: int) -> Placement:
+        archipelago = chosen.archipelago
+        return Placement(
             incarnation=self._store.incarnation,
-            term=self._store.raise_term(job.id, archipelago.variable),
-            job=job.id,
+            term=term,
+            job=archipelago.job,
             variable=archipelago.variable,
-            workers=workers,
+            workers=chosen.workers,
             epoch=archipelago.durable,
             epochs=archipelago.collector.limits.epochs,
             interval=archipelago.interval,
             course=archipelago.collector.limits.course,
         )
-        self._store.commit_placement(job.id, archipelago.variable, encode(placement))
-        archipelago.place(placement, now)
-        job.start(now)
-        self._outlet.tell(Placements(placements=(placement,)))
-        self.watch.placed(placement)
 
     # -------------------------------------------------------------------------------- what workers hold
 

@@ -1,6 +1,6 @@
 """What the service needs from outside itself, beside the bus: a store, a place for slow work, the time of day."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -42,9 +42,7 @@ class StorePort(Protocol):
 
     def submitter(self, job: str) -> str | None: ...
 
-    def raise_term(self, job: str, variable: str) -> int: ...
-
-    def commit_placement(self, job: str, variable: str, placement: bytes) -> None: ...
+    def begin_terms(self, archipelagos: Sequence[tuple[str, str]], place: Callable[[int, int], bytes]) -> None: ...
 
     def commit_cut(self, job: str, variable: str, cut: bytes) -> bool: ...
 

@@ -9,7 +9,7 @@ import hashlib
 import sqlite3
 import threading
 import time
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from types import TracebackType
@@ -186,6 +186,25 @@ class Store:
                 "UPDATE archipelagos SET term = term + 1 WHERE job = ? AND variable = ? RETURNING term", (job, variable)
             ).fetchall()
             return cast(int, row[0][0])
+
+    def begin_terms(self, archipelagos: Sequence[tuple[str, str]], place: Callable[[int, int], bytes]) -> None:
+        """Raise the terms of archipelagos and make their placements durable, all or none of them, at the cost of one.
+
+        Args:
+            archipelagos: by job and variable.
+            place: returns the placement of number `index` of them under its new `term`.
+        """
+        with self._transaction() as sql:
+            for index, (job, variable) in enumerate(archipelagos):
+                self._ensure_archipelago(sql, job, variable)
+                row = sql.execute(
+                    "UPDATE archipelagos SET term = term + 1 WHERE job = ? AND variable = ? RETURNING term",
+                    (job, variable),
+                ).fetchall()
+                sql.execute(
+                    "UPDATE archipelagos SET placement = ? WHERE job = ? AND variable = ?",
+                    (place(index, cast(int, row[0][0])), job, variable),
+                )
 
     def commit_placement(self, job: str, variable: str, placement: bytes) -> None:
         """Make the placement of the archipelago's current term durable."""

@@ -84,6 +84,16 @@ def test_the_first_end_of_a_job_wins(store: Store) -> None:
     assert (job.state, job.reason, job.finished, store.result("j1")) == ("done", None, "2026-01-02", '{"schema": 1}')
 
 
+def test_terms_begin_together_or_not_at_all(store: Store) -> None:
+    store.add_job(JOB)
+    store.raise_term("j1", "x")
+    store.begin_terms([("j1", "x"), ("j1", "y")], lambda index, term: f"{index} {term}".encode())
+    assert store.placements("j1") == {"x": (2, b"0 2"), "y": (1, b"1 1")}
+    with pytest.raises(ZeroDivisionError):
+        store.begin_terms([("j1", "x"), ("j1", "y")], lambda index, term: b"%d" % (term // (1 - index)))
+    assert store.placements("j1") == {"x": (2, b"0 2"), "y": (1, b"1 1")}
+
+
 def test_terms_rise_by_one_and_belong_to_a_variable(store: Store) -> None:
     store.add_job(JOB)
     assert [store.raise_term("j1", "x") for _ in range(3)] == [1, 2, 3]
