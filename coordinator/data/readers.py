@@ -5,7 +5,6 @@ CSV and TSV are read here, line by line, because messages name lines; Parquet by
 """
 
 import csv
-import io
 import math
 import re
 import textwrap
@@ -19,6 +18,7 @@ from typing import Final
 import numpy as np
 
 from common.config import DataConfig
+from common.dataset import FloatArray
 from common.errors import DataError
 from common.table import Table
 from coordinator.data.columns import mentioned, split_unit, trajectory_name, without_units
@@ -26,6 +26,7 @@ from coordinator.data.columns import mentioned, split_unit, trajectory_name, wit
 MISSING: Final = frozenset({"", "na", "n/a", "#n/a", "nan", "-nan", "+nan", "null", "none"})
 """Cells, in lower case, that stand for a missing number."""
 
+_LINE: Final = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 _DECIMAL_COMMA = re.compile(r"^(\s*[+-]?\d*),(\d+(?:[eE][+-]?\d+)?\s*)$")
 
 
@@ -74,20 +75,20 @@ def _text_rows(path: Path) -> _Rows:
     _, headers = next(records)
     headers = [_on_one_line(header) for header in headers]
     _check_header(path.name, headers)
-    cells: list[list[str]] = []
+    columns: list[list[str]] = [[] for _ in headers]
     lines: list[int] = []
     starts = [0]
     for line, record in records:
         if not any(cell.strip() for cell in record):
-            starts.append(len(cells))
+            starts.append(len(lines))
             continue
         if len(record) != len(headers):
             found = f"{len(record)} {'cell' if len(record) == 1 else 'cells'}"
             raise DataError(f"line {line} of {path.name} has {found} where the header has {len(headers)}; correct it")
-        cells.append(record)
+        for column, cell in zip(columns, record, strict=True):
+            column.append(cell)
         lines.append(line)
-    columns = [list(column) for column in zip(*cells, strict=True)] if cells else [[] for _ in headers]
-    return _Rows(tuple(headers), columns, lines, sorted({start for start in starts if start < max(len(cells), 1)}))
+    return _Rows(tuple(headers), columns, lines, sorted({start for start in starts if start < max(len(lines), 1)}))
 
 
 def _decoded(path: Path) -> str:
@@ -108,7 +109,9 @@ def _records(name: str, text: str) -> Iterator[tuple[int, list[str]]]:
     lead = len(text) - len(text.lstrip("\r\n"))
     skipped = text[:lead].replace("\r\n", "\n").count("\n")
     delimiter = _delimiter(text[lead:])
-    reader = csv.reader(io.StringIO(text[lead:], newline=""), delimiter=delimiter, skipinitialspace=True)
+    # a StringIO would take four bytes for each character
+    lines = (line[0] for line in _LINE.finditer(text, lead))
+    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
     before = 0
     try:
         for record in reader:
@@ -187,7 +190,7 @@ def _table_of(file: str, rows: _Rows, config: DataConfig) -> Table:
         raise DataError(f"{file} has a header but no rows; rows of numbers are expected below it")
     config = without_units(config, names)
     needed, trajectory = mentioned(config), trajectory_name(names, config)
-    kept: list[tuple[str, str, list[float]]] = []
+    kept: list[tuple[str, str, FloatArray]] = []
     places = enumerate(zip(rows.headers, rows.columns, strict=True), start=1)
     skipped = [f"column {place}" for place, (header, cells) in places if not header and any(map(str.strip, cells))]
     for (name, unit), cells in named:
@@ -195,7 +198,8 @@ def _table_of(file: str, rows: _Rows, config: DataConfig) -> Table:
             skipped.append(name)
             continue
         names_runs = name == trajectory and _is_text(cells)
-        kept.append((name, unit, _numbered(cells) if names_runs else _numbers(file, name, cells, rows.lines)))
+        numbers = _numbered(cells) if names_runs else _numbers(file, name, cells, rows.lines)
+        kept.append((name, unit, np.array(numbers, dtype=np.float64)))
     count = len(rows.lines)
     columns = np.array([numbers for _, _, numbers in kept], dtype=np.float64).reshape(len(kept), count)
     return Table(
