@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/atoll-installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick kernels check soak bench clean
+.PHONY: help demo test quick kernels generic-kernels check soak bench clean
 
 help:
 	@echo "make demo    find the two equations of a Lotka-Volterra system, on two workers"
@@ -31,7 +31,8 @@ $(STAMP): pyproject.toml
 demo: $(STAMP)
 	@$(BIN)/python -m examples.demo
 
-test: $(STAMP) kernels
+test: $(STAMP)
+	@$(MAKE) --no-print-directory -j 2 kernels generic-kernels
 	@$(BIN)/pytest
 
 quick: $(STAMP) kernels
@@ -41,6 +42,10 @@ quick: $(STAMP) kernels
 kernels: $(STAMP)
 	@$(BIN)/python -c "from island_worker.warmup import warm_up; warm_up(print)"
 	@$(BIN)/python -c "from coordinator.warmup import warm_up; warm_up()"
+
+# For the test that compares the bits of different processors; two compilers at a time take no longer than one.
+generic-kernels: $(STAMP)
+	@$(BIN)/python -m tests.generic
 
 check: $(STAMP)
 	@$(BIN)/ruff check .

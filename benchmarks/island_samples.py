@@ -1,4 +1,4 @@
-"""What real islands send: their reports of some epochs, and how many bytes an emigrant takes."""
+"""What real islands send: their reports of some epochs, and how many bytes an emigrant and a snapshot take."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,10 +25,11 @@ _JOB: Final = "sample"
 
 @dataclass(frozen=True)
 class Samples:
-    """Reports by epoch and island; bytes of an emigrant, with its share of what a block has besides."""
+    """Reports by epoch and island; bytes of an emigrant, with its share of what a block has besides; of a snapshot."""
 
     reports: tuple[EpochReport, ...]
     emigrant: int
+    snapshot: int
 
     def report(self, epoch: int, island: int) -> IslandReport:
         """Return a real report of that epoch, or, once the samples are used up, of one of those after the first."""
@@ -38,14 +39,15 @@ class Samples:
 
     def save(self, folder: Path) -> Path:
         """Write them to a file and return it."""
-        file = folder / f"samples-{self.emigrant}"
+        file = folder / f"samples-{self.emigrant}-{self.snapshot}"
         file.write_bytes(encode(Reports(reports=self.reports)))
         return file
 
     @classmethod
     def load(cls, file: Path) -> "Samples":
         """Return what `save` wrote."""
-        return cls(decode(file.read_bytes(), Reports).reports, int(file.name.split("-")[1]))
+        _, emigrant, snapshot = file.name.split("-")
+        return cls(decode(file.read_bytes(), Reports).reports, int(emigrant), int(snapshot))
 
 
 def sampled(noise: float = 0.0) -> Samples:
@@ -71,7 +73,9 @@ def sampled(noise: float = 0.0) -> Samples:
         islands = tuple(each.report for each in done)
         reports.append(EpochReport(job=_JOB, variable=variable, term=1, epoch=epoch, islands=islands))
     sent = sum(len(block) for each in done for block in each.emigrants.values())
-    return Samples(tuple(reports), round(sent / (ISLANDS * config.evolution.population)))
+    key = TaskKey(_JOB, variable, 1, 0, EPOCHS)
+    last = engine.begin(Task(key, blocks[0], False, course, takes_snapshot=True))
+    return Samples(tuple(reports), round(sent / (ISLANDS * config.evolution.population)), len(last.snapshot or b""))
 
 
 def _computed(engine: Engine, task: Task) -> Computed:

@@ -2,7 +2,7 @@
 
 Noise is Gaussian, its standard deviation a share of each state's pooled standard deviation. One seed has one draw of
 initial conditions and of noise, scaled over the levels. Every manner has about 400 rows in four trajectories; ``plain``
-is the paper's: 100 points each at a step of 0.1.
+is the paper's: 100 points each at a step of 0.1. ``odd`` is the same of systems whose constants are no simple numbers.
 """
 
 from collections.abc import Callable, Mapping
@@ -16,7 +16,8 @@ import numpy as np
 from benchmarks.derivatives import table_of
 from benchmarks.evaluation import evaluate
 from benchmarks.fractions import FloatArray
-from benchmarks.systems import RUNS, SYSTEMS, TRUTH, Sampled, drawn, solutions, with_noise
+from benchmarks.odd_systems import ODD
+from benchmarks.systems import RUNS, SYSTEMS, Sampled, System, drawn, solutions, with_noise
 from common.expression.parse import from_infix
 from common.table import Table
 
@@ -28,8 +29,11 @@ LENGTHS: Final = (40, 70, 110, 180)
 MISSING: Final = 0.3
 """Share of the rows of which a cell is missing."""
 
-Variant = Literal["plain", "uneven", "missing", "lengths"]
+Variant = Literal["plain", "uneven", "missing", "lengths", "odd"]
 VARIANTS: Final[tuple[Variant, ...]] = get_args(Variant)
+_FRESH: Final = 4
+"""Tells the stream of fresh trajectories from those of the manners of sampling."""
+
 Signal = Callable[[float], float]
 
 
@@ -87,7 +91,7 @@ class Case:
 
 def case(key: Key) -> Case:
     """Return the data of one search; equal keys give equal data, whatever the method."""
-    system = SYSTEMS[key.system]
+    system = _system(key.system, key.variant)
     clean = _clean(key.system, key.variant, key.seed)
     noisy = with_noise(clean.states, key.level, deepcopy(clean.rng))
     table = table_of(Sampled(system.states, clean.times, tuple(noisy)))
@@ -96,7 +100,7 @@ def case(key: Key) -> Case:
         _lose(table, _chance(key.variant, key.seed))
         data["missing"] = "drop"
     columns = dict(zip(system.states, np.concatenate(clean.states).T, strict=True))
-    return Case(table, TRUTH[key.system], columns, fresh(key.system, key.seed), data)
+    return Case(table, system.truth, columns, fresh(key.system, key.seed, key.variant), data)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,20 +116,24 @@ class _Clean:
 def _clean(system: str, variant: Variant, seed: int) -> _Clean:
     rng = np.random.default_rng(seed)
     times = _times(variant, _chance(variant, seed))
-    return _Clean(times, tuple(solutions(SYSTEMS[system], times, rng)), rng)
+    return _Clean(times, tuple(solutions(_system(system, variant), times, rng)), rng)
 
 
 @lru_cache(maxsize=64)
-def fresh(system: str, seed: int) -> Path:
+def fresh(system: str, seed: int, variant: Variant = "plain") -> Path:
     """Return a trajectory of the paper's length from the system's own distribution of initial conditions."""
-    rng = np.random.default_rng([seed, len(VARIANTS)])
+    rng = np.random.default_rng([seed, _FRESH])
     times = _grid(POINTS)
-    return Path(times, drawn(SYSTEMS[system], rng, times))
+    return Path(times, drawn(_system(system, variant), rng, times))
+
+
+def _system(name: str, variant: Variant) -> System:
+    return ODD[name] if variant == "odd" else SYSTEMS[name]
 
 
 def _chance(variant: Variant, seed: int) -> np.random.Generator:
     """Return the stream that decides when is measured and what is missing."""
-    return np.random.default_rng([seed, VARIANTS.index(variant)])
+    return np.random.default_rng([seed, VARIANTS.index(variant)])  # unused by plain and odd
 
 
 def _times(variant: Variant, chance: np.random.Generator) -> tuple[FloatArray, ...]:

@@ -29,7 +29,7 @@ from common.wire.bus import Bus
 from common.wire.messages import Addition, IslandReport
 from common.wire.zenoh_bus import open_client
 from island_worker.compute import WarmedUp
-from island_worker.events import Computed, JobReady, ShareKey, Task
+from island_worker.events import Computed, JobReady, ShareKey, Snapshot, Task, TaskKey
 from island_worker.runtime import Worker
 
 CONNECT_LIMIT_S: Final = 30.0
@@ -136,6 +136,7 @@ class PacedCompute:
 
     def __init__(self, samples: Samples, period_s: float, pacer: Pacer, books: Books) -> None:
         self.progress = 0
+        self.doing: TaskKey | None = None
         self._samples = samples
         self._period_s = period_s
         self._pacer = pacer
@@ -153,7 +154,7 @@ class PacedCompute:
     def warm_up(self) -> None:
         """See `Compute.warm_up`."""
 
-    def load(self, job: str, config: JobConfig, dataset: bytes) -> None:
+    def load(self, job: str, config: JobConfig, dataset: bytes, weight: float = 1.0) -> None:
         """See `Compute.load`."""
         self._config[job] = config
         self._post(JobReady(job))
@@ -161,6 +162,11 @@ class PacedCompute:
     def advance(self, task: Task) -> None:
         """See `Compute.advance`. The first epochs of different archipelagos end at different times."""
         now, key = time.monotonic(), task.key
+        self.doing = key
+        if task.takes_snapshot:
+            self._post(Snapshot(key, _bytes_of(key, self._samples.snapshot), task.is_held))
+        if task.is_held:
+            return
         before = self._ended.pop((key.share, key.island), None)
         if before is not None:
             self._books.note_wait(now - before)
@@ -212,6 +218,11 @@ def _scaled(additions: Sequence[Addition], factor: float) -> tuple[Addition, ...
     return tuple(
         each.model_copy(update={"error": each.error * factor, "mse": each.mse * factor * factor}) for each in additions
     )
+
+
+def _bytes_of(key: TaskKey, count: int) -> bytes:
+    """Return so many bytes, the same for the same island and epoch, that no compression makes fewer."""
+    return hashlib.shake_128(f"{key.job}/{key.variable}/{key.island}/{key.epoch}".encode()).digest(count)
 
 
 def _fraction(name: str) -> float:

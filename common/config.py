@@ -5,9 +5,10 @@ Fields left ``None`` are resolved from the data when the job is prepared, see `c
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic_core import CoreSchema
 
 Preset = Literal["default", "paper"]
 Loss = Literal["mae", "rmse"]
@@ -16,13 +17,32 @@ PAPER_TERMINALS = 7
 TERMINALS_BEYOND_VARIABLES = 5
 
 PositiveInt = Annotated[int, Field(ge=1)]
+_SEQUENCES: Final = frozenset({"list", "tuple", "set", "frozenset"})
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+def _fail_fast(schema: Any) -> None:
+    if isinstance(schema, dict):
+        if schema.get("type") in _SEQUENCES:
+            schema["fail_fast"] = True
+        for part in schema.values():
+            _fail_fast(part)
+    elif isinstance(schema, list):
+        for part in schema:
+            _fail_fast(part)
 
 
 class Model(BaseModel):
     """Base of everything that is validated: frozen, unknown fields refused, NaN and infinity refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: type[BaseModel], handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Let every sequence be read up to its first wrong item: a million wrong ones would make a million errors."""
+        schema = handler(source)
+        _fail_fast(schema)
+        return schema
 
 
 class Angle(Model):

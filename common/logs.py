@@ -10,9 +10,6 @@ import sys
 from datetime import UTC, datetime
 from typing import Any, Final
 
-FORMATS: Final = ("text", "json")
-LEVELS: Final = ("debug", "info", "warning", "error")
-
 _KEY: Final = "atoll_fields"
 
 

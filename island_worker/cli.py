@@ -95,6 +95,7 @@ class _Parser(argparse.ArgumentParser):
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     from common import VERSION
+    from common.log_options import add_log_options
     from common.wire.tls_options import OPTIONS
 
     parser = _Parser(
@@ -146,13 +147,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         default=_GRACE_S,
         help="how long handing over may take, then and after SIGTERM; a second SIGTERM ends at once (default: 30s)",
     )
-    parser.add_argument(
-        "--log-format", choices=("text", "json"), default="text", help="form of the log on stderr (default: text)"
-    )
-    parser.add_argument(
-        "--log-level", choices=("debug", "info", "warning", "error"), default="info",
-        help="least level that is logged (default: info)",
-    )  # fmt: skip
+    add_log_options(parser)
     parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # end with this process
     parser.add_argument("--leave", action="store_true", help=argparse.SUPPRESS)  # the workers to the parent, and end
     parser.add_argument("--version", action="version", version=f"atoll {VERSION}")
@@ -241,7 +236,8 @@ def _work(connect: "Destination", name: str, options: argparse.Namespace, parent
         if parent is not None:
             end_with_parent(parent)
         configure(options.log_format, options.log_level, worker=name)
-        from island_worker.runtime import Leaving, run_worker
+        from island_worker.leaving import Leaving
+        from island_worker.runtime import run_worker
 
         leaving = Leaving(options.lifetime, options.grace)
         on_signal = partial(leaving_on_signals, parent) if options.grace > 0.0 else lambda leave: nullcontext()

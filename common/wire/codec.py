@@ -1,13 +1,14 @@
 """Bytes on the wire and in the store: msgpack for messages, a small header and raw columns for arrays.
 
 The only module that knows msgpack. What comes from a peer is not trusted: its structure is walked once before anything
-is allocated for it (size, nesting, lengths that fit the bytes there are), then the model decides. Whatever is wrong,
-the caller meets a RemoteProtocolError with one sentence. Nothing that travels is code.
+is allocated for it (size, lengths that fit the bytes there are), what is built is counted while it is built, then the
+model decides, which looks no further than the first wrong item of a sequence. Whatever is wrong, the caller meets a
+RemoteProtocolError with one sentence. Nothing that travels is code, and nothing is compressed.
 """
 
 import math
 import struct
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any, Final, TypeVar, cast
 
 import msgpack
@@ -24,10 +25,17 @@ M = TypeVar("M")
 AnyArray = npt.NDArray[Any]
 
 MAX_NESTING: Final = 32
+MAX_ITEMS: Final = 2_000_000
+"""Most items in a message, keys and values each counted: eight bytes an item in the largest message there is."""
+
+MAX_MAP: Final = 4096
+"""Most entries of a map: no model has so many fields, no job so many variables."""
+
 MAX_ARRAYS_BYTES: Final = 2**31
 MAX_DIMENSIONS: Final = 4
 DTYPES: Final = ("f8", "i8", "i4", "i2", "i1", "u1", "u8")
 
+_SMALL: Final = 64 * 1024  # so many bytes cannot make enough items to be worth counting
 _MAGIC: Final = b"atollar1"
 _ALIGNMENT: Final = 64
 _BROKEN: Final = (
@@ -133,7 +141,7 @@ def dataset_from_bytes(data: bytes, max_bytes: int = MAX_ARRAYS_BYTES) -> Datase
 
 def _pack(tree: object) -> bytes:
     try:
-        _check_tree([tree], MAX_NESTING + 1)
+        _check_tree(tree)
         data = cast(bytes, msgpack.packb(tree, default=_plain))
     except _BROKEN as error:
         raise LocalProtocolError(f"a message cannot be encoded: {_brief(error)}") from error
@@ -151,11 +159,44 @@ def _unpack(data: bytes, max_bytes: int) -> object:
         raise RemoteProtocolError(f"a message has {len(data)} bytes, more than the {max_bytes} allowed")
     try:
         _walk(data)
-        tree = msgpack.unpackb(data, raw=False, strict_map_key=True)
-        _check_tree([tree], MAX_NESTING + 1)
+        tree = _built(data)
+        _check_tree(tree)
     except _BROKEN as error:
         raise RemoteProtocolError(f"a message is not well-formed msgpack: {_brief(error)}") from error
     return tree
+
+
+def _built(data: bytes) -> object:
+    """Return what well-formed msgpack bytes hold; raises ValueError as soon as it is too much.
+
+    A container costs up to ninety times the one byte that it takes in a message.
+    """
+    limits: dict[str, Any] = {"raw": False, "strict_map_key": True, "max_map_len": MAX_MAP}
+    if len(data) > _SMALL:
+        count = _Count()
+        limits |= {"max_array_len": MAX_ITEMS, "list_hook": count.items, "object_hook": count.entries}
+    return msgpack.unpackb(data, **limits)
+
+
+class _Count:
+    """Counts items while they are built."""
+
+    def __init__(self) -> None:
+        self._left = MAX_ITEMS
+
+    def items(self, built: list[object]) -> list[object]:
+        """Count a list and what it holds."""
+        self._left -= 1 + len(built)
+        if self._left < 0:
+            raise ValueError(_TOO_MANY)
+        return built
+
+    def entries(self, built: dict[str, object]) -> dict[str, object]:
+        """Count a map and what it holds."""
+        self._left -= 1 + 2 * len(built)
+        if self._left < 0:
+            raise ValueError(_TOO_MANY)
+        return built
 
 
 def _walk(data: bytes) -> None:
@@ -178,29 +219,34 @@ def _walk(data: bytes) -> None:
         raise ValueError(f"{len(data) - unpacker.tell()} bytes follow its end")
 
 
-def _check_tree(tree: object, levels: int = MAX_NESTING) -> None:
-    """Check that what is in a message is plain, has text as keys, and is nested no deeper than so many levels."""
-    if isinstance(tree, dict):
-        if not _TEXT.issuperset(map(type, tree)):
-            raise ValueError("the key of a map is not text")
-        items: Collection[object] = tree.values()
-    else:
-        items = tree if isinstance(tree, list | tuple) else ()
-    kinds = set(map(type, items))
-    if not kinds.isdisjoint(_REFUSED):
-        raise ValueError("it holds an extension type")
-    if kinds.isdisjoint(_CONTAINERS):
-        return
-    if levels <= 1:
-        raise ValueError(_TOO_DEEP)
-    for item in items:
-        if type(item) in _CONTAINERS:
-            _check_tree(item, levels - 1)
+def _check_tree(tree: object) -> None:
+    """Check that what is in a message is plain, has text as keys, and is nested no deeper than `MAX_NESTING` levels.
+
+    Level by level, since one look at all of a level is much faster than one at each of its containers.
+    """
+    level: list[Any] = [[tree]]
+    for _ in range(MAX_NESTING + 1):
+        items: list[object] = []
+        for container in level:
+            if type(container) is dict:
+                if not _TEXT.issuperset(map(type, container)):
+                    raise ValueError("the key of a map is not text")
+                items.extend(container.values())
+            else:
+                items.extend(container)
+        kinds = set(map(type, items))
+        if not kinds.isdisjoint(_REFUSED):
+            raise ValueError("it holds an extension type")
+        if kinds.isdisjoint(_CONTAINERS):
+            return
+        level = [item for item in items if type(item) in _CONTAINERS]
+    raise ValueError(_TOO_DEEP)
 
 
 _TEXT: Final = frozenset({str})
 _CONTAINERS: Final = frozenset({list, tuple, dict})
 _REFUSED: Final = frozenset({msgpack.ExtType, msgpack.Timestamp})
+_TOO_MANY: Final = f"it holds more than {MAX_ITEMS} items"
 _TOO_DEEP: Final = f"it is nested deeper than {MAX_NESTING} levels"
 
 

@@ -29,7 +29,7 @@ class Rejects:
         source = source[:200]
         if source not in self.counts:
             if len(self.counts) < MAX_SOURCES:
-                self._logger.warning("dropped message", extra=fields(source=source, reason=error))
+                self._logger.warning("dropped message", extra=fields(source=source, reason=str(error)[:500]))
             else:
                 source = OTHERS
         self.counts[source] = self.counts.get(source, 0) + 1

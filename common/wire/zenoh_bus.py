@@ -26,6 +26,8 @@ from common.wire.addresses import Address, Destination, bindable, check_certific
 from common.wire.bus import MAX_PAYLOAD, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from common.wire.inbox import Inbox, Timers
 from common.wire.keys import check_expression, check_key, check_payload
+from common.wire.messages import MAX_MESSAGE
+from common.wire.topics import HELLO, ROOT
 
 _WAIT_FOR_PEER_US: Final = 1_000_000
 _LEASE_MS: Final = 4_000
@@ -38,6 +40,18 @@ _FREE_PORT_ATTEMPTS: Final = 20
 _OVERHEAD: Final = 1024 * 1024  # key and attributes of a message, with room to spare
 
 Settings = Mapping[str, object]
+
+_SIZE_LIMITS: Final = {
+    64 * 1024: (HELLO, f"{HELLO}/*"),
+    1024 * 1024: (f"{ROOT}/*/worker/*/status",),
+    MAX_MESSAGE: (
+        f"{ROOT}/*/worker/*/report",
+        f"{ROOT}/*/worker/*/to/*",
+        f"{ROOT}/*/control/**",
+        f"{ROOT}/*/client/*/ask",
+    ),
+}
+"""Bytes that a put or a question may have, by its key; a router drops what is larger before anybody reads it."""
 
 
 def open_router(
@@ -293,8 +307,19 @@ def _tree(mode: str, listen: list[str], connect: list[str]) -> dict[str, object]
     patience = {"block": {"wait_before_close": _WAIT_FOR_PEER_US}, "drop": {"wait_before_drop": 20_000}}
     link_tx = {"lease": _LEASE_MS, "queue": {"size": sizes, "congestion_control": patience}}
     retry = {"period_init_ms": 100, "period_max_ms": 1_000, "period_increase_factor": 2}
+    filters = [
+        {
+            "id": f"at most {size}",
+            "flows": ["ingress"],
+            "messages": ["put", "query"],
+            "key_exprs": keys,
+            "size_limit": size,
+        }
+        for size, keys in _SIZE_LIMITS.items()
+    ]
     return {
         "mode": mode,
+        "low_pass_filter": filters if mode == "router" else [],
         "listen": {"endpoints": listen},
         "connect": {"endpoints": connect, "timeout_ms": _ATTEMPT_MS, "exit_on_failure": True, "retry": retry},
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},

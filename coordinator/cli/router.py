@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from common import VERSION
 from common.errors import RefusedError, UnreachableError
-from common.logs import configure
+from common.logs import configure, fields
 from common.wire.access import Roster
 from common.wire.addresses import Destination, destination, parse_address
 from common.wire.connect_file import announced
@@ -90,7 +90,7 @@ class _Watch:
         realm = coordinator_behind(self._bus, self._bearer)
         now = time.monotonic()
         if realm is not None and realm != self._realm:
-            _LOG.info("coordinator found realm=%s", realm)
+            _LOG.info("coordinator found", extra=fields(realm=realm))
         elif realm is None and (self._realm is not None or now - self._said_at >= _REMIND_S):
             _LOG.warning("no coordinator answers behind this router yet")
             self._said_at = now

@@ -4,6 +4,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any, Final
 
+from common.log_options import add_log_options
 from common.wire.tls_options import OPTIONS as TLS_OPTIONS
 
 DEFAULT_LISTEN: Final = "tcp/127.0.0.1:7447"
@@ -30,7 +31,7 @@ def add_serve(verb: Verb, verbs: Any) -> None:
     _add_connect_file(parser)
     add_tls(parser)
     _add_roster(parser)
-    add_log(parser)
+    add_log_options(parser)
     parser.add_argument(
         "--wait",
         type=seconds,
@@ -56,7 +57,7 @@ def add_router(verb: Verb, verbs: Any) -> None:
     _add_connect_file(parser)
     add_tls(parser)
     _add_roster(parser)
-    add_log(parser)
+    add_log_options(parser)
 
 
 def add_doctor(verb: Verb, verbs: Any) -> argparse.ArgumentParser:
@@ -120,13 +121,3 @@ def add_tls(parser: argparse.ArgumentParser) -> None:
     )
     for option, (variable, text) in TLS_OPTIONS.items():
         group.add_argument(option, metavar="FILE", help=f"{text} (default: ${variable})")
-
-
-def add_log(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--log-format", choices=("text", "json"), default="text", help="form of the log on stderr (default: text)"
-    )
-    parser.add_argument(
-        "--log-level", choices=("debug", "info", "warning", "error"), default="info",
-        help="least level that is logged (default: info)",
-    )  # fmt: skip

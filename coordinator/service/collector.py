@@ -6,6 +6,7 @@ far an island got beyond the cut.
 """
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -87,6 +88,8 @@ class Collector:
         self.duplicates = 0
         self._measure = measure
         self._filed: dict[tuple[int, int], _Filed] = {}
+        self._whole: Counter[int] = Counter()
+        self._with_hit: set[int] = set()
         self._past: dict[int, Progress] = {}
         self._pending: Why | None = None
 
@@ -109,13 +112,25 @@ class Collector:
         for report in reports:
             self._check(worker, epoch, report)
         for report in reports:
-            filed = _Filed(worker, report.generations, report.hit is not None, report.digest, report)
-            self.duplicates += (epoch, report.island) in self._filed
-            self._filed.setdefault((epoch, report.island), filed)
+            self._file(worker, epoch, report)
         before = self.progress.epochs
+        if epoch != before:
+            return False
         while self.cut is None and self._is_complete(self.progress.epochs):
             self._take_in(self.progress.epochs, seconds)
         return self.progress.epochs > before
+
+    def _file(self, worker: str, epoch: int, report: IslandReport) -> None:
+        """Keep a report, the first one of its island and epoch; count, so that not all need be looked through again."""
+        if (epoch, report.island) in self._filed:
+            self.duplicates += 1
+            return
+        is_hit = report.hit is not None
+        self._filed[epoch, report.island] = _Filed(worker, report.generations, is_hit, report.digest, report)
+        if is_hit:
+            self._with_hit.add(epoch)
+        elif report.generations == self.limits.course.generations:
+            self._whole[epoch] += 1
 
     def cut_now(self, why: Why) -> None:
         """End at the last completely reported epoch; by time, not before the first one is complete."""
@@ -135,6 +150,8 @@ class Collector:
         self._past = {epochs: past for epochs, past in self._past.items() if epochs >= before}
         if before <= self.progress.epochs:
             self._filed = {key: filed for key, filed in self._filed.items() if key[0] >= before}
+            self._whole = Counter({epoch: count for epoch, count in self._whole.items() if epoch >= before})
+            self._with_hit = {epoch for epoch in self._with_hit if epoch >= before}
 
     def resume(self, progress: Progress) -> None:
         """Go on from where an archipelago stood; only before the first report."""
@@ -184,6 +201,8 @@ class Collector:
 
     def _is_complete(self, epoch: int) -> bool:
         """Tell whether every island has reported as much of an epoch as counts, by the hits that are known."""
+        if epoch not in self._with_hit:
+            return self._whole[epoch] == self.limits.islands
         hit = self._hit(epoch)
         for island in range(self.limits.islands):
             filed = self._filed.get((epoch, island))

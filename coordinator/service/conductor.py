@@ -35,7 +35,7 @@ from coordinator.service.checkpoint import StoredProgress
 from coordinator.service.cut import Cut
 from coordinator.service.job import Conclude, Fault, Job, JobAction, KeepCut, Prepared, Refine, TellCommit
 from coordinator.service.keeping import Keeper
-from coordinator.service.membership import Membership
+from coordinator.service.membership import Member, Membership
 from coordinator.service.placement import Placer
 from coordinator.service.ports import StorePort
 from coordinator.service.progress import ended_view, job_result, job_view, result_text
@@ -208,7 +208,7 @@ class Conductor:
             self.watch.greeted(hello, refusal)
         if refusal is None and is_new:
             if before is not None:
-                self._lose(hello.name, before.hello.instance, "a new process has its name", now)
+                self._lose(before, "a new process has its name", now)
             for job in self.jobs.values():
                 for archipelago in job.open_archipelagos:
                     if archipelago.placement is not None and hello.name in archipelago.placement.workers:
@@ -224,12 +224,12 @@ class Conductor:
             StoreError: There is: another coordinator has taken over.
         """
         self._check_incarnation(worker, status)
-        was_ready, was_lost = worker in self.membership.ready(), self.membership.is_lost(worker)
+        was_ready, was_lost = self.membership.is_ready(worker), self.membership.is_lost(worker)
         if not self.membership.hear(worker, status, now):
             self._outlet.tell(Introduce(), worker)
             return
         self.watch.heard(worker, status, was_lost)
-        if not was_ready and worker in self.membership.ready():
+        if not was_ready and self.membership.is_ready(worker):
             self.place(now)
         for trouble in status.troubles:
             if self._is_current(trouble.job, trouble.variable, trouble.term):
@@ -242,7 +242,8 @@ class Conductor:
         self._send_missing_placements(worker, held)
         if status.state == "leaving":
             self._let_go(worker, now)
-        self._keeper.look(self.jobs.values(), now)
+        for holding in status.holdings:
+            self._keeper.look_at(self.jobs.get(holding.job), holding.variable, now)
 
     def _let_go(self, worker: str, now: float) -> None:
         """Place elsewhere what a worker has that wants to end; when it has nothing, tell it so."""
@@ -267,7 +268,7 @@ class Conductor:
             return
         self.watch.reported(job.id)
         self._carry_out(job, job.receive(worker, report, now), now)
-        self._keeper.look([job], now)
+        self._keeper.look_at(job, report.variable, now)
 
     def states_came(self, worker: str, asked: PullStates, body: States | None, now: float) -> None:
         """Take in the answer to a question for states; None: there was none, and it is asked again later.
@@ -281,7 +282,10 @@ class Conductor:
 
     def written(self, checkpoint: Checkpoint, now: float) -> None:
         """Take in that a checkpoint is durable: it is told, and whoever waits for it is placed."""
-        commit = self._keeper.written(self.jobs.get(checkpoint.job), checkpoint, now)
+        job = self.jobs.get(checkpoint.job)
+        commit = self._keeper.written(job, checkpoint, now)
+        if job is not None:
+            self.watch.committed(checkpoint)
         if commit is not None:
             self._outlet.tell(commit)
         self.place(now)
@@ -291,7 +295,7 @@ class Conductor:
         for worker in self.membership.expire(now, self.watch.patience(self.jobs.values())):
             member = self.membership.member(worker)
             if member is not None:
-                self._lose(worker, member.hello.instance, member.lost_by, now)
+                self._lose(member, member.lost_by, now)
         for job in list(self.jobs.values()):
             self._carry_out(job, job.tick(now), now)
         self._prepare_next()
@@ -299,9 +303,9 @@ class Conductor:
         self._keeper.look(self.jobs.values(), now)
         self.watch.look(self.jobs.values(), now)
 
-    def _lose(self, worker: str, instance: str, why: str, now: float) -> None:
+    def _lose(self, member: Member, why: str, now: float) -> None:
         """Take notice that a process is lost, which may be the last one that a job can cost."""
-        for job, sentence in self.watch.lost(worker, instance, why, self.jobs.values()):
+        for job, sentence in self.watch.lost(member, why, self.jobs.values()):
             self.job_failed(job, "poison", sentence, now)
 
     # --------------------------------------------------------------------------------------- placement
@@ -397,12 +401,13 @@ class Conductor:
     def _catch_up(self, worker: str, archipelago: Archipelago, holding: Holding) -> None:
         """Pull reports that were lost, and repeat a commit that was."""
         archipelago.note_holding(worker, holding)
+        self.watch.waited(worker, holding)
         pull = archipelago.missing_reports(worker, holding)
         if pull is not None:
             self._outlet.pull(worker, pull)
         due = archipelago.forget_due()
         if due is not None:
-            self._tell_commit(due)
+            self._outlet.tell(due)
         commit = archipelago.commit()
         if commit is not None and holding.commit < commit.epoch:
             self._outlet.tell(commit, worker)
@@ -436,7 +441,7 @@ class Conductor:
                 case KeepCut():
                     self._keep_cut(job, action.cut)
                 case TellCommit():
-                    self._tell_commit(action.commit)
+                    self._outlet.tell(action.commit)
                 case Refine():
                     if job.prepared is not None:
                         self.watch.refining(job.id)
@@ -448,10 +453,6 @@ class Conductor:
         self._store.commit_cut(job.id, cut.variable, encode(cut))
         self._outlet.tell(Close(job=job.id, variable=cut.variable))
         self.watch.cut(job.id, cut)
-
-    def _tell_commit(self, commit: Commit) -> None:
-        self._outlet.tell(commit)
-        self.watch.committed(commit)
 
     def _live_view(self, job: Job, now: float) -> JobView:
         return self.watch.completed(job_view(job, self.membership, now, tuple(self.jobs.values())), job)

@@ -1,6 +1,5 @@
 """Has checkpoints gathered and written while the search goes on. Knows no bus: it asks through an outlet."""
 
-import logging
 from collections.abc import Iterable
 from typing import Final, Protocol
 
@@ -8,8 +7,6 @@ from common.wire.codec import encode
 from common.wire.messages import Commit, PullStates, States
 from coordinator.service.archipelago import Archipelago, Checkpoint
 from coordinator.service.job import Job
-
-_LOG = logging.getLogger(__name__)
 
 MOST_ASKS: Final = 4
 """Questions for states under way at the same time; with 4 MB an answer, what may come in at once."""
@@ -36,11 +33,20 @@ class Keeper:
         """Ask for the states that are due, and have written what is complete."""
         for job in jobs:
             for archipelago in job.open_archipelagos:
-                self._ask(archipelago)
-                checkpoint = archipelago.checkpoint_due()
-                if checkpoint is not None:
-                    progress = encode(checkpoint.stored_progress(job.search_seconds(now)))
-                    self._outlet.write(checkpoint, progress, now - job.submitted_at)
+                self._look_at(job, archipelago, now)
+
+    def look_at(self, job: Job | None, variable: str, now: float) -> None:
+        """Do so for one archipelago, of which there is news: to look at all of them each time would take its time."""
+        archipelago = job.archipelagos.get(variable) if job is not None and job.state == "running" else None
+        if job is not None and archipelago is not None and archipelago.cut is None:
+            self._look_at(job, archipelago, now)
+
+    def _look_at(self, job: Job, archipelago: Archipelago, now: float) -> None:
+        self._ask(archipelago)
+        checkpoint = archipelago.checkpoint_due()
+        if checkpoint is not None:
+            progress = encode(checkpoint.stored_progress(job.search_seconds(now)))
+            self._outlet.write(checkpoint, progress, now - job.submitted_at)
 
     def states_came(self, job: Job | None, worker: str, asked: PullStates, body: States | None) -> None:
         """Take in the answer of a worker; None: there was none.
@@ -55,10 +61,6 @@ class Keeper:
 
     def written(self, job: Job | None, checkpoint: Checkpoint, now: float) -> Commit | None:
         """Take in that a checkpoint is durable; return what the workers are to be told."""
-        _LOG.info(
-            "checkpoint job=%s variable=%s epoch=%d term=%d",
-            checkpoint.job, checkpoint.variable, checkpoint.epoch, checkpoint.term,
-        )  # fmt: skip
         archipelago = job.archipelagos.get(checkpoint.variable) if job is not None else None
         return archipelago.committed(checkpoint, now) if archipelago is not None else None
 

@@ -149,6 +149,11 @@ class Membership:
         """Return the workers that can compute islands, sorted."""
         return tuple(sorted(name for name, member in self._members.items() if member.is_ready))
 
+    def is_ready(self, worker: str) -> bool:
+        """Tell whether islands can be placed on this worker."""
+        member = self._members.get(worker)
+        return member is not None and member.is_ready
+
     def arriving(self) -> int:
         """Return how many workers are there but not ready yet."""
         return sum(

@@ -53,7 +53,8 @@ class Placer:
 
     def is_worth_planning(self, archipelago: Archipelago) -> bool:
         """Tell whether more workers could be used than are, from a checkpoint on."""
-        return archipelago.may_plan and self._could_use(archipelago, len(self._membership.ready()))
+        ready = self._isolation.ready_for((archipelago.job, archipelago.variable))
+        return archipelago.may_plan and self._could_use(archipelago, len(ready))
 
     def is_young(self, archipelago: Archipelago, now: float) -> bool:
         """Tell whether little has been computed since the archipelago was placed."""

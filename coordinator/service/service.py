@@ -165,6 +165,7 @@ class Service:
             event = self._bus.receive(0.1)
             if event is not None:
                 self.step(event)
+        self.conductor.watch.chronicle.flush()
         if self._dismisses_workers:
             self._put(topics.control(self._store.realm), Control(body=Shutdown(sentence="the coordinator ended")))
 

@@ -7,18 +7,21 @@ worker, and which jobs cannot go on. Nothing here can change a bit of a result.
 from collections.abc import Callable, Iterable
 from typing import Final
 
-from common.wire.messages import Commit, Hello, Placement, Submit, WorkerStatus
+from common.wire.messages import Hello, Holding, Placement, Submit, WorkerStatus
 from common.wire.views import EventKind, JobCounters, JobView
-from coordinator.service.archipelago import Archipelago
+from coordinator.service.archipelago import Archipelago, Checkpoint
 from coordinator.service.chronicle import Chronicle
 from coordinator.service.cut import Cut
 from coordinator.service.isolation import Isolation, Key
 from coordinator.service.job import Job
 from coordinator.service.leases import Leases
-from coordinator.service.membership import Membership, Patience
+from coordinator.service.membership import Member, Membership, Patience
 from coordinator.service.poison import Suspicion
 from coordinator.service.ports import StorePort
 from coordinator.service.stalls import Stillness
+
+MAX_REFUSED: Final = 1000
+"""Refusals that are told; each only once, and no flood of them fills the log."""
 
 Verdicts = list[tuple[str, str]]
 """Jobs that cannot go on, and why."""
@@ -37,6 +40,7 @@ class Watch:
         self._suspicions: dict[Key, Suspicion] = {}
         self._counters: dict[str, JobCounters] = {}
         self._waited: dict[tuple[str, str, int, str], float] = {}
+        self._refused: set[tuple[str, str]] = set()
 
     def started(self, realm: str, incarnation: int) -> None:
         """Take notice of the coordinator's own start."""
@@ -60,28 +64,32 @@ class Watch:
         where = f"on {len(workers)} worker{'s' * (len(workers) > 1)}: {', '.join(workers[:8])}"
         self.chronicle.note(
             "placed", f"{len(placement.workers)} islands {where}{' …' * (len(workers) > 8)}", job,
-            variable=placement.variable, term=placement.term, workers=len(workers),
+            variable=placement.variable, term=placement.term, epoch=placement.epoch, workers=len(workers),
         )  # fmt: skip
 
     def unplaced(self, archipelago: Archipelago) -> None:
         """Take notice that an archipelago has lost a worker that it was placed on."""
-        self.chronicle.note("unplaced", "its placement has ended", archipelago.job, variable=archipelago.variable)
+        text = "a worker of its placement is lost, or kept for another archipelago"
+        self.chronicle.note("unplaced", text, archipelago.job, variable=archipelago.variable)
 
     def reported(self, job: str) -> None:
         """Count a report."""
         self._count(job, reports=1)
 
-    def committed(self, commit: Commit) -> None:
-        """Take notice of a commit: the archipelago gets on."""
-        key = (commit.job, commit.variable)
-        suspicion = self._suspicions.get(key)
-        self._leases.committed(key)
-        self._count(commit.job, commits=1)
+    def committed(self, checkpoint: Checkpoint) -> None:
+        """Take notice that a checkpoint is durable: the archipelago gets on."""
+        job, variable, epoch = checkpoint.job, checkpoint.variable, checkpoint.epoch
+        self._leases.committed((job, variable))
+        self._count(job, commits=1)
+        suspicion = self._suspicions.get((job, variable))
         was_isolated = suspicion is not None and suspicion.is_isolated
-        if suspicion is not None and suspicion.commits(commit.epoch) and was_isolated:
-            self.chronicle.note("pardoned", "it gets on, and is isolated no more", commit.job, variable=commit.variable)
-        text = f"all islands have reported epoch {commit.epoch}"
-        self.chronicle.note("commit", text, commit.job, variable=commit.variable, epoch=commit.epoch, term=commit.term)
+        if suspicion is not None and suspicion.commits(epoch) and was_isolated:
+            self.chronicle.note("pardoned", "it gets on, and is isolated no more", job, variable=variable)
+        text = f"the checkpoint of epoch {epoch} is durable"
+        self.chronicle.note(
+            "commit", text, job, variable=variable, epoch=epoch, term=checkpoint.term, islands=len(checkpoint.states),
+            bytes=checkpoint.size,
+        )  # fmt: skip
 
     def cut(self, job: str, cut: Cut) -> None:
         """Take notice of an archipelago's end."""
@@ -126,15 +134,19 @@ class Watch:
     def greeted(self, hello: Hello, refusal: str | None) -> None:
         """Take notice of a new worker, or of one that was refused."""
         if refusal is not None:
-            self.chronicle.note("refused", refusal, worker=hello.name)
+            if (hello.name, refusal) not in self._refused and len(self._refused) < MAX_REFUSED:
+                self._refused.add((hello.name, refusal))
+                self.chronicle.note("refused", refusal, worker=hello.name)
         else:
             text = f"process {hello.pid} on {hello.host or 'an unnamed host'}"
             self.chronicle.note("worker-joined", text, worker=hello.name)
 
+    def waited(self, worker: str, holding: Holding) -> None:
+        """Take notice of how long islands of a current placement have waited on a worker."""
+        self._waited[holding.job, holding.variable, holding.term, worker] = holding.waited_s
+
     def heard(self, worker: str, status: WorkerStatus, was_lost: bool) -> None:
-        """Take notice of a heartbeat: of seconds waited, and of a process that was taken for dead."""
-        for each in status.holdings:
-            self._waited[each.job, each.variable, each.term, worker] = each.waited_s
+        """Take notice of a heartbeat: it may be of a process that was taken for dead."""
         if not was_lost or self._membership.is_lost(worker):
             return
         self.chronicle.note("worker-back", "it is there again, as the same process", worker=worker)
@@ -143,11 +155,17 @@ class Watch:
                 text = f"worker {worker} is alive after all; its loss does not count"
                 self.chronicle.note("pardoned", text, job, variable=variable, worker=worker)
 
-    def lost(self, worker: str, instance: str, why: str, jobs: Iterable[Job]) -> Verdicts:
-        """Take notice that a process is lost; return the jobs that it was one worker too many for."""
-        held = held_by(worker, jobs)
-        self.chronicle.note("worker-lost", why, worker=worker, archipelagos=len(held))
-        dead = (worker, instance)
+    def lost(self, member: Member, why: str, jobs: Iterable[Job]) -> Verdicts:
+        """Take notice that a process is lost; return the jobs that it was one worker too many for.
+
+        One that had said that it would leave was not killed by what it computed.
+        """
+        dead = (member.hello.name, member.hello.instance)
+        held = held_by(member.hello.name, jobs)
+        for job in dict.fromkeys(each.job for each in held) or (None,):
+            self.chronicle.note("worker-lost", why, job, worker=member.hello.name)
+        if member.is_leaving:
+            return []
         return [verdict for each in held if (verdict := self._count_death(each, dead, why)) is not None]
 
     def patience(self, jobs: Iterable[Job]) -> Patience:

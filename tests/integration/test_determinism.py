@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests import generic
+
 ROOT = Path(__file__).resolve().parents[2]
 Answer = dict[str, Any]
 
@@ -67,15 +69,8 @@ def test_numpy_without_its_optional_processor_features_gives_the_same_bits(measu
     assert answer(measurements, NPY_DISABLE_CPU_FEATURES=" ".join(dispatched_features())) == native
 
 
-@pytest.fixture(scope="module")
-def generic_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where kernels for any processor are compiled, once for all tests here."""
-    return tmp_path_factory.getbasetemp() / "generic-kernels"
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
-def test_kernels_compiled_for_any_processor_give_the_same_bits(
-    measurements: Path, native: Answer, generic_cache: Path
-) -> None:
-    assert answer(measurements, NUMBA_CPU_NAME="generic", ATOLL_KERNEL_CACHE=str(generic_cache)) == native
+def test_kernels_compiled_for_any_processor_give_the_same_bits(measurements: Path, native: Answer) -> None:
+    """They are compiled once per machine, a minute, by ``make test`` before any test."""
+    assert answer(measurements, **generic.environment()) == native

@@ -16,19 +16,21 @@ from coordinator.client import connected
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMIT_S = 200.0
-SEARCH = ["--seed", "3", "--islands", "3", "--target-error", "1e-300", "--max-epochs", "4"]
+SEARCH = ["--derivatives", "dx,dy", "--seed", "3", "--islands", "3", "--target-error", "1e-300", "--max-epochs", "4"]
 
 
 def _steps(x: float, y: float, count: int) -> Iterator[str]:
-    """Two competing species by Runge and Kutta's fourth-order rule."""
+    """Two competing species by Runge and Kutta's fourth-order rule, and their derivatives: what is left to refine then
+    takes least.
+    """
 
     def slope(x: float, y: float) -> tuple[float, float]:
         return 3 * x - 2 * x * y - x * x, 2 * y - x * y - y * y
 
     h = 0.02
     for step in range(count):
-        yield f"{step * h:.2f},{x!r},{y!r}"
         a = slope(x, y)
+        yield f"{step * h:.2f},{x!r},{y!r},{a[0]:.9f},{a[1]:.9f}"
         b = slope(x + h / 2 * a[0], y + h / 2 * a[1])
         c = slope(x + h / 2 * b[0], y + h / 2 * b[1])
         d = slope(x + h * c[0], y + h * c[1])
@@ -40,7 +42,9 @@ def _steps(x: float, y: float, count: int) -> Iterator[str]:
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder in which all programs run; it holds data.csv."""
     folder = tmp_path_factory.mktemp("machines")
-    (folder / "data.csv").write_text("\n".join(["t,x,y", *_steps(1.2, 0.4, 60), "", *_steps(0.5, 2.0, 60)]) + "\n")
+    (folder / "data.csv").write_text(
+        "\n".join(["t,x,y,dx,dy", *_steps(1.2, 0.4, 60), "", *_steps(0.5, 2.0, 60)]) + "\n"
+    )
     return folder
 
 

@@ -306,6 +306,18 @@ def test_jobs_are_read_by_every_submitter_and_cancelled_by_their_own_or_an_admin
             assert eve.cancel("two").state == "cancelled"
 
 
+def test_a_router_drops_what_is_larger_than_its_key_allows() -> None:
+    with open_router("tcp/127.0.0.1:0") as router, open_client(router.endpoint) as stranger:
+        router.subscribe(topics.all_workers("r", "status"))
+        stranger.get("barrier", timeout_s=5.0)
+        assert isinstance(stranger.receive(5.0), Reply)
+        for size in (1024 * 1024 + 1, 1000):
+            stranger.put(topics.worker("r", "w", "status"), bytes(size))
+        event = router.receive(LIMIT_S)
+        assert isinstance(event, Message)
+        assert len(event.payload) == 1000
+
+
 def test_a_roster_needs_certificates(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["serve", "--listen", "tcp/127.0.0.1:0", "--state", str(tmp_path), "--roster", str(tmp_path / "r.toml")]
     assert main(words) == 2

@@ -2,7 +2,8 @@
 
 from functools import cache, partial
 
-from common.config import BudgetConfig, EvolutionConfig, JobConfig
+from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from common.wire.messages import Holding, WorkerStatus
 from common.wire.views import EventView
 from coordinator.service.membership import STANDING_S
 from tests.simulation.stub import hits_of
@@ -11,7 +12,7 @@ from tests.simulation.world import World, comparable
 
 def config(seed: int, **budget: object) -> JobConfig:
     return JobConfig(
-        seed=seed, evolution=EvolutionConfig(islands=4), budget=BudgetConfig(**{"max_epochs": 7, **budget})
+        seed=seed, evolution=EvolutionConfig(islands=4), budget=BudgetConfig(**{"max_epochs": 5, **budget})
     )
 
 
@@ -77,7 +78,7 @@ def test_a_job_of_higher_priority_is_taken_up_first_and_gets_the_larger_share() 
 def test_the_line_goes_by_priority_then_by_time() -> None:
     world = World(workers=0)
     for number, priority in enumerate([0, 0, 0, 0, 0, 3, 0]):
-        world.submit(config(number), job=f"job{number}", priority=priority)
+        world.submit(config(number, max_epochs=2), job=f"job{number}", priority=priority)
     world.client.pause(1.0)
     ahead = {view.job: view.ahead for view in world.client.jobs() if view.state == "queued"}
     assert ahead == {"job5": 0, "job4": 1, "job6": 2}
@@ -102,18 +103,18 @@ def test_islands_that_kill_their_workers_are_isolated_then_their_job_fails_and_t
     assert comparable(world.result("good")) == alone(2)
     isolated = [event.variable for event in happened(world, "bad") if event.event == "isolated"]
     assert "y" in isolated
-    assert kinds(world).count("worker-lost") == 3 * 2 + 2
+    assert len({event.worker for event in happened(world, "bad") if event.event == "worker-lost"}) == 3 * 2 + 2
 
 
 def test_workers_that_only_lost_their_connection_make_nobody_suspect() -> None:
     world = World(workers=2)
-    for number in range(3):
+    for number in range(2):
         world.at(1.2 + 4.0 * number, partial(world.network.cut, "w1"))
         world.at(3.9 + 4.0 * number, partial(world.network.heal, "w1"))
-    world.submit(config(1, max_epochs=100_000, stagnation=100_000, max_time=14.0), variables=ENDLESS)
+    world.submit(config(1, max_epochs=100_000, stagnation=100_000, max_time=9.0), variables=ENDLESS)
     view = world.finish()
     assert view.state == "done"
-    assert kinds(world).count("worker-lost") == 3
+    assert kinds(world).count("worker-lost") == 2
     assert "pardoned" in kinds(world, "job")
     assert "isolated" not in kinds(world, "job")
 
@@ -156,7 +157,7 @@ def test_a_silent_worker_is_named_while_it_is_waited_for() -> None:
 
 def test_counters_say_what_went_through() -> None:
     world = World(workers=2)
-    world.run(config(1))
+    world.run(config(1, max_epochs=14))
     view = world.client.status("job")
     assert view.counters.reports > 0
     assert view.counters.placements >= 2
@@ -170,3 +171,42 @@ def test_counters_say_what_went_through() -> None:
     assert own is not None
     assert own.store.transactions > 0
     assert {each.kind: each for each in own.counters.traffic}["status"].messages_in > 0
+
+
+def test_work_that_is_slower_than_the_lease_gets_on_and_is_not_taken_for_poison() -> None:
+    world = World(workers=1, slowness=0.6 * STANDING_S / 0.001)
+    short = {"evolution": EvolutionConfig(islands=2), "migration": MigrationConfig(generations=20)}
+    world.submit(config(1, max_epochs=1).model_copy(update=short), variables=ENDLESS)
+    assert world.finish(limit_s=20_000.0).state == "done"
+    assert 1 <= kinds(world).count("worker-lost") <= 3
+    assert "isolated" not in kinds(world)
+
+
+def test_a_worker_that_leaves_on_request_makes_nobody_suspect() -> None:
+    world = World(workers=1)
+    world.submit(config(1, max_epochs=30), variables=ENDLESS)
+    for number in range(4):
+        world.start_worker(f"next{number}")
+        world.client.pause(1.0)
+        leaver = ("w0", "next0", "next1", "next2")[number]
+        world.workers[leaver].leave()
+        world.client.pause(1.0)
+    assert world.finish().state == "done"
+    assert {"isolated", "pardoned"}.isdisjoint(kinds(world, "job"))
+    assert world.client.status("job").counters.deaths == 0
+
+
+def test_a_stranger_who_makes_up_what_it_holds_fills_no_memory() -> None:
+    world = World(workers=1)
+    world.submit(config(1, max_epochs=100_000, stagnation=100_000), variables=ENDLESS)
+    world.client.pause(1.5)
+    membership, conductor = world.service.conductor.membership, world.service.conductor
+    member = membership.member("w0")
+    assert member is not None
+    for number in range(200):
+        holding = Holding(job=f"made-up-{number}", variable="x", term=1, islands=1, reported=0, commit=0, waited_s=1.0)
+        status = WorkerStatus(
+            instance=member.hello.instance, incarnation=1, state="ready", progress=number, holdings=(holding,)
+        )
+        conductor.heartbeat("w0", status, world.network.now)
+    assert len(conductor.watch._waited) < 5

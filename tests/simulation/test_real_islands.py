@@ -3,11 +3,13 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+import pytest
 
 from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from common.dataset import Dataset, Target
 from common.wire.faults import Plan
 from coordinator.data.recording import Preparation
+from coordinator.model.refinement import Refinement
 from island_worker.agenda import Work
 from island_worker.engine import Engine
 from island_worker.events import ShareKey, Task
@@ -32,6 +34,11 @@ def prepare(table: bytes, config: JobConfig) -> Preparation:
     return Preparation(Dataset(names, np.stack([x, y]), targets, {name: name for name in names}))
 
 
+def unrefined(*_: object) -> Refinement:
+    """Leave what was found as it is: what follows the search takes far longer, and depends on its answer alone."""
+    return Refinement()
+
+
 @dataclass
 class RealCompute(StubCompute):
     """The real engine in virtual time; how long it takes is drawn, as for the stub."""
@@ -50,16 +57,38 @@ class RealCompute(StubCompute):
         self.engine.forget_job(job)
 
     def begin(self, task: Task) -> Work:
+        if task.state is not None:
+            self.restored.append((task.key.term, task.key.epoch, task.key.island))
         return self.engine.begin(task)
 
 
 def answer(workers: int, seed: int, plan: Plan | None = None, crash_at_s: float | None = None) -> str:
-    world = World(workers=workers, seed=seed, plan=plan, compute=RealCompute, prepare=prepare)
+    world = World(workers=workers, seed=seed, plan=plan, compute=RealCompute, prepare=prepare, refiner=unrefined)
     if crash_at_s is not None:
         world.at(crash_at_s, lambda: world.crash("w1"))
     result = comparable(world.run(CONFIG))
     assert not world.service.rejects.counts
     return result
+
+
+def test_real_islands_go_on_from_their_states_as_if_nothing_had_happened(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Checkpoints at every epoch: a worker dies after the first, and another leaves at the same time."""
+    calm = answer(workers=1, seed=0)
+    monkeypatch.setattr("coordinator.service.archipelago.FIRST_INTERVAL", 1)
+    monkeypatch.setattr("coordinator.service.checkpoint.LEAST_INTERVAL", 1)
+    world = World(workers=3, seed=1, expected=3, compute=RealCompute, prepare=prepare, slowness=20.0)
+
+    def strike() -> None:
+        jobs = world.service.conductor.jobs.values()
+        if any(each.durable for job in jobs for each in job.archipelagos.values()):
+            world.crash("w1")
+            world.workers["w2"].leave()
+        else:
+            world.at(world.network.now + 0.005, strike)
+
+    world.at(0.5, strike)
+    assert comparable(world.run(CONFIG)) == calm
+    assert world.computes["w0"].restored
 
 
 def test_real_islands_give_the_same_answer_whatever_happens() -> None:

@@ -1,6 +1,6 @@
 """Candidates for one variable's equation, the best first: its trajectories alone, the other states as smoothed."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -10,7 +10,7 @@ from common.expression.program import Program
 from coordinator.model.polish import Polisher
 from coordinator.model.rewrite import structure, tidied
 from coordinator.model.trajectory.contest import Contest, distinct
-from coordinator.model.trajectory.libraries import eliminated, libraries
+from coordinator.model.trajectory.libraries import Term, eliminated
 
 KEPT: Final = 60
 """Candidates of which longer segments are fitted, the best by short ones."""
@@ -20,9 +20,10 @@ _SEGMENT: Final = 10
 _LONGER: Final = 30
 
 
-def ranked(contest: Contest, problem: Problem, programs: Sequence[Program], library: Sequence[int],
-           operators: frozenset[int]) -> list[Program]:  # fmt: skip
-    """Return what becomes of `programs` and of libraries over the variables `library`, the most promising first.
+def ranked(
+    contest: Contest, problem: Problem, programs: Sequence[Program], libraries: Iterable[list[Term]]
+) -> list[Program]:
+    """Return what becomes of `programs` and of `libraries` of terms, the most promising first.
 
     Those that do badly with the other states as smoothed come last, in their old order: with the right equations for
     these they may do well.
@@ -31,16 +32,14 @@ def ranked(contest: Contest, problem: Problem, programs: Sequence[Program], libr
         contest: for this variable alone.
         problem: by which constants are fitted first.
         programs: candidates; of equal structures the first counts.
-        library: variables (indices) that terms of libraries are made of; none: no libraries.
-        operators: codes that may be used by libraries.
+        libraries: terms that are left out one after another.
     """
     polisher = Polisher(problem)
     unique = {structure(program): program for program in reversed([tidied(each) for each in programs])}
     polished = [polisher.fit(program, steps=_POLISH_STEPS) for program in reversed(unique.values())]
     started = [each.program for each in polished if np.isfinite(each.mse)]
     found = contest.map(lambda program: contest.stand([program], 4, (_SEGMENT,)), started)[:KEPT]
-    if library:
-        found += [each for terms in libraries(library, operators) for each in eliminated(contest, problem, terms)]
+    found += [each for terms in libraries for each in eliminated(contest, problem, terms)]
     chosen = {structure(each.programs[0]): each.programs[0] for each in found}
     longer = contest.map(lambda program: contest.stand([program], 6, (_LONGER,)), chosen.values())
     best = [each.programs[0] for each in distinct(longer)]

@@ -26,6 +26,7 @@ from coordinator.model.select import enough, may_be_shown
 from coordinator.model.trajectory.candidates import ranked
 from coordinator.model.trajectory.contest import Contest, Standing
 from coordinator.model.trajectory.descent import LEAST, Descent
+from coordinator.model.trajectory.libraries import Term, fractions, libraries
 from coordinator.model.trajectory.measurements import PIECE, Measurements, measurements_of
 from coordinator.model.trajectory.plausibility import is_function
 from coordinator.model.trajectory.shooting import Shooter
@@ -168,8 +169,15 @@ def _candidates(field: Field, name: str, pools: Mapping[str, Pool], settled: Map
     programs += guessed_programs(field.dataset, field.config).get(name, ())
     its = replace(field.measurements([name]).thinned(COMPARED_ROWS), coherence=1.0)
     contest = field.contest(its, [name])
-    best = ranked(contest, problem, programs, field.columns(name), field.operators(name))
+    best = ranked(contest, problem, programs, _libraries(field, name, its))
     return [program for program in best if field.may_be_shown(program)]
+
+
+def _libraries(field: Field, name: str, its: Measurements) -> Iterator[list[Term]]:
+    """Yield the libraries of terms for the equation of one variable."""
+    columns, operators = field.columns(name), field.operators(name)
+    yield from libraries(columns, operators)
+    yield from fractions(columns, operators, _scales(field, its))
 
 
 def _combined(contest: Contest, lists: Sequence[Sequence[Program]]) -> Standing | None:

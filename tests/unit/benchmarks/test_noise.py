@@ -244,7 +244,7 @@ class _Given:
     ("words", "sentence"),
     [
         (["--levels", "nan"], "a share"),
-        (["--variants", "odd"], "one of plain, uneven"),
+        (["--variants", "other"], "one of plain, uneven"),
         (["--out", "a", "--resume", "b"], "give one of the two"),
         (["--only-versus"], "--versus pysindy"),
         (["--judge-again"], "name it with --resume"),

@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from benchmarks.derivatives import table_of
+from benchmarks.evaluation import evaluate
+from benchmarks.forms import compare
 from benchmarks.noisy_data import LENGTHS, VARIANTS, Key, case, fresh
-from benchmarks.systems import SYSTEMS, TRUTH, trajectories
+from benchmarks.odd_systems import ODD
+from benchmarks.systems import SYSTEMS, TABLE_III, TRUTH, trajectories
+from common.expression.parse import from_infix
 
 KEY = Key("atoll", "plain", "bar_magnets", 0.1, 100)
 
@@ -87,3 +91,23 @@ def test_lotka_volterra_keeps_its_fixed_initial_conditions():
         (8, 2),
         (3, 3),
     ]
+
+
+@pytest.mark.parametrize("system", TABLE_III)
+def test_odd_systems_have_the_forms_of_the_paper_with_other_constants(system):
+    its = case(Key("atoll", "odd", system, 0.0, 100))
+    for name, truth in its.truths.items():
+        slope = its.slope(name)
+        paper = TRUTH[system][name]
+        verdict = compare(truth, paper, its.clean, float(np.std(slope[np.isfinite(slope)])), 0.1)
+        assert verdict.exact, (name, verdict.reason)
+        assert verdict.constants_error > 0.005
+
+
+@pytest.mark.parametrize("system", TABLE_III)
+def test_odd_systems_move_as_their_equations_say(system):
+    point = (1.3, 0.7)
+    for (name, truth), value in zip(ODD[system].truth.items(), ODD[system].field(*point), strict=True):
+        names = tuple(ODD[system].truth)
+        found = evaluate(from_infix(truth, names), [np.array([each]) for each in point])
+        assert found == pytest.approx([value], rel=1e-12), name

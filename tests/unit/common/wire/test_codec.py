@@ -1,6 +1,7 @@
 """What the codec promises: what goes in comes out, and whatever else arrives ends in one sentence."""
 
 import contextlib
+import tracemalloc
 from typing import Annotated, Literal
 
 import msgpack
@@ -59,7 +60,7 @@ def test_bytes_stay_bytes_and_numpy_scalars_become_numbers() -> None:
     assert type(back.number) is int
 
 
-@given(st.binary(max_size=400))
+@given(st.binary(max_size=400).filter(lambda noise: noise != b"\x80"))  # which is a message without any field
 def test_noise_is_never_anything_but_a_remote_error(noise: bytes) -> None:
     for act in (
         lambda: codec.decode(noise, Ping),
@@ -215,3 +216,50 @@ def test_a_dataset_that_is_not_finite_or_does_not_fit_is_refused(values: np.ndar
 def test_a_dataset_without_its_fields_is_refused() -> None:
     with pytest.raises(RemoteProtocolError, match="names"):
         codec.dataset_from_bytes(codec.encode_arrays({}, {"inputs": np.zeros((2, 3))}))
+
+
+class Item(Model):
+    number: int
+    text: str
+
+
+class Many(Model):
+    items: tuple[Item, ...]
+
+
+def long_array(count: int, item: bytes) -> bytes:
+    """Return a message whose `items` are so many times the same bytes."""
+    return b"\x81\xa5items\xdd" + count.to_bytes(4, "big") + item * count
+
+
+@pytest.mark.parametrize("item", [b"\x80", b"\x90", b"\xe0", b"\xa2ab", b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00"])
+def test_many_wrong_items_cost_no_more_memory_than_a_multiple_of_their_number(item: bytes) -> None:
+    data = long_array(50_000, item)
+    tracemalloc.start()
+    try:
+        with pytest.raises(RemoteProtocolError, match="items"):
+            codec.decode(data, Many)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 50_000 * 120
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (long_array(100_001, b"\x00"), "exceeds max_array_len"),
+        (long_array(50_000, b"\x91\x00"), "more than 2000000 items"),
+        (long_array(100_000, b"\x80"), "more than 2000000 items"),
+        (b"\xde\x10\x01" + b"".join(b"\xa4%04d\x00" % number for number in range(4097)), "exceeds max_map_len"),
+        (b"\x91" * 100_000, "nested deeper"),
+    ],
+)
+def test_too_much_is_refused_while_it_is_built(data: bytes, reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(codec, "MAX_ITEMS", 100_000)
+    with pytest.raises(RemoteProtocolError, match=reason):
+        codec.decode(data, Many)
+
+
+def test_the_last_of_equal_keys_counts() -> None:
+    assert codec.decode(b"\x83\xa4kind\xa4ping\xa6number\x01\xa6number\x02", Ping).number == 2

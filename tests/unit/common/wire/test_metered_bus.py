@@ -1,8 +1,10 @@
 """Whatever goes through a metered bus is counted by its kind."""
 
+from typing import get_args
+
 from common.wire import topics
 from common.wire.bus import Message, Query, Reply
-from common.wire.metered_bus import OTHER, MeteredBus, kind_of
+from common.wire.metered_bus import _KINDS, OTHER, MeteredBus, kind_of
 from common.wire.simulated_bus import SimulatedNetwork
 from common.wire.views import Traffic
 
@@ -24,6 +26,10 @@ def test_every_key_has_a_kind() -> None:
     ]  # fmt: skip
     kinds = ["hello", "control", "control", "job", "placement", "blob", "report", "mail", "ask", OTHER, OTHER]
     assert [kind_of(key) for key in keys] == kinds
+
+
+def test_no_kind_of_key_is_forgotten() -> None:
+    assert {topics.WorkerKey, *_KINDS} == set(get_args(topics.Key))
 
 
 def test_puts_questions_and_answers_are_counted_on_both_sides() -> None:

@@ -7,6 +7,7 @@ from common.dataset import Problem, Target
 from common.expression.operators import BY_NAME
 from coordinator.model.rewrite import structure
 from coordinator.model.trajectory.candidates import ranked
+from coordinator.model.trajectory.libraries import libraries
 from tests.unit.coordinator.model.trajectory.made import SWING, contest, measurements_of, recording
 
 TIMES = 0.1 * np.arange(40.0)
@@ -33,7 +34,7 @@ TEXTS = ("0.5*y", "-2.5*x - 0.1*y", "-1.5*x", "-x - x*y", "exp(9.0*x*x)")
 
 
 def test_the_truth_comes_first_and_what_cannot_be_simulated_last(alone):
-    found = ranked(*alone, programs(*TEXTS), [], ARITHMETIC)
+    found = ranked(*alone, programs(*TEXTS), [])
     assert structure(found[0]) == structure(SWING.parsed("-2.5*x - 0.1*y"))
     assert structure(found[-1]) == structure(SWING.parsed("exp(9.0*x*x)"))
     assert {structure(each) for each in found} == {structure(each) for each in programs(*TEXTS)}
@@ -42,21 +43,21 @@ def test_the_truth_comes_first_and_what_cannot_be_simulated_last(alone):
 
 
 def test_of_equal_structures_the_first_counts(alone):
-    found = ranked(*alone, programs("-1.5*x", "-1.7*x", "-1.5*x - 0.5*y"), [], ARITHMETIC)
+    found = ranked(*alone, programs("-1.5*x", "-1.7*x", "-1.5*x - 0.5*y"), [])
     assert len(found) == 2
 
 
 def test_libraries_have_what_was_not_handed_on(alone):
-    found = ranked(*alone, programs("0.5*y"), [0, 1], ARITHMETIC)
+    found = ranked(*alone, programs("0.5*y"), libraries([0, 1], ARITHMETIC))
     assert len(found) > 5
     text = SWING.text(found[0])
     assert (text.count("x"), text.count("y")) == (1, 1)
 
 
 def test_a_library_of_some_variables_uses_no_other(alone):
-    for each in ranked(*alone, [], [1], ARITHMETIC):
+    for each in ranked(*alone, [], libraries([1], ARITHMETIC)):
         assert set(each.left[each.operators == 0].tolist()) <= {1}
 
 
 def test_what_has_no_value_on_the_rows_is_no_candidate(alone):
-    assert ranked(*alone, programs("log(x - 1000.0)"), [], ARITHMETIC) == []
+    assert ranked(*alone, programs("log(x - 1000.0)"), []) == []

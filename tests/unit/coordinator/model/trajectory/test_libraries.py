@@ -10,7 +10,16 @@ from common.expression.operators import ADD, BY_NAME, COS, DIVIDE, MULTIPLY, SIN
 from coordinator.model.derivative import values_of
 from coordinator.model.rewrite import constant_places
 from coordinator.model.trajectory import libraries as its_module
-from coordinator.model.trajectory.libraries import MOST_TERMS, Factor, column_of, eliminated, libraries, sum_of
+from coordinator.model.trajectory.libraries import (
+    MOST_TERMS,
+    Divisor,
+    Factor,
+    column_of,
+    eliminated,
+    fractions,
+    libraries,
+    sum_of,
+)
 from tests.unit.coordinator.model.trajectory.made import SWING, Known, contest, measurements_of, recording
 
 PLAIN = (ADD, MULTIPLY)
@@ -117,3 +126,62 @@ def test_a_linear_system_is_found_alone():
     found = eliminated(alone, problem, SQUARES)
     best = min(found, key=lambda each: each.nats)
     assert sorted(best.shot.system.values.tolist()) == pytest.approx([-2.0, -0.3], abs=0.03)
+
+
+ALLOWED = [its.code for its in BY_NAME.values()]
+
+
+def test_products_that_saturate_and_what_is_divided_by_a_variable():
+    over_x, over_y = (Factor(v, divisor=Divisor(v, 1, (2.0, 3.0)[v])) for v in (0, 1))
+    square_x, square_y = (Factor(v, divisor=Divisor(v, 2, (4.0, 9.0)[v])) for v in (0, 1))
+    found = list(fractions([0, 1], PLAIN_AND_DIVIDE, [2.0, 3.0]))
+    expected = []
+    for own, other, under in ((X, Y, over_x), (X, Y, square_x), (Y, X, over_y), (Y, X, square_y)):
+        expected += [[*SQUARES, (other, own, under)], [*SQUARES, (own, under), (other, own, under)]]
+    assert found == expected
+    over = Factor(0, divisor=Divisor(0))
+    assert list(fractions([0, 1], ALLOWED, [2.0, 3.0]))[8] == [
+        (), (X,), (Y,), *WAVES, (over,), (Y, over), *((*wave, over) for wave in WAVES)
+    ]  # fmt: skip
+
+
+PLAIN_AND_DIVIDE = (*PLAIN, DIVIDE)
+
+
+def test_quotients_use_only_allowed_operators():
+    assert list(fractions([0, 1], PLAIN, [1.0, 1.0])) == []
+    assert list(fractions([0, 1], [MULTIPLY, DIVIDE], [1.0, 1.0])) == []
+
+
+@pytest.mark.parametrize("place", range(10))
+def test_terms_with_equal_denominators_have_one_constant_in_common(place):
+    terms = list(fractions([0, 1], ALLOWED, [2.0, 3.0]))[place]
+    coefficients = np.random.default_rng(place).uniform(2.0, 3.0, len(terms))
+    inputs = np.random.default_rng(7).uniform(0.5, 2.0, (2, 6))
+    program = sum_of(terms, coefficients.tolist())
+    columns = np.array([column_of(term, inputs) for term in terms])
+    assert values_of(program, inputs) == pytest.approx(coefficients @ columns, rel=1e-9)
+    assert len(constant_places(program)) == len(terms) + (place < 8)
+
+
+PREY = Known(("x", "y"), lambda _, z: [4.0 * z[0] - z[0] ** 2 - z[0] * z[1] / (1.0 + z[0]), 0.5 * z[1]])
+
+
+def test_elimination_goes_past_a_law_that_saturates():
+    """Its half-saturation is found from elsewhere, and goes on from where the fit before has left it."""
+    whole = recording(PREY, ([5.0, 1.0], [0.5, 2.0], [2.0, 3.0]), TIMES, noise=0.01)
+    alone = contest(PREY, measurements_of(whole, [0]), 1e-5)
+    inputs = np.concatenate([part.smoothed for part in whole.trajectories], axis=1)
+    slopes = np.concatenate([part.slopes[0] for part in whole.trajectories])
+    problem = Problem(PREY.names, inputs, Target("x", "dx/dt", slopes, 0.01, float(slopes.std()), 0.01))
+    found = eliminated(alone, problem, next(fractions([0, 1], PLAIN_AND_DIVIDE, [3.0, 3.0])))
+    best = min(found, key=lambda each: each.nats)
+    assert sorted(best.shot.system.values.tolist()) == pytest.approx([-1.0, -1.0, 1.0, 4.0], abs=0.15)
+
+
+def test_what_has_no_value_is_left_out():
+    alone, problem = duffing(0.02)
+    inputs = problem.inputs.copy()
+    inputs[1, 0] = 0.0
+    flat = Problem(problem.names, inputs, problem.target)
+    assert eliminated(alone, flat, [(), (X, Factor(1, divisor=Divisor(1)))]) == []
