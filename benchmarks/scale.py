@@ -5,6 +5,7 @@ account. Islands are those of several jobs with several variables, as many of ea
 islands each, spread over as many archipelagos.
 """
 
+import contextlib
 import json
 import math
 import os
@@ -224,7 +225,10 @@ def _is_under_way(client: Client, names: Sequence[str]) -> bool:
 
 def _until(client: Client, condition: Any, what: str) -> None:
     end = client.now() + READY_LIMIT_S
-    while not condition():
+    while True:
+        with contextlib.suppress(UnreachableError):  # while it places everything at once, it may not answer in time
+            if condition():
+                return
         if client.now() > end:
             raise UnreachableError(f"{what} were not there within {READY_LIMIT_S:.0f} s")
         client.pause(_LOOK_S)

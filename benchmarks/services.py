@@ -32,7 +32,7 @@ KERNELS_LIMIT_S: Final = 600.0
 
 STOP_LIMIT_S: Final = 5.0
 _LOOK_S: Final = 0.1
-_TIED_COORDINATOR: Final = """
+TIED_COORDINATOR: Final = """
 import sys
 from coordinator.cli.main import main
 from island_worker.processes import end_with_parent
@@ -47,9 +47,13 @@ _SAY_S: Final = 15.0
 class Searches:
     """Gives jobs to a coordinator, one after the other."""
 
-    def __init__(self, client: Client, address: str, processes: Sequence[subprocess.Popen[str]]) -> None:
-        """Use a `client` of the coordinator at `address`; `processes` are those without which no job ends."""
+    def __init__(
+        self, client: Client, address: str, processes: Sequence[subprocess.Popen[str]], log: Path | None = None
+    ) -> None:
+        """Use a `client` of the coordinator at `address`; `processes`, it and the workers, write their `log`."""
         self.address = address
+        self.pids: Final = tuple(process.pid for process in processes)
+        self.log: Final = log
         self._client = client
         self._processes = processes
 
@@ -127,14 +131,16 @@ def progress(name: str, view: JobView) -> str:
 
 
 @contextmanager
-def searching(workers: int, environment: dict[str, str] | None = None) -> Iterator[Searches]:
+def searching(
+    workers: int, environment: dict[str, str] | None = None, program: str = TIED_COORDINATOR
+) -> Iterator[Searches]:
     """Start a coordinator and `workers` in `environment` (this process's if None); end them afterwards."""
     with ExitStack() as stack:
-        its = stack.enter_context(coordinating(environment))
+        its = stack.enter_context(coordinating(environment, program))
         commands = [worker_command(its.address, f"w{index}") for index in range(workers)]
         ours = [its.process, *(stack.enter_context(its.started(each)) for each in commands)]
         client = stack.enter_context(connected(its.address, CONNECT_LIMIT_S))
-        searches = Searches(client, its.address, ours)
+        searches = Searches(client, its.address, ours, its.folder / "log")
         searches.wait_for(workers)
         searches.warm_up()
         note(f"{workers} workers ready at {its.address}")
@@ -157,19 +163,22 @@ class Coordinating:
 
 
 @contextmanager
-def coordinating(environment: dict[str, str] | None = None) -> Iterator[Coordinating]:
-    """Start a coordinator on a free port, in `environment` (this process's if None); end it afterwards."""
+def coordinating(environment: dict[str, str] | None = None, program: str = TIED_COORDINATOR) -> Iterator[Coordinating]:
+    """Start a coordinator on a free port, in `environment` (this process's if None); end it afterwards.
+
+    `program` is its Python text, which is given this process's id and the words of a command line.
+    """
     with ExitStack() as stack:
         stack.enter_context(raising_interrupts())
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="atoll-benchmark-")))
         log = stack.enter_context((folder / "log").open("w", encoding="utf-8"))
-        coordinator = stack.enter_context(_process(_serve_command(folder), log, environment))
+        coordinator = stack.enter_context(_process(_serve_command(program, folder), log, environment))
         yield Coordinating(_address(coordinator, folder / "log"), coordinator, folder, log, environment)
 
 
-def _serve_command(folder: Path) -> Sequence[str]:
+def _serve_command(program: str, folder: Path) -> Sequence[str]:
     options = ["--listen", "tcp/127.0.0.1:0", "--state", str(folder / "state")]
-    return [sys.executable, "-c", _TIED_COORDINATOR, str(os.getpid()), "serve", *options]
+    return [sys.executable, "-c", program, str(os.getpid()), "serve", *options]
 
 
 def _address(coordinator: subprocess.Popen[str], log: Path) -> str:

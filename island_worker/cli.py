@@ -236,7 +236,8 @@ def _work(connect: "Destination", name: str, options: argparse.Namespace, parent
         if parent is not None:
             end_with_parent(parent)
         configure(options.log_format, options.log_level, worker=name)
-        from island_worker.runtime import Leaving, run_worker
+        from island_worker.leaving import Leaving
+        from island_worker.runtime import run_worker
 
         leaving = Leaving(options.lifetime, options.grace)
         on_signal = partial(leaving_on_signals, parent) if options.grace > 0.0 else lambda leave: nullcontext()

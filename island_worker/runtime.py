@@ -7,7 +7,6 @@ the command line calls.
 import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
 
@@ -41,7 +40,6 @@ from island_worker.download import Datasets
 from island_worker.events import (
     Abandoned,
     Action,
-    AskPeer,
     Beat,
     Broken,
     Closed,
@@ -50,8 +48,6 @@ from island_worker.events import (
     Discard,
     DiscardJob,
     FetchJob,
-    FetchPlacements,
-    FetchStates,
     JobReady,
     Mailed,
     Placed,
@@ -59,10 +55,6 @@ from island_worker.events import (
     PullAsked,
     Rejected,
     Reset,
-    Respond,
-    Saying,
-    Send,
-    SendReport,
     SessionEvent,
     Snapshot,
     StatesCame,
@@ -73,7 +65,9 @@ from island_worker.events import (
 from island_worker.events import Compute as ComputeTask
 from island_worker.heartbeat import counters, doing
 from island_worker.joining import Joining
+from island_worker.leaving import Leaving
 from island_worker.session import Session
+from island_worker.speaking import FETCH_TIMEOUT_S, PULL_TIMEOUT_S, Asked, Voice
 
 _LOG = logging.getLogger(__name__)
 
@@ -81,10 +75,10 @@ HEARTBEAT_S: Final = 1.0
 TICK_S: Final = 0.5
 GREET_TIMEOUT_S: Final = 2.0
 GREET_PAUSE_S: Final = 0.2
-PULL_TIMEOUT_S: Final = 5.0
-FETCH_TIMEOUT_S: Final = 20.0
 FETCH_PAUSE_S: Final = 0.5
-GRACE_S: Final = 30.0
+ALONE_S: Final = 3.0
+"""A worker that is leaving waits so long for a coordinator that has gone."""
+
 
 _BEAT: Final = "heartbeat"
 _TICK: Final = "tick"
@@ -92,26 +86,6 @@ _GREET: Final = "greet"
 _LIFETIME: Final = "lifetime"
 _GRACE: Final = "grace"
 _FETCH: Final = "fetch/"
-
-
-@dataclass(slots=True)
-class Leaving:
-    """When a worker asks to be let go (after `lifetime_s`, if given), and how long it waits for that at most."""
-
-    lifetime_s: float | None = None
-    grace_s: float = GRACE_S
-    is_wanted: bool = False
-    has_begun: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    """What a reply will be the answer to: `question` of (`peer` or the coordinator, about `job`), or about `states`."""
-
-    question: str
-    subject: str = ""
-    index: int = 0
-    states: PullStates | None = None
 
 
 class Worker:
@@ -132,7 +106,7 @@ class Worker:
         self._joining = Joining(name, bus.now())
         self._datasets = Datasets(self)
         self._detail = "loading kernels"
-        self._asked: dict[int, _Asked] = {}
+        self._voice = Voice(self._bus, name)
 
     # ------------------------------------------------------------------------------------------- life
 
@@ -229,13 +203,13 @@ class Worker:
     # ------------------------------------------------------------------------------------ coordinator
 
     def _greet(self) -> None:
-        asked = _Asked("hello", self._joining.fingerprint)
-        self._get(topics.hello(self.name), self._joining.hello(), GREET_TIMEOUT_S, asked)
+        asked = Asked("hello", self._joining.fingerprint)
+        self._voice.ask(topics.hello(self.name), self._joining.hello(), GREET_TIMEOUT_S, asked)
 
     def _greeted(self, fingerprint: str, payload: bytes | None) -> None:
         """Take in the answer to a greeting that carried `fingerprint` ("": kernels not ready yet)."""
         if payload is None:
-            self._get(topics.HELLO, self._joining.hello(), GREET_TIMEOUT_S, _Asked("enquiry"))
+            self._voice.ask(topics.HELLO, self._joining.hello(), GREET_TIMEOUT_S, Asked("enquiry"))
             self._bus.call_later(GREET_PAUSE_S, _GREET)
             return
         try:
@@ -314,7 +288,10 @@ class Worker:
 
     def _check_absence(self) -> None:
         """Leave when the coordinator has been away for longer than allowed."""
-        if self._joining.absence(self._bus.now()) > self._wait_s:
+        absence = self._joining.absence(self._bus.now())
+        if self._leaving.has_begun and absence > ALONE_S:
+            self.exit_code = 0  # there is nobody to hand over to, and what was committed is not lost
+        elif absence > self._wait_s:
             self._leave(UnreachableError(self._joining.silence(self._wait_s)))
 
     def _leave(self, error: AtollError) -> None:
@@ -349,11 +326,11 @@ class Worker:
 
     def ask_announcement(self, job: str) -> None:
         """See `Asker.ask_announcement`."""
-        self._get(topics.job(self._joining.realm, job), b"", PULL_TIMEOUT_S, _Asked("job", job))
+        self._voice.ask(topics.job(self._joining.realm, job), b"", PULL_TIMEOUT_S, Asked("job", job))
 
     def ask_chunk(self, job: str, blob: str, index: int) -> None:
         """See `Asker.ask_chunk`."""
-        self._get(topics.blob(self._joining.realm, blob, index), b"", FETCH_TIMEOUT_S, _Asked("chunk", job, index))
+        self._voice.ask(topics.blob(self._joining.realm, blob, index), b"", FETCH_TIMEOUT_S, Asked("chunk", job, index))
 
     def ask_later(self, job: str) -> None:
         """See `Asker.ask_later`."""
@@ -398,23 +375,23 @@ class Worker:
 
     @_on.register
     def _on_reply(self, event: Reply) -> None:
-        asked = self._asked.pop(event.token, None)
+        asked = self._voice.answered(event.token)
         match asked:
-            case _Asked("hello"):
+            case Asked("hello"):
                 self._greeted(asked.subject, event.payload)
-            case _Asked("enquiry") if event.payload is not None:
+            case Asked("enquiry") if event.payload is not None:
                 self._enquired(event.payload)
-            case _Asked("job"):
+            case Asked("job"):
                 self._datasets.announcement_came(asked.subject, event.payload)
-            case _Asked("chunk"):
+            case Asked("chunk"):
                 self._datasets.chunk_came(asked.subject, asked.index, event.payload)
-            case _Asked("placement"):
+            case Asked("placement"):
                 if event.payload is not None:
                     self._on_control(decode(event.payload, Control, MAX_MESSAGE).body)
                 self.session.forget_early(asked.subject)
-            case _Asked("states", states=PullStates() as pull):
+            case Asked("states", states=PullStates() as pull):
                 self._states_came(pull, event.payload)
-            case _Asked("pull") if event.payload is not None:
+            case Asked("pull") if event.payload is not None:
                 self._tell(PullAnswered(asked.subject, decode(event.payload, PullAnswer, MAX_MESSAGE).body))
 
     def _states_came(self, pull: PullStates, payload: bytes | None) -> None:
@@ -425,9 +402,6 @@ class Worker:
             self._tell(StatesCame(pull, None))
             raise
         self._tell(StatesCame(pull, body if isinstance(body, States) else None))
-
-    def _get(self, key: str, payload: bytes, timeout_s: float, asked: _Asked) -> None:
-        self._asked[self._bus.get(key, payload, timeout_s)] = asked
 
     def _check_realm(self, realm: str) -> None:
         if realm != self._joining.realm:
@@ -452,30 +426,12 @@ class Worker:
                 self._compute.discard(action.share)
             case DiscardJob():
                 self._forget_job(action.job)
-            case _:
-                self._say(action)
-
-    def _say(self, action: Saying) -> None:
-        realm = self._joining.realm
-        match action:
-            case Send():
-                self._bus.put(topics.mail(realm, self.name, action.peer), encode(Mail(body=action.body)))
-            case SendReport():
-                self._bus.put(topics.worker(realm, self.name, "report"), encode(action.report))
-            case AskPeer():
-                key = topics.worker(realm, action.peer, "pull")
-                self._get(key, encode(Pull(body=action.body)), PULL_TIMEOUT_S, _Asked("pull", action.peer))
-            case Respond():
-                self._bus.reply(action.handle, encode(PullAnswer(body=action.body)))
             case FetchJob():
                 self._datasets.fetch(action.job)
-            case FetchStates():
-                key, asked = topics.state(realm, action.body.job), _Asked("states", states=action.body)
-                self._get(key, encode(Pull(body=action.body)), FETCH_TIMEOUT_S, asked)
             case Beat():
                 self._beat()
-            case FetchPlacements():
-                self._get(topics.placement(realm, action.job), b"", PULL_TIMEOUT_S, _Asked("placement", action.job))
+            case _:
+                self._voice.say(self._joining.realm, action)
 
 
 OnSignal = Callable[[Callable[[], None]], AbstractContextManager[None]]

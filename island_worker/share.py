@@ -6,8 +6,7 @@ checkpoint begins with the states of its islands, which are pulled from the coor
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 from common.errors import LocalProtocolError, RemoteProtocolError
 from common.slices import Position
@@ -26,50 +25,13 @@ from common.wire.messages import (
     Sent,
     States,
 )
-from common.wire.pieces import Assembly
 from island_worker.events import Computed, Send, SendReport, ShareKey, Snapshot, Task, TaskKey
 from island_worker.kept import Kept
-
-IslandState = Literal["restoring", "ready", "computing", "waiting", "held", "stopped"]
-IslandStep = Literal["restore", "begin", "emigrate", "complete", "end", "reject", "hold"]
-
-ISLAND_TRANSITIONS: Final[Mapping[IslandState, Mapping[IslandStep, IslandState]]] = {
-    "restoring": {"restore": "ready", "end": "stopped"},
-    "ready": {"begin": "computing", "end": "stopped"},
-    "computing": {"emigrate": "waiting", "end": "stopped", "reject": "waiting", "hold": "held"},
-    "waiting": {"complete": "ready", "end": "stopped"},
-    "held": {"end": "stopped"},
-    "stopped": {},
-}
-"""State of one island -> what happens -> its next state. `restoring`: its state is on its way; `computing`: it is on
-the agenda; `held`: it waits at a checkpoint for a placement. `end`: a hit here or elsewhere, or the last epoch."""
-
-PULL_AFTER_S: Final = 1.0
-"""An island that has waited this long asks the senders; the pause doubles with every question."""
-
-PULL_PAUSE_MAX_S: Final = 8.0
+from island_worker.local_island import PULL_AFTER_S, LocalIsland
+from island_worker.restoring import Restoring
 
 MOST_AHEAD: Final = 1024
 """Mail is filed of epochs at most so far beyond the last one that may begin here."""
-
-
-@dataclass(slots=True)
-class LocalIsland:
-    """One island computed here. `epoch` is the one it computes, or will begin; `needs` its sources once it waits."""
-
-    index: int
-    state: IslandState = "ready"
-    epoch: int = 0
-    needs: frozenset[int] = frozenset()
-    pause_s: float = PULL_AFTER_S
-    ask_at: float | None = None
-
-    def step(self, step: IslandStep) -> None:
-        """Go to the next state by the table; raises LocalProtocolError for a pair that is not in it."""
-        following = ISLAND_TRANSITIONS[self.state].get(step)
-        if following is None:
-            raise LocalProtocolError(f"island {self.index} in epoch {self.epoch} cannot {step} while {self.state}")
-        self.state = following
 
 
 class Share:
@@ -85,8 +47,7 @@ class Share:
         self.commit = self.reported = first
         self.waited_s = 0.0
         self.duplicates = 0
-        self._assembly = Assembly(mine if first else ())
-        self._is_fetching = False
+        self._restoring = Restoring(placement, mine if first else ())
         self._inbox: dict[tuple[int, int], dict[int, bytes]] = {}
         self._kept = Kept(placement, self.islands)
         self._others = tuple(dict.fromkeys(name for name in placement.workers if name != worker))
@@ -139,7 +100,7 @@ class Share:
             filed = self._inbox[local.epoch - 1, island]
             blocks = {source: filed[source] for source in sorted(local.needs)}
         elif local.epoch > 0:
-            state = self._assembly.states.pop(island).data
+            state = self._restoring.hand_over(island)
         return Task(
             self._key(local),
             blocks,
@@ -164,19 +125,7 @@ class Share:
 
     def due_fetch(self) -> PullStates | None:
         """Return the question for the states that are still missing, if there are any and none is under way."""
-        wanted = self._assembly.wanted
-        if not wanted or self._is_fetching or self.stop_epoch < self.placement.epoch:
-            return None
-        self._is_fetching = True
-        placed = self.placement
-        return PullStates(
-            job=placed.job,
-            variable=placed.variable,
-            term=placed.term,
-            epoch=placed.epoch,
-            islands=wanted,
-            offset=self._assembly.offset,
-        )
+        return self._restoring.due_fetch() if self.stop_epoch >= self.placement.epoch else None
 
     def fetched(self, body: States | None) -> bool:
         """Take in the answer to `due_fetch`; return whether it brought anything.
@@ -184,12 +133,11 @@ class Share:
         Raises:
             RemoteProtocolError: A state was damaged on its way.
         """
-        self._is_fetching = False
-        before = (self._assembly.wanted, self._assembly.offset)
-        for island in self._assembly.take(body.pieces if body is not None else ()):
+        got_on, whole = self._restoring.take(body)
+        for island in whole:
             if self.islands[island].state == "restoring":
                 self.islands[island].step("restore")
-        return (self._assembly.wanted, self._assembly.offset) != before
+        return got_on
 
     def computed(self, done: Computed) -> list[Send | SendReport]:
         """File what an island computed: report it, and send emigrants or the statement of a hit."""
@@ -281,7 +229,7 @@ class Share:
         """Return (worker, question) for islands that have waited too long, and note when to ask next."""
         pulls = []
         for local in self.islands.values():
-            if local.state == "waiting" and self._is_due(local, now):
+            if local.state == "waiting" and local.is_due(now):
                 pulls += self._pulls_of(local)
         return pulls
 
@@ -387,15 +335,6 @@ class Share:
         workers = self.placement.workers
         if island >= len(workers) or workers[island] != sender:
             raise RemoteProtocolError(f"worker {sender} spoke for island {island}, which is placed elsewhere")
-
-    def _is_due(self, local: LocalIsland, now: float) -> bool:
-        if local.ask_at is None:
-            local.ask_at = now + local.pause_s
-        if now < local.ask_at:
-            return False
-        local.pause_s = min(2 * local.pause_s, PULL_PAUSE_MAX_S)
-        local.ask_at = now + local.pause_s
-        return True
 
     def _pulls_of(self, local: LocalIsland) -> list[tuple[str, PullMigrants]]:
         have = self._inbox.get((local.epoch - 1, local.index), {})

@@ -8,7 +8,7 @@ RemoteProtocolError with one sentence. Nothing that travels is code, and nothing
 
 import math
 import struct
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any, Final, TypeVar, cast
 
 import msgpack
@@ -141,7 +141,7 @@ def dataset_from_bytes(data: bytes, max_bytes: int = MAX_ARRAYS_BYTES) -> Datase
 
 def _pack(tree: object) -> bytes:
     try:
-        _check_tree([tree], MAX_NESTING + 1)
+        _check_tree(tree)
         data = cast(bytes, msgpack.packb(tree, default=_plain))
     except _BROKEN as error:
         raise LocalProtocolError(f"a message cannot be encoded: {_brief(error)}") from error
@@ -160,7 +160,7 @@ def _unpack(data: bytes, max_bytes: int) -> object:
     try:
         _walk(data)
         tree = _built(data)
-        _check_tree([tree], MAX_NESTING + 1)
+        _check_tree(tree)
     except _BROKEN as error:
         raise RemoteProtocolError(f"a message is not well-formed msgpack: {_brief(error)}") from error
     return tree
@@ -219,24 +219,28 @@ def _walk(data: bytes) -> None:
         raise ValueError(f"{len(data) - unpacker.tell()} bytes follow its end")
 
 
-def _check_tree(tree: object, levels: int = MAX_NESTING) -> None:
-    """Check that what is in a message is plain, has text as keys, and is nested no deeper than so many levels."""
-    if isinstance(tree, dict):
-        if not _TEXT.issuperset(map(type, tree)):
-            raise ValueError("the key of a map is not text")
-        items: Collection[object] = tree.values()
-    else:
-        items = tree if isinstance(tree, list | tuple) else ()
-    kinds = set(map(type, items))
-    if not kinds.isdisjoint(_REFUSED):
-        raise ValueError("it holds an extension type")
-    if kinds.isdisjoint(_CONTAINERS):
-        return
-    if levels <= 1:
-        raise ValueError(_TOO_DEEP)
-    for item in items:
-        if type(item) in _CONTAINERS:
-            _check_tree(item, levels - 1)
+def _check_tree(tree: object) -> None:
+    """Check that what is in a message is plain, has text as keys, and is nested no deeper than `MAX_NESTING` levels.
+
+    Level by level, since one look at all of a level is much faster than one at each of its containers.
+    """
+    level: list[Any] = [[tree]]
+    for _ in range(MAX_NESTING + 1):
+        items: list[object] = []
+        for container in level:
+            if type(container) is dict:
+                if not _TEXT.issuperset(map(type, container)):
+                    raise ValueError("the key of a map is not text")
+                items.extend(container.values())
+            else:
+                items.extend(container)
+        kinds = set(map(type, items))
+        if not kinds.isdisjoint(_REFUSED):
+            raise ValueError("it holds an extension type")
+        if kinds.isdisjoint(_CONTAINERS):
+            return
+        level = [item for item in items if type(item) in _CONTAINERS]
+    raise ValueError(_TOO_DEEP)
 
 
 _TEXT: Final = frozenset({str})

@@ -10,8 +10,8 @@ JobState = Literal["queued", "preparing", "running", "refining", "done", "failed
 FINAL_STATES: frozenset[JobState] = frozenset({"done", "failed", "cancelled"})
 WorkerState = Literal["compiling", "ready", "computing", "waiting", "leaving", "hung", "lost"]
 EventKind = Literal[
-    "submitted", "preparing", "prepared", "placed", "unplaced", "isolated", "pardoned", "commit", "cut", "refining",
-    "done", "failed", "cancelled", "stalled", "moving", "worker-joined", "worker-ready", "worker-lost", "worker-back",
+    "submitted", "prepared", "placed", "unplaced", "isolated", "pardoned", "commit", "cut", "refining",
+    "done", "failed", "cancelled", "stalled", "moving", "worker-joined", "worker-lost", "worker-back",
     "refused", "started",
 ]  # fmt: skip
 

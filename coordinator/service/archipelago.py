@@ -42,6 +42,11 @@ class Checkpoint:
     progress: Progress
     states: dict[int, State]
 
+    @property
+    def size(self) -> int:
+        """Bytes of all states."""
+        return sum(len(state.data) for state in self.states.values())
+
     def stored_progress(self, search_seconds: float) -> StoredProgress:
         """Return what is stored beside the states."""
         return StoredProgress.of(self.progress, search_seconds)
@@ -217,8 +222,7 @@ class Archipelago:
         """Take in that a checkpoint is durable; return what the workers are to be told."""
         self.is_writing = False
         epochs, seconds = checkpoint.epoch - self.durable, now - self._durable_at
-        size = sum(len(state.data) for state in checkpoint.states.values())
-        self.interval = interval_of(seconds / epochs, size, self.interval)
+        self.interval = interval_of(seconds / epochs, checkpoint.size, self.interval)
         self.durable, self._durable_at = checkpoint.epoch, now
         self.collector.forget(checkpoint.epoch)
         if self.placement is None or self.placement.term != checkpoint.term:

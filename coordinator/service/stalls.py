@@ -16,7 +16,7 @@ PATIENCE_S: Final[dict[Cause, float]] = {
     "silence": 5.0, "absence": 3.0, "compiling": 5.0, "not taken up": 5.0, "lost report": 5.0, "standing": 10.0,
     "others": 30.0, "migrants": 5.0, "slow": 60.0,
 }  # fmt: skip
-"""For how many seconds an archipelago must stand still before that is told, by its cause."""
+"""For how many seconds an archipelago must stand still, and the cause last, before that is told."""
 
 _SILENT_S: Final = 3.0
 _STANDING_S: Final = 5.0
@@ -53,7 +53,7 @@ def stall_of(archipelago: Archipelago, membership: Membership, still_s: float) -
         _stall(archipelago, worker, tuple(i for i in awaited if placement.workers[i] == worker), membership, still_s)
         for worker in workers
     ]
-    told = [each for each in found if still_s >= PATIENCE_S[each.cause]]
+    told = [each for each in found if min(still_s, each.seconds) >= PATIENCE_S[each.cause]]
     return min(told, key=_gravity, default=None)
 
 

@@ -69,7 +69,8 @@ class Watch:
 
     def unplaced(self, archipelago: Archipelago) -> None:
         """Take notice that an archipelago has lost a worker that it was placed on."""
-        self.chronicle.note("unplaced", "its placement has ended", archipelago.job, variable=archipelago.variable)
+        text = "a worker of its placement is lost, or kept for another archipelago"
+        self.chronicle.note("unplaced", text, archipelago.job, variable=archipelago.variable)
 
     def reported(self, job: str) -> None:
         """Count a report."""
@@ -84,9 +85,11 @@ class Watch:
         was_isolated = suspicion is not None and suspicion.is_isolated
         if suspicion is not None and suspicion.commits(epoch) and was_isolated:
             self.chronicle.note("pardoned", "it gets on, and is isolated no more", job, variable=variable)
-        size = sum(len(state.data) for state in checkpoint.states.values())
         text = f"the checkpoint of epoch {epoch} is durable"
-        self.chronicle.note("commit", text, job, variable=variable, epoch=epoch, term=checkpoint.term, bytes=size)
+        self.chronicle.note(
+            "commit", text, job, variable=variable, epoch=epoch, term=checkpoint.term, islands=len(checkpoint.states),
+            bytes=checkpoint.size,
+        )  # fmt: skip
 
     def cut(self, job: str, cut: Cut) -> None:
         """Take notice of an archipelago's end."""
@@ -159,7 +162,8 @@ class Watch:
         """
         dead = (member.hello.name, member.hello.instance)
         held = held_by(member.hello.name, jobs)
-        self.chronicle.note("worker-lost", why, worker=member.hello.name, archipelagos=len(held))
+        for job in dict.fromkeys(each.job for each in held) or (None,):
+            self.chronicle.note("worker-lost", why, job, worker=member.hello.name)
         if member.is_leaving:
             return []
         return [verdict for each in held if (verdict := self._count_death(each, dead, why)) is not None]

@@ -222,6 +222,7 @@ def test_ctrl_c_on_submit_detaches_and_the_job_goes_on(tmp_path: Path) -> None:
         assert [(job["job"], job["state"] in ("done", "failed", "cancelled")) for job in jobs] == [("mine", False)]
 
 
+@pytest.mark.slow
 def test_a_service_says_what_it_waits_for_and_what_happened(tmp_path: Path) -> None:
     words = ["serve", "--listen", "tcp/127.0.0.1:0", "--state", "s", "--log-format", "json"]
     with contextlib.ExitStack() as stack:

@@ -277,7 +277,8 @@ def test_a_worker_that_leaves_hands_over_and_nothing_is_computed_twice() -> None
 
 
 def test_a_worker_whose_lifetime_is_over_leaves() -> None:
-    from island_worker.runtime import Leaving, Worker
+    from island_worker.leaving import Leaving
+    from island_worker.runtime import Worker
 
     world = world_of(workers=1, seed=1)
     bus, stub = world.network.bus("brief"), world.compute(world.network, "brief", 1, slowness=5.0)
@@ -316,11 +317,20 @@ def test_a_worker_that_is_not_let_go_ends_when_its_grace_is_over() -> None:
     world = world_of(workers=1)
     world.submit(config(max_epochs=10_000))
     world.network.run(world.network.now + 2.0)
-    world.network.crash("coordinator")
+    world.network._buses["coordinator"].handle_with(lambda event: None)
     world.workers["w0"].leave()
     world.network.run(world.network.now + 29.0)
     assert world.workers["w0"].exit_code is None
     world.network.run(world.network.now + 3.0)
+    assert world.workers["w0"].exit_code == 0
+
+
+def test_a_worker_that_leaves_does_not_wait_long_for_a_coordinator_that_has_gone() -> None:
+    world = world_of(workers=1)
+    world.network.run(2.0)
+    world.network.crash("coordinator")
+    world.workers["w0"].leave()
+    world.network.run(6.0)
     assert world.workers["w0"].exit_code == 0
 
 

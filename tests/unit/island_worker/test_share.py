@@ -5,11 +5,12 @@ import pytest
 from common.errors import LocalProtocolError
 from common.slices import Course
 from common.wire.messages import Placement
-from island_worker.share import ISLAND_TRANSITIONS, LocalIsland, Share
+from island_worker.local_island import ISLAND_TRANSITIONS, LocalIsland
+from island_worker.share import Share
 
 COURSE = Course(generations=100, stride=10, joining=8)
 
-STEPS = ("begin", "emigrate", "complete", "end", "reject")
+STEPS = ("restore", "begin", "emigrate", "complete", "end", "reject", "hold")
 
 
 @pytest.mark.parametrize("state", list(ISLAND_TRANSITIONS))

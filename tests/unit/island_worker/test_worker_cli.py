@@ -13,6 +13,7 @@ from common.errors import RefusedError, UnreachableError
 from common.wire.addresses import destination
 from common.wire.credentials import load
 from island_worker import cli, forking, processes, runtime
+from island_worker.leaving import Leaving
 from tests.certificates import Lab
 
 
@@ -81,7 +82,7 @@ def test_the_address_may_come_from_the_environment_and_the_name_from_host_and_pr
 def test_a_worker_leaves_after_its_lifetime_and_has_some_grace(
     words: list[str], lifetime_s: float | None, grace_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given: list[runtime.Leaving] = []
+    given: list[Leaving] = []
     monkeypatch.setattr(runtime, "run_worker", lambda *arguments: given.append(arguments[3]) or 0)
     assert cli.main(["--connect", "tcp/a:1", "--processes", "1", *words]) == 0
     assert [(each.lifetime_s, each.grace_s) for each in given] == [(lifetime_s, grace_s)]

@@ -194,3 +194,105 @@ def test_an_answer_given_twice_comes_once() -> None:
 def test_it_is_a_bus() -> None:
     bus: Bus = SimulatedNetwork().bus("one")
     assert bus.now() == 0.0
+
+
+def test_who_hangs_takes_in_later_what_has_come_and_a_line_that_is_given_up_carries_nothing() -> None:
+    network, one, two = pair(Plan(lease_s=2.0))
+    one.watch("alive/*")
+    two.announce("alive/two")
+    two.subscribe("x")
+    heard_one: list[Event] = []
+    heard_two: list[tuple[float, Event]] = []
+    one.handle_with(heard_one.append)
+    two.handle_with(lambda event: heard_two.append((network.now, event)))
+    two.call_later(1.5, "meanwhile")
+    network.at(1.0, lambda: network.hang("two"))
+    network.at(2.0, lambda: one.put("x", b"kept"))
+    network.at(4.0, lambda: one.put("x", b"lost"))
+    network.at(5.0, lambda: network.resume("two"))
+    network.at(6.0, lambda: one.put("x", b"heard"))
+    network.run(8.0)
+    assert [event for at_s, event in heard_two if at_s == 5.0] == [
+        Timer("meanwhile"), Message("x", b"kept"), Link(False), Link(True),
+    ]  # fmt: skip
+    assert heard_two[-1][1] == Message("x", b"heard")
+    assert heard_one == [Presence("alive/two", present) for present in (True, False, True)]
+
+
+def test_a_short_hang_costs_nothing_but_time() -> None:
+    network, one, two = pair(Plan(lease_s=2.0))
+    two.subscribe("x")
+    heard: list[tuple[float, Event]] = []
+    two.handle_with(lambda event: heard.append((network.now, event)))
+    network.hang("two")
+    network.hang("two")
+    one.put("x", b"1")
+    network.at(1.0, lambda: network.resume("two"))
+    network.at(1.0, lambda: network.resume("two"))
+    network.at(1.5, lambda: network.hang("two"))
+    network.at(3.0, lambda: network.resume("two"))
+    network.run(8.0)
+    assert heard == [(1.0, Message("x", b"1"))]
+
+
+def test_a_router_that_hangs_holds_what_passes_it_and_is_given_up_by_all() -> None:
+    network = SimulatedNetwork(0, Plan(lease_s=2.0))
+    network.bus("router", is_router=True)
+    one, two = network.bus("one"), network.bus("two")
+    two.subscribe("x")
+    two.serve("q")
+    heard: list[tuple[float, Event]] = []
+    two.handle_with(lambda event: heard.append((network.now, event)))
+    network.at(1.0, lambda: network.hang("router"))
+    network.at(1.5, lambda: one.put("x", b"held"))
+    network.at(1.6, lambda: one.get("q", timeout_s=9.0) and None)
+    network.at(2.0, lambda: network.resume("router"))
+    network.at(3.0, lambda: network.hang("router"))
+    network.at(5.5, lambda: one.put("x", b"lost"))
+    network.at(6.0, lambda: network.resume("router"))
+    network.run(8.0)
+    assert [(at_s, type(event)) for at_s, event in heard] == [(2.0, Message), (2.0, Query), (5.0, Link), (6.0, Link)]
+
+
+def test_a_router_that_dies_takes_all_links_with_it_until_another_comes() -> None:
+    network = SimulatedNetwork(0)
+    network.bus("router", is_router=True)
+    one, two = network.bus("one"), network.bus("two")
+    two.subscribe("x")
+    heard: list[Event] = []
+    two.handle_with(heard.append)
+    network.at(1.0, lambda: network.crash("router"))
+    network.at(1.5, lambda: one.put("x", b"lost"))
+    network.at(2.0, lambda: network.bus("router", is_router=True) and None)
+    network.at(2.5, lambda: one.put("x", b"heard"))
+    network.run(3.0)
+    assert heard == [Link(False), Link(True), Message("x", b"heard")]
+    assert network.participants == ("one", "two", "router")
+
+
+def test_who_is_busy_answers_later_and_in_order() -> None:
+    network, one, two = pair(Plan(delay_s=(0.0, 0.0)))
+    two.subscribe("x")
+    one.subscribe("y")
+    heard: list[tuple[float, bytes]] = []
+
+    def work(event: Event) -> None:
+        assert isinstance(event, Message)
+        two.spend(1.0)
+        two.put("y", event.payload)
+
+    two.handle_with(work)
+    one.handle_with(lambda event: heard.append((network.now, event.payload)))  # type: ignore[union-attr]
+    for number in b"123":
+        one.put("x", bytes([number]))
+    network.run(5.0)
+    assert heard == [(1.0, b"1"), (2.0, b"2"), (3.0, b"3")]
+
+
+def test_what_a_participant_said_in_its_last_moments_may_be_lost() -> None:
+    network, one, two = pair(Plan(delay_s=(0.2, 0.2), unsent_s=0.1))
+    two.subscribe("x")
+    one.put("x", b"sent")
+    network.at(0.15, lambda: one.put("x", b"unsent"))
+    network.at(0.2, lambda: network.crash("one"))
+    assert everything(two, until_s=1.0) == [Message("x", b"sent")]

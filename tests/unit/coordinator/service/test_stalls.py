@@ -99,7 +99,9 @@ def test_a_worker_that_is_gone_is_told() -> None:
     worker(membership, "b", 8.0)
     membership.see("b", False, 8.0)
     said = sentence(archipelago(0, 2), membership, 9.5)
-    assert said == "waiting for islands 1, 3 on worker b, whose connection has been gone for 2 s"
+    assert said is None
+    said = sentence(archipelago(0, 2), membership, 11.5)
+    assert said == "waiting for islands 1, 3 on worker b, whose connection has been gone for 4 s"
 
 
 def test_who_holds_up_the_others_is_named_not_who_is_held_up() -> None:
