@@ -22,11 +22,12 @@ def _accidents_are_errors() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
-    """Certificates of a lab: a coordinator, workers lab1 and lab2, submitters ann and bob, an admin."""
+    """Certificates of a lab: a coordinator, workers lab1 and lab2, submitters ann and bob, an admin, a router."""
     if not HAS_OPENSSL:
         pytest.skip("openssl is not there to make certificates")
     names = ("--worker", "lab1", "--worker", "lab2", "--submitter", "ann", "--submitter", "bob", "--admin", "eve")
-    return Lab.make(tmp_path_factory.mktemp("tls") / "lab", "--coordinator", "lab.example", *names)
+    site = ("--router", "site=site.example")
+    return Lab.make(tmp_path_factory.mktemp("tls") / "lab", "--coordinator", "lab.example", *names, *site)
 
 
 @pytest.fixture(scope="session")
