@@ -16,7 +16,7 @@ from coordinator.service.store import Store
 from tests.simulation.stub import StubIsland
 from tests.simulation.world import World, bus_of, comparable
 
-EPOCHS = 50
+EPOCHS = 40
 ISLANDS = 3
 SLICES = 2 * ISLANDS * EPOCHS * 2
 """Of a whole job with two variables."""
@@ -102,7 +102,7 @@ def test_after_the_loss_of_a_worker_the_search_goes_on_from_the_last_commit(at_s
 
 def test_a_worker_that_dies_while_its_states_are_pulled_does_not_change_the_answer() -> None:
     """Among so many moments there are those between snapshot, question, answer and commit."""
-    for step in range(8):
+    for step in range(6):
         world = world_of(workers=2, seed=3, plan=Plan(delay_s=(0.005, 0.02)))
         when(
             world,
@@ -114,7 +114,7 @@ def test_a_worker_that_dies_while_its_states_are_pulled_does_not_change_the_answ
 
 def test_lost_and_late_answers_with_states_do_not_change_the_answer() -> None:
     plan = Plan(drop=0.1, duplicate=0.1, late=0.1, partitions=(Partition("w2", 2.0, 3.5),))
-    for seed in range(4):
+    for seed in range(3):
         world = world_of(workers=3, seed=seed, plan=plan)
         world.at(2.5 + 0.2 * seed, lambda world=world: world.crash("w0"))  # type: ignore[misc]
         world.at(3.0, lambda world=world: world.start_worker("w3", slowness=9.0))  # type: ignore[misc]
@@ -203,12 +203,12 @@ def test_a_coordinator_may_die_on_either_side_of_a_commit(lasting: World, tmp_pa
 
 
 def test_the_time_of_the_search_adds_up_over_a_restart(lasting: World, tmp_path: Path) -> None:
-    lasting.submit(config(max_epochs=1000, max_time=4.0))
+    lasting.submit(config(max_epochs=1000, max_time=3.0))
     lasting.at(lasting.network.now + 2.5, lambda: restart(lasting, tmp_path))
     lasting.finish()
     result = lasting.result()
     assert {each["why"] for each in result["equations"]} == {"max-time"}
-    assert 3.9 < max(each["seconds"] for each in result["equations"]) < 5.0
+    assert 2.9 < max(each["seconds"] for each in result["equations"]) < 4.0
     epochs = {each["variable"]: each["epoch"] for each in result["equations"]}
     again = world_of(workers=3, seed=9).run(config(max_epochs_of=epochs))
     assert again["digest"] == result["digest"]
@@ -270,9 +270,10 @@ def test_a_worker_that_leaves_hands_over_and_nothing_is_computed_twice() -> None
     world = World(workers=3, seed=1, expected=3, slowness=5.0)
     leaving = world.workers["w1"]
     when(world, lambda: committed(world) > 0 and committed(world, "y") > 0, leaving.leave)
-    assert comparable(world.run(config())) == undisturbed()
+    calm = world_of(workers=1, seed=1).run(config(max_epochs=60))
+    assert comparable(world.run(config(max_epochs=60))) == comparable(calm)
     assert leaving.exit_code == 0
-    assert turns(world) == SLICES + HELD
+    assert turns(world) == 60 * SLICES // EPOCHS + HELD
     assert {term for term, _ in restored(world)} == {2}
 
 
@@ -337,23 +338,23 @@ def test_a_worker_that_leaves_does_not_wait_long_for_a_coordinator_that_has_gone
 def test_a_worker_that_comes_later_takes_part_from_a_checkpoint_on() -> None:
     world = world_of(workers=1, seed=1)
     world.at(6.5, lambda: world.start_worker("late", slowness=5.0))
-    calm = world_of(workers=1, seed=1).run(config(max_epochs=100))
-    assert comparable(world.run(config(max_epochs=100))) == comparable(calm)
+    calm = world_of(workers=1, seed=1).run(config(max_epochs=80))
+    assert comparable(world.run(config(max_epochs=80))) == comparable(calm)
     assert world.computes["late"].turns > 0
     assert turns(world) == 2 * SLICES + HELD
     assert {term for term, _ in restored(world)} == {2}
 
 
 def test_planned_changes_are_rare() -> None:
-    world = world_of(workers=1, seed=1)
+    world = World(workers=1, seed=1, slowness=20.0)
     for number in range(2):
-        world.at(6.5 + 4.0 * number, lambda number=number: world.start_worker(f"late{number}", slowness=5.0))  # type: ignore[misc]
-    world.run(config(max_epochs=700), "x")
+        world.at(6.5 + 4.0 * number, lambda number=number: world.start_worker(f"late{number}", slowness=20.0))  # type: ignore[misc]
+    world.run(config(max_epochs=200), "x")
     assert {term for term, _ in restored(world)} == {2, 3}
 
 
 def test_workers_that_come_and_go_do_not_change_the_answer() -> None:
-    for seed in range(4):
+    for seed in range(3):
         world = world_of(workers=2, seed=seed, plan=Plan(drop=0.03, late=0.05))
         world.at(2.0 + 0.1 * seed, lambda world=world: world.workers["w0"].leave())  # type: ignore[misc]
         world.at(2.5, lambda world=world: world.start_worker("w2", slowness=5.0))  # type: ignore[misc]
