@@ -5,8 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from tests.certificates import HAS_OPENSSL, Lab
+
+settings.register_profile("repeatable", deadline=None, derandomize=True, database=None)
+settings.load_profile("repeatable")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -22,11 +26,12 @@ def _accidents_are_errors() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
-    """Certificates of a lab: a coordinator, workers lab1 and lab2, submitters ann and bob, an admin."""
+    """Certificates of a lab: a coordinator, workers lab1 and lab2, submitters ann and bob, an admin, a router."""
     if not HAS_OPENSSL:
         pytest.skip("openssl is not there to make certificates")
     names = ("--worker", "lab1", "--worker", "lab2", "--submitter", "ann", "--submitter", "bob", "--admin", "eve")
-    return Lab.make(tmp_path_factory.mktemp("tls") / "lab", "--coordinator", "lab.example", *names)
+    site = ("--router", "site=site.example")
+    return Lab.make(tmp_path_factory.mktemp("tls") / "lab", "--coordinator", "lab.example", *names, *site)
 
 
 @pytest.fixture(scope="session")

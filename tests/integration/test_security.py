@@ -20,6 +20,7 @@ from common.wire.credentials import Credentials, load
 from common.wire.messages import Ask, Close, Control, Greeting, Hello, Jobs, Shutdown
 from common.wire.zenoh_bus import ZenohBus, open_client, open_router
 from coordinator.cli.main import main
+from coordinator.cli.router import upstream_settings
 from coordinator.client import Client, connected
 from coordinator.service.ports import Ports
 from coordinator.service.preparing import in_thread
@@ -304,6 +305,24 @@ def test_jobs_are_read_by_every_submitter_and_cancelled_by_their_own_or_an_admin
                 bob.cancel("one")
             assert ann.cancel("one").state == "cancelled"
             assert eve.cancel("two").state == "cancelled"
+
+
+def test_behind_a_sites_router_names_are_fenced_by_that_router(lab: Lab, roster: Roster) -> None:
+    at_site = destination("tls/127.0.0.1:0", load(*lab.files("site"), use="serve"))
+    with served(lab, roster) as (service, central):
+        above = upstream_settings([central.endpoint.replace("127.0.0.1", "localhost")])
+        with open_router(at_site, above, roster) as site:
+            ann = dialling(site, load(*lab.files("ann"), use="connect"))
+            with (
+                connected(ann, wait_s=LIMIT_S) as client,
+                open_client(dialling(site, lab.unchecked("lab2"))) as hostile,
+            ):
+                assert client.jobs() == ()
+                for name in ("lab1-0", "lab2-0"):
+                    hostile.put(topics.worker(service._store.realm, name, "report"), b"nonsense")
+                wait_until(lambda: service.rejects.total > 0, client)
+                assert client.jobs() == ()
+    assert list(service.rejects.counts) == [topics.worker(service._store.realm, "lab2-0", "report")]
 
 
 def test_a_router_drops_what_is_larger_than_its_key_allows() -> None:

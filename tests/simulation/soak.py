@@ -26,7 +26,7 @@ from tests.simulation.shrink import shrunk
 from tests.simulation.stage import STUBS, Cast, Outcome, Stage
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-CHUNK: Final = 400
+CHUNK: Final = 200
 """Schedules per child process."""
 
 REAL_EVERY: Final = 100
@@ -148,6 +148,8 @@ def soak(first: int, last: int, processes: int) -> Tally:
     with ThreadPoolExecutor(processes) as pool:
         for tally in pool.map(lambda each: in_child(*each), chunks(first, last)):
             total.add(tally)
+            for seed, sentence in tally.failed.items():
+                note(f"seed {seed} failed: {sentence}")
             note(f"{total.schedules} schedules, {len(total.failed)} failed")
     return total
 
