@@ -33,6 +33,11 @@ class Voice:
         self._name = name
         self._asked: dict[int, Asked] = {}
 
+    @property
+    def is_asking(self) -> bool:
+        """Whether a question has not come to its end yet."""
+        return bool(self._asked)
+
     def ask(self, key: str, payload: bytes, timeout_s: float, asked: Asked) -> None:
         """Ask for `key`; the reply will be the answer to `asked`."""
         self._asked[self._bus.get(key, payload, timeout_s)] = asked

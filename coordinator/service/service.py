@@ -151,6 +151,7 @@ class Service:
             self._bus.serve(expression)
         for expression in (topics.HELLO, topics.all_greetings()):
             self._bus.serve(expression)
+        self._bus.post(_Look())  # jobs that were taken over are prepared at once
         self._bus.call_later(TICK_S, _TICK)
         self.conductor.watch.started(realm, self._store.incarnation)
 

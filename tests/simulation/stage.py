@@ -506,7 +506,7 @@ class Stage:
 
     def _is_busy(self) -> bool:
         """Tell whether somebody still waits for an answer."""
-        asked = [bool(worker._asked) for worker in self.workers.values()]
+        asked = [worker._voice.is_asking for worker in self.workers.values()]
         return any(asked) or self.service is None or bool(self.service._asked)
 
     def _remains(self) -> list[str]:

@@ -18,7 +18,8 @@ SUPERVISOR = """
 import sys
 from island_worker import processes
 processes._STOP_LIMIT_S = float(sys.argv[1])
-sys.exit(processes.supervise([[sys.executable, "-c", sys.argv[2]]] * 2))
+grace_s = 30.0 if "0.5" in sys.argv[2] else 0.0
+sys.exit(processes.supervise([[sys.executable, "-c", sys.argv[2]]] * 2, None, grace_s))
 """
 FORKING_SUPERVISOR = """
 import sys
@@ -26,7 +27,8 @@ from island_worker import processes
 from island_worker.cli import _guarded
 processes._STOP_LIMIT_S = float(sys.argv[1])
 code = compile(sys.argv[2], "child", "exec")
-sys.exit(processes.supervise_forks([lambda: _guarded(lambda: exec(code, {}) or 0)] * 2))
+grace_s = 30.0 if "0.5" in sys.argv[2] else 0.0
+sys.exit(processes.supervise_forks([lambda: _guarded(lambda: exec(code, {}) or 0)] * 2, None, grace_s))
 """
 OBEDIENT = r"""
 import os, signal
@@ -36,6 +38,23 @@ with ending_on_signals():
     os.write(1, b"%d\n" % os.getpid())
     while True:
         signal.pause()
+"""
+LEAVING = r"""
+import os, signal, sys, time
+from island_worker.processes import ending_on_signals, leaving_on_signals
+told = []
+with ending_on_signals(), leaving_on_signals(None, lambda: told.append(1)):
+    os.kill(os.getpid(), signal.SIGTERM)
+    print("told", len(told), flush=True)
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(60)
+"""
+SLOW = r"""
+import os, signal, sys, time
+signal.signal(signal.SIGTERM, lambda number, frame: (time.sleep(0.5), os._exit(0)))
+os.write(1, b"%d\n" % os.getpid())
+while True:
+    signal.pause()
 """
 STUBBORN = r"""
 import os, signal
@@ -95,6 +114,23 @@ def family_of(request: pytest.FixtureRequest) -> Iterator[FamilyOf]:
         family.parent.wait(LIMIT_S)
         if family.parent.stdout is not None:
             family.parent.stdout.close()
+
+
+def test_the_first_signal_asks_to_be_let_go_and_the_second_ends_at_once() -> None:
+    done = subprocess.run([sys.executable, "-c", LEAVING], capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    assert (done.stdout, done.returncode) == ("told 1\n", 0)
+
+
+def test_a_signal_of_a_parent_that_has_died_ends_at_once() -> None:
+    script = LEAVING.replace("leaving_on_signals(None", "leaving_on_signals(1 << 30")
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    assert (done.stdout, done.returncode) == ("", 0)
+
+
+def test_children_have_some_grace_to_hand_over(family_of: FamilyOf) -> None:
+    family = family_of(SLOW, 0.1)
+    assert family.end(signal.SIGTERM) == 0
+    wait_until_gone(family.children)
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 0), (signal.SIGINT, 130), (signal.SIGHUP, 0)])
