@@ -204,7 +204,7 @@ class Stage:
     def _start_coordinator(self) -> None:
         if self.service is not None:
             return
-        bus = self.network.bus("coordinator", is_router=not self.schedule.has_own_router)
+        bus = self._buses["coordinator"] = self.network.bus("coordinator", is_router=not self.schedule.has_own_router)
         store = self._store = self.disk.open(bus.spend)
         background = partial(self._do_later, bus, store)
         writer = partial(self._write_later, bus, store)
@@ -325,6 +325,7 @@ class Stage:
     def _crash(self, name: str) -> None:
         self.computes.pop(name).close()
         self.workers.pop(name)
+        del self._buses[name]
         self.network.crash(name)
 
     # ------------------------------------------------------------------------------------------ faults
@@ -506,8 +507,7 @@ class Stage:
 
     def _is_busy(self) -> bool:
         """Tell whether somebody still waits for an answer."""
-        asked = [bool(worker._asked) for worker in self.workers.values()]
-        return any(asked) or self.service is None or bool(self.service._asked)
+        return self.service is None or any(bus.asking for bus in self._buses.values())
 
     def _remains(self) -> list[str]:
         """Return what is still held of jobs that have all ended."""
@@ -530,7 +530,7 @@ class Stage:
         held = {
             "shares": session.holdings(),
             "troubles": session.troubles(),
-            "states of jobs": [job for job, state in session._jobs.items() if state != "unknown"],
+            "states of jobs": session.jobs(),
             "early mail": session._early,
             "datasets": worker._datasets.jobs(),
             "configurations": list(compute._jobs),
