@@ -26,7 +26,7 @@ from coordinator.service import archipelago, checkpoint
 from coordinator.service.ports import Ports
 from coordinator.service.service import Service
 from island_worker.events import Computed
-from island_worker.runtime import Worker
+from island_worker.runtime import Leaving, Worker
 from tests.simulation.disk import CoordinatorDied, Disk, DiskStore
 from tests.simulation.schedule import Fault, JobPlan, Schedule, job_config
 from tests.simulation.stub import StubCompute
@@ -152,7 +152,7 @@ class Stage:
     def _submit(self, number: int, job: JobPlan) -> None:
         config, variables = self.cast.job(job.seed)
         table = self._patiently(lambda: self.client.upload(variables.encode()))
-        self._patiently(lambda: self.client.submit(f"job-{number}", "a simulated job", config, table))
+        self._patiently(lambda: self.client.submit(f"job-{number}", "a simulated job", config, table, job.priority))
         self._note(f"job-{number} is submitted")
 
     def _cancel(self, number: int) -> None:
@@ -272,7 +272,7 @@ class Stage:
 
     # ----------------------------------------------------------------------------------------- workers
 
-    def _start_worker(self, name: str, slowness: float = 1.0) -> None:
+    def _start_worker(self, name: str, slowness: float = 1.0, leaving: Leaving | None = None) -> None:
         if name in self.workers:
             return
         bus = self.network.bus(name)
@@ -288,7 +288,7 @@ class Stage:
             post(item)
 
         bus.post = witnessed  # type: ignore[method-assign]
-        worker = Worker(bus, compute, name, wait_s=WAIT_S)
+        worker = Worker(bus, compute, name, WAIT_S, leaving)
 
         def step(event: Event) -> None:
             self._take_down(bus, event)
@@ -412,7 +412,7 @@ class Stage:
         return None
 
     def _strike_join(self, fault: Fault) -> None:
-        self._start_worker(fault.who, fault.strength)
+        self._start_worker(fault.who, fault.strength, Leaving(lifetime_s=fault.for_s or None))
 
     def _strike_leave(self, fault: Fault) -> bool | None:
         if fault.who not in self.workers:
