@@ -33,6 +33,7 @@ class Question:
         """End with `payload` unless it has ended before."""
         if self.is_open:
             self.is_open = False
+            self.asker.asking -= 1
             self.asker.deliver(Reply(self.token, payload))
 
 
@@ -50,6 +51,7 @@ class SimulatedBus:
         self.is_given_up = False
         self.is_hung = False
         self.hangs = 0
+        self.asking = 0
         self.closed = False
         self.died_at: float | None = None
         self.tokens: list[str] = []
@@ -115,6 +117,7 @@ class SimulatedBus:
         check_key(key)
         check_payload(key, payload)
         question = Question(self._network, self, next(self._gets))
+        self.asking += 1
         self._network.at(self.now() + timeout_s, lambda: question.finish(None))
         self._network.ask(self, question, key, payload)
         return question.token

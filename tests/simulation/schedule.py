@@ -24,7 +24,7 @@ WHAT_IT_IS: Final[dict[Kind, str]] = {
     "stuck": "{who}'s compute thread hangs for {span:.2f} s, its heartbeat does not",
     "slow": "{who} computes {strength:.0f} times slower for {span:.2f} s",
     "cut": "{who} is cut off for {span:.2f} s",
-    "join": "{who} joins, {strength:.1f} times as slow as others",
+    "join": "{who} joins, {strength:.1f} times as slow as others{stay}",
     "leave": "{who} is asked to leave",
     "close": "{who} ends at once, and says so",
     "kill-coordinator": "the coordinator dies, and is back after {span:.2f} s",
@@ -57,7 +57,10 @@ class Fault:
 
     def __str__(self) -> str:
         back = f", and a new process of that name comes after {self.for_s:.2f} s" if self.for_s else ""
-        words = WHAT_IT_IS[self.kind].format(who=self.who, span=self.for_s, strength=self.strength, back=back)
+        stay = f", and leaves after {self.for_s:.2f} s" if self.for_s else ""
+        words = WHAT_IT_IS[self.kind].format(
+            who=self.who, span=self.for_s, strength=self.strength, back=back, stay=stay
+        )
         return f"{self.at_s:8.3f}  {words}"
 
 
@@ -68,6 +71,7 @@ class JobPlan:
     seed: int
     submit_s: float = 0.0
     cancel_s: float | None = None
+    priority: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +95,8 @@ class Schedule:
         lines = [f"seed {self.seed}: {self.workers} workers at first, {router}, {pace}, {self.plan}"]
         for number, job in enumerate(self.jobs):
             end = f", cancelled at {job.cancel_s:.2f} s" if job.cancel_s is not None else ""
-            lines.append(f"  job-{number} is that of seed {job.seed}, submitted at {job.submit_s:.2f} s{end}")
+            words = f"  job-{number} is that of seed {job.seed}, of priority {job.priority}"
+            lines.append(f"{words}, submitted at {job.submit_s:.2f} s{end}")
         return "\n".join([*lines, *map(str, self.faults), f"{self.horizon_s:8.3f}  all faults are over"])
 
 
@@ -157,7 +162,10 @@ def schedule_of(seed: int) -> Schedule:
 def _jobs(draw: Draw) -> tuple[JobPlan, ...]:
     count = draw.pick((1, 1, 1, 2, 3))
     seeds = Stream(draw.whole(0, 2**30)).permutation(JOB_SEEDS)
-    jobs = [JobPlan(seeds[number], draw.pick((0.0, draw.spread(0.1, 10.0)))) for number in range(count)]
+    jobs = [
+        JobPlan(seeds[number], draw.pick((0.0, draw.spread(0.1, 10.0))), priority=draw.pick((0, 0, 2, -3)))
+        for number in range(count)
+    ]
     if draw.chance(0.35 if count > 1 else 0.1):
         victim = draw.whole(0, count - 1)
         jobs[victim] = replace(jobs[victim], cancel_s=jobs[victim].submit_s + draw.spread(0.2, 20.0))
@@ -196,6 +204,10 @@ def _kill(draw: Draw, at_s: float, kind: Kind, who: str) -> Fault:
     return Fault(at_s, kind, who, draw.pick((0.0, draw.spread(0.05, 20.0))))
 
 
+def _join(draw: Draw, at_s: float, kind: Kind, who: str) -> Fault:
+    return Fault(at_s, kind, who, draw.pick((0.0, 0.0, draw.spread(1.0, 30.0))), draw.spread(0.3, 6.0))
+
+
 def _once(draw: Draw, at_s: float, kind: Kind, who: str) -> Fault:
     return Fault(at_s, kind, who, 0.0, draw.spread(0.3, 6.0))
 
@@ -214,7 +226,7 @@ _MAKERS: Final[dict[Kind, _Maker]] = {
     "stuck": _for_a_while(0.1, 30.0),
     "slow": _for_a_while(0.5, 30.0, 2.0, 50.0),
     "cut": _for_a_while(0.05, 40.0),
-    "join": _once,
+    "join": _join,
     "leave": _once,
     "close": _once,
     "kill-coordinator": _for_a_while(0.05, 20.0),

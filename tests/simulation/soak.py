@@ -23,7 +23,8 @@ from typing import Any, Final
 from coordinator.cli.output import note, say
 from tests.simulation.schedule import Schedule, schedule_of
 from tests.simulation.shrink import shrunk
-from tests.simulation.stage import STUBS, Cast, Outcome, Stage
+from tests.simulation.stage import Outcome, Stage
+from tests.simulation.troupe import STUBS, Cast
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 CHUNK: Final = 200

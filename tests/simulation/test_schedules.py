@@ -15,8 +15,9 @@ from tests.simulation.disk import CoordinatorDied, Disk
 from tests.simulation.schedule import Fault, JobPlan, Kind, Schedule, job_config, schedule_of
 from tests.simulation.shrink import shrunk
 from tests.simulation.soak import ROOT, Tally, chunks, is_real, play
-from tests.simulation.stage import Cast, Outcome, Stage, calm_schedule
+from tests.simulation.stage import Outcome, Stage, calm_schedule
 from tests.simulation.stub import StubCompute
+from tests.simulation.troupe import Cast
 
 SEEDS = 200
 BLOCK = 20
@@ -92,7 +93,7 @@ def test_what_is_left_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_an_island_that_is_evolved_twice_under_a_term_is_found() -> None:
     stage = Stage(disturbed())
-    stage._made |= {("job-0", "x", term, 0, 1): [77] for term in range(1, 9)}
+    stage.troupe.made |= {("job-0", "x", term, 0, 1): [77] for term in range(1, 9)}
     assert any("was evolved by [77" in each for each in stage.play().wrong)
 
 
