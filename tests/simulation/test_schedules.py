@@ -19,7 +19,7 @@ from tests.simulation.stage import Outcome, Stage, calm_schedule
 from tests.simulation.stub import StubCompute
 from tests.simulation.troupe import Cast
 
-SEEDS = 200
+SEEDS = 160
 BLOCK = 20
 REAL = (99, 199)
 
