@@ -17,7 +17,9 @@ from tests.integration.test_processes import SEARCH, _steps, done, started, unti
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder in which all programs run; it holds data.csv."""
     folder = tmp_path_factory.mktemp("routers")
-    (folder / "data.csv").write_text("\n".join(["t,x,y,dx,dy", *_steps(1.2, 0.4, 60), "", *_steps(0.5, 2.0, 60)]) + "\n")
+    (folder / "data.csv").write_text(
+        "\n".join(["t,x,y,dx,dy", *_steps(1.2, 0.4, 60), "", *_steps(0.5, 2.0, 60)]) + "\n"
+    )
     return folder
 
 

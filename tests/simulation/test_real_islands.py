@@ -76,7 +76,7 @@ def test_real_islands_go_on_from_their_states_as_if_nothing_had_happened(monkeyp
     calm = answer(workers=1, seed=0)
     monkeypatch.setattr("coordinator.service.archipelago.FIRST_INTERVAL", 1)
     monkeypatch.setattr("coordinator.service.checkpoint.LEAST_INTERVAL", 1)
-    world = World(workers=3, seed=1, expected=3, compute=RealCompute, prepare=prepare, slowness=20.0)
+    world = World(workers=3, seed=1, expected=3, compute=RealCompute, prepare=prepare, refiner=unrefined, slowness=20.0)
 
     def strike() -> None:
         jobs = world.service.conductor.jobs.values()
