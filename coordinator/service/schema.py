@@ -150,7 +150,8 @@ def _prepare(connection: sqlite3.Connection, file: Path | None) -> None:
     _migrate(connection, version)
     if not tables:
         _baptize(connection)
-    connection.execute("UPDATE realm SET incarnation = incarnation + 1")
+    if connection.execute("UPDATE realm SET incarnation = incarnation + 1").rowcount != 1:
+        raise StoreError(f"the store {file} is damaged (it has no name); restore it from a copy")
     connection.execute("COMMIT")
 
 

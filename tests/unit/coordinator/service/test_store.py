@@ -257,10 +257,14 @@ def _spoil(directory: Path, how: str) -> None:
         data[4096:8192] = b"\xff" * 4096
         file.write_bytes(data)
     else:
+        statements = {
+            "foreign": "PRAGMA application_id = 7",
+            "newer": f"PRAGMA user_version = {SCHEMA_VERSION + 1}",
+            "nameless": "DELETE FROM realm",
+        }
         with contextlib.closing(sqlite3.connect(file)) as connection:
-            connection.execute(
-                "PRAGMA application_id = 7" if how == "foreign" else f"PRAGMA user_version = {SCHEMA_VERSION + 1}"
-            )
+            connection.execute(statements[how])
+            connection.commit()
 
 
 @pytest.mark.parametrize(
@@ -271,6 +275,7 @@ def _spoil(directory: Path, how: str) -> None:
         ("scribbled", "restore it from a copy"),
         ("foreign", "not a store of this program"),
         ("newer", "written by a newer version"),
+        ("nameless", "has no name.*restore it from a copy"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_refused_in_one_sentence_and_left_alone(
