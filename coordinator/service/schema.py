@@ -109,8 +109,13 @@ class Lock:
                 f"the store {directory} is in use by another coordinator (process {holder}); "
                 "stop that one, or choose another directory with --state"
             ) from error
-        os.ftruncate(self._file, 0)
-        os.write(self._file, f"{os.getpid()}\n".encode())
+        try:
+            os.ftruncate(self._file, 0)
+            os.write(self._file, f"{os.getpid()}\n".encode())
+        except OSError as error:
+            os.close(self._file)
+            reason = (error.strerror or "").lower()
+            raise StoreError(f"the store {directory} cannot be written: {reason}; see that there is room") from error
 
     def release(self) -> None:
         """Give the lock back."""

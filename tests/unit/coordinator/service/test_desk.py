@@ -161,3 +161,16 @@ def test_a_job_that_a_full_disk_kept_from_being_prepared_is_prepared_later(
     assert outlet.said == []
     desk._conductor.tick(6.0)
     assert outlet.said == [("j", TABLE)]
+
+
+def test_a_cancellation_that_cannot_be_made_durable_ends_the_coordinator(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def is_full(*_: object, **__: object) -> bool:
+        raise StoreError("the disk is full")
+
+    desk.answer(chunk())
+    desk.answer(Ask(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
+    monkeypatch.setattr(Store, "update_job", is_full)
+    with pytest.raises(StoreError, match="full"):
+        desk.answer(Ask(body=Cancel(job="j")))
