@@ -8,7 +8,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from common import ENGINE_REVISION
+from pydantic import ValidationError
+
+from common import ENGINE_REVISION, VERSION
 from common.config import JobConfig
 from common.errors import RefusedError, RemoteProtocolError
 from common.wire.codec import decode, encode
@@ -93,13 +95,32 @@ class Conductor:
     # ------------------------------------------------------------------------------------------- jobs
 
     def recover(self, now: float) -> None:
-        """Take over the jobs of the store: those that had not ended go on from their checkpoints."""
+        """Take over the jobs of the store: those that had not ended go on from their checkpoints.
+
+        One that cannot be understood fails, and takes no other with it.
+        """
         for record in self._store.jobs():
             if record.state in FINAL_STATES:
                 self.ended[record.id] = ended_view(record, self._store.result(record.id))
-            else:
+                continue
+            try:
                 config = JobConfig.model_validate_json(record.spec)
+            except ValidationError as error:
+                self._give_up(record, error)
+            else:
                 self.jobs[record.id] = Job(record, config, now)
+
+    def _give_up(self, record: JobRecord, error: ValidationError) -> None:
+        """Let a job of the store fail whose settings this version does not understand."""
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "all of them"
+        reason = (
+            f"its settings in the store are not understood by version {VERSION} ({where}: {first['msg']}); serve its "
+            "store with the version that it was submitted to, or submit it again under another id"
+        )
+        self._store.commit_result(record.id, "failed", None, reason, self._clock())
+        self.ended[record.id] = ended_view(self._store.job(record.id) or record, None)
+        self.watch.given_up(record.id, reason)
 
     def submit(self, body: Submit, now: float) -> None:
         """Take in a job. The same id with the same contents again changes nothing.
@@ -497,9 +518,11 @@ class Conductor:
         waiting = next_job(self.jobs.values())
         if waiting is None:
             return
-        waiting.prepare()
+        # What the store refuses, as on a full disk, must leave the job in the line, or nobody would prepare it.
+        table = self._store.get_blob(waiting.table)
         self._store.update_job(waiting.id, state="preparing")
-        self._outlet.prepare(waiting.id, self._store.get_blob(waiting.table), waiting.config)
+        waiting.prepare()
+        self._outlet.prepare(waiting.id, table, waiting.config)
 
 
 def replace_workers(view: JobView) -> JobView:

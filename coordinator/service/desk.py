@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Callable
 from typing import Final
 
-from common.errors import AtollError, RefusedError, RemoteProtocolError
+from common.errors import AtollError, RefusedError, RemoteProtocolError, StoreError
 from common.wire.messages import (
     Ask,
     Cancel,
@@ -48,12 +48,19 @@ class Desk:
         self._coordinator = coordinator
 
     def answer(self, ask: Ask) -> Body:
-        """Return the answer to a client's question."""
+        """Return the answer to a client's question.
+
+        Raises:
+            StoreError: A job was to be cancelled, and that could not be made durable.
+        """
         try:
             return self._answer(ask)
         except (RefusedError, RemoteProtocolError) as error:
             return Failure(failure="refused", sentence=str(error)[:4000])
         except AtollError as error:
+            # The job has left its search already, and only a coordinator that starts again finds its way back.
+            if isinstance(error, StoreError) and isinstance(ask.body, Cancel):
+                raise
             return Failure(failure="internal", sentence=str(error)[:4000])
 
     def _answer(self, ask: Ask) -> Body:

@@ -5,6 +5,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal, cast
 
+from pydantic import ValidationError
+
+from common.config import JobConfig
 from common.expression.text import to_infix
 from common.wire.views import JobState, JobView, VariableView
 from coordinator.model.figures import finite
@@ -97,7 +100,7 @@ def job_view(job: Job, membership: Membership, now: float, jobs: Sequence[Job]) 
 
 def ended_view(record: JobRecord, result: str | None) -> JobView:
     """Return the view of a job that ended before this coordinator started, from what was stored."""
-    spec = json.loads(record.spec)
+    seed, preset, target_error = _stored_settings(record.spec)
     contents: dict[str, Any] = {"equations": [], "point_evaluations": 0, "warnings": []}
     if result is not None:
         contents = json.loads(result)
@@ -105,8 +108,8 @@ def ended_view(record: JobRecord, result: str | None) -> JobView:
         job=record.id,
         name=record.name,
         state=cast(JobState, record.state),
-        seed=spec["seed"],
-        preset=spec["preset"],
+        seed=seed,
+        preset=preset,
         reason=record.reason,
         warnings=tuple(contents["warnings"]),
         submitted=record.submitted,
@@ -115,8 +118,17 @@ def ended_view(record: JobRecord, result: str | None) -> JobView:
         point_evaluations=contents["point_evaluations"],
         variables=tuple(_stored_variable_view(each) for each in contents["equations"]),
         priority=record.priority,
-        target_error=spec["budget"]["target_error"],
+        target_error=target_error,
     )
+
+
+def _stored_settings(spec: str) -> tuple[int, str, float | None]:
+    """Return seed, preset and target error of a stored job; defaults where another version wrote something else."""
+    try:
+        config = JobConfig.model_validate_json(spec)
+    except ValidationError:
+        config = JobConfig()
+    return config.seed, config.preset, config.budget.target_error
 
 
 def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState) -> VariableView:

@@ -109,8 +109,13 @@ class Lock:
                 f"the store {directory} is in use by another coordinator (process {holder}); "
                 "stop that one, or choose another directory with --state"
             ) from error
-        os.ftruncate(self._file, 0)
-        os.write(self._file, f"{os.getpid()}\n".encode())
+        try:
+            os.ftruncate(self._file, 0)
+            os.write(self._file, f"{os.getpid()}\n".encode())
+        except OSError as error:
+            os.close(self._file)
+            reason = (error.strerror or "").lower()
+            raise StoreError(f"the store {directory} cannot be written: {reason}; see that there is room") from error
 
     def release(self) -> None:
         """Give the lock back."""
@@ -150,7 +155,8 @@ def _prepare(connection: sqlite3.Connection, file: Path | None) -> None:
     _migrate(connection, version)
     if not tables:
         _baptize(connection)
-    connection.execute("UPDATE realm SET incarnation = incarnation + 1")
+    if connection.execute("UPDATE realm SET incarnation = incarnation + 1").rowcount != 1:
+        raise StoreError(f"the store {file} is damaged (it has no name); restore it from a copy")
     connection.execute("COMMIT")
 
 

@@ -102,6 +102,13 @@ class _Written:
     error: StoreError | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class _Broken:
+    """Posted when the store failed in the midst of a client's question: it is answered first, then this is the end."""
+
+    error: StoreError
+
+
 class Service:
     """One coordinator on one bus, over one store. Owned by the bus's owner thread."""
 
@@ -292,7 +299,7 @@ class Service:
                 self.conductor.refined(item.job, item.refinement, now)
             case _Written(error=None):
                 self.conductor.written(item.checkpoint, now)
-            case _Written(error=StoreError() as error):
+            case _Written(error=StoreError() as error) | _Broken(error=error):
                 raise error
 
     def _look(self, now: float) -> None:
@@ -443,7 +450,11 @@ class Service:
         refusal = self._admission.refuse_ask(client, ask)
         if refusal is not None:
             return Failure(failure="refused", sentence=refusal)
-        answer = self._desk.answer(ask)
+        try:
+            answer = self._desk.answer(ask)
+        except StoreError as error:
+            self._bus.post(_Broken(error))
+            return Failure(failure="internal", sentence=str(error)[:4000])
         if isinstance(ask.body, Submit) and not isinstance(answer, Failure):
             self._admission.submitted(client, ask.body.job)
         return answer

@@ -100,6 +100,10 @@ class Watch:
         """Take notice that a job is searched and is being refined."""
         self.chronicle.note("refining", "all searches have ended; its equations are being refined", job)
 
+    def given_up(self, job: str, reason: str) -> None:
+        """Take notice of a stored job that cannot be taken over."""
+        self.chronicle.note("failed", reason, job)
+
     def ended(self, job: Job) -> None:
         """Take notice of a job's end, and forget it."""
         kinds: dict[str, EventKind] = {"failed": "failed", "cancelled": "cancelled"}

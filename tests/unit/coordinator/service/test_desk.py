@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from common.config import JobConfig
+from common.errors import StoreError
 from common.wire.messages import (
     Ask,
     Cancel,
@@ -24,7 +25,7 @@ from common.wire.messages import (
 from coordinator.service import desk as desk_module
 from coordinator.service.conductor import Conductor
 from coordinator.service.desk import Desk
-from coordinator.service.store import Store
+from coordinator.service.store import JobRecord, Store
 
 TABLE = b"t,x\n0,1\n"
 BLOB = hashlib.sha256(TABLE).hexdigest()
@@ -126,3 +127,50 @@ def test_questions_about_unknown_jobs_say_so(desk: Desk) -> None:
 
 def test_without_workers_the_list_is_empty(desk: Desk) -> None:
     assert desk.answer(Ask(body=Workers())) == WorkerList(workers=())
+
+
+def test_a_stored_job_that_is_not_understood_fails_and_the_others_go_on(outlet: Silent) -> None:
+    with Store.open(None) as store:
+        blob = store.put_blob(TABLE)
+        for job, spec in (("old", '{"colour": "red"}'), ("torn", "{"), ("good", JobConfig(seed=3).model_dump_json())):
+            store.add_job(JobRecord(job, job, spec, blob, "2026-01-01T00:00:00"))
+        conductor = Conductor(store, outlet, lambda: "2026-01-01T00:00:01")
+        conductor.recover(0.0)
+        assert list(conductor.jobs) == ["good"]
+        for job, said in (("old", "colour"), ("torn", "JSON")):
+            view = conductor.view(job, 1.0)
+            assert view is not None
+            assert (view.state, store.jobs()[0].state) == ("failed", "failed")
+            assert said in (view.reason or "")
+        again = Conductor(store, outlet, lambda: "2026-01-01T00:00:02")
+        again.recover(2.0)
+        assert (list(again.jobs), sorted(again.ended)) == (["good"], ["old", "torn"])
+
+
+def test_a_job_that_a_full_disk_kept_from_being_prepared_is_prepared_later(
+    desk: Desk, outlet: Silent, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def is_full(*_: object, **__: object) -> bool:
+        raise StoreError("the disk is full")
+
+    desk.answer(chunk())
+    with monkeypatch.context() as full:
+        full.setattr(Store, "update_job", is_full)
+        ask = Ask(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB))
+        assert "full" in failure(desk.answer(ask)).sentence
+    assert outlet.said == []
+    desk._conductor.tick(6.0)
+    assert outlet.said == [("j", TABLE)]
+
+
+def test_a_cancellation_that_cannot_be_made_durable_ends_the_coordinator(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def is_full(*_: object, **__: object) -> bool:
+        raise StoreError("the disk is full")
+
+    desk.answer(chunk())
+    desk.answer(Ask(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
+    monkeypatch.setattr(Store, "update_job", is_full)
+    with pytest.raises(StoreError, match="full"):
+        desk.answer(Ask(body=Cancel(job="j")))

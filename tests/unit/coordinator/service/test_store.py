@@ -1,6 +1,7 @@
 """The store keeps what it was given, once, through its own end; and says what is wrong with a file."""
 
 import contextlib
+import errno
 import hashlib
 import sqlite3
 import subprocess
@@ -257,10 +258,14 @@ def _spoil(directory: Path, how: str) -> None:
         data[4096:8192] = b"\xff" * 4096
         file.write_bytes(data)
     else:
+        statements = {
+            "foreign": "PRAGMA application_id = 7",
+            "newer": f"PRAGMA user_version = {SCHEMA_VERSION + 1}",
+            "nameless": "DELETE FROM realm",
+        }
         with contextlib.closing(sqlite3.connect(file)) as connection:
-            connection.execute(
-                "PRAGMA application_id = 7" if how == "foreign" else f"PRAGMA user_version = {SCHEMA_VERSION + 1}"
-            )
+            connection.execute(statements[how])
+            connection.commit()
 
 
 @pytest.mark.parametrize(
@@ -271,6 +276,7 @@ def _spoil(directory: Path, how: str) -> None:
         ("scribbled", "restore it from a copy"),
         ("foreign", "not a store of this program"),
         ("newer", "written by a newer version"),
+        ("nameless", "has no name.*restore it from a copy"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_refused_in_one_sentence_and_left_alone(
@@ -289,6 +295,17 @@ def test_a_state_directory_that_is_a_file_is_refused(tmp_path: Path) -> None:
     place.write_text("")
     with pytest.raises(StoreError, match="cannot be written"):
         Store.open(place)
+
+
+def test_a_disk_that_is_full_at_the_start_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def is_full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as full:
+        full.setattr("coordinator.service.schema.os.write", is_full)
+        with pytest.raises(StoreError, match="no space left on device; see that there is room"):
+            Store.open(tmp_path)
+    Store.open(tmp_path).close()
 
 
 def test_a_closed_store_says_so(tmp_path: Path) -> None:
