@@ -14,7 +14,8 @@ from coordinator.data.prepare import prepare
 from coordinator.service.job import course_of
 from coordinator.service.resolve import resolve
 from island_worker.engine import Engine
-from island_worker.events import Computed, Task, TaskKey
+from island_worker.events import Computed
+from island_worker.tasks import Task, TaskKey
 
 SYSTEM: Final = "predator_prey"
 ISLANDS: Final = 8

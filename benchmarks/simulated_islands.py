@@ -29,8 +29,9 @@ from common.wire.bus import Bus
 from common.wire.messages import Addition, IslandReport
 from common.wire.zenoh_bus import open_client
 from island_worker.compute import WarmedUp
-from island_worker.events import Computed, JobReady, ShareKey, Snapshot, Task, TaskKey
+from island_worker.events import Computed, JobReady, Snapshot
 from island_worker.runtime import Worker
+from island_worker.tasks import ShareKey, Task, TaskKey
 
 CONNECT_LIMIT_S: Final = 30.0
 WAIT_S: Final = 60.0

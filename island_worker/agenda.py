@@ -11,7 +11,8 @@ from typing import Protocol
 
 from common.errors import RemoteProtocolError
 from common.slices import Course, Position
-from island_worker.events import Abandoned, Broken, Computed, Outcome, Rejected, ShareKey, Snapshot, Task, TaskKey
+from island_worker.events import Abandoned, Broken, Computed, Outcome, Rejected, Snapshot
+from island_worker.tasks import ShareKey, Task, TaskKey
 
 
 class Work(Protocol):

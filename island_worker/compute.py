@@ -17,7 +17,8 @@ from common.config import JobConfig
 from common.slices import Course, Position
 from island_worker.agenda import Agenda, brief
 from island_worker.engine import Engine
-from island_worker.events import JobReady, Outcome, ShareKey, Snapshot, Task, TaskKey, Unloadable
+from island_worker.events import JobReady, Outcome, Snapshot, Unloadable
+from island_worker.tasks import ShareKey, Task, TaskKey
 
 _LOG = logging.getLogger(__name__)
 _JOIN_LIMIT_S: Final = 2.0

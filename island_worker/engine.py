@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Final
 from common.config import JobConfig
 from common.errors import RemoteProtocolError
 from common.wire.messages import Addition, HitStatement, IslandReport, Tally
-from island_worker.events import Computed, JobReady, ShareKey, Task, Unloadable
+from island_worker.events import Computed, JobReady, Unloadable
+from island_worker.tasks import ShareKey, Task
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -1,14 +1,12 @@
-"""What happens to a worker's session (events) and what it wants done (actions). Plain data, no behaviour."""
+"""What happens to a worker's session. Plain data, no behaviour."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
-from common.slices import Course, Position
 from common.wire.messages import (
     Close,
     Commit,
-    EpochReport,
     Finished,
     IslandReport,
     Migrants,
@@ -22,51 +20,7 @@ from common.wire.messages import (
     Sent,
     States,
 )
-
-
-class ShareKey(NamedTuple):
-    """One archipelago under one term."""
-
-    job: str
-    variable: str
-    term: int
-
-
-@dataclass(frozen=True, slots=True)
-class TaskKey:
-    """One island's one epoch, under one term."""
-
-    job: str
-    variable: str
-    term: int
-    island: int
-    epoch: int
-
-    @property
-    def share(self) -> ShareKey:
-        """The archipelago and its term."""
-        return ShareKey(self.job, self.variable, self.term)
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """Begin epoch `key.epoch` (with the immigrants `blocks` by source island; None at the term's first) and finish it.
-
-    Emigrants are wanted unless the epoch `is_last`; by the `course` its slices count before or after others. `state` is
-    what the island goes on from when its term begins at a checkpoint. A snapshot is wanted at a checkpoint; an epoch
-    that `is_held` is begun for its sake alone.
-    """
-
-    key: TaskKey
-    blocks: Mapping[int, bytes] | None
-    is_last: bool
-    course: Course
-    state: bytes | None = None
-    takes_snapshot: bool = False
-    is_held: bool = False
-
-
-# ------------------------------------------------------------------------------------------------ events
+from island_worker.tasks import TaskKey
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,99 +176,3 @@ SessionEvent = (
     | Tick
     | Reset
 )
-
-
-# ----------------------------------------------------------------------------------------------- actions
-
-
-@dataclass(frozen=True, slots=True)
-class FetchJob:
-    """Load the job's configuration and dataset; JobReady follows."""
-
-    job: str
-
-
-@dataclass(frozen=True, slots=True)
-class FetchPlacements:
-    """Ask the coordinator for the job's current placements; Placed follows."""
-
-    job: str
-
-
-@dataclass(frozen=True, slots=True)
-class FetchStates:
-    """Ask the coordinator for states of a checkpoint; StatesCame follows."""
-
-    body: PullStates
-
-
-@dataclass(frozen=True, slots=True)
-class Beat:
-    """Tell the coordinator at once what is held."""
-
-
-@dataclass(frozen=True, slots=True)
-class Compute:
-    """Give the task to the compute thread; a Snapshot, Computed, Rejected, Broken or Abandoned follows."""
-
-    task: Task
-
-
-@dataclass(frozen=True, slots=True)
-class StopAt:
-    """Compute nothing of the share that is not needed when the target was met at `hit`."""
-
-    share: ShareKey
-    hit: Position
-    course: Course
-
-
-@dataclass(frozen=True, slots=True)
-class Discard:
-    """Forget the islands of one archipelago under one term, also those that are being computed."""
-
-    share: ShareKey
-
-
-@dataclass(frozen=True, slots=True)
-class DiscardJob:
-    """Forget the job's dataset."""
-
-    job: str
-
-
-@dataclass(frozen=True, slots=True)
-class Send:
-    """Send mail to worker `peer`."""
-
-    peer: str
-    body: Migrants | Finished
-
-
-@dataclass(frozen=True, slots=True)
-class SendReport:
-    """Report to the coordinator."""
-
-    report: EpochReport
-
-
-@dataclass(frozen=True, slots=True)
-class AskPeer:
-    """Pull from worker `peer`; PullAnswered may follow."""
-
-    peer: str
-    body: PullMigrants
-
-
-@dataclass(frozen=True, slots=True)
-class Respond:
-    """Answer the pull that came under `handle`."""
-
-    handle: Any
-    body: Sent | Reports | States | NotYet | NewerTerm
-
-
-Saying = Send | SendReport | AskPeer | Respond | FetchJob | FetchPlacements | FetchStates | Beat
-"""What goes out on the bus."""
-
-Action = Compute | StopAt | Discard | DiscardJob | Saying

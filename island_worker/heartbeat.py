@@ -5,8 +5,8 @@ from common.wire.messages import Doing
 from common.wire.metered_bus import MeteredBus
 from common.wire.rejects import Rejects
 from common.wire.views import Counters
-from island_worker.events import TaskKey
 from island_worker.session import Session
+from island_worker.tasks import TaskKey
 
 
 def doing(key: TaskKey | None) -> Doing | None:

@@ -35,19 +35,16 @@ from common.wire.messages import (
 from common.wire.metered_bus import MeteredBus
 from common.wire.rejects import Rejects
 from common.wire.views import WorkerState
+from island_worker.actions import Action, Beat, Discard, DiscardJob, FetchJob, StopAt
+from island_worker.actions import Compute as ComputeTask
 from island_worker.compute import Compute, IslandCompute, WarmedUp, WarmUpFailed, WarmUpNote
 from island_worker.download import Datasets
 from island_worker.events import (
     Abandoned,
-    Action,
-    Beat,
     Broken,
     Closed,
     Committed,
     Computed,
-    Discard,
-    DiscardJob,
-    FetchJob,
     JobReady,
     Mailed,
     Placed,
@@ -58,11 +55,9 @@ from island_worker.events import (
     SessionEvent,
     Snapshot,
     StatesCame,
-    StopAt,
     Tick,
     Unloadable,
 )
-from island_worker.events import Compute as ComputeTask
 from island_worker.heartbeat import counters, doing
 from island_worker.joining import Joining
 from island_worker.leaving import Leaving

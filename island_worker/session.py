@@ -1,7 +1,7 @@
 """A worker's session: what it computes next, what it sends, keeps, asks and answers. A pure state machine.
 
-Events in, actions out (`island_worker.events`); no clock, no I/O, no thread. `Session.handle` is called by the runtime,
-by the simulation and by tests alike. The rules it keeps are those of docs/protocol.md.
+Events in (`island_worker.events`), actions out (`island_worker.actions`); no clock, no I/O, no thread. `Session.handle`
+is called by the runtime, by the simulation and by tests alike. The rules it keeps are those of docs/protocol.md.
 """
 
 from collections.abc import Mapping
@@ -12,21 +12,25 @@ from common.errors import LocalProtocolError, RemoteProtocolError
 from common.slices import Position
 from common.wire.messages import Finished, Holding, Migrants, NewerTerm, PullReports, PullStates, Sent, Trouble
 from common.wire.views import WorkerState
-from island_worker.events import (
-    Abandoned,
+from island_worker.actions import (
     Action,
     AskPeer,
     Beat,
-    Broken,
-    Closed,
-    Committed,
     Compute,
-    Computed,
     Discard,
     DiscardJob,
     FetchJob,
     FetchPlacements,
     FetchStates,
+    Respond,
+    StopAt,
+)
+from island_worker.events import (
+    Abandoned,
+    Broken,
+    Closed,
+    Committed,
+    Computed,
     JobReady,
     Mailed,
     Placed,
@@ -34,16 +38,14 @@ from island_worker.events import (
     PullAsked,
     Rejected,
     Reset,
-    Respond,
     SessionEvent,
     Snapshot,
     StatesCame,
-    StopAt,
-    TaskKey,
     Tick,
     Unloadable,
 )
 from island_worker.share import Share
+from island_worker.tasks import TaskKey
 
 JobState = Literal["unknown", "loading", "loaded"]
 JobStep = Literal["placed", "ready", "close"]

@@ -25,10 +25,12 @@ from common.wire.messages import (
     Sent,
     States,
 )
-from island_worker.events import Computed, Send, SendReport, ShareKey, Snapshot, Task, TaskKey
+from island_worker.actions import Send, SendReport
+from island_worker.events import Computed, Snapshot
 from island_worker.kept import Kept
 from island_worker.local_island import PULL_AFTER_S, LocalIsland
 from island_worker.restoring import Restoring
+from island_worker.tasks import ShareKey, Task, TaskKey
 
 MOST_AHEAD: Final = 1024
 """Mail is filed of epochs at most so far beyond the last one that may begin here."""

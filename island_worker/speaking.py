@@ -7,7 +7,7 @@ from common.wire import topics
 from common.wire.bus import Bus
 from common.wire.codec import encode
 from common.wire.messages import Mail, Pull, PullAnswer, PullStates
-from island_worker.events import AskPeer, FetchPlacements, FetchStates, Respond, Send, SendReport
+from island_worker.actions import AskPeer, FetchPlacements, FetchStates, Respond, Send, SendReport
 
 PULL_TIMEOUT_S: Final = 5.0
 FETCH_TIMEOUT_S: Final = 20.0

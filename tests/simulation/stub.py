@@ -20,7 +20,8 @@ from common.wire.simulated_bus import SimulatedNetwork
 from coordinator.service.job import course_of
 from island_worker.agenda import Agenda, Work
 from island_worker.compute import WarmedUp, WarmUpNote
-from island_worker.events import Computed, JobReady, ShareKey, Task, TaskKey
+from island_worker.events import Computed, JobReady
+from island_worker.tasks import ShareKey, Task, TaskKey
 
 SLOTS = 4
 """Solutions per island."""

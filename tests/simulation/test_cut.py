@@ -12,7 +12,7 @@ from common.slices import Course, Position
 from common.wire.faults import Plan
 from common.wire.messages import IslandReport
 from coordinator.service.job import course_of
-from island_worker.events import Task, TaskKey
+from island_worker.tasks import Task, TaskKey
 from tests.simulation.stub import Shuffle, StubIsland, StubWork, hits_of, parse_slots
 from tests.simulation.world import World
 

@@ -12,7 +12,7 @@ from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Refinement
 from island_worker.agenda import Work
 from island_worker.engine import Engine
-from island_worker.events import ShareKey, Task
+from island_worker.tasks import ShareKey, Task
 from tests.simulation.stub import StubCompute
 from tests.simulation.world import World, comparable
 

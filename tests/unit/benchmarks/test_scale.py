@@ -18,7 +18,8 @@ from common.errors import AtollError
 from common.slices import Course
 from common.table import Table
 from common.wire.messages import Addition, EpochReport, IslandReport, Tally
-from island_worker.events import Computed, JobReady, Snapshot, Task, TaskKey
+from island_worker.events import Computed, JobReady, Snapshot
+from island_worker.tasks import Task, TaskKey
 
 LOAD = Load(64, 8, 8, 10.0, 1.0, 60.0, 400.0, 2e6, 1e5, 0.05, 0.03, 200 * 2**20, 5.0, 50.0, 1.0)
 

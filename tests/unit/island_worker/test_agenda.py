@@ -8,7 +8,8 @@ from common.errors import RemoteProtocolError
 from common.slices import Course, Position
 from common.wire.messages import HitStatement, IslandReport
 from island_worker.agenda import Agenda
-from island_worker.events import Abandoned, Broken, Computed, Outcome, Rejected, ShareKey, Snapshot, Task, TaskKey
+from island_worker.events import Abandoned, Broken, Computed, Outcome, Rejected, Snapshot
+from island_worker.tasks import ShareKey, Task, TaskKey
 
 LAST = 50
 COURSE = Course(generations=LAST, stride=10, joining=8)

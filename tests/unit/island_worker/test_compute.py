@@ -16,7 +16,8 @@ from common.slices import Course, Position
 from common.wire.codec import dataset_to_bytes
 from common.wire.messages import Tally
 from island_worker.compute import IslandCompute, WarmedUp, WarmUpFailed, WarmUpNote
-from island_worker.events import Abandoned, Broken, Computed, JobReady, Rejected, Task, TaskKey, Unloadable
+from island_worker.events import Abandoned, Broken, Computed, JobReady, Rejected, Unloadable
+from island_worker.tasks import Task, TaskKey
 
 LIMIT_S = 20.0
 COURSE = Course(generations=100, stride=10, joining=8)

@@ -27,20 +27,26 @@ from common.wire.messages import (
     States,
 )
 from common.wire.pieces import State, cut
-from island_worker.events import (
-    Abandoned,
+from island_worker.actions import (
     AskPeer,
     Beat,
-    Broken,
-    Closed,
-    Committed,
     Compute,
-    Computed,
     Discard,
     DiscardJob,
     FetchJob,
     FetchPlacements,
     FetchStates,
+    Respond,
+    Send,
+    SendReport,
+    StopAt,
+)
+from island_worker.events import (
+    Abandoned,
+    Broken,
+    Closed,
+    Committed,
+    Computed,
     JobReady,
     Mailed,
     Placed,
@@ -48,18 +54,13 @@ from island_worker.events import (
     PullAsked,
     Rejected,
     Reset,
-    Respond,
-    Send,
-    SendReport,
-    ShareKey,
     Snapshot,
     StatesCame,
-    StopAt,
-    TaskKey,
     Tick,
     Unloadable,
 )
 from island_worker.session import Session
+from island_worker.tasks import ShareKey, TaskKey
 
 
 @pytest.fixture
