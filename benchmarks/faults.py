@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from threading import Timer
 from typing import Final, TypeVar
 
 from benchmarks.derivatives import table_of
@@ -41,7 +40,7 @@ UNMET: Final = 1e-300
 
 LOOK_S: Final = 0.05
 GLANCE_S: Final = 0.6
-"""How long an answer is waited for while somebody may be away; a question that was lost is asked again thrice as soon."""
+"""How long an answer is waited for after a strike."""
 
 RECOVERY_LIMIT_S: Final = 120.0
 """Longer than any lease: a search that stands still so long is stuck."""
@@ -129,15 +128,17 @@ class Campaign:
             return
         strike, at_s = self.strikes.next(), self.client.now()
         strike.carry_out(self.machines)
-        undoing = Timer(strike.for_s, strike.undo, (self.machines,))  # not kept waiting by a question without an answer
-        undoing.start()
-        recovered = None
-        while recovered is None:
-            recovered = self._recovered(job, standing, at_s)
-            if self.client.now() - at_s > RECOVERY_LIMIT_S:
-                raise AtollError(f"{job} has stood still for {RECOVERY_LIMIT_S:.0f} s after {strike}")
+        recovered, is_undone = None, False
+        while recovered is None or not is_undone:
+            now = self.client.now() - at_s
+            if not is_undone and now >= strike.for_s:
+                strike.undo(self.machines)
+                is_undone = True
+            if recovered is None and (is_undone or strike.who in self.machines.workers):
+                recovered = self._recovered(job, standing, at_s)
+            if now > RECOVERY_LIMIT_S:
+                raise AtollError(f"{job} has stood still for {now:.0f} s after {strike}")
             self.client.pause(LOOK_S)
-        undoing.join()
         lost = max(0.0, recovered - calm.epoch_s)
         self.blows.append(Blow(strike.kind, strike.who, strike.for_s, job, at_s - began, lost))
         note(f"  {at_s - began:6.1f} s: {strike.kind} {strike.who} for {strike.for_s:.1f} s; {lost:.2f} s lost")
