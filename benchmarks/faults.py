@@ -39,6 +39,9 @@ UNMET: Final = 1e-300
 """A target error that ends no search."""
 
 LOOK_S: Final = 0.05
+GLANCE_S: Final = 0.6
+"""How long an answer is waited for after a strike."""
+
 RECOVERY_LIMIT_S: Final = 120.0
 """Longer than any lease: a search that stands still so long is stuck."""
 
@@ -131,7 +134,7 @@ class Campaign:
             if not is_undone and now >= strike.for_s:
                 strike.undo(self.machines)
                 is_undone = True
-            if recovered is None:
+            if recovered is None and (is_undone or strike.who in self.machines.workers):
                 recovered = self._recovered(job, standing, at_s)
             if now > RECOVERY_LIMIT_S:
                 raise AtollError(f"{job} has stood still for {now:.0f} s after {strike}")
@@ -143,7 +146,7 @@ class Campaign:
     def _recovered(self, job: str, standing: Standing, at_s: float) -> float | None:
         """Return the seconds since the strike, if all searches have got further since."""
         with suppress(UnreachableError):
-            if standing.is_passed_by(Standing.of(self.client.status(job))):
+            if standing.is_passed_by(Standing.of(self.client.status(job, GLANCE_S))):
                 return self.client.now() - at_s
         return None
 

@@ -145,9 +145,9 @@ class Client:
         """Return all jobs, newest last."""
         return self._ask(Jobs(), JobList, "the list of jobs").jobs
 
-    def status(self, job: str) -> JobView:
+    def status(self, job: str, limit_s: float = ANSWER_LIMIT_S) -> JobView:
         """Return how `job` is getting on."""
-        return self._ask(Status(job=job), JobStatus, f"the status of job {job}").job
+        return self._ask(Status(job=job), JobStatus, f"the status of job {job}", limit_s).job
 
     def workers(self) -> tuple[WorkerView, ...]:
         """Return the workers that the coordinator knows."""

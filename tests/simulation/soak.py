@@ -148,9 +148,10 @@ def soak(first: int, last: int, processes: int) -> Tally:
     total = Tally()
     with ThreadPoolExecutor(processes) as pool:
         for tally in pool.map(lambda each: in_child(*each), chunks(first, last)):
+            known = set(total.failed)
             total.add(tally)
-            for seed, sentence in tally.failed.items():
-                note(f"seed {seed} failed: {sentence}")
+            for seed in sorted(set(total.failed) - known):
+                note(f"seed {seed} failed: {total.failed[seed]}")
             note(f"{total.schedules} schedules, {len(total.failed)} failed")
     return total
 
