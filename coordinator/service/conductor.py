@@ -35,12 +35,12 @@ from coordinator.service.archipelago import Archipelago, Checkpoint
 from coordinator.service.checkpoint import StoredProgress
 from coordinator.service.cut import Cut
 from coordinator.service.job import Conclude, Fault, Job, JobAction, KeepCut, Prepared, Refine, TellCommit
+from coordinator.service.job_table import JobRecord
 from coordinator.service.keeping import Keeper
 from coordinator.service.membership import Member, Membership
 from coordinator.service.placement import Placer
 from coordinator.service.ports import StorePort
 from coordinator.service.progress import ended_view, job_result, job_view, result_text
-from coordinator.service.store import JobRecord
 from coordinator.service.turns import next_job
 from coordinator.service.watch import Watch
 

@@ -19,8 +19,8 @@ from coordinator.service.archipelago import Archipelago
 from coordinator.service.checkpoint import StoredProgress
 from coordinator.service.collector import DivergedError, Limits, Measure
 from coordinator.service.cut import Cut
+from coordinator.service.job_table import JobRecord
 from coordinator.service.resolve import stagnation_of
-from coordinator.service.store import JobRecord
 
 JobStep = Literal["prepare", "prepared", "searched", "refined", "fail", "cancel"]
 Fault = Literal["data", "diverged", "poison", "internal"]
