@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
 
-from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION, usage
+from common import VERSION, usage
 from common.config import JobConfig
 from common.errors import RemoteProtocolError, StoreError
 from common.logs import fields
@@ -19,37 +19,28 @@ from common.wire.bus import Bus, Event, Link, Message, Posted, Presence, Query, 
 from common.wire.codec import decode, encode
 from common.wire.messages import (
     MAX_MESSAGE,
-    Answer,
-    Ask,
     Control,
     EpochReport,
-    Failure,
-    Greeting,
-    GreetingAnswer,
-    Hello,
     Pull,
     PullAnswer,
     PullReports,
     PullStates,
-    Refusal,
     Reports,
     Shutdown,
     States,
-    Submit,
-    Welcome,
     WorkerStatus,
 )
 from common.wire.metered_bus import MeteredBus
-from common.wire.pieces import cut
 from common.wire.rejects import Rejects
 from common.wire.views import CoordinatorView, Counters
 from coordinator.model.refinement import Pools
 from coordinator.service.admission import Admission
+from coordinator.service.answers import Answers
 from coordinator.service.archipelago import Checkpoint
 from coordinator.service.conductor import Conductor, WorkerWord
-from coordinator.service.desk import Body, Desk
+from coordinator.service.desk import Desk
+from coordinator.service.greeter import Greeter
 from coordinator.service.job import Prepared
-from coordinator.service.membership import version_refusal
 from coordinator.service.ports import Ports, StorePort
 from coordinator.service.preparing import REAL
 from coordinator.service.slow_work import Ready, Refined, SlowWork, Unprepared, Written
@@ -100,8 +91,10 @@ class Service:
         self._is_linked = True
         self._asked: dict[int, tuple[str, PullReports | PullStates]] = {}
         self.conductor: Final = Conductor(store, self, self._ports.clock, expected_workers)
-        self._admission = Admission(roster, store)
-        self._desk = Desk(self.conductor, store, bus.now, self.view)
+        admission = Admission(roster, store)
+        desk = Desk(self.conductor, store, bus.now, self.view)
+        greeter = Greeter(self.conductor, store, admission, self.rejects, bus.now, self._ports.clock)
+        self._answers = Answers(self.conductor, store, greeter, desk, admission, self.rejects)
 
     # ------------------------------------------------------------------------------------------- life
 
@@ -277,98 +270,8 @@ class Service:
     @_on.register
     def _on_query(self, event: Query) -> None:
         try:
-            answer = self._answer(event)
+            answer = self._answers.answer(event)
         except RemoteProtocolError:
             self._bus.reply(event, None)
             raise
         self._bus.reply(event, answer)
-
-    def _answer(self, event: Query) -> bytes | None:
-        key = topics.parse(event.key)
-        match key:
-            case topics.HelloKey():
-                return encode(GreetingAnswer(body=self._greet(event.payload, key.name)))
-            case topics.JobKey():
-                announcement = self.conductor.announcement(key.job)
-                return encode(Control(body=announcement)) if announcement is not None else None
-            case topics.PlacementKey():
-                return encode(Control(body=self.conductor.placements(key.job)))
-            case topics.StateKey():
-                return self._states(key, event.payload)
-            case topics.BlobKey():
-                return self._chunk(key)
-            case topics.ClientKey():
-                return encode(Answer(body=self._serve_client(event, key.client)))
-            case _:
-                raise RemoteProtocolError(f"nothing is served on key {event.key}")
-
-    def _greet(self, payload: bytes, name: str | None) -> Welcome | Refusal:
-        """Answer a greeting on the key of `name`, or (None) only say how it would be answered there."""
-        try:
-            hello = decode(payload, Greeting, MAX_MESSAGE).body
-        except RemoteProtocolError as error:
-            self.rejects.note(topics.HELLO, error)
-            return _refusal(
-                f"the coordinator is Atoll {VERSION} (protocol {PROTOCOL_VERSION}) and did not understand the "
-                "greeting; install the same version on both sides"
-            )
-        sentence = self._refuse(hello, name)
-        if sentence is not None:
-            if hello.role == "client":
-                _LOG.warning("client refused", extra=fields(client=hello.name, reason=sentence))
-            return _refusal(sentence)
-        return Welcome(
-            realm=self._store.realm,
-            incarnation=self._store.incarnation,
-            protocol=PROTOCOL_VERSION,
-            version=VERSION,
-            engine=ENGINE_REVISION,
-            clock=self._ports.clock(),
-        )
-
-    def _refuse(self, hello: Hello, name: str | None) -> str | None:
-        if name not in (None, hello.name):
-            return f"{hello.name!r} greeted under the name {name!r}; install the same version on both sides"
-        refusal = version_refusal(hello) or self._admission.refuse_role(hello)
-        if refusal is not None or hello.role == "client" or name is None:
-            return refusal
-        return self.conductor.greet(hello, self._bus.now())
-
-    def _chunk(self, key: topics.BlobKey) -> bytes | None:
-        try:
-            return self._store.get_chunk(key.digest, key.index)
-        except KeyError:
-            return None
-
-    def _states(self, key: topics.StateKey, payload: bytes) -> bytes | None:
-        """Return states of a committed checkpoint, as many as one message bears; None when it is not there."""
-        pull = decode(payload, Pull, MAX_MESSAGE).body
-        if not isinstance(pull, PullStates) or pull.job != key.job:
-            raise RemoteProtocolError(f"states of job {key.job} were to be asked for, and {pull.kind!r} came")
-        try:
-            pieces = cut(
-                pull.islands,
-                pull.offset,
-                lambda island: self._store.state(pull.job, pull.variable, pull.epoch, island),
-            )
-        except KeyError:
-            return None
-        return encode(PullAnswer(body=States(pieces=pieces)))
-
-    def _serve_client(self, event: Query, client: str) -> Body:
-        try:
-            ask = decode(event.payload, Ask, MAX_MESSAGE)
-        except RemoteProtocolError as error:
-            self.rejects.note(event.key, error)
-            return Failure(failure="protocol", sentence=f"the coordinator did not understand the question: {error}")
-        refusal = self._admission.refuse_ask(client, ask)
-        if refusal is not None:
-            return Failure(failure="refused", sentence=refusal)
-        answer = self._desk.answer(ask)
-        if isinstance(ask.body, Submit) and not isinstance(answer, Failure):
-            self._admission.submitted(client, ask.body.job)
-        return answer
-
-
-def _refusal(sentence: str) -> Refusal:
-    return Refusal(protocol=PROTOCOL_VERSION, version=VERSION, engine=ENGINE_REVISION, sentence=sentence[:4000])
