@@ -4,9 +4,8 @@ Knows no bus: what is to be said goes through an `Outlet`, what must last throug
 same: first commit, then say.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Final, Protocol
+from collections.abc import Callable
+from typing import Final
 
 from common import ENGINE_REVISION
 from common.config import JobConfig
@@ -14,15 +13,12 @@ from common.errors import RefusedError, RemoteProtocolError
 from common.wire.codec import decode, encode
 from common.wire.messages import (
     Close,
-    Commit,
     EpochReport,
     Hello,
     Holding,
     Introduce,
     JobAnnouncement,
-    Placement,
     Placements,
-    PullReports,
     PullStates,
     Shutdown,
     States,
@@ -30,7 +26,7 @@ from common.wire.messages import (
     WorkerStatus,
 )
 from common.wire.views import FINAL_STATES, JobView
-from coordinator.model.refinement import Pools, Refinement
+from coordinator.model.refinement import Refinement
 from coordinator.service.archipelago import Archipelago, Checkpoint
 from coordinator.service.checkpoint import StoredProgress
 from coordinator.service.cut import Cut
@@ -38,41 +34,12 @@ from coordinator.service.job import Conclude, Fault, Job, JobAction, KeepCut, Pr
 from coordinator.service.job_table import JobRecord
 from coordinator.service.keeping import Keeper
 from coordinator.service.membership import Member, Membership
-from coordinator.service.placement import Placer
+from coordinator.service.outlet import Outlet
 from coordinator.service.ports import StorePort
 from coordinator.service.progress import ended_view, job_result, job_view, result_text
+from coordinator.service.terms import Terms
 from coordinator.service.turns import next_job
 from coordinator.service.watch import Watch
-
-WorkerWord = JobAnnouncement | Placements | Commit | Close | Introduce | Shutdown
-
-
-class Outlet(Protocol):
-    """How a conductor reaches the others."""
-
-    def tell(self, body: WorkerWord, worker: str | None = None) -> None:
-        """Send to one worker, or to all."""
-
-    def pull(self, worker: str, body: PullReports | PullStates) -> None:
-        """Ask a worker for reports, which come as reports, or states; `Conductor.states_came` follows."""
-
-    def write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> None:
-        """Have a checkpoint written elsewhere; `Conductor.written` follows."""
-
-    def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
-        """Have the table prepared elsewhere; `Conductor.prepared` or `Conductor.job_failed` follows."""
-
-    def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
-        """Have the equations made of the pools elsewhere; `Conductor.refined` follows."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Chosen:
-    """An archipelago that is to be placed, and the worker of each of its islands."""
-
-    job: Job
-    archipelago: Archipelago
-    workers: tuple[str, ...]
 
 
 class Conductor:
@@ -87,7 +54,7 @@ class Conductor:
         self._outlet = outlet
         self._clock = clock
         self.watch: Final = Watch(self.membership, store, clock)
-        self._placer = Placer(self.membership, expected_workers, self.watch.isolation)
+        self._terms = Terms(self.membership, store, outlet, self.watch, expected_workers)
         self._keeper = Keeper(outlet)
 
     # ------------------------------------------------------------------------------------------- jobs
@@ -318,82 +285,9 @@ class Conductor:
         for job, sentence in self.watch.lost(member, why, self.jobs.values()):
             self.job_failed(job, "poison", sentence, now)
 
-    # --------------------------------------------------------------------------------------- placement
-
     def place(self, now: float) -> None:
-        """Place, or place anew, every archipelago that has nobody, or somebody who is lost, or newcomers to use."""
-        self.watch.furnish(self.jobs.values())
-        chosen: list[_Chosen] = []
-        for job in list(self.jobs.values()):
-            placed_before = 0
-            for archipelago in job.archipelagos.values():
-                if archipelago.cut is None and job.state == "running":
-                    workers = self._choose(job, archipelago, placed_before, now)
-                    chosen += [_Chosen(job, archipelago, workers)] if workers is not None else []
-                placed_before += archipelago.collector.limits.islands
-        self._issue(chosen, now)
-
-    def _choose(self, job: Job, archipelago: Archipelago, first: int, now: float) -> tuple[str, ...] | None:
-        """Return the workers on which an archipelago is to be placed now; None: it stays as it is."""
-        if archipelago.is_writing:
-            return None  # the term after this one begins where that is durable
-        was_held = archipelago.is_held
-        if self._placer.is_broken(archipelago):
-            archipelago.unplace()
-            self.watch.unplaced(archipelago)
-        else:
-            self._plan(archipelago, now)
-        workers = self._placer.choose(archipelago, first, now)
-        if workers is None and was_held:
-            self._outlet.tell(Close(job=job.id, variable=archipelago.variable))
-        return workers
-
-    def _plan(self, archipelago: Archipelago, now: float) -> None:
-        """Prepare a change of placement that loses nothing: for workers who leave, or newcomers.
-
-        All islands are held at a checkpoint; when it is durable they are placed anew, or, if there is nobody left, kept
-        until somebody comes. Soon after a placement it is quicker to compute the little that there is again.
-        """
-        if archipelago.is_held:
-            archipelago.unplace()
-        elif self._placer.is_left(archipelago):
-            if archipelago.has_begun_only and self._placer.is_young(archipelago, now) and self.membership.ready():
-                archipelago.unplace()
-            else:
-                archipelago.request_hold()
-        elif self._placer.is_worth_planning(archipelago) and not self._placer.is_young(archipelago, now):
-            archipelago.request_hold()
-
-    def _issue(self, chosen: Sequence["_Chosen"], now: float) -> None:
-        """Begin terms: first all of them in the store, since each commit takes its time, then on the bus."""
-        if not chosen:
-            return
-        placements: list[Placement] = []
-
-        def place(index: int, term: int) -> bytes:
-            placements.append(self._placement(chosen[index], term))
-            return encode(placements[-1])
-
-        self._store.begin_terms([(each.job.id, each.archipelago.variable) for each in chosen], place)
-        for each, placement in zip(chosen, placements, strict=True):
-            each.archipelago.place(placement, now)
-            each.job.start(now)
-            self._outlet.tell(Placements(placements=(placement,)))
-            self.watch.placed(placement)
-
-    def _placement(self, chosen: "_Chosen", term: int) -> Placement:
-        archipelago = chosen.archipelago
-        return Placement(
-            incarnation=self._store.incarnation,
-            term=term,
-            job=archipelago.job,
-            variable=archipelago.variable,
-            workers=chosen.workers,
-            epoch=archipelago.durable,
-            epochs=archipelago.collector.limits.epochs,
-            interval=archipelago.interval,
-            course=archipelago.collector.limits.course,
-        )
+        """Begin the terms that are due."""
+        self._terms.begin(tuple(self.jobs.values()), now)
 
     # -------------------------------------------------------------------------------- what workers hold
 

@@ -37,10 +37,11 @@ from coordinator.model.refinement import Pools
 from coordinator.service.admission import Admission
 from coordinator.service.answers import Answers
 from coordinator.service.archipelago import Checkpoint
-from coordinator.service.conductor import Conductor, WorkerWord
+from coordinator.service.conductor import Conductor
 from coordinator.service.desk import Desk
 from coordinator.service.greeter import Greeter
 from coordinator.service.job import Prepared
+from coordinator.service.outlet import WorkerWord
 from coordinator.service.ports import Ports, StorePort
 from coordinator.service.preparing import REAL
 from coordinator.service.slow_work import Ready, Refined, SlowWork, Unprepared, Written
