@@ -15,7 +15,6 @@ from common.wire.messages import (
     Close,
     EpochReport,
     Hello,
-    Holding,
     Introduce,
     JobAnnouncement,
     Placements,
@@ -27,9 +26,10 @@ from common.wire.messages import (
 )
 from common.wire.views import FINAL_STATES, JobView
 from coordinator.model.refinement import Refinement
-from coordinator.service.archipelago import Archipelago, Checkpoint
+from coordinator.service.archipelago import Checkpoint
 from coordinator.service.checkpoint import StoredProgress
 from coordinator.service.cut import Cut
+from coordinator.service.holdings import Holdings
 from coordinator.service.job import Conclude, Fault, Job, JobAction, KeepCut, Prepared, Refine, TellCommit
 from coordinator.service.job_table import JobRecord
 from coordinator.service.keeping import Keeper
@@ -55,6 +55,7 @@ class Conductor:
         self._clock = clock
         self.watch: Final = Watch(self.membership, store, clock)
         self._terms = Terms(self.membership, store, outlet, self.watch, expected_workers)
+        self._holdings = Holdings(self.jobs, outlet, self.watch)
         self._keeper = Keeper(outlet)
 
     # ------------------------------------------------------------------------------------------- jobs
@@ -209,14 +210,9 @@ class Conductor:
         if not was_ready and self.membership.is_ready(worker):
             self.place(now)
         for trouble in status.troubles:
-            if self._is_current(trouble.job, trouble.variable, trouble.term):
+            if self._holdings.is_current(trouble.job, trouble.variable, trouble.term):
                 self.job_failed(trouble.job, "internal", f"{trouble.sentence} (on worker {worker})", now)
-        held = {(each.job, each.variable): each for each in status.holdings}
-        for holding in status.holdings:
-            self._check_holding(worker, holding)
-        for job in status.jobs:
-            self._check_dataset(worker, job)
-        self._send_missing_placements(worker, held)
+        self._holdings.look(worker, status)
         if status.state == "leaving":
             self._let_go(worker, now)
         for holding in status.holdings:
@@ -288,69 +284,6 @@ class Conductor:
     def place(self, now: float) -> None:
         """Begin the terms that are due."""
         self._terms.begin(tuple(self.jobs.values()), now)
-
-    # -------------------------------------------------------------------------------- what workers hold
-
-    def _check_holding(self, worker: str, holding: Holding) -> None:
-        archipelago = self._archipelago(holding.job, holding.variable)
-        if archipelago is None or archipelago.cut is not None:
-            if not self._is_open(holding.job):
-                self._outlet.tell(Close(job=holding.job), worker)
-            elif archipelago is not None:
-                self._outlet.tell(Close(job=holding.job, variable=holding.variable), worker)
-            return
-        placement = archipelago.placement
-        if placement is None:
-            return
-        if holding.term < placement.term:
-            self._outlet.tell(Placements(placements=(placement,)), worker)
-        elif holding.term == placement.term:
-            self._catch_up(worker, archipelago, holding)
-
-    def _check_dataset(self, worker: str, job_id: str) -> None:
-        """Have a dataset forgotten that is needed no more."""
-        if not self._is_open(job_id):
-            self._outlet.tell(Close(job=job_id), worker)
-
-    def _is_open(self, job_id: str) -> bool:
-        """Tell whether islands of a job are computed now or will be: what is said to be closed may arrive late."""
-        job = self.jobs.get(job_id)
-        return job is not None and job.state in ("queued", "preparing", "running")
-
-    def _catch_up(self, worker: str, archipelago: Archipelago, holding: Holding) -> None:
-        """Pull reports that were lost, and repeat a commit that was."""
-        archipelago.note_holding(worker, holding)
-        self.watch.waited(worker, holding)
-        pull = archipelago.missing_reports(worker, holding)
-        if pull is not None:
-            self._outlet.pull(worker, pull)
-        due = archipelago.forget_due()
-        if due is not None:
-            self._outlet.tell(due)
-        commit = archipelago.commit()
-        if commit is not None and holding.commit < commit.epoch:
-            self._outlet.tell(commit, worker)
-
-    def _send_missing_placements(self, worker: str, held: dict[tuple[str, str], Holding]) -> None:
-        missing = [
-            archipelago.placement
-            for job in self.jobs.values()
-            for archipelago in job.open_archipelagos
-            if archipelago.placement is not None
-            and worker in archipelago.placement.workers
-            and (job.id, archipelago.variable) not in held
-        ]
-        if missing:
-            self._outlet.tell(Placements(placements=tuple(missing)), worker)
-
-    def _archipelago(self, job_id: str, variable: str) -> Archipelago | None:
-        job = self.jobs.get(job_id)
-        return job.archipelagos.get(variable) if job is not None and job.state == "running" else None
-
-    def _is_current(self, job_id: str, variable: str, term: int) -> bool:
-        archipelago = self._archipelago(job_id, variable)
-        placement = archipelago.placement if archipelago is not None and archipelago.cut is None else None
-        return placement is not None and placement.term == term
 
     # ----------------------------------------------------------------------------------------- outcomes
 
