@@ -3,20 +3,11 @@
 from common.errors import RemoteProtocolError
 from common.wire import topics
 from common.wire.bus import Query
+from common.wire.client_messages import Answer, Ask, Failure, Submit
 from common.wire.codec import decode, encode
-from common.wire.messages import (
-    MAX_MESSAGE,
-    Answer,
-    Ask,
-    Control,
-    Failure,
-    GreetingAnswer,
-    Pull,
-    PullAnswer,
-    PullStates,
-    States,
-    Submit,
-)
+from common.wire.greetings import GreetingAnswer
+from common.wire.limits import MAX_MESSAGE
+from common.wire.messages import Control, Pull, PullAnswer, PullStates, States
 from common.wire.pieces import cut
 from common.wire.rejects import Rejects
 from coordinator.service.admission import Admission

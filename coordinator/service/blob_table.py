@@ -5,7 +5,7 @@ import sqlite3
 from typing import Literal, cast
 
 from common.errors import RemoteProtocolError
-from common.wire.messages import CHUNK_SIZE, chunk_count
+from common.wire.limits import CHUNK_SIZE, chunk_count
 
 Upload = Literal["partial", "whole", "wrong"]
 """How an upload stands: chunks are missing; it is there; its bytes did not have its digest, and it is forgotten."""

@@ -10,18 +10,18 @@ from typing import Final
 from common import ENGINE_REVISION
 from common.config import JobConfig
 from common.errors import RefusedError, RemoteProtocolError
+from common.wire.client_messages import Submit
 from common.wire.codec import decode, encode
+from common.wire.greetings import Hello
 from common.wire.messages import (
     Close,
     EpochReport,
-    Hello,
     Introduce,
     JobAnnouncement,
     Placements,
     PullStates,
     Shutdown,
     States,
-    Submit,
     WorkerStatus,
 )
 from common.wire.views import FINAL_STATES, JobView

@@ -8,7 +8,8 @@ from common.errors import RemoteProtocolError
 from common.logs import fields
 from common.wire import topics
 from common.wire.codec import decode
-from common.wire.messages import MAX_MESSAGE, Greeting, Hello, Refusal, Welcome
+from common.wire.greetings import Greeting, Hello, Refusal, Welcome
+from common.wire.limits import MAX_MESSAGE
 from common.wire.rejects import Rejects
 from coordinator.service.admission import Admission
 from coordinator.service.conductor import Conductor

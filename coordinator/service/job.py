@@ -10,7 +10,8 @@ from common.errors import LocalProtocolError, RemoteProtocolError
 from common.expression.program import check_program_bytes
 from common.pareto import FrontEntry
 from common.slices import Course
-from common.wire.messages import Commit, EpochReport, JobAnnouncement, chunk_count
+from common.wire.limits import chunk_count
+from common.wire.messages import Commit, EpochReport, JobAnnouncement
 from common.wire.views import FINAL_STATES, JobState
 from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pool, Refinement

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Final, Self
 
 from common.errors import RemoteProtocolError, StoreError
-from common.wire.messages import chunk_count
+from common.wire.limits import chunk_count
 from common.wire.pieces import State
 from common.wire.views import StoreView
 from coordinator.service import archipelago_table, blob_table, checkpoint_table, job_table

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from common.config import JobConfig
-from common.wire.messages import (
+from common.wire.client_messages import (
     Ask,
     Cancel,
     Failure,

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from common.errors import LocalProtocolError, RemoteProtocolError, StoreError
-from common.wire.messages import CHUNK_SIZE
+from common.wire.limits import CHUNK_SIZE
 from common.wire.pieces import State
 from coordinator.service.event_table import MAX_EVENTS, EventRecord
 from coordinator.service.job_table import JobRecord
