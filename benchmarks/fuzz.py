@@ -25,21 +25,12 @@ from common.config import BudgetConfig, EvolutionConfig, JobConfig
 from common.errors import RemoteProtocolError
 from common.seeding import Stream, stream_key
 from common.wire import topics
+from common.wire.client_messages import Answer, Ask
 from common.wire.codec import decode
 from common.wire.faults import Plan
-from common.wire.messages import (
-    MAX_MESSAGE,
-    Answer,
-    Ask,
-    Control,
-    EpochReport,
-    Greeting,
-    GreetingAnswer,
-    Mail,
-    Pull,
-    PullAnswer,
-    WorkerStatus,
-)
+from common.wire.greetings import Greeting, GreetingAnswer
+from common.wire.limits import MAX_MESSAGE
+from common.wire.messages import Control, EpochReport, Mail, Pull, PullAnswer, WorkerStatus
 from tests.simulation.world import World, bus_of, comparable
 
 CONFIG = JobConfig(seed=3, evolution=EvolutionConfig(islands=4), budget=BudgetConfig(max_epochs=14))

@@ -17,9 +17,7 @@ from common.errors import AtollError, DataError, RefusedError, RemoteProtocolErr
 from common.wire import topics
 from common.wire.addresses import Destination
 from common.wire.bus import Bus, Reply
-from common.wire.codec import decode, encode
-from common.wire.messages import (
-    CHUNK_SIZE,
+from common.wire.client_messages import (
     Answer,
     Ask,
     Cancel,
@@ -28,22 +26,20 @@ from common.wire.messages import (
     FailureKind,
     GetEvents,
     GetResult,
-    Greeting,
-    GreetingAnswer,
-    Hello,
     JobList,
     Jobs,
     JobStatus,
-    Refusal,
     Result,
     Status,
     Submit,
     Upload,
     Uploaded,
-    Welcome,
     WorkerList,
     Workers,
 )
+from common.wire.codec import decode, encode
+from common.wire.greetings import Greeting, GreetingAnswer, Hello, Refusal, Welcome
+from common.wire.limits import CHUNK_SIZE
 from common.wire.views import CoordinatorView, EventView, JobView, WorkerView
 
 ANSWER_LIMIT_S: Final = 10.0

@@ -8,7 +8,8 @@ from typing import Final, Protocol
 
 from common.errors import RemoteProtocolError
 from common.wire.codec import decode
-from common.wire.messages import CHUNK_SIZE, MAX_MESSAGE, Control, JobAnnouncement, chunk_count
+from common.wire.limits import CHUNK_SIZE, MAX_MESSAGE, chunk_count
+from common.wire.messages import Control, JobAnnouncement
 
 WINDOW: Final = 2
 """Chunks asked for at the same time."""

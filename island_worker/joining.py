@@ -8,7 +8,8 @@ from uuid import uuid4
 from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from common.errors import RefusedError, RemoteProtocolError
 from common.wire.codec import decode, encode
-from common.wire.messages import MAX_MESSAGE, Greeting, GreetingAnswer, Hello, Refusal, Welcome
+from common.wire.greetings import Greeting, GreetingAnswer, Hello, Refusal, Welcome
+from common.wire.limits import MAX_MESSAGE
 
 
 @dataclass(frozen=True, slots=True)

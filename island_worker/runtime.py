@@ -16,8 +16,8 @@ from common.wire import topics
 from common.wire.addresses import Destination
 from common.wire.bus import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from common.wire.codec import decode, encode
+from common.wire.limits import MAX_MESSAGE
 from common.wire.messages import (
-    MAX_MESSAGE,
     Close,
     Commit,
     Control,

@@ -25,6 +25,7 @@ from island_worker.actions import (
     Respond,
     StopAt,
 )
+from island_worker.early_mail import EarlyMail
 from island_worker.events import (
     Abandoned,
     Broken,
@@ -57,9 +58,6 @@ JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
 }
 """What this worker has of a job's configuration and dataset -> what happens -> what it has then."""
 
-MAX_EARLY: Final = 256
-"""Messages kept of terms whose placement has not come yet."""
-
 Archipelago = tuple[str, str]
 
 
@@ -71,7 +69,7 @@ class Session:
         self._shares: dict[Archipelago, Share] = {}
         self._jobs: dict[str, JobState] = {}
         self._terms: dict[Archipelago, int] = {}
-        self._early: list[Mailed] = []
+        self._early = EarlyMail()
         self._troubles: list[Trouble] = []
         self._waited_before_s = 0.0
         self._duplicates_before = 0
@@ -125,7 +123,7 @@ class Session:
 
     def forget_early(self, job: str) -> None:
         """Forget a job's mail whose placement was asked for and did not come with the answer: it can be pulled."""
-        self._early = [each for each in self._early if each.body.job != job]
+        self._early.forget(job)
 
     def validate(self) -> None:
         """Check the invariants; raises LocalProtocolError."""
@@ -184,9 +182,7 @@ class Session:
         job, variable = event.close.job, event.close.variable
         keys = [key for key in self._shares if key[0] == job and variable in (None, key[1])]
         actions: list[Action] = [action for key in keys for action in self._drop(key)]
-        self._early = [
-            each for each in self._early if each.body.job != job or variable not in (None, each.body.variable)
-        ]
+        self._early.forget(job, variable)
         if variable is None and self._jobs.get(job, "unknown") != "unknown":
             self._step_job(job, "close")
             actions.append(DiscardJob(job))
@@ -209,7 +205,8 @@ class Session:
         key = (event.body.job, event.body.variable)
         term = self._terms.get(key, 0)
         if event.body.term > term:
-            return self._keep_early(event)
+            is_first = self._early.keep(event)
+            return [FetchPlacements(event.body.job)] if is_first else []
         share = self._shares.get(key)
         if share is None or event.body.term < term:
             return []
@@ -354,20 +351,10 @@ class Session:
     def _step_job(self, job: str, step: JobStep) -> None:
         self._jobs[job] = JOB_TRANSITIONS[self._jobs.get(job, "unknown")][step]
 
-    def _keep_early(self, event: Mailed) -> list[Action]:
-        """Keep mail of a term we have not heard of, and ask for its placement."""
-        is_first = all(
-            (each.body.job, each.body.variable) != (event.body.job, event.body.variable) for each in self._early
-        )
-        self._early = [*self._early[-(MAX_EARLY - 1) :], event]
-        return [FetchPlacements(event.body.job)] if is_first else []
-
     def _deliver_early(self, key: Archipelago) -> None:
         """File the mail that came before its placement; what does not fit is dropped, it can be pulled."""
         share = self._shares[key]
-        mine = [each for each in self._early if (each.body.job, each.body.variable) == key]
-        self._early = [each for each in self._early if each not in mine]
-        for each in mine:
+        for each in self._early.take(*key):
             if each.body.term == share.placement.term:
                 try:
                     share.receive(each.sender, each.body)

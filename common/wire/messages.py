@@ -1,109 +1,35 @@
-"""Every message on the bus, as frozen, validated models tagged by `kind`.
+"""The messages of coordinator and workers, as frozen, validated models tagged by `kind`.
 
 An *envelope* names who speaks to whom; its `body` is one of a closed union, told apart by `kind`:
 
-Greeting, GreetingAnswer (hello); Control (coordinator to workers); WorkerStatus, EpochReport (worker to coordinator);
-Mail (worker to worker); Pull, PullAnswer (to a worker); Ask, Answer (clients). docs/protocol.md lists their bodies.
+Control (coordinator to workers); WorkerStatus, EpochReport (worker to coordinator); Mail (worker to worker); Pull,
+PullAnswer (to a worker). Greeting and GreetingAnswer (hello) are in `common.wire.greetings`, Ask and Answer (clients)
+in `common.wire.client_messages`. docs/protocol.md lists the bodies of all.
 
 Epochs count from 0, islands from 0; a *term* belongs to one (job, variable) and rises with each of its placements.
 """
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from common.config import JobConfig, Model
 from common.slices import Course
-from common.wire.views import CoordinatorView, Counters, EventView, JobView, WorkerState, WorkerView
-
-CHUNK_SIZE: Final = 4 * 1024 * 1024
-"""Bytes per chunk of an upload or a dataset; the last chunk may be shorter."""
-
-MAX_UPLOAD: Final = 1024 * 1024 * 1024
-"""Largest table a client may upload, in bytes."""
-
-MAX_MESSAGE: Final = 16 * 1024 * 1024
-"""Largest encoded message; anything larger is refused unread."""
-
-MAX_STATE: Final = 256 * 1024 * 1024
-"""Largest state of one island, in bytes; the usual one has about 50,000."""
-
-MAX_RUNNERS_UP: Final = 20_000
-"""Most runners-up that an island may report of one epoch; an epoch has room for a few hundred."""
-
-Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
-Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-Variable = Annotated[str, Field(min_length=1, max_length=256)]
-Count = Annotated[int, Field(ge=0, lt=2**63)]
-IslandIndex = Annotated[int, Field(ge=0, lt=1024)]
-Term = Annotated[int, Field(ge=1, lt=2**63)]
-Sentence = Annotated[str, Field(max_length=4000)]
-Seconds = Annotated[float, Field(ge=0.0, lt=1e12)]
-Priority = Annotated[int, Field(ge=-10, le=10)]
-"""Each step doubles a job's share of the workers."""
-
-
-# ---------------------------------------------------------------------------------------------- greeting
-
-
-class Tolerant(Model):
-    """A message whose shape other versions must be able to read: fields they do not know are ignored."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
-
-
-class Hello(Tolerant):
-    """The first words of a worker or a client. `instance` is drawn anew by each process.
-
-    `fingerprint` names what the bits of a worker's islands depend on ("" while its kernels are not ready, and for a
-    client, which computes nothing).
-    """
-
-    kind: Literal["hello"] = "hello"
-    role: Literal["worker", "client"]
-    name: Id
-    instance: Id
-    protocol: Count
-    version: Annotated[str, Field(max_length=64)]
-    engine: Count
-    fingerprint: Annotated[str, Field(max_length=128)] = ""
-    host: Annotated[str, Field(max_length=256)] = ""
-    pid: Count = 0
-
-
-class Welcome(Tolerant):
-    """The coordinator accepts; all further keys lie under `realm`. `clock` is its time of day as ISO text, if told."""
-
-    kind: Literal["welcome"] = "welcome"
-    realm: Id
-    incarnation: Count
-    protocol: Count
-    version: Annotated[str, Field(max_length=64)]
-    engine: Count
-    clock: Annotated[str, Field(max_length=64)] = ""
-
-
-class Refusal(Tolerant):
-    """The coordinator does not accept; `sentence` says why and names both sides' versions where they differ."""
-
-    kind: Literal["refusal"] = "refusal"
-    protocol: Count
-    version: Annotated[str, Field(max_length=64)]
-    engine: Count
-    sentence: Sentence
-
-
-class Greeting(Tolerant):
-    """Question on the hello key."""
-
-    body: Hello
-
-
-class GreetingAnswer(Tolerant):
-    """Answer on the hello key."""
-
-    body: Annotated[Welcome | Refusal, Field(discriminator="kind")]
-
+from common.wire.limits import (
+    CHUNK_SIZE,
+    MAX_RUNNERS_UP,
+    MAX_STATE,
+    Count,
+    Digest,
+    Id,
+    IslandIndex,
+    Priority,
+    Seconds,
+    Sentence,
+    Term,
+    Variable,
+)
+from common.wire.views import Counters, WorkerState
 
 # ---------------------------------------------------------------------------------------------- control
 
@@ -468,153 +394,3 @@ class PullAnswer(Model):
     """Answer of a worker."""
 
     body: Annotated[Sent | Reports | States | NotYet | NewerTerm, Field(discriminator="kind")]
-
-
-# ---------------------------------------------------------------------------------------------- clients
-
-
-class Upload(Model):
-    """One chunk of a table, or, with `data` None, the question which chunks are missing.
-
-    `blob` is the SHA-256 of all `size` bytes; chunk `index` holds bytes from ``index * CHUNK_SIZE``; `sha256` is the
-    chunk's own. Idempotent.
-    """
-
-    kind: Literal["upload"] = "upload"
-    blob: Digest
-    size: Annotated[int, Field(ge=1, le=MAX_UPLOAD)]
-    index: Count = 0
-    sha256: Digest | None = None
-    data: Annotated[bytes, Field(max_length=CHUNK_SIZE)] | None = None
-
-
-class Submit(Model):
-    """A job under an id that the client made. The same id with the same contents again is the same job."""
-
-    kind: Literal["submit"] = "submit"
-    job: Id
-    name: Annotated[str, Field(max_length=200)]
-    config: JobConfig
-    table: Digest
-    priority: Priority = 0
-
-
-class Jobs(Model):
-    """List all jobs."""
-
-    kind: Literal["jobs"] = "jobs"
-
-
-class Status(Model):
-    """Tell how a job is getting on."""
-
-    kind: Literal["job-status"] = "job-status"
-    job: Id
-
-
-class Workers(Model):
-    """List all workers."""
-
-    kind: Literal["workers"] = "workers"
-
-
-class GetResult(Model):
-    """Give a job's result; while it runs, the best so far."""
-
-    kind: Literal["get-result"] = "get-result"
-    job: Id
-
-
-class Cancel(Model):
-    """End a job and keep the best models; without effect on a job that has ended."""
-
-    kind: Literal["cancel"] = "cancel"
-    job: Id
-
-
-class GetEvents(Model):
-    """Tell what happened to a job, or at all (`job` None), after the event of number `after`: `limit` of it at most.
-
-    With `after` 0 these are the last ones.
-    """
-
-    kind: Literal["get-events"] = "get-events"
-    job: Id | None = None
-    after: Count = 0
-    limit: Annotated[int, Field(ge=1, le=1000)] = 200
-
-
-class Ask(Model):
-    """Question of a client."""
-
-    body: Annotated[
-        Upload | Submit | Jobs | Status | Workers | GetResult | Cancel | GetEvents, Field(discriminator="kind")
-    ]
-
-
-class Uploaded(Model):
-    """Chunks of an upload that are still missing; none: the table is stored."""
-
-    kind: Literal["uploaded"] = "uploaded"
-    blob: Digest
-    missing: tuple[Count, ...]
-
-
-class JobList(Model):
-    """All jobs, newest last."""
-
-    kind: Literal["job-list"] = "job-list"
-    jobs: tuple[JobView, ...]
-
-
-class JobStatus(Model):
-    """One job; the answer to Submit, Status and Cancel."""
-
-    kind: Literal["job-view"] = "job-view"
-    job: JobView
-
-
-class WorkerList(Model):
-    """All workers seen since the coordinator started, and the coordinator itself."""
-
-    kind: Literal["worker-list"] = "worker-list"
-    workers: tuple[WorkerView, ...]
-    coordinator: CoordinatorView | None = None
-
-
-class EventList(Model):
-    """What happened, in order."""
-
-    kind: Literal["event-list"] = "event-list"
-    events: tuple[EventView, ...]
-
-
-class Result(Model):
-    """The contents of result.json, as JSON text."""
-
-    kind: Literal["result"] = "result"
-    json_text: str
-
-
-FailureKind = Literal["unknown-job", "refused", "data", "too-early", "protocol", "internal"]
-
-
-class Failure(Model):
-    """The question cannot be answered; `sentence` is for the person who asked."""
-
-    kind: Literal["failure"] = "failure"
-    failure: FailureKind
-    sentence: Sentence
-
-
-class Answer(Model):
-    """Answer to a client."""
-
-    body: Annotated[
-        Uploaded | JobList | JobStatus | WorkerList | Result | EventList | Failure, Field(discriminator="kind")
-    ]
-
-
-def chunk_count(size: int) -> int:
-    """Return the number of chunks of `size` bytes (at least 1)."""
-    return max(1, -(-size // CHUNK_SIZE))

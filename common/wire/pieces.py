@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Final, NamedTuple
 
 from common.errors import RemoteProtocolError
-from common.wire.messages import CHUNK_SIZE, Piece
+from common.wire.limits import CHUNK_SIZE
+from common.wire.messages import Piece
 
 
 class State(NamedTuple):

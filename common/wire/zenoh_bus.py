@@ -26,7 +26,7 @@ from common.wire.addresses import Address, Destination, bindable, check_certific
 from common.wire.bus import MAX_PAYLOAD, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from common.wire.inbox import Inbox, Timers
 from common.wire.keys import check_expression, check_key, check_payload
-from common.wire.messages import MAX_MESSAGE
+from common.wire.limits import MAX_MESSAGE
 from common.wire.topics import HELLO, ROOT
 
 _WAIT_FOR_PEER_US: Final = 1_000_000

@@ -11,7 +11,7 @@ from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from common.errors import AtollError, UsageError
 from common.wire.addresses import Destination, bindable, destination, parse_address
 from common.wire.credentials import Credentials, credentials_of
-from common.wire.messages import Welcome
+from common.wire.greetings import Welcome
 from common.wire.views import WorkerView
 from coordinator.cli.doctor_address import LIMIT_S, check_address
 from coordinator.cli.finding import Finding, fine, problem

@@ -7,7 +7,8 @@ to its greeting; and who may cancel which job, which no rule on keys can say, is
 from typing import Final, Protocol
 
 from common.wire.access import Role, Roster
-from common.wire.messages import Ask, Cancel, Hello
+from common.wire.client_messages import Ask, Cancel
+from common.wire.greetings import Hello
 
 _MAY: Final[dict[Role, str]] = {
     "coordinator": "serve",

@@ -4,77 +4,44 @@ Knows no bus: what is to be said goes through an `Outlet`, what must last throug
 same: first commit, then say.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Final, Protocol
+from collections.abc import Callable
+from typing import Final
 
 from pydantic import ValidationError
 
 from common import ENGINE_REVISION, VERSION
 from common.config import JobConfig
 from common.errors import RefusedError, RemoteProtocolError
+from common.wire.client_messages import Submit
 from common.wire.codec import decode, encode
+from common.wire.greetings import Hello
 from common.wire.messages import (
     Close,
-    Commit,
     EpochReport,
-    Hello,
-    Holding,
     Introduce,
     JobAnnouncement,
-    Placement,
     Placements,
-    PullReports,
     PullStates,
     Shutdown,
     States,
-    Submit,
     WorkerStatus,
 )
 from common.wire.views import FINAL_STATES, JobView
-from coordinator.model.refinement import Pools, Refinement
-from coordinator.service.archipelago import Archipelago, Checkpoint
+from coordinator.model.refinement import Refinement
+from coordinator.service.archipelago import Checkpoint
 from coordinator.service.checkpoint import StoredProgress
 from coordinator.service.cut import Cut
+from coordinator.service.holdings import Holdings
 from coordinator.service.job import Conclude, Fault, Job, JobAction, KeepCut, Prepared, Refine, TellCommit
+from coordinator.service.job_table import JobRecord
 from coordinator.service.keeping import Keeper
 from coordinator.service.membership import Member, Membership
-from coordinator.service.placement import Placer
+from coordinator.service.outlet import Outlet
 from coordinator.service.ports import StorePort
 from coordinator.service.progress import ended_view, job_result, job_view, result_text
-from coordinator.service.store import JobRecord
+from coordinator.service.terms import Terms
 from coordinator.service.turns import next_job
 from coordinator.service.watch import Watch
-
-WorkerWord = JobAnnouncement | Placements | Commit | Close | Introduce | Shutdown
-
-
-class Outlet(Protocol):
-    """How a conductor reaches the others."""
-
-    def tell(self, body: WorkerWord, worker: str | None = None) -> None:
-        """Send to one worker, or to all."""
-
-    def pull(self, worker: str, body: PullReports | PullStates) -> None:
-        """Ask a worker for reports, which come as reports, or states; `Conductor.states_came` follows."""
-
-    def write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> None:
-        """Have a checkpoint written elsewhere; `Conductor.written` follows."""
-
-    def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
-        """Have the table prepared elsewhere; `Conductor.prepared` or `Conductor.job_failed` follows."""
-
-    def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
-        """Have the equations made of the pools elsewhere; `Conductor.refined` follows."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Chosen:
-    """An archipelago that is to be placed, and the worker of each of its islands."""
-
-    job: Job
-    archipelago: Archipelago
-    workers: tuple[str, ...]
 
 
 class Conductor:
@@ -89,7 +56,8 @@ class Conductor:
         self._outlet = outlet
         self._clock = clock
         self.watch: Final = Watch(self.membership, store, clock)
-        self._placer = Placer(self.membership, expected_workers, self.watch.isolation)
+        self._terms = Terms(self.membership, store, outlet, self.watch, expected_workers)
+        self._holdings = Holdings(self.jobs, outlet, self.watch)
         self._keeper = Keeper(outlet)
 
     # ------------------------------------------------------------------------------------------- jobs
@@ -263,14 +231,9 @@ class Conductor:
         if not was_ready and self.membership.is_ready(worker):
             self.place(now)
         for trouble in status.troubles:
-            if self._is_current(trouble.job, trouble.variable, trouble.term):
+            if self._holdings.is_current(trouble.job, trouble.variable, trouble.term):
                 self.job_failed(trouble.job, "internal", f"{trouble.sentence} (on worker {worker})", now)
-        held = {(each.job, each.variable): each for each in status.holdings}
-        for holding in status.holdings:
-            self._check_holding(worker, holding)
-        for job in status.jobs:
-            self._check_dataset(worker, job)
-        self._send_missing_placements(worker, held)
+        self._holdings.look(worker, status)
         if status.state == "leaving":
             self._let_go(worker, now)
         for holding in status.holdings:
@@ -339,145 +302,9 @@ class Conductor:
         for job, sentence in self.watch.lost(member, why, self.jobs.values()):
             self.job_failed(job, "poison", sentence, now)
 
-    # --------------------------------------------------------------------------------------- placement
-
     def place(self, now: float) -> None:
-        """Place, or place anew, every archipelago that has nobody, or somebody who is lost, or newcomers to use."""
-        self.watch.furnish(self.jobs.values())
-        chosen: list[_Chosen] = []
-        for job in list(self.jobs.values()):
-            placed_before = 0
-            for archipelago in job.archipelagos.values():
-                if archipelago.cut is None and job.state == "running":
-                    workers = self._choose(job, archipelago, placed_before, now)
-                    chosen += [_Chosen(job, archipelago, workers)] if workers is not None else []
-                placed_before += archipelago.collector.limits.islands
-        self._issue(chosen, now)
-
-    def _choose(self, job: Job, archipelago: Archipelago, first: int, now: float) -> tuple[str, ...] | None:
-        """Return the workers on which an archipelago is to be placed now; None: it stays as it is."""
-        if archipelago.is_writing:
-            return None  # the term after this one begins where that is durable
-        was_held = archipelago.is_held
-        if self._placer.is_broken(archipelago):
-            archipelago.unplace()
-            self.watch.unplaced(archipelago)
-        else:
-            self._plan(archipelago, now)
-        workers = self._placer.choose(archipelago, first, now)
-        if workers is None and was_held:
-            self._outlet.tell(Close(job=job.id, variable=archipelago.variable))
-        return workers
-
-    def _plan(self, archipelago: Archipelago, now: float) -> None:
-        """Prepare a change of placement that loses nothing: for workers who leave, or newcomers.
-
-        All islands are held at a checkpoint; when it is durable they are placed anew, or, if there is nobody left, kept
-        until somebody comes. Soon after a placement it is quicker to compute the little that there is again.
-        """
-        if archipelago.is_held:
-            archipelago.unplace()
-        elif self._placer.is_left(archipelago):
-            if archipelago.has_begun_only and self._placer.is_young(archipelago, now) and self.membership.ready():
-                archipelago.unplace()
-            else:
-                archipelago.request_hold()
-        elif self._placer.is_worth_planning(archipelago) and not self._placer.is_young(archipelago, now):
-            archipelago.request_hold()
-
-    def _issue(self, chosen: Sequence["_Chosen"], now: float) -> None:
-        """Begin terms: first all of them in the store, since each commit takes its time, then on the bus."""
-        if not chosen:
-            return
-        placements: list[Placement] = []
-
-        def place(index: int, term: int) -> bytes:
-            placements.append(self._placement(chosen[index], term))
-            return encode(placements[-1])
-
-        self._store.begin_terms([(each.job.id, each.archipelago.variable) for each in chosen], place)
-        for each, placement in zip(chosen, placements, strict=True):
-            each.archipelago.place(placement, now)
-            each.job.start(now)
-            self._outlet.tell(Placements(placements=(placement,)))
-            self.watch.placed(placement)
-
-    def _placement(self, chosen: "_Chosen", term: int) -> Placement:
-        archipelago = chosen.archipelago
-        return Placement(
-            incarnation=self._store.incarnation,
-            term=term,
-            job=archipelago.job,
-            variable=archipelago.variable,
-            workers=chosen.workers,
-            epoch=archipelago.durable,
-            epochs=archipelago.collector.limits.epochs,
-            interval=archipelago.interval,
-            course=archipelago.collector.limits.course,
-        )
-
-    # -------------------------------------------------------------------------------- what workers hold
-
-    def _check_holding(self, worker: str, holding: Holding) -> None:
-        archipelago = self._archipelago(holding.job, holding.variable)
-        if archipelago is None or archipelago.cut is not None:
-            if not self._is_open(holding.job):
-                self._outlet.tell(Close(job=holding.job), worker)
-            elif archipelago is not None:
-                self._outlet.tell(Close(job=holding.job, variable=holding.variable), worker)
-            return
-        placement = archipelago.placement
-        if placement is None:
-            return
-        if holding.term < placement.term:
-            self._outlet.tell(Placements(placements=(placement,)), worker)
-        elif holding.term == placement.term:
-            self._catch_up(worker, archipelago, holding)
-
-    def _check_dataset(self, worker: str, job_id: str) -> None:
-        """Have a dataset forgotten that is needed no more."""
-        if not self._is_open(job_id):
-            self._outlet.tell(Close(job=job_id), worker)
-
-    def _is_open(self, job_id: str) -> bool:
-        """Tell whether islands of a job are computed now or will be: what is said to be closed may arrive late."""
-        job = self.jobs.get(job_id)
-        return job is not None and job.state in ("queued", "preparing", "running")
-
-    def _catch_up(self, worker: str, archipelago: Archipelago, holding: Holding) -> None:
-        """Pull reports that were lost, and repeat a commit that was."""
-        archipelago.note_holding(worker, holding)
-        self.watch.waited(worker, holding)
-        pull = archipelago.missing_reports(worker, holding)
-        if pull is not None:
-            self._outlet.pull(worker, pull)
-        due = archipelago.forget_due()
-        if due is not None:
-            self._outlet.tell(due)
-        commit = archipelago.commit()
-        if commit is not None and holding.commit < commit.epoch:
-            self._outlet.tell(commit, worker)
-
-    def _send_missing_placements(self, worker: str, held: dict[tuple[str, str], Holding]) -> None:
-        missing = [
-            archipelago.placement
-            for job in self.jobs.values()
-            for archipelago in job.open_archipelagos
-            if archipelago.placement is not None
-            and worker in archipelago.placement.workers
-            and (job.id, archipelago.variable) not in held
-        ]
-        if missing:
-            self._outlet.tell(Placements(placements=tuple(missing)), worker)
-
-    def _archipelago(self, job_id: str, variable: str) -> Archipelago | None:
-        job = self.jobs.get(job_id)
-        return job.archipelagos.get(variable) if job is not None and job.state == "running" else None
-
-    def _is_current(self, job_id: str, variable: str, term: int) -> bool:
-        archipelago = self._archipelago(job_id, variable)
-        placement = archipelago.placement if archipelago is not None and archipelago.cut is None else None
-        return placement is not None and placement.term == term
+        """Begin the terms that are due."""
+        self._terms.begin(tuple(self.jobs.values()), now)
 
     # ----------------------------------------------------------------------------------------- outcomes
 

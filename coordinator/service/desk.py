@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Final
 
 from common.errors import AtollError, RefusedError, RemoteProtocolError, StoreError
-from common.wire.messages import (
+from common.wire.client_messages import (
     Ask,
     Cancel,
     EventList,

@@ -10,7 +10,8 @@ from common.errors import LocalProtocolError, RemoteProtocolError
 from common.expression.program import check_program_bytes
 from common.pareto import FrontEntry
 from common.slices import Course
-from common.wire.messages import Commit, EpochReport, JobAnnouncement, chunk_count
+from common.wire.limits import chunk_count
+from common.wire.messages import Commit, EpochReport, JobAnnouncement
 from common.wire.views import FINAL_STATES, JobState
 from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pool, Refinement
@@ -19,8 +20,8 @@ from coordinator.service.archipelago import Archipelago
 from coordinator.service.checkpoint import StoredProgress
 from coordinator.service.collector import DivergedError, Limits, Measure
 from coordinator.service.cut import Cut
+from coordinator.service.job_table import JobRecord
 from coordinator.service.resolve import stagnation_of
-from coordinator.service.store import JobRecord
 
 JobStep = Literal["prepare", "prepared", "searched", "refined", "fail", "cancel"]
 Fault = Literal["data", "diverged", "poison", "internal"]

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from common.wire.messages import Hello, WorkerStatus
+from common.wire.greetings import Hello
+from common.wire.messages import WorkerStatus
 from common.wire.views import Counters, WorkerState, WorkerView
 
 LEASE_S: Final = 15.0

@@ -10,7 +10,7 @@ from common.wire.views import StoreView
 from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pools, Refinement
 from coordinator.service.event_table import EventRecord
-from coordinator.service.store import JobRecord
+from coordinator.service.job_table import JobRecord
 
 
 class StorePort(Protocol):

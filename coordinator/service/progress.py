@@ -17,8 +17,8 @@ from coordinator.model.trust import verdict
 from coordinator.service.archipelago import Archipelago
 from coordinator.service.cut import Why
 from coordinator.service.job import Job, Prepared
+from coordinator.service.job_table import JobRecord
 from coordinator.service.membership import Membership
-from coordinator.service.store import JobRecord
 from coordinator.service.turns import ahead_of, waits_for_turn
 
 

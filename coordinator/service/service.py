@@ -3,58 +3,48 @@
 `Service.step` takes one event and never blocks for long; `Service.run` is the thin loop around `Bus.receive`.
 """
 
-import hashlib
 import logging
 import threading
 from dataclasses import dataclass
 from functools import singledispatchmethod
 from typing import Final
 
-from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION, usage
+from common import VERSION, usage
 from common.config import JobConfig
-from common.errors import DataError, RemoteProtocolError, StoreError, UsageError
+from common.errors import RemoteProtocolError, StoreError
 from common.logs import fields
 from common.wire import topics
 from common.wire.access import Roster
 from common.wire.bus import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
-from common.wire.codec import dataset_to_bytes, decode, encode
+from common.wire.codec import decode, encode
+from common.wire.limits import MAX_MESSAGE
 from common.wire.messages import (
-    MAX_MESSAGE,
-    Answer,
-    Ask,
     Control,
     EpochReport,
-    Failure,
-    Greeting,
-    GreetingAnswer,
-    Hello,
     Pull,
     PullAnswer,
     PullReports,
     PullStates,
-    Refusal,
     Reports,
     Shutdown,
     States,
-    Submit,
-    Welcome,
     WorkerStatus,
 )
 from common.wire.metered_bus import MeteredBus
-from common.wire.pieces import cut
 from common.wire.rejects import Rejects
 from common.wire.views import CoordinatorView, Counters
-from coordinator.model.known import known_entries, with_remarks
-from coordinator.model.refinement import Pools, Refinement
+from coordinator.model.refinement import Pools
 from coordinator.service.admission import Admission
+from coordinator.service.answers import Answers
 from coordinator.service.archipelago import Checkpoint
-from coordinator.service.conductor import Conductor, WorkerWord
-from coordinator.service.desk import Body, Desk
-from coordinator.service.job import Fault, Prepared
-from coordinator.service.membership import version_refusal
+from coordinator.service.conductor import Conductor
+from coordinator.service.desk import Desk
+from coordinator.service.greeter import Greeter
+from coordinator.service.job import Prepared
+from coordinator.service.outlet import WorkerWord
 from coordinator.service.ports import Ports, StorePort
 from coordinator.service.preparing import REAL
-from coordinator.service.resolve import resolve
+from coordinator.service.slow_work import Ready, Refined, SlowWork, Unprepared, Written
 
 _LOG = logging.getLogger(__name__)
 
@@ -66,47 +56,6 @@ _TICK: Final = "tick"
 @dataclass(frozen=True, slots=True)
 class _Look:
     """Posted by the timer, behind everything that has come before it: silence counts only then."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Ready:
-    """Posted by the preparing thread: a job's dataset and its bytes."""
-
-    job: str
-    prepared: Prepared
-    data: bytes
-
-
-@dataclass(frozen=True, slots=True)
-class _Unprepared:
-    """Posted by the preparing thread: why there is no dataset."""
-
-    job: str
-    fault: Fault
-    sentence: str
-
-
-@dataclass(frozen=True, slots=True)
-class _Refined:
-    """Posted by the refining thread: what was made of a job's pools."""
-
-    job: str
-    refinement: Refinement
-
-
-@dataclass(frozen=True, slots=True)
-class _Written:
-    """Posted by the writer: a checkpoint is durable, or why it is not."""
-
-    checkpoint: Checkpoint
-    error: StoreError | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class _Broken:
-    """Posted when the store failed in the midst of a client's question: it is answered first, then this is the end."""
-
-    error: StoreError
 
 
 class Service:
@@ -139,11 +88,14 @@ class Service:
         self._store = store
         self._dismisses_workers = dismisses_workers
         self._ports = ports or REAL
+        self._slow_work = SlowWork(self._ports, store, self._bus.post)
         self._is_linked = True
         self._asked: dict[int, tuple[str, PullReports | PullStates]] = {}
         self.conductor: Final = Conductor(store, self, self._ports.clock, expected_workers)
-        self._admission = Admission(roster, store)
-        self._desk = Desk(self.conductor, store, bus.now, self.view)
+        admission = Admission(roster, store)
+        desk = Desk(self.conductor, store, bus.now, self.view)
+        greeter = Greeter(self.conductor, store, admission, self.rejects, bus.now, self._ports.clock)
+        self._answers = Answers(self.conductor, store, greeter, desk, admission, self.rejects)
 
     # ------------------------------------------------------------------------------------------- life
 
@@ -215,59 +167,15 @@ class Service:
 
     def write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> None:
         """See `Outlet.write`."""
-        self._ports.writer(lambda: self._bus.post(self._write(checkpoint, progress, elapsed)))
-
-    def _write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> _Written:
-        """Make a checkpoint durable; runs in the writer."""
-        try:
-            self._store.commit_checkpoint(
-                checkpoint.job, checkpoint.variable, checkpoint.epoch, progress, checkpoint.states, elapsed
-            )
-        except StoreError as error:
-            return _Written(checkpoint, error)
-        return _Written(checkpoint)
+        self._slow_work.write(checkpoint, progress, elapsed)
 
     def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
         """See `Outlet.prepare`."""
-        self._ports.background(lambda: self._prepare_ahead(job, table, config))
-
-    def _prepare_ahead(self, job: str, table: bytes, config: JobConfig) -> None:
-        """Prepare the job; then, while it is searched, what refining it will need. Runs in the background."""
-        self._bus.post(self._prepare(job, table, config))
-        try:
-            self._ports.warm_up()
-        except Exception:  # refining meets the same trouble and tells it
-            _LOG.exception("warm-up failed")
-
-    def _prepare(self, job: str, table: bytes, config: JobConfig) -> _Ready | _Unprepared:
-        """Smooth and differentiate; runs in the background."""
-        try:
-            preparation = self._ports.preparer(table, config)
-            data = dataset_to_bytes(preparation.dataset)
-            blob = hashlib.sha256(data).hexdigest()
-            resolved = resolve(config, preparation.dataset)
-            known = known_entries(preparation.dataset, resolved)
-            preparation = with_remarks(preparation, resolved)
-            prepared = Prepared(preparation, resolved, blob, len(data), known)
-            return _Ready(job, prepared, data)
-        except (DataError, UsageError, RemoteProtocolError) as error:
-            return _Unprepared(job, "data", str(error))
-        except Exception as error:  # the job fails with it, the coordinator goes on
-            _LOG.exception("preparing broke", extra=fields(job=job))
-            return _Unprepared(job, "internal", f"preparing the data broke ({type(error).__name__}: {error})")
+        self._slow_work.prepare(job, table, config)
 
     def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
         """See `Outlet.refine`."""
-        self._ports.background(lambda: self._bus.post(self._refine(job, prepared, pools)))
-
-    def _refine(self, job: str, prepared: Prepared, pools: Pools) -> _Refined:
-        """Make the equations; runs in the background. When that breaks, the selected members stay as they are."""
-        try:
-            return _Refined(job, self._ports.refiner(prepared.preparation, prepared.config, pools))
-        except Exception as error:  # the job is done all the same
-            _LOG.exception("refining broke", extra=fields(job=job))
-            sentence = f"Refining broke ({type(error).__name__}: {error}); equations are as found."
-            return _Refined(job, Refinement(warnings=(sentence,)))
+        self._slow_work.refine(job, prepared, pools)
 
     def _put(self, key: str, message: Control) -> None:
         self._bus.put(key, encode(message))
@@ -290,16 +198,16 @@ class Service:
         match item:
             case _Look():
                 self._look(now)
-            case _Ready():
+            case Ready():
                 self._store.put_blob(item.data)
                 self.conductor.prepared(item.job, item.prepared, now)
-            case _Unprepared():
+            case Unprepared():
                 self.conductor.job_failed(item.job, item.fault, item.sentence, now)
-            case _Refined():
+            case Refined():
                 self.conductor.refined(item.job, item.refinement, now)
-            case _Written(error=None):
+            case Written(error=None):
                 self.conductor.written(item.checkpoint, now)
-            case _Written(error=StoreError() as error) | _Broken(error=error):
+            case Written(error=StoreError() as error):
                 raise error
 
     def _look(self, now: float) -> None:
@@ -363,102 +271,10 @@ class Service:
     @_on.register
     def _on_query(self, event: Query) -> None:
         try:
-            answer = self._answer(event)
+            answer = self._answers.answer(event)
         except RemoteProtocolError:
             self._bus.reply(event, None)
             raise
         self._bus.reply(event, answer)
-
-    def _answer(self, event: Query) -> bytes | None:
-        key = topics.parse(event.key)
-        match key:
-            case topics.HelloKey():
-                return encode(GreetingAnswer(body=self._greet(event.payload, key.name)))
-            case topics.JobKey():
-                announcement = self.conductor.announcement(key.job)
-                return encode(Control(body=announcement)) if announcement is not None else None
-            case topics.PlacementKey():
-                return encode(Control(body=self.conductor.placements(key.job)))
-            case topics.StateKey():
-                return self._states(key, event.payload)
-            case topics.BlobKey():
-                return self._chunk(key)
-            case topics.ClientKey():
-                return encode(Answer(body=self._serve_client(event, key.client)))
-            case _:
-                raise RemoteProtocolError(f"nothing is served on key {event.key}")
-
-    def _greet(self, payload: bytes, name: str | None) -> Welcome | Refusal:
-        """Answer a greeting on the key of `name`, or (None) only say how it would be answered there."""
-        try:
-            hello = decode(payload, Greeting, MAX_MESSAGE).body
-        except RemoteProtocolError as error:
-            self.rejects.note(topics.HELLO, error)
-            return _refusal(
-                f"the coordinator is Atoll {VERSION} (protocol {PROTOCOL_VERSION}) and did not understand the "
-                "greeting; install the same version on both sides"
-            )
-        sentence = self._refuse(hello, name)
-        if sentence is not None:
-            if hello.role == "client":
-                _LOG.warning("client refused", extra=fields(client=hello.name, reason=sentence))
-            return _refusal(sentence)
-        return Welcome(
-            realm=self._store.realm,
-            incarnation=self._store.incarnation,
-            protocol=PROTOCOL_VERSION,
-            version=VERSION,
-            engine=ENGINE_REVISION,
-            clock=self._ports.clock(),
-        )
-
-    def _refuse(self, hello: Hello, name: str | None) -> str | None:
-        if name not in (None, hello.name):
-            return f"{hello.name!r} greeted under the name {name!r}; install the same version on both sides"
-        refusal = version_refusal(hello) or self._admission.refuse_role(hello)
-        if refusal is not None or hello.role == "client" or name is None:
-            return refusal
-        return self.conductor.greet(hello, self._bus.now())
-
-    def _chunk(self, key: topics.BlobKey) -> bytes | None:
-        try:
-            return self._store.get_chunk(key.digest, key.index)
-        except KeyError:
-            return None
-
-    def _states(self, key: topics.StateKey, payload: bytes) -> bytes | None:
-        """Return states of a committed checkpoint, as many as one message bears; None when it is not there."""
-        pull = decode(payload, Pull, MAX_MESSAGE).body
-        if not isinstance(pull, PullStates) or pull.job != key.job:
-            raise RemoteProtocolError(f"states of job {key.job} were to be asked for, and {pull.kind!r} came")
-        try:
-            pieces = cut(
-                pull.islands,
-                pull.offset,
-                lambda island: self._store.state(pull.job, pull.variable, pull.epoch, island),
-            )
-        except KeyError:
-            return None
-        return encode(PullAnswer(body=States(pieces=pieces)))
-
-    def _serve_client(self, event: Query, client: str) -> Body:
-        try:
-            ask = decode(event.payload, Ask, MAX_MESSAGE)
-        except RemoteProtocolError as error:
-            self.rejects.note(event.key, error)
-            return Failure(failure="protocol", sentence=f"the coordinator did not understand the question: {error}")
-        refusal = self._admission.refuse_ask(client, ask)
-        if refusal is not None:
-            return Failure(failure="refused", sentence=refusal)
-        try:
-            answer = self._desk.answer(ask)
-        except StoreError as error:
-            self._bus.post(_Broken(error))
-            return Failure(failure="internal", sentence=str(error)[:4000])
-        if isinstance(ask.body, Submit) and not isinstance(answer, Failure):
-            self._admission.submitted(client, ask.body.job)
-        return answer
-
-
-def _refusal(sentence: str) -> Refusal:
-    return Refusal(protocol=PROTOCOL_VERSION, version=VERSION, engine=ENGINE_REVISION, sentence=sentence[:4000])
+        if self._answers.broken is not None:  # whoever asked has been told; now this is the end
+            raise self._answers.broken

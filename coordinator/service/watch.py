@@ -7,7 +7,9 @@ worker, and which jobs cannot go on. Nothing here can change a bit of a result.
 from collections.abc import Callable, Iterable
 from typing import Final
 
-from common.wire.messages import Hello, Holding, Placement, Submit, WorkerStatus
+from common.wire.client_messages import Submit
+from common.wire.greetings import Hello
+from common.wire.messages import Holding, Placement, WorkerStatus
 from common.wire.views import EventKind, JobCounters, JobView
 from coordinator.service.archipelago import Archipelago, Checkpoint
 from coordinator.service.chronicle import Chronicle

@@ -15,9 +15,11 @@ from common.wire import topics, zenoh_bus
 from common.wire.access import Roster, read_roster
 from common.wire.addresses import Destination, destination
 from common.wire.bus import Message, Presence, Query, Reply
+from common.wire.client_messages import Ask, Jobs
 from common.wire.codec import encode
 from common.wire.credentials import Credentials, load
-from common.wire.messages import Ask, Close, Control, Greeting, Hello, Jobs, Shutdown
+from common.wire.greetings import Greeting, Hello
+from common.wire.messages import Close, Control, Shutdown
 from common.wire.zenoh_bus import ZenohBus, open_client, open_router
 from coordinator.cli.main import main
 from coordinator.cli.router import upstream_settings

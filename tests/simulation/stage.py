@@ -194,7 +194,7 @@ class Stage:
             "shares": session.holdings(),
             "troubles": session.troubles(),
             "states of jobs": session.jobs(),
-            "early mail": session._early,
+            "early mail": session._early._kept,
             "datasets": worker._datasets.jobs(),
             "configurations": list(compute._jobs),
             "islands": list(compute._islands),

@@ -10,7 +10,7 @@ from typing import get_args
 import pytest
 
 from common.wire.faults import Plan
-from coordinator.service.store import JobRecord
+from coordinator.service.job_table import JobRecord
 from tests.simulation.disk import CoordinatorDied, Disk
 from tests.simulation.schedule import Fault, JobPlan, Kind, Schedule, job_config, schedule_of
 from tests.simulation.shrink import shrunk

@@ -9,23 +9,20 @@ from common.config import BudgetConfig, EvolutionConfig, JobConfig
 from common.errors import DataError, RefusedError
 from common.wire import topics
 from common.wire.bus import Reply
+from common.wire.client_messages import Submit
 from common.wire.codec import decode, encode
 from common.wire.faults import Plan
+from common.wire.greetings import Greeting, GreetingAnswer, Hello, Refusal
+from common.wire.limits import MAX_MESSAGE
 from common.wire.messages import (
-    MAX_MESSAGE,
     Block,
     Control,
     EpochReport,
     Finished,
-    Greeting,
-    GreetingAnswer,
-    Hello,
     IslandReport,
     Mail,
     Migrants,
-    Refusal,
     Shutdown,
-    Submit,
     WorkerStatus,
 )
 from coordinator.service.store import Store

@@ -7,7 +7,8 @@ from typing import get_args
 
 import pytest
 
-from common.wire import messages
+from common.config import Model
+from common.wire import client_messages, greetings, messages
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "protocol.md").read_text("utf-8")
@@ -35,7 +36,8 @@ def test_a_table_in_the_document_is_the_one_in_the_code(path: str, table: str) -
 
 
 def test_every_kind_of_message_is_named() -> None:
-    models = [each for each in vars(messages).values() if isinstance(each, type) and issubclass(each, messages.Model)]
+    every = [each for module in (greetings, messages, client_messages) for each in vars(module).values()]
+    models = [each for each in every if isinstance(each, type) and issubclass(each, Model)]
     kinds = {get_args(each.model_fields["kind"].annotation)[0] for each in models if "kind" in each.model_fields}
     assert len(kinds) > 25
     assert [kind for kind in sorted(kinds) if f"`{kind}`" not in TEXT] == []

@@ -9,29 +9,27 @@ import pytest
 from common.config import JobConfig
 from common.errors import AtollError, DataError, RefusedError, UnreachableError
 from common.wire.bus import Event, Message, Reply
-from common.wire.codec import decode, encode
-from common.wire.messages import (
-    CHUNK_SIZE,
+from common.wire.client_messages import (
     Answer,
     Ask,
     Cancel,
     Failure,
     FailureKind,
     GetResult,
-    GreetingAnswer,
     JobList,
     Jobs,
     JobStatus,
-    Refusal,
     Result,
     Status,
     Submit,
     Upload,
     Uploaded,
-    Welcome,
     WorkerList,
     Workers,
 )
+from common.wire.codec import decode, encode
+from common.wire.greetings import GreetingAnswer, Refusal, Welcome
+from common.wire.limits import CHUNK_SIZE
 from common.wire.views import JobView
 from coordinator.client import ANSWER_LIMIT_S, Client
 

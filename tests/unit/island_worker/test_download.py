@@ -7,7 +7,8 @@ import pytest
 from common.config import JobConfig
 from common.errors import RemoteProtocolError
 from common.wire.codec import encode
-from common.wire.messages import CHUNK_SIZE, Close, Control, JobAnnouncement
+from common.wire.limits import CHUNK_SIZE
+from common.wire.messages import Close, Control, JobAnnouncement
 from island_worker.download import Datasets, Download
 
 DATA = bytes(2 * CHUNK_SIZE) + b"rest"

@@ -5,7 +5,7 @@ import pytest
 from common import PROTOCOL_VERSION, VERSION
 from common.errors import RefusedError
 from common.wire.codec import decode, encode
-from common.wire.messages import Greeting, GreetingAnswer, Refusal, Welcome
+from common.wire.greetings import Greeting, GreetingAnswer, Refusal, Welcome
 from island_worker.joining import Joined, Joining
 
 

@@ -5,23 +5,18 @@ import pytest
 from common.config import JobConfig
 from common.errors import RemoteProtocolError
 from common.slices import Course
+from common.wire.client_messages import Answer, Ask, Cancel, Failure, Submit, Upload, Uploaded
 from common.wire.codec import decode, encode
+from common.wire.greetings import Greeting, GreetingAnswer, Hello, Refusal, Welcome
+from common.wire.limits import CHUNK_SIZE, chunk_count
 from common.wire.messages import (
-    CHUNK_SIZE,
     Addition,
-    Answer,
-    Ask,
     Block,
-    Cancel,
     Close,
     Commit,
     Control,
     EpochReport,
-    Failure,
     Finished,
-    Greeting,
-    GreetingAnswer,
-    Hello,
     HitStatement,
     Holding,
     IslandReport,
@@ -38,19 +33,13 @@ from common.wire.messages import (
     PullMigrants,
     PullReports,
     PullStates,
-    Refusal,
     Reports,
     Schedule,
     Sent,
     States,
-    Submit,
     Tally,
     Trouble,
-    Upload,
-    Uploaded,
-    Welcome,
     WorkerStatus,
-    chunk_count,
 )
 
 DIGEST = "ab" * 32

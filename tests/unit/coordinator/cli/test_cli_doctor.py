@@ -13,7 +13,7 @@ import pytest
 from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from common.wire.addresses import destination
 from common.wire.credentials import load
-from common.wire.messages import Welcome
+from common.wire.greetings import Welcome
 from common.wire.views import WorkerView
 from common.wire.zenoh_bus import ZenohBus, open_router
 from coordinator.cli import arguments, doctor, doctor_machine, doctor_network

@@ -7,7 +7,7 @@ import pytest
 
 from common.config import JobConfig
 from common.errors import StoreError
-from common.wire.messages import (
+from common.wire.client_messages import (
     Ask,
     Cancel,
     Failure,

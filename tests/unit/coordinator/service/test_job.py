@@ -28,7 +28,7 @@ from coordinator.service.job import (
     course_of,
     measure_of,
 )
-from coordinator.service.store import JobRecord
+from coordinator.service.job_table import JobRecord
 
 VALUES = np.linspace(0.0, 1.0, 30)
 DATASET = Dataset(

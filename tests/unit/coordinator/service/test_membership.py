@@ -1,7 +1,8 @@
 """Workers come, go, hang and return; who is there is decided by this alone."""
 
 from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from common.wire.messages import Hello, Holding, WorkerStatus
+from common.wire.greetings import Hello
+from common.wire.messages import Holding, WorkerStatus
 from common.wire.views import WorkerState
 from coordinator.service.membership import (
     ABSENCE_S,

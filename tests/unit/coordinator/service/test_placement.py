@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 
 from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from common.slices import Course
-from common.wire.messages import Hello, Placement, WorkerStatus
+from common.wire.greetings import Hello
+from common.wire.messages import Placement, WorkerStatus
 from coordinator.service.archipelago import Archipelago
 from coordinator.service.collector import Limits
 from coordinator.service.membership import ABSENCE_S, Membership

@@ -6,7 +6,8 @@ import pytest
 
 from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from common.slices import Course
-from common.wire.messages import Doing, Hello, Holding, IslandReport, Placement, Tally, WorkerStatus
+from common.wire.greetings import Hello
+from common.wire.messages import Doing, Holding, IslandReport, Placement, Tally, WorkerStatus
 from coordinator.service.archipelago import Archipelago
 from coordinator.service.collector import Limits
 from coordinator.service.membership import Membership

@@ -13,11 +13,12 @@ from pathlib import Path
 import pytest
 
 from common.errors import LocalProtocolError, RemoteProtocolError, StoreError
-from common.wire.messages import CHUNK_SIZE
+from common.wire.limits import CHUNK_SIZE
 from common.wire.pieces import State
 from coordinator.service.event_table import MAX_EVENTS, EventRecord
+from coordinator.service.job_table import JobRecord
 from coordinator.service.schema import FILE_NAME, SCHEMA_VERSION
-from coordinator.service.store import JobRecord, Store
+from coordinator.service.store import Store
 
 JOB = JobRecord("j1", "lynx θ", '{"seed": 0}', "ab" * 32, "2026-01-01T00:00:00Z")
 
@@ -222,7 +223,8 @@ def test_two_stores_are_two_realms() -> None:
 
 def test_what_was_committed_survives_a_process_that_is_killed(tmp_path: Path) -> None:
     script = (
-        "import os, signal, sys; from pathlib import Path; from coordinator.service.store import *;"
+        "import os, signal, sys; from pathlib import Path;"
+        "from coordinator.service.job_table import JobRecord; from coordinator.service.store import Store;"
         "s = Store.open(Path(sys.argv[1])); s.add_job(JobRecord('j1', 'n', '{}', '', ''));"
         "s.commit_cut('j1', 'x', b'cut'); os.kill(os.getpid(), signal.SIGKILL)"
     )

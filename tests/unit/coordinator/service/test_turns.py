@@ -2,7 +2,7 @@
 
 from common.config import JobConfig
 from coordinator.service.job import Job
-from coordinator.service.store import JobRecord
+from coordinator.service.job_table import JobRecord
 from coordinator.service.turns import MAX_RUNNING, ahead_of, in_line, next_job, waits_for_turn
 
 

@@ -1,0 +1,36 @@
+"""What fields of messages may hold, and how large messages and what they carry may be."""
+
+from typing import Annotated, Final
+
+from pydantic import Field
+
+CHUNK_SIZE: Final = 4 * 1024 * 1024
+"""Bytes per chunk of an upload or a dataset; the last chunk may be shorter."""
+
+MAX_UPLOAD: Final = 1024 * 1024 * 1024
+"""Largest table a client may upload, in bytes."""
+
+MAX_MESSAGE: Final = 16 * 1024 * 1024
+"""Largest encoded message; anything larger is refused unread."""
+
+MAX_STATE: Final = 256 * 1024 * 1024
+"""Largest state of one island, in bytes; the usual one has about 50,000."""
+
+MAX_RUNNERS_UP: Final = 20_000
+"""Most runners-up that an island may report of one epoch; an epoch has room for a few hundred."""
+
+Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Variable = Annotated[str, Field(min_length=1, max_length=256)]
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+IslandIndex = Annotated[int, Field(ge=0, lt=1024)]
+Term = Annotated[int, Field(ge=1, lt=2**63)]
+Sentence = Annotated[str, Field(max_length=4000)]
+Seconds = Annotated[float, Field(ge=0.0, lt=1e12)]
+Priority = Annotated[int, Field(ge=-10, le=10)]
+"""Each step doubles a job's share of the workers."""
+
+
+def chunk_count(size: int) -> int:
+    """Return the number of chunks of `size` bytes (at least 1)."""
+    return max(1, -(-size // CHUNK_SIZE))

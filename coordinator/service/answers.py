@@ -1,0 +1,98 @@
+"""What the coordinator answers to queries of workers and clients, by the key that they ask for."""
+
+from common.errors import RemoteProtocolError, StoreError
+from common.wire import topics
+from common.wire.bus import Query
+from common.wire.client_messages import Answer, Ask, Failure, Submit
+from common.wire.codec import decode, encode
+from common.wire.greetings import GreetingAnswer
+from common.wire.limits import MAX_MESSAGE
+from common.wire.messages import Control, Pull, PullAnswer, PullStates, States
+from common.wire.pieces import cut
+from common.wire.rejects import Rejects
+from coordinator.service.admission import Admission
+from coordinator.service.conductor import Conductor
+from coordinator.service.desk import Body, Desk
+from coordinator.service.greeter import Greeter
+from coordinator.service.ports import StorePort
+
+
+class Answers:
+    """Hands each query to whom it concerns."""
+
+    def __init__(
+        self, conductor: Conductor, store: StorePort, greeter: Greeter, desk: Desk, admission: Admission,
+        rejects: Rejects,
+    ) -> None:  # fmt: skip
+        """`rejects` counts questions of clients that are not understood."""
+        self._conductor = conductor
+        self._store = store
+        self._greeter = greeter
+        self._desk = desk
+        self._admission = admission
+        self._rejects = rejects
+        self.broken: StoreError | None = None
+        """Why the store failed in the midst of a question, when it did: nothing can go on from there."""
+
+    def answer(self, event: Query) -> bytes | None:
+        """Return the answer to a query; None when what it asks for is not there.
+
+        Raises:
+            RemoteProtocolError: The query cannot be.
+        """
+        key = topics.parse(event.key)
+        match key:
+            case topics.HelloKey():
+                return encode(GreetingAnswer(body=self._greeter.answer(event.payload, key.name)))
+            case topics.JobKey():
+                announcement = self._conductor.announcement(key.job)
+                return encode(Control(body=announcement)) if announcement is not None else None
+            case topics.PlacementKey():
+                return encode(Control(body=self._conductor.placements(key.job)))
+            case topics.StateKey():
+                return self._states(key, event.payload)
+            case topics.BlobKey():
+                return self._chunk(key)
+            case topics.ClientKey():
+                return encode(Answer(body=self._serve_client(event, key.client)))
+            case _:
+                raise RemoteProtocolError(f"nothing is served on key {event.key}")
+
+    def _chunk(self, key: topics.BlobKey) -> bytes | None:
+        try:
+            return self._store.get_chunk(key.digest, key.index)
+        except KeyError:
+            return None
+
+    def _states(self, key: topics.StateKey, payload: bytes) -> bytes | None:
+        """Return states of a committed checkpoint, as many as one message bears; None when it is not there."""
+        pull = decode(payload, Pull, MAX_MESSAGE).body
+        if not isinstance(pull, PullStates) or pull.job != key.job:
+            raise RemoteProtocolError(f"states of job {key.job} were to be asked for, and {pull.kind!r} came")
+        try:
+            pieces = cut(
+                pull.islands,
+                pull.offset,
+                lambda island: self._store.state(pull.job, pull.variable, pull.epoch, island),
+            )
+        except KeyError:
+            return None
+        return encode(PullAnswer(body=States(pieces=pieces)))
+
+    def _serve_client(self, event: Query, client: str) -> Body:
+        try:
+            ask = decode(event.payload, Ask, MAX_MESSAGE)
+        except RemoteProtocolError as error:
+            self._rejects.note(event.key, error)
+            return Failure(failure="protocol", sentence=f"the coordinator did not understand the question: {error}")
+        refusal = self._admission.refuse_ask(client, ask)
+        if refusal is not None:
+            return Failure(failure="refused", sentence=refusal)
+        try:
+            answer = self._desk.answer(ask)
+        except StoreError as error:
+            self.broken = error
+            return Failure(failure="internal", sentence=str(error)[:4000])
+        if isinstance(ask.body, Submit) and not isinstance(answer, Failure):
+            self._admission.submitted(client, ask.body.job)
+        return answer
