@@ -7,6 +7,7 @@ import argparse
 import contextlib
 import logging
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -28,14 +29,14 @@ def run(options: argparse.Namespace) -> int:
     options.id = job_id(options.id)
     folder = Path(options.out) if options.out is not None else Path("runs") / options.id
     refuse_existing_result(folder)
-    _log_into(folder)
-    try:
-        code = _run(options, folder, started)
-    except (UsageError, DataError, KeyboardInterrupt):
-        _remove_logs(folder)
-        raise
-    if code in (BAD_INPUT, INTERRUPTED):
-        _remove_logs(folder)
+    with _log_in(folder):
+        try:
+            code = _run(options, folder, started)
+        except (UsageError, DataError, KeyboardInterrupt):
+            _remove_logs(folder)
+            raise
+        if code in (BAD_INPUT, INTERRUPTED):
+            _remove_logs(folder)
     return code
 
 
@@ -47,8 +48,9 @@ def _run(options: argparse.Namespace, folder: Path, started: float) -> int:
         return LocalRun(options, folder, endpoint, workers, started).conduct()
 
 
-def _log_into(folder: Path) -> None:
-    """Make the folder and send the coordinator's log there; raises UsageError."""
+@contextlib.contextmanager
+def _log_in(folder: Path) -> Iterator[None]:
+    """Make the folder and send the coordinator's log there while the block lasts; raises UsageError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         log = logging.FileHandler(folder / _COORDINATOR_LOG, encoding="utf-8")
@@ -57,6 +59,10 @@ def _log_into(folder: Path) -> None:
             f"the folder {folder} cannot be written ({error.strerror}); name another with --out"
         ) from error
     configure(handler=log)
+    try:
+        yield
+    finally:
+        configure(handler=logging.NullHandler())  # the file may be gone
 
 
 def _remove_logs(folder: Path) -> None:

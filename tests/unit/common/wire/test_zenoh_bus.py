@@ -142,6 +142,8 @@ def started(script: str, *arguments: str) -> subprocess.Popen[str]:
 
 
 RECEIVING = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # who runs the tests in the background ignores it
 with open_router("tcp/127.0.0.1:0") as bus:
     try:
         bus.subscribe("a/**")
