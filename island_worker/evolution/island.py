@@ -224,7 +224,7 @@ class Island:
         }
 
     def to_bytes(self) -> bytes:
-        """Return everything that can influence later bits or counters, between epochs (PROTOCOL rule 14)."""
+        """Return everything that can influence later bits or counters, between epochs: a checkpoint is made of it."""
         if self._begun:
             raise LocalProtocolError("an island is written between epochs only, before generation 0")
         arrays = {k: a.astype(np.int32) if a.dtype == np.int16 else a for k, a in self._state_arrays().items()}

@@ -1,7 +1,7 @@
 """The reshuffle: after every epoch all solutions of all islands of a variable change places by one permutation.
 
 The permutation is drawn from (seed, variable, epoch), so that every island knows it and nobody has to hand it out
-(paper, section 2; PROTOCOL rule 1). A block holds the solutions that one island sends to another, with their slots.
+(paper, section 2; docs/protocol.md). A block holds the solutions that one island sends to another, with their slots.
 """
 
 from collections.abc import Mapping
