@@ -1,4 +1,4 @@
-"""Fronts of error against complexity and what comes next to them: total order, dominance, merging (docs/protocol.md, Collecting).
+"""Fronts of error against complexity and what comes next to them: total order, dominance, merging (docs/protocol.md).
 
 With noise the truth is often not the best of its complexity but one of the next. Hence *runners-up* are kept beside a
 front: the next best of each complexity, distinct in function. Whether two equations are one function is told from what
