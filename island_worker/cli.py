@@ -13,6 +13,8 @@ from contextlib import nullcontext
 from functools import partial
 from typing import TYPE_CHECKING, Final, NoReturn
 
+from common.arguments import seconds
+
 if TYPE_CHECKING:
     from common.wire.addresses import Destination
     from common.wire.credentials import Credentials
@@ -130,7 +132,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--wait",
         metavar="SECONDS",
-        type=_seconds,
+        type=seconds,
         default=_WAIT_S,
         help="how long the coordinator may be away, at the start or later (default: %(default)g)",
     )
@@ -291,18 +293,8 @@ def _duration(text: str) -> float:
     """Return seconds: a number of them, or a number with one of the units s, m, h and d."""
     number, factor = (text[:-1], _UNITS[text[-1]]) if text[-1:] in _UNITS else (text, 1.0)
     try:
-        return _seconds(number) * factor
+        return seconds(number) * factor
     except argparse.ArgumentTypeError:
         raise argparse.ArgumentTypeError(
             f"a time such as 90s, 30m or 12h was expected, but {text!r} was given"
         ) from None
-
-
-def _seconds(text: str) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = -1.0
-    if 0.0 <= seconds < 1e9:
-        return seconds
-    raise argparse.ArgumentTypeError(f"a number of seconds was expected, but {text!r} was given")

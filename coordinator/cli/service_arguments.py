@@ -4,6 +4,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any, Final
 
+from common.arguments import seconds
 from common.log_options import add_log_options
 from common.wire.tls_options import OPTIONS as TLS_OPTIONS
 
@@ -79,17 +80,6 @@ def add_doctor(verb: Verb, verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument("--json", action="store_true", help="print JSON")
     add_tls(parser)
     return parser
-
-
-def seconds(text: str) -> float:
-    """Return a number of seconds; raises ArgumentTypeError."""
-    try:
-        number = float(text)
-    except ValueError:
-        number = -1.0
-    if 0.0 <= number < 1e9:
-        return number
-    raise argparse.ArgumentTypeError(f"a number of seconds was expected, but {text!r} was given")
 
 
 def _add_listen(parser: Any) -> None:
