@@ -4,7 +4,7 @@ No algebra in the sense of the real numbers: ``x - x`` stays, for it is no numbe
 the canonical program: nodes in the order in which a reader meets them, left operand first.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Final
 
 import numpy as np
@@ -43,7 +43,12 @@ def simplify_program(program: Program, *, merges_constants: bool = True) -> Prog
     equal nodes become one, where ``a + b`` equals ``b + a`` and ``a*a`` equals ``a**2``; equal constants, too, unless
     they are to be fitted apart. Pure and deterministic.
     """
-    nodes, output = _distinct_nodes(program, merges_constants)
+    return simplified(_nodes_of(program), merges_constants=merges_constants)
+
+
+def simplified(given: Iterable[_Node], *, merges_constants: bool = True) -> Program:
+    """Return the same of the program with these nodes: code, arguments (or the variable's index), constant."""
+    nodes, output = _distinct_nodes(given, merges_constants)
     order = _reading_order(nodes, output)
     place = {index: position for position, index in enumerate(order)}
     rows = [_moved(nodes[index], place) for index in order]
@@ -58,16 +63,20 @@ def simplify_program(program: Program, *, merges_constants: bool = True) -> Prog
 
 def complexity(program: Program) -> int:
     """Return the number of nodes, operators and terminals, of the canonical program."""
-    return len(_reading_order(*_distinct_nodes(program)))
+    return len(_reading_order(*_distinct_nodes(_nodes_of(program))))
 
 
-def _distinct_nodes(program: Program, merges_constants: bool = True) -> tuple[list[_Node], int]:
+def _nodes_of(program: Program) -> Iterable[_Node]:
+    columns = (program.operators, program.left, program.right, program.constants)
+    return zip(*(column.tolist() for column in columns), strict=True)
+
+
+def _distinct_nodes(given: Iterable[_Node], merges_constants: bool = True) -> tuple[list[_Node], int]:
     """Return folded nodes without duplicates, and the index of the output among them."""
     nodes: list[_Node] = []
     known: dict[tuple[int, int, int, str | None], int] = {}
     place: list[int] = []
-    columns = (program.operators, program.left, program.right, program.constants)
-    for code, left, right, value in zip(*(column.tolist() for column in columns), strict=True):
+    for code, left, right, value in given:
         arity = ARITY[code]
         node = (
             code,
@@ -145,14 +154,17 @@ def _reading_order(nodes: list[_Node], output: int) -> list[int]:
     stack = [output]
     while stack:
         index = stack[-1]
-        code, left, right, _ = nodes[index]
-        operands = (left, right)[: ARITY[code]]
-        waiting = [operand for operand in operands if operand not in done]
-        if waiting and index not in done:
-            stack.append(waiting[0])
+        if index in done:
+            stack.pop()
             continue
-        stack.pop()
-        if index not in done:
+        code, left, right, _ = nodes[index]
+        arity = ARITY[code]
+        if arity and left not in done:
+            stack.append(left)
+        elif arity == 2 and right not in done:
+            stack.append(right)
+        else:
+            stack.pop()
             done.add(index)
             order.append(index)
     return order

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from common.expression.algebra import simplify_program
+from common.expression.algebra import simplified
 from common.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SUBTRACT
 from common.expression.program import Program
 from coordinator.model.derivative import value_of
@@ -174,15 +174,12 @@ class _Draft:
 
     def __init__(self) -> None:
         self._nodes: list[Node] = []
+        self._places: dict[Node, int] = {}
 
     def program(self, output: int) -> Program:
         """Return the canonical program of the node `output`."""
-        codes, lefts, rights, values = zip(*self._nodes[: output + 1], strict=True)
-        whole = Program(
-            np.array(codes, np.int8), np.array(lefts, np.int16), np.array(rights, np.int16), np.array(values)
-        )
         with np.errstate(all="ignore"):
-            return simplify_program(whole)
+            return simplified(self._nodes[: output + 1])
 
     def copy(self, nodes: list[Node], values: Mapping[int, float]) -> int:
         """Add all `nodes`, with `values` at these constants; return the place of the last."""
@@ -196,9 +193,10 @@ class _Draft:
 
     def _add(self, code: int, left: int = 0, right: int = 0, value: float = 0.0) -> int:
         node = (code, left, right, value)
-        if node not in self._nodes:
+        place = self._places.setdefault(node, len(self._nodes))
+        if place == len(self._nodes):
             self._nodes.append(node)
-        return self._nodes.index(node)
+        return place
 
     def _operate(self, code: int, left: int, right: int) -> int:
         folded = self._folded(code, left, right)

@@ -5,6 +5,7 @@ misfit of simulated trajectories to the raw states hardly ever.
 """
 
 import math
+from bisect import bisect_left, bisect_right, insort
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -150,9 +151,14 @@ class Contest:
 def distinct(standings: Iterable[Standing]) -> list[Standing]:
     """Return the standings, sorted by nats, without those whose misfit is that of one before."""
     kept: list[Standing] = []
+    misfits: list[float] = []
     for each in standings:
-        if all(abs(each.misfit - other.misfit) > _REPEATED * (1.0 + abs(other.misfit)) for other in kept):
+        its = each.misfit
+        reach = 2.0 * _REPEATED * (1.0 + abs(its))  # no other one can be near enough
+        near = misfits[bisect_left(misfits, its - reach) : bisect_right(misfits, its + reach)]
+        if all(abs(its - other) > _REPEATED * (1.0 + abs(other)) for other in near):
             kept.append(each)
+            insort(misfits, its)
     return kept
 
 

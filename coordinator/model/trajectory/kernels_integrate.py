@@ -15,7 +15,7 @@ import numpy as np
 
 from common.dataset import FloatArray
 from common.expression.kernels import Ints
-from common.jit import allocating_kernel, kernel
+from common.jit import allocating_kernel, inlined, kernel
 from coordinator.model.trajectory.kernels_implicit import advance_implicitly
 from coordinator.model.trajectory.kernels_rates import (
     BLOWN_UP,
@@ -54,22 +54,66 @@ QUICK: Final[Table] = (
 """Bogacki & Shampine 1989, 3(2)."""
 
 
+Flat = tuple[FloatArray, FloatArray, FloatArray]
+"""The sensitivities (D Q,), carried ones (D Q,), and their rates at S stages (S, D Q): those of `Scratch` as vectors,
+on which one instruction works on several numbers."""
+
+
+@inlined
+def carry_on(h: float, weights: FloatArray, stage: int, owners: Ints, jacobian: FloatArray, direct: FloatArray,
+             flat: Flat) -> None:  # fmt: skip
+    """Write the rates of the sensitivities at a stage, where the slopes are known."""
+    sensitivity, moved, stages = flat
+    states = jacobian.shape[0]
+    columns = sensitivity.shape[0] // states
+    for i in range(sensitivity.shape[0]):
+        moved[i] = sensitivity[i]
+    for k in range(stage):
+        if weights[stage, k] != 0.0:
+            factor = h * weights[stage, k]
+            for i in range(sensitivity.shape[0]):
+                moved[i] += factor * stages[k, i]
+    for d in range(states):
+        mine = d * columns
+        for q in range(columns):
+            stages[stage, mine + q] = 0.0
+        for k in range(states):
+            factor, its = jacobian[d, k], k * columns
+            for q in range(columns):
+                stages[stage, mine + q] += factor * moved[its + q]
+    for p in range(owners.shape[0]):
+        stages[stage, owners[p] * columns + p] += direct[p]
+
+
+@inlined
+def gather(h: float, weights: FloatArray, flat: Flat) -> None:
+    """Carry the sensitivities over a step of length `h`, their rates at all stages but the last being known."""
+    sensitivity, moved, stages = flat
+    for i in range(sensitivity.shape[0]):
+        moved[i] = 0.0
+    for s in range(stages.shape[0] - 1):
+        factor = weights[s]
+        for i in range(sensitivity.shape[0]):
+            moved[i] += factor * stages[s, i]
+    for i in range(sensitivity.shape[0]):
+        sensitivity[i] += h * moved[i]
+
+
 @kernel
 def advance(table: Table, tape: Tape, owners: Ints, path: Path, row: int, tolerance: FloatArray, limits: FloatArray,
-            y: FloatArray, step: float, budget: int, sensitivity: FloatArray, wants: bool,
-            scratch: Scratch) -> tuple[float, int]:  # fmt: skip
-    """Carry the state `y` (D,), and `sensitivity` (D, Q) if it `wants` them, from `row` to the next one.
+            y: FloatArray, step: float, budget: int, flat: Flat, wants: bool, scratch: Scratch,
+            is_known: bool) -> tuple[float, int]:  # fmt: skip
+    """Carry the state `y` (D,), and the sensitivities in `flat` if it `wants` them, from `row` to the next one.
 
     `tolerance` (D,) is the error allowed in a step, `limits` (D, 2) the range outside of which the state has blown up;
-    `budget` the steps that may be taken. Returns the step to begin with next and the budget left, `BLOWN_UP` or
-    `EXHAUSTED` when the end was not reached.
+    `budget` the steps that may be taken; `is_known` tells that the first values and rates, see `Scratch`, are those of
+    `y` already. Returns the step to begin with next and the budget left, `BLOWN_UP` or `EXHAUSTED` when the end was
+    not reached.
     """
-    points, stages, values, adjoints, jacobian, direct, moved, rate = scratch
+    points, _, values, adjoints, jacobian, direct, _, rate = scratch
     weights, nodes, errors, order = table
     last = nodes.shape[0] - 1
     states = y.shape[0]
-    columns = sensitivity.shape[1]
-    fitted = columns - states
     width = path[0][row + 1] - path[0][row]
     done = 0.0
     while done < 1.0:
@@ -81,7 +125,7 @@ def advance(table: Table, tape: Tape, owners: Ints, path: Path, row: int, tolera
         if is_last:
             share = 1.0 - done
         h = share * width
-        for s in range(last + 1):
+        for s in range(1 if is_known else 0, last + 1):
             for d in range(states):
                 total = 0.0
                 for k in range(s):
@@ -89,6 +133,7 @@ def advance(table: Table, tape: Tape, owners: Ints, path: Path, row: int, tolera
                 points[s, d] = y[d] + h * total
             put_inputs(points[s], states, path, row, done + share * nodes[s], width)
             rates(tape, points[s], values[s], s, rate)
+        is_known = True
         error = 0.0
         for d in range(states):
             off = 0.0
@@ -104,28 +149,12 @@ def advance(table: Table, tape: Tape, owners: Ints, path: Path, row: int, tolera
         if wants:
             for s in range(last):
                 slopes(tape, values[s], adjoints, jacobian, direct)
-                for d in range(states):
-                    for q in range(columns):
-                        total = sensitivity[d, q]
-                        for k in range(s):
-                            if weights[s, k] != 0.0:
-                                total += h * weights[s, k] * stages[k, d, q]
-                        moved[d, q] = total
-                for d in range(states):
-                    for q in range(columns):
-                        total = 0.0
-                        for k in range(states):
-                            total += jacobian[d, k] * moved[k, q]
-                        stages[s, d, q] = total
-                for p in range(fitted):
-                    stages[s, owners[p], p] += direct[p]
-            for d in range(states):
-                for q in range(columns):
-                    total = 0.0
-                    for s in range(last):
-                        total += weights[last, s] * stages[s, d, q]
-                    sensitivity[d, q] += h * total
+                carry_on(h, weights, s, owners, jacobian, direct, flat)
+            gather(h, weights[last], flat)
+        for i in range(values.shape[1]):
+            values[0, i] = values[last, i]
         for d in range(states):
+            rate[0, d] = rate[last, d]
             y[d] = points[last, d]
             if not limits[d, 0] <= y[d] <= limits[d, 1]:
                 return step, BLOWN_UP
@@ -164,6 +193,7 @@ def shoot(table: Table, tape: Tape, owners: Ints, path: Path, segments: Ints, st
         np.zeros((stage_count + 1, states)),
     )
     sensitivity = np.zeros((states, columns))
+    flat = (sensitivity.reshape(-1), scratch[6].reshape(-1), scratch[1].reshape(stage_count, states * columns))
     matrix = np.zeros((states, states))
     column = np.zeros((states, 1))
     y = np.zeros(states)
@@ -184,7 +214,8 @@ def shoot(table: Table, tape: Tape, owners: Ints, path: Path, segments: Ints, st
                 )  # fmt: skip
             elif row > first:
                 step, budget = advance(
-                    table, tape, owners, path, row - 1, tolerance, limits, y, step, budget, sensitivity, wants, scratch
+                    table, tape, owners, path, row - 1, tolerance, limits, y, step, budget, flat, wants, scratch,
+                    row > first + 1 and inputs.shape[0] == 0,
                 )  # fmt: skip
             if budget >= 0:
                 taken[0] = given - budget

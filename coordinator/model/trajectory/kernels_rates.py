@@ -29,7 +29,7 @@ from common.expression.operators import (
     TRIGONOMETRIC_LIMIT,
     VARIABLE,
 )
-from common.jit import inlined, kernel
+from common.jit import inlined
 
 LARGEST_EXPONENT: Final = 709.0
 """exp has no finite value far beyond."""
@@ -56,7 +56,7 @@ BLOWN_UP: Final = -2
 """Instead of a number of steps left: the state left its limits, or no step was small enough."""
 
 
-@kernel
+@inlined
 def rates(tape: Tape, z: FloatArray, values: FloatArray, stage: int, rate: FloatArray) -> None:
     """Write the value of every node at the point `z` (Z,) into `values` (N,), the equations' into ``rate[stage]``."""
     code, left, right, constants, outputs, _ = tape
@@ -103,7 +103,7 @@ def rates(tape: Tape, z: FloatArray, values: FloatArray, stage: int, rate: Float
         rate[stage, d] = values[outputs[d]]
 
 
-@kernel
+@inlined
 def slopes(tape: Tape, values: FloatArray, adjoints: FloatArray, jacobian: FloatArray, direct: FloatArray) -> None:
     """Write d rate / d z into `jacobian` (D, Z) and d rate / d constant into `direct` (P,), after `rates`.
 

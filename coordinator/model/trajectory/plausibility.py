@@ -4,10 +4,14 @@ Sums, products and whole powers are common in equations of motion, functions les
 (compare the counts of Guimerà et al. 2020 in a corpus of named equations).
 """
 
+from functools import lru_cache
 from typing import Final
+
+import numpy as np
 
 from common.expression.operators import ARITY, CONSTANT, DIVIDE, INVERSE, MULTIPLY, NEGATE, POW, SQUARE, VARIABLE
 from common.expression.program import Program
+from coordinator.model.rewrite import structure
 
 LEAF: Final = 1.4
 PLAIN: Final = 1.4
@@ -22,11 +26,18 @@ _PLAIN: Final = range(2, 5)
 
 def structure_nats(program: Program) -> float:
     """Return the nats of a program without the values of its constants."""
+    return _nats_of(structure(program), len(program))
+
+
+@lru_cache(maxsize=20_000)
+def _nats_of(its: bytes, size: int) -> float:
+    """Return the nats of a structure of so many nodes: a descent meets the same one many times."""
+    codes = np.frombuffer(its, np.int8, size).tolist()
+    lefts, rights = np.frombuffer(its, np.int16, 2 * size, size).reshape(2, size).tolist()
     total = 0.0
     has_function: list[bool] = []
-    uses = [0] * len(program)
-    nodes = zip(program.operators.tolist(), program.left.tolist(), program.right.tolist(), strict=True)
-    for code, left, right in nodes:
+    uses = [0] * size
+    for code, left, right in zip(codes, lefts, rights, strict=True):
         arguments = (left, right)[: ARITY[code]]
         inner = any(has_function[argument] for argument in arguments)
         calls = is_function(code)
@@ -34,7 +45,7 @@ def structure_nats(program: Program) -> float:
         total += _nats(code) + (NESTED if inner and calls else 0.0)
         for argument in arguments:
             uses[argument] += 1
-    leaves = [code in (VARIABLE, CONSTANT) for code in program.operators.tolist()]
+    leaves = [code in (VARIABLE, CONSTANT) for code in codes]
     return total + sum((LEAF if leaf else AGAIN) * max(count - 1, 0) for count, leaf in zip(uses, leaves, strict=True))
 
 

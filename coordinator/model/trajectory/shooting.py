@@ -130,6 +130,8 @@ class Shooter:
         self.measurements: Final = measurements
         self._measured = np.where(measurements.weights > 0.0, measurements.measured, 0.0)
         self._smallest = np.maximum(_SMALLEST_NOISE * measurements.scales[measurements.observed], 1e-300)
+        self._totals: Final = measurements.weights.sum(axis=1)
+        self._segments: Final[dict[int | None, Ints]] = {}
         self.work = 0
         self._lock = threading.Lock()
 
@@ -149,7 +151,9 @@ class Shooter:
                 candidates that seem so are bad ones.
         """
         its = self.measurements
-        segments = its.segments(length)
+        segments = self._segments.get(length)
+        if segments is None:
+            segments = self._segments.setdefault(length, its.segments(length))
         if starts is None:
             starts = np.ascontiguousarray(its.smoothed[:, segments[:, 0]].T)
         starts = self._with_offsets(starts, len(system.outputs), in_whole=length is None)
@@ -192,8 +196,7 @@ class Shooter:
         return np.concatenate([starts, np.zeros((len(starts), missing))], axis=1)
 
     def _squares(self, residuals: FloatArray) -> FloatArray:
-        total = self.measurements.weights.sum(axis=1)
-        return np.asarray((self.measurements.weights * residuals * residuals).sum(axis=1) / total)
+        return np.asarray((self.measurements.weights * residuals * residuals).sum(axis=1) / self._totals)
 
     def _reweighted(self, here: _Equations, segments: Ints, sigmas: FloatArray) -> tuple[FloatArray, _Equations]:
         """Return new variances and the equations under them; the states' errors may be of very different size."""
@@ -235,7 +238,7 @@ class Shooter:
         )  # fmt: skip
         with self._lock:
             self.work += method.work(int(taken[0]), its.rows) * (OVERHEAD + states * (1 + fitted + local))
-        if done < len(segments) or not np.abs(gradients).max(initial=0.0) < _STEEPEST:
+        if done < len(segments) or not max(gradients.max(initial=0.0), -gradients.min(initial=0.0)) < _STEEPEST:
             return None, done < 0
         residuals = self._measured - simulated[its.observed]
         for place, state in enumerate(its.offset.tolist() if local > states else []):

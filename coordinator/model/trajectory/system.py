@@ -62,38 +62,33 @@ def system_of(
         fixed: for each program the nodes whose constants are not fitted.
     """
     index = {name: place for place, name in enumerate(variables)}
-    where = np.array([index.get(name, -1) for name in names], dtype=np.int64)
-    code: list[Ints] = []
-    left: list[Ints] = []
-    right: list[Ints] = []
-    constants: list[FloatArray] = []
-    parameters: list[Ints] = []
+    where = [index.get(name, -1) for name in names]
+    code: list[int] = []
+    left: list[int] = []
+    right: list[int] = []
+    parameters: list[int] = []
     outputs: list[int] = []
     owners: list[int] = []
     places: list[int] = []
     start = 0
     for equation, program in enumerate(programs):
-        is_variable = program.operators == VARIABLE
-        is_leaf = is_variable | (program.operators == CONSTANT)
-        lefts = np.where(is_variable, where[np.where(is_variable, program.left, 0)], program.left + start)
-        numbers = np.full(len(program), -1, dtype=np.int64)
-        for node in np.flatnonzero(program.operators == CONSTANT).tolist():
-            if not fixed or node not in fixed[equation]:
-                numbers[node] = len(places)
+        held = fixed[equation] if fixed else ()
+        columns = (program.operators.tolist(), program.left.tolist(), program.right.tolist())
+        for node, (its, first, second) in enumerate(zip(*columns, strict=True)):
+            code.append(its)
+            is_operator = its not in (VARIABLE, CONSTANT)
+            left.append(first + start if is_operator else where[first] if its == VARIABLE else 0)
+            right.append(second + start if is_operator else 0)
+            is_fitted = its == CONSTANT and node not in held
+            parameters.append(len(places) if is_fitted else -1)
+            if is_fitted:
                 places.append(start + node)
                 owners.append(equation)
-        code.append(program.operators.astype(np.int64))
-        left.append(np.where(is_leaf & ~is_variable, 0, lefts))
-        right.append(np.where(is_leaf, 0, program.right + start))
-        constants.append(program.constants)
-        parameters.append(numbers)
         start += len(program)
         outputs.append(start - 1)
-    return System(
-        np.concatenate(code), np.concatenate(left).astype(np.int64), np.concatenate(right).astype(np.int64),
-        np.concatenate(constants), np.array(outputs, dtype=np.int64), np.concatenate(parameters),
-        np.array(owners, dtype=np.int64), np.array(places, dtype=np.int64),
-    )  # fmt: skip
+    constants = np.concatenate([program.constants for program in programs])
+    ints = [np.array(each, dtype=np.int64) for each in (code, left, right, outputs, parameters, owners, places)]
+    return System(ints[0], ints[1], ints[2], constants, *ints[3:])
 
 
 def variable_program(index: int) -> Program:
