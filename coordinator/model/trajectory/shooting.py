@@ -8,7 +8,7 @@ states are weighted by their variances, which are fitted as well. Letters as in 
 import math
 import threading
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -20,6 +20,7 @@ from coordinator.model.trajectory.kernels_integrate import PRECISE, QUICK, shoot
 from coordinator.model.trajectory.kernels_normal import normal_equations, solve_step
 from coordinator.model.trajectory.kernels_rates import Table
 from coordinator.model.trajectory.measurements import Measurements
+from coordinator.model.trajectory.memory import Memory, key_of
 from coordinator.model.trajectory.system import System
 
 STEPS_PER_ROW: Final = 40
@@ -46,6 +47,9 @@ BRIEF: Final = 6
 LEAP: Final = 5
 """Segments grow at most so many times from one stage of a fit to the next."""
 
+_BESIDE_BYTES: Final = 8_000
+"""What a remembered fit takes beside its states and residuals."""
+
 _SETTLED: Final = 1e-7
 _FIRST_DAMPING: Final = 1e-3
 _LARGEST_DAMPING: Final = 1e9
@@ -61,8 +65,8 @@ class Shot:
     `starts` (G, D) are the fitted initial states of `segments` (G, 2), and behind them, where trajectories are fitted
     in whole, their K offsets (G, D + K); `simulated` (D, N); `residuals` (O, N) measured minus simulated and offset;
     `sigmas` (O,) the standard deviations that errors were weighted by; `squares` (O,) their mean squares; `normal`,
-    `coupling` and `own` the blocks of the normal equations at the end, weighted; `is_stiff` tells whether the system
-    was integrated as a stiff one.
+    `coupling` and `own` the blocks of the normal equations at the end, weighted; `shooter` fitted it; `is_stiff` tells
+    whether the system was integrated as a stiff one.
     """
 
     system: System
@@ -75,8 +79,13 @@ class Shot:
     normal: FloatArray
     coupling: FloatArray
     own: FloatArray
-    gradients: FloatArray
+    shooter: "Shooter" = field(repr=False)
     is_stiff: bool = False
+
+    @property
+    def gradients(self) -> FloatArray:
+        """Sensitivities (N, D, P + D + K) to the constants and to what each segment has its own, integrated again."""
+        return self.shooter.sensitivities(self)
 
     @property
     def reduced(self) -> FloatArray:
@@ -100,6 +109,14 @@ class _Equations:
     gradients: FloatArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Done:
+    """What a fit came to, None when the system cannot be integrated, and the work that it took."""
+
+    shot: Shot | None
+    work: int
+
+
 @dataclass(frozen=True, eq=False)
 class _Method:
     """How to integrate: most steps for each row, how many of them are free, the error (D,) allowed in one."""
@@ -112,6 +129,13 @@ class _Method:
     def work(self, steps: int, rows: int) -> int:
         """Return what so many steps along so many rows count, one for each row or more."""
         return max(rows, int(steps / self.free))
+
+
+@dataclass(slots=True, eq=False)
+class Tally:
+    """Work that has been done, see `Shooter.work`."""
+
+    total: int = 0
 
 
 class Shooter:
@@ -134,6 +158,7 @@ class Shooter:
         self._segments: Final[dict[int | None, Ints]] = {}
         self.work = 0
         self._lock = threading.Lock()
+        self._fits: Final = Memory[_Done](_BESIDE_BYTES + 8 * 2 * measurements.smoothed.size)
 
     def fit(
         self, system: System, length: int | None, steps: int, starts: FloatArray | None = None,
@@ -150,6 +175,21 @@ class Shooter:
             is_stiff: whether similar systems are; in a fit of few steps no other is taken for stiff, since most
                 candidates that seem so are bad ones.
         """
+        key = key_of(system, starts, sigmas, length, steps, is_stiff)
+        done = self._fits.recall(key)
+        if done is None:
+            work = Tally()
+            done = _Done(self._fitted(work, system, length, steps, starts, sigmas, is_stiff=is_stiff), work.total)
+            self._fits.keep(key, done)
+        with self._lock:
+            self.work += done.work
+        return done.shot
+
+    def _fitted(
+        self, work: Tally, system: System, length: int | None, steps: int, starts: FloatArray | None,
+        sigmas: FloatArray | None, *, is_stiff: bool,
+    ) -> Shot | None:  # fmt: skip
+        """Return what `fit` does, and add to `work` what it takes."""
         its = self.measurements
         segments = self._segments.get(length)
         if segments is None:
@@ -160,7 +200,7 @@ class Shooter:
         if sigmas is None:
             sigmas = np.maximum(its.noise, 1e-4 * its.scales[its.observed])
         may_be_stiff = is_stiff or steps > BRIEF
-        here, method = self._begun(system, segments, starts, sigmas, may_be_stiff=may_be_stiff)
+        here, method = self._begun(work, system, segments, starts, sigmas, may_be_stiff=may_be_stiff)
         if here is None:
             return None
         damping = _FIRST_DAMPING
@@ -169,7 +209,7 @@ class Shooter:
             there = None
             if step is not None:
                 moved, new_starts = system.with_values(system.values + step[0]), starts + step[1]
-                there, _ = self._equations(method, moved, segments, new_starts, sigmas, here.cost)
+                there, _ = self._equations(work, method, moved, segments, new_starts, sigmas, here.cost)
             if there is None:
                 damping *= 10.0
                 if damping > _LARGEST_DAMPING:
@@ -184,7 +224,7 @@ class Shooter:
         squares = self._squares(here.residuals)
         return Shot(
             system, segments, starts, here.simulated, here.residuals, sigmas, squares, here.normal, here.coupling,
-            here.own, here.gradients, method is self._methods[1],
+            here.own, self, method is self._methods[1],
         )  # fmt: skip
 
     def _with_offsets(self, starts: FloatArray, states: int, *, in_whole: bool) -> FloatArray:
@@ -206,20 +246,21 @@ class Shooter:
         return new, self._weighed(here.simulated, here.gradients, here.residuals, segments, new, len(here.gradient))
 
     def _begun(
-        self, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray, *, may_be_stiff: bool
-    ) -> tuple[_Equations | None, _Method]:
+        self, work: Tally, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray,
+        *, may_be_stiff: bool,
+    ) -> tuple[_Equations | None, _Method]:  # fmt: skip
         """Return the equations where a fit begins, see `_equations`, and the method to go on with.
 
         That is the one for stiff systems if the other took too many steps.
         """
         explicit, implicit = self._methods
-        found, is_stiff = self._equations(explicit, system, segments, starts, sigmas)
+        found, is_stiff = self._equations(work, explicit, system, segments, starts, sigmas)
         if not is_stiff or not may_be_stiff:
             return found, explicit
-        return self._equations(implicit, system, segments, starts, sigmas)[0], implicit
+        return self._equations(work, implicit, system, segments, starts, sigmas)[0], implicit
 
     def _equations(
-        self, method: _Method, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray,
+        self, work: Tally, method: _Method, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray,
         below: float = math.inf,
     ) -> tuple[_Equations | None, bool]:  # fmt: skip
         """Return the equations at a point, and whether the method took too many steps.
@@ -227,28 +268,41 @@ class Shooter:
         None where it cannot be integrated or the cost is not below `below`.
         """
         its = self.measurements
-        states, fitted = len(system.outputs), len(system.places)
+        states, fitted, local = len(system.outputs), len(system.places), starts.shape[1]
+        done, taken, simulated, gradients = self._shot(method, system, segments, starts)
+        work.total += method.work(taken, its.rows) * (OVERHEAD + states * (1 + fitted + local))
+        if done < len(segments) or not max(gradients.max(initial=0.0), -gradients.min(initial=0.0)) < _STEEPEST:
+            return None, done < 0
+        residuals = self._measured - simulated[its.observed]
+        for place, state in enumerate(its.offset.tolist() if local > states else []):
+            column = states + place
+            residuals[state] -= np.repeat(starts[:, column], segments[:, 1] - segments[:, 0])
+        cost = float((self.measurements.weights * (residuals / sigmas[:, None]) ** 2).sum())
+        if not cost < below:
+            return None, False
+        return self._weighed(simulated, gradients, residuals, segments, sigmas, fitted), False
+
+    def sensitivities(self, shot: Shot) -> FloatArray:
+        """Return `Shot.gradients` of a fit of this shooter's."""
+        method = self._methods[1 if shot.is_stiff else 0]
+        return self._shot(method, shot.system, shot.segments, shot.starts)[3]
+
+    def _shot(
+        self, method: _Method, system: System, segments: Ints, starts: FloatArray
+    ) -> tuple[int, int, FloatArray, FloatArray]:
+        """Return what `shoot` does, the steps taken, the states (D, N) and their sensitivities (N, D, P + L)."""
+        its = self.measurements
+        states, fitted, local = len(system.outputs), len(system.places), starts.shape[1]
         simulated = np.full((states, its.rows), np.nan)
-        local = starts.shape[1]
         gradients = np.zeros((its.rows, states, fitted + local))
         taken = np.zeros(1, dtype=np.int64)
         done = shoot(
             method.table, system.tape, system.owners, (its.times, its.inputs, its.input_slopes), segments, starts,
             method.tolerance, its.limits, 200 + method.steps * its.rows, True, simulated, gradients, taken,
         )  # fmt: skip
-        with self._lock:
-            self.work += method.work(int(taken[0]), its.rows) * (OVERHEAD + states * (1 + fitted + local))
-        if done < len(segments) or not max(gradients.max(initial=0.0), -gradients.min(initial=0.0)) < _STEEPEST:
-            return None, done < 0
-        residuals = self._measured - simulated[its.observed]
         for place, state in enumerate(its.offset.tolist() if local > states else []):
-            column = states + place
-            gradients[:, its.observed[state], fitted + column] = 1.0
-            residuals[state] -= np.repeat(starts[:, column], segments[:, 1] - segments[:, 0])
-        cost = float((self.measurements.weights * (residuals / sigmas[:, None]) ** 2).sum())
-        if not cost < below:
-            return None, False
-        return self._weighed(simulated, gradients, residuals, segments, sigmas, fitted), False
+            gradients[:, its.observed[state], fitted + states + place] = 1.0
+        return done, int(taken[0]), simulated, gradients
 
     def _weighed(
         self,
