@@ -26,6 +26,9 @@ EXACT: Final = 1e-8
 FIRST_LENGTHS: Final = (8, 25, None)
 """Rows of the segments of a fit that nothing is known of yet; None: whole pieces."""
 
+AT_ONCE: Final = 64
+"""Systems that are fitted between two looks at the work that has been done."""
+
 _FLOOR: Final = 1e-11
 """Eigenvalues of the normal matrix with a unit diagonal that are smaller are those of rounding."""
 
@@ -82,6 +85,15 @@ class Contest:
         done = [its for its in self._pool.map(work, items) if its is not None and math.isfinite(its.nats)]
         return sorted(done, key=lambda its: its.nats)
 
+    def _bounded(self, work: Callable[[Item], Standing | None], items: Sequence[Item], until: float) -> list[Standing]:
+        """Return what `map` does, of the first items as far as the shooter's work is less than `until`."""
+        found: list[Standing] = []
+        for first in range(0, len(items), AT_ONCE):
+            if first and self.shooter.work >= until:
+                break
+            found += self.map(work, items[first : first + AT_ONCE])
+        return sorted(found, key=lambda its: its.nats)
+
     def system(self, programs: Sequence[Program], held: Sequence[Iterable[int]] = ()) -> System:
         """Return the system of `programs`; `held` are nodes of each whose constants stay as they are."""
         fixed = [
@@ -110,12 +122,14 @@ class Contest:
         return self.beside(near, [*near.programs[:equation], program, *near.programs[equation + 1 :]], steps)
 
     def halved(
-        self, near: Standing, equation: int, programs: Iterable[Program], rounds: Sequence[tuple[int, int]]
-    ) -> list[Standing]:
+        self, near: Standing, equation: int, programs: Iterable[Program], rounds: Sequence[tuple[int, int]],
+        until: float = math.inf,
+    ) -> list[Standing]:  # fmt: skip
         """Return standings of the best of `programs` for one equation, fewer of them after each of the `rounds`.
 
         Each round is a number of steps and how many programs stay. Of programs with the same misfit, which say the same
-        in other words, the one of shortest description stays.
+        in other words, the one of shortest description stays. Once the shooter's work is `until`, no more are taken
+        in than the next few.
         """
         found: list[Standing] = []
         waiting = list(programs)
@@ -124,7 +138,7 @@ class Contest:
             def fitted(program: Program, steps: int = steps) -> Standing | None:
                 return self.exchanged(near, equation, program, steps)
 
-            found = distinct(self.map(fitted, waiting))[:kept]
+            found = distinct(self._bounded(fitted, waiting, until))[:kept]
             waiting = [its.programs[equation] for its in found]
         for its in found:
             self._note(equation, its)

@@ -15,6 +15,9 @@ LEAST: Final = 0.01
 MOST_SAVED: Final = 12.0
 """Nats that leaving out one constant may save, at most about."""
 
+OVERDRAFT: Final = 60_000_000
+"""Work that one comparison of many systems may take beyond the budget; only stiff ones need as much."""
+
 FAR: Final = 10.0
 """Systems whose description is longer than the best by more nats are not reduced."""
 
@@ -29,13 +32,17 @@ Around = Callable[[int, Program], Iterator[Program]]
 
 
 class Descent:
-    """Shortens systems until nothing near is shorter, or the shooter's `budget` of work is used up."""
+    """Shortens systems until nothing near is shorter, or the shooter's `budget` of work is used up.
+
+    What was begun then is finished, unless that takes more than `OVERDRAFT` beyond.
+    """
 
     def __init__(self, contest: Contest, around: Around, budget: int, leaps: Around = lambda *_: iter(())) -> None:
         self._contest = contest
         self._around = around
         self._leaps = leaps
         self._budget = budget
+        self._until = budget + OVERDRAFT
 
     @property
     def is_exhausted(self) -> bool:
@@ -58,7 +65,7 @@ class Descent:
         while not self.is_exhausted:
             standing = self._pruned(standing, equation)
             programs = reductions(standing.programs[equation])
-            found = self._contest.halved(standing, equation, programs, _REDUCING)
+            found = self._contest.halved(standing, equation, programs, _REDUCING, self._until)
             if not found or found[0].nats > standing.nats - LEAST:
                 break
             standing = found[0]
@@ -105,9 +112,10 @@ class Descent:
     def _improved(self, standing: Standing, equation: int) -> Standing:
         best = self.reduced(standing, equation)
         programs = self._around(equation, best.programs[equation])
-        found = self._contest.halved(best, equation, programs, _GROWING)
+        found = self._contest.halved(best, equation, programs, _GROWING, self._until)
         near = [each for each in found if each.nats < best.nats + FAR]
-        near += self._contest.halved(best, equation, self._leaps(equation, best.programs[equation]), _LEAPING)
+        leaps = self._leaps(equation, best.programs[equation])
+        near += self._contest.halved(best, equation, leaps, _LEAPING, self._until)
         return min(
             [best, *(self.reduced(each, equation) for each in near)],
             key=lambda its: its.nats + LEAST * (its is not best),

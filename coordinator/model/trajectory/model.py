@@ -41,6 +41,10 @@ WORK: Final = 45_000_000
 LAST_WORK: Final = 15_000_000
 """Work that may be spent beyond that on leaving out what an equation can do without."""
 
+MOST_WORK: Final = 250_000_000
+"""Work after which the candidates of a contest are no longer exchanged; some times what systems need that are not
+stiff."""
+
 STARTS: Final = 3
 """Candidates of each variable that are combined to begin with."""
 
@@ -200,10 +204,10 @@ def _exchanged(contest: Contest, best: Standing, lists: Sequence[Sequence[Progra
         before = best.nats
         for equation, programs in enumerate(tried):
             if len(programs) > 1:
-                found = contest.halved(best, equation, programs, _EXCHANGING)
+                found = contest.halved(best, equation, programs, _EXCHANGING, MOST_WORK)
                 if found and found[0].nats < best.nats - LEAST:
                     best = found[0]
-        if best.nats > before - LEAST:
+        if best.nats > before - LEAST or contest.shooter.work >= MOST_WORK:
             return best
         tried = [programs[:AGAIN] for programs in lists]
 
@@ -238,7 +242,7 @@ def _restarted(
     contest: Contest, descent: Descent, best: Standing, equation: int, programs: Sequence[Program]
 ) -> Standing:
     """Return the best end of descents that begin with other programs for one equation, all others as they are."""
-    others = contest.halved(best, equation, programs, _RESTARTING)
+    others = contest.halved(best, equation, programs, _RESTARTING, MOST_WORK)
     by_kind = {_kind(other.programs[equation]): other for other in reversed(others)}
     for other in sorted(by_kind.values(), key=lambda its: its.nats):
         if descent.is_exhausted:

@@ -19,6 +19,9 @@ from coordinator.model.trajectory.model import Chosen, Field, candidates_of, sel
 SHORTER: Final = (100, 30)
 """Rows of the pieces that are tried when longer ones cannot be fitted."""
 
+LADDER_WORK: Final = 300_000_000
+"""Work, see `Shooter.work`, after which no other lengths of pieces are tried."""
+
 AT_NOISE: Final = 1.5
 """Residuals so many times as large as the noise are at its level."""
 
@@ -49,7 +52,8 @@ def chosen(field: Field, pools: Mapping[str, Pool], settled: Mapping[str, Refine
     for choice in _ever_shorter(field, lists):
         found.append(choice)
         if _excess(choice.contest, choice.standing) <= AT_NOISE:
-            return replace(_lengthened(field, choice, lists), lists=lists)
+            work = sum(each.contest.shooter.work for each in found)
+            return replace(choice if work >= LADDER_WORK else _lengthened(field, choice, lists), lists=lists)
     return replace(found[0], lists=lists) if found else None
 
 
@@ -87,6 +91,7 @@ def remarks(field: Field) -> Iterator[str]:
 def _ever_shorter(field: Field, lists: Sequence[Sequence[Program]]) -> Iterator[Chosen]:
     """Yield the best system for whole trajectories, then, as long as that helps, for shorter pieces."""
     fields = _fields(field)
+    work = 0
     for index, here in enumerate(fields):
         shorter = fields[index + 1 :]
 
@@ -96,7 +101,8 @@ def _ever_shorter(field: Field, lists: Sequence[Sequence[Program]]) -> Iterator[
         choice = selected(here, lists, is_hopeless=is_hopeless)
         if choice is not None:
             yield choice
-            if not _is_better_in(shorter, choice):
+            work += choice.contest.shooter.work
+            if work >= LADDER_WORK or not _is_better_in(shorter, choice):
                 return
 
 
