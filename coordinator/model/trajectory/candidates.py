@@ -15,6 +15,9 @@ from coordinator.model.trajectory.libraries import Term, eliminated
 KEPT: Final = 60
 """Candidates of which longer segments are fitted, the best by short ones."""
 
+MOST_WORK: Final = 150_000_000
+"""Work, see `Shooter.work`, after which no other libraries are tried; hundreds of rows take a few tenths of it."""
+
 _POLISH_STEPS: Final = 15
 _SEGMENT: Final = 10
 _LONGER: Final = 30
@@ -39,7 +42,9 @@ def ranked(
     polished = [polisher.fit(program, steps=_POLISH_STEPS) for program in reversed(unique.values())]
     started = [each.program for each in polished if np.isfinite(each.mse)]
     found = contest.map(lambda program: contest.stand([program], 4, (_SEGMENT,)), started)[:KEPT]
-    found += [each for terms in libraries for each in eliminated(contest, problem, terms)]
+    for terms in libraries:
+        if contest.shooter.work < MOST_WORK:
+            found += eliminated(contest, problem, terms)
     chosen = {structure(each.programs[0]): each.programs[0] for each in found}
     longer = contest.map(lambda program: contest.stand([program], 6, (_LONGER,)), chosen.values())
     best = [each.programs[0] for each in distinct(longer)]

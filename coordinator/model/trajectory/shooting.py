@@ -131,13 +131,6 @@ class _Method:
         return max(rows, int(steps / self.free))
 
 
-@dataclass(slots=True, eq=False)
-class Tally:
-    """Work that has been done, see `Shooter.work`."""
-
-    total: int = 0
-
-
 class Shooter:
     """Fits systems to `measurements`; `work` counts rows times numbers carried along, of all integrations."""
 
@@ -158,6 +151,7 @@ class Shooter:
         self._segments: Final[dict[int | None, Ints]] = {}
         self.work = 0
         self._lock = threading.Lock()
+        self._own = threading.local()
         self._fits: Final = Memory[_Done](_BESIDE_BYTES + 8 * 2 * measurements.smoothed.size)
 
     def fit(
@@ -178,18 +172,19 @@ class Shooter:
         key = key_of(system, starts, sigmas, length, steps, is_stiff)
         done = self._fits.recall(key)
         if done is None:
-            work = Tally()
-            done = _Done(self._fitted(work, system, length, steps, starts, sigmas, is_stiff=is_stiff), work.total)
+            self._own.work = 0
+            shot = self._fitted(system, length, steps, starts, sigmas, is_stiff=is_stiff)
+            done = _Done(shot, self._own.work)
             self._fits.keep(key, done)
         with self._lock:
             self.work += done.work
         return done.shot
 
     def _fitted(
-        self, work: Tally, system: System, length: int | None, steps: int, starts: FloatArray | None,
-        sigmas: FloatArray | None, *, is_stiff: bool,
+        self, system: System, length: int | None, steps: int, starts: FloatArray | None, sigmas: FloatArray | None,
+        *, is_stiff: bool,
     ) -> Shot | None:  # fmt: skip
-        """Return what `fit` does, and add to `work` what it takes."""
+        """Return what `fit` does, and add what it takes to the work of this thread."""
         its = self.measurements
         segments = self._segments.get(length)
         if segments is None:
@@ -200,7 +195,7 @@ class Shooter:
         if sigmas is None:
             sigmas = np.maximum(its.noise, 1e-4 * its.scales[its.observed])
         may_be_stiff = is_stiff or steps > BRIEF
-        here, method = self._begun(work, system, segments, starts, sigmas, may_be_stiff=may_be_stiff)
+        here, method = self._begun(system, segments, starts, sigmas, may_be_stiff=may_be_stiff)
         if here is None:
             return None
         damping = _FIRST_DAMPING
@@ -209,7 +204,7 @@ class Shooter:
             there = None
             if step is not None:
                 moved, new_starts = system.with_values(system.values + step[0]), starts + step[1]
-                there, _ = self._equations(work, method, moved, segments, new_starts, sigmas, here.cost)
+                there, _ = self._equations(method, moved, segments, new_starts, sigmas, here.cost)
             if there is None:
                 damping *= 10.0
                 if damping > _LARGEST_DAMPING:
@@ -246,21 +241,20 @@ class Shooter:
         return new, self._weighed(here.simulated, here.gradients, here.residuals, segments, new, len(here.gradient))
 
     def _begun(
-        self, work: Tally, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray,
-        *, may_be_stiff: bool,
-    ) -> tuple[_Equations | None, _Method]:  # fmt: skip
+        self, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray, *, may_be_stiff: bool
+    ) -> tuple[_Equations | None, _Method]:
         """Return the equations where a fit begins, see `_equations`, and the method to go on with.
 
         That is the one for stiff systems if the other took too many steps.
         """
         explicit, implicit = self._methods
-        found, is_stiff = self._equations(work, explicit, system, segments, starts, sigmas)
+        found, is_stiff = self._equations(explicit, system, segments, starts, sigmas)
         if not is_stiff or not may_be_stiff:
             return found, explicit
-        return self._equations(work, implicit, system, segments, starts, sigmas)[0], implicit
+        return self._equations(implicit, system, segments, starts, sigmas)[0], implicit
 
     def _equations(
-        self, work: Tally, method: _Method, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray,
+        self, method: _Method, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray,
         below: float = math.inf,
     ) -> tuple[_Equations | None, bool]:  # fmt: skip
         """Return the equations at a point, and whether the method took too many steps.
@@ -270,7 +264,7 @@ class Shooter:
         its = self.measurements
         states, fitted, local = len(system.outputs), len(system.places), starts.shape[1]
         done, taken, simulated, gradients = self._shot(method, system, segments, starts)
-        work.total += method.work(taken, its.rows) * (OVERHEAD + states * (1 + fitted + local))
+        self._own.work += method.work(taken, its.rows) * (OVERHEAD + states * (1 + fitted + local))
         if done < len(segments) or not max(gradients.max(initial=0.0), -gradients.min(initial=0.0)) < _STEEPEST:
             return None, done < 0
         residuals = self._measured - simulated[its.observed]
