@@ -80,6 +80,16 @@ def test_halving_keeps_the_best_and_notes_them():
     assert its.tried == {(0, structure(each.programs[0])): each for each in found}
 
 
+def test_beyond_the_work_that_is_allowed_no_more_programs_are_taken_in(monkeypatch):
+    monkeypatch.setattr("coordinator.model.trajectory.contest.AT_ONCE", 2)
+    its = lotka()
+    near = its.stand([RIVALS[2], OTHER])
+    programs = [RIVALS[0], RIVALS[3], TRUTH]
+    found = its.halved(near, 0, programs, ((4, 3),), until=its.shooter.work)
+    assert {structure(each.programs[0]) for each in found} == {structure(program) for program in programs[:2]}
+    assert len(its.halved(near, 0, programs, ((4, 3),))) == 3
+
+
 def test_of_programs_that_say_the_same_the_shortest_stays():
     its = lotka()
     near = its.stand([TRUTH, OTHER])
@@ -103,6 +113,10 @@ def test_distinct_standings_differ_in_misfit():
 
     its = [standing(-100.0, 1.0), standing(-100.0 - 1e-5, 2.0), standing(-99.0, 3.0), standing(-99.0, 4.0)]
     assert [each.nats for each in distinct(its)] == [1.0, 3.0]
+    near = [standing(-99.0 + 1.01e-4 * step, float(step)) for step in range(-3, 4)]
+    assert [each.nats for each in distinct(near)] == [-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]
+    nearer = [standing(-99.0 + 0.99e-4 * step, float(step)) for step in range(-3, 4)]
+    assert [each.nats for each in distinct(nearer)] == [-3.0, -1.0, 1.0, 3.0]
 
 
 def test_constants_of_a_fixed_equation_stay():

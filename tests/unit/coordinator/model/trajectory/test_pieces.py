@@ -39,18 +39,28 @@ def test_regular_trajectories_are_simulated_in_whole():
     assert list(remarks(choice.field)) == []
 
 
-def test_chaotic_ones_are_simulated_in_pieces_and_that_is_said():
-    """Lorenz's system: what is known of an initial state is lost after some hundred rows."""
+def chaotic():
+    """Return pools and a field: Lorenz's system, of which an initial state tells nothing after some hundred rows."""
     known = Known(("x", "y", "w"), lorenz)
     preparation, field = field_of(known, ([1.0, 2.0, 20.0],), 0.02 * np.arange(500.0), 0.02)
     truth = {"x": ("9.0*(y - x)",), "y": ("27.0*x - x*w - 0.9*y",), "w": ("x*y - 2.5*w",)}
     fixed = replace(field, known={name: known.parsed(text) for name, (text,) in zip(
         ("x", "y", "w"), (("10.0*(y - x)",), ("28.0*x - x*w - y",), ("x*y - 2.6*w",)), strict=True)})  # fmt: skip
-    choice = chosen(fixed, pools(preparation, **truth), {})
+    return fixed, pools(preparation, **truth)
+
+
+def test_chaotic_ones_are_simulated_in_pieces_and_that_is_said():
+    choice = chosen(*chaotic(), {})
     assert choice.field.piece in SHORTER
     (remark,) = remarks(choice.field)
     assert f"pieces of {choice.field.piece} rows" in remark
     assert "500 rows" in remark
+
+
+def test_when_the_work_is_used_up_no_shorter_pieces_are_tried(monkeypatch):
+    monkeypatch.setattr("coordinator.model.trajectory.pieces.LADDER_WORK", 1)
+    field, its = chaotic()
+    assert chosen(field, its, {}).field.piece == field.piece
 
 
 def test_no_candidate_is_no_choice():
