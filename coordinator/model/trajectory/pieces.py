@@ -31,6 +31,9 @@ SLIGHT: Final = 1e-3
 LONG: Final = 200
 """Trajectories of more rows may be chaotic enough for the neighbourhood of a bad fit not to be worth looking at."""
 
+DEAR_WORK: Final = 100_000_000
+"""Work of a contest from which the same is so of shorter trajectories: much would be left for nothing."""
+
 _STEPS: Final = 20
 _LENGTHS: Final = (25, None)
 
@@ -96,7 +99,8 @@ def _ever_shorter(field: Field, lists: Sequence[Sequence[Program]]) -> Iterator[
         shorter = fields[index + 1 :]
 
         def is_hopeless(choice: Chosen, shorter: Sequence[Field] = shorter) -> bool:
-            return _longest(choice.field) > LONG and _is_better_in(shorter, choice)
+            may_be = _longest(choice.field) > LONG or choice.contest.shooter.work >= DEAR_WORK
+            return may_be and _is_better_in(shorter, choice)
 
         choice = selected(here, lists, is_hopeless=is_hopeless)
         if choice is not None:
