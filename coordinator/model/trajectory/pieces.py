@@ -19,7 +19,7 @@ from coordinator.model.trajectory.model import Chosen, Field, candidates_of, sel
 SHORTER: Final = (100, 30)
 """Rows of the pieces that are tried when longer ones cannot be fitted."""
 
-LADDER_WORK: Final = 300_000_000
+LADDER_WORK: Final = 450_000_000
 """Work, see `Shooter.work`, after which no other lengths of pieces are tried."""
 
 AT_NOISE: Final = 1.5
