@@ -335,6 +335,7 @@ class Conductor:
         self._store.update_job(job.id, elapsed=now - job.submitted_at)
         self._store.commit_result(job.id, job.state, text, job.reason, self._clock())
         self._outlet.tell(Close(job=job.id))
+        self._outlet.stop(job.id)
         self.ended[job.id] = replace_workers(self._live_view(job, now))
         del self.jobs[job.id]
         self.watch.ended(job)
