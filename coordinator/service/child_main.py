@@ -34,7 +34,7 @@ def load_preparing() -> None:
     import coordinator.data.prepare  # noqa: F401
 
 
-def main(level: str) -> None:
+def main(level: int) -> None:
     """Do errands until the coordinator is gone. `level` is the least that is logged."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the coordinator's to handle
     if sys.platform == "linux":
@@ -42,7 +42,7 @@ def main(level: str) -> None:
             Path("/proc/self/oom_score_adj").write_text(_MORE_LIKELY, "ascii")
     errands, answers = _pipes()
     said = _Said(answers)
-    logging.basicConfig(level=int(level), handlers=[said], force=True)
+    logging.basicConfig(level=level, handlers=[said], force=True)
     waiting: queue.SimpleQueue[Errand] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(errands, waiting), name="reading errands", daemon=True).start()
     while True:

@@ -18,9 +18,14 @@ from typing import Any, Final
 from coordinator.service.errand_port import LostError
 
 END_LIMIT_S: Final = 5.0
-"""How long a killed process may take to be gone."""
+"""How long a process that was killed, or has closed its pipe, may take to be gone."""
 
-_PROGRAM: Final = "import sys; from coordinator.service.child_main import main; main(sys.argv[1])"
+_PROGRAM: Final = """
+import sys
+level, *sys.path = sys.argv[1:]
+from coordinator.service.child_main import main
+main(int(level))
+"""
 _TOLD: Final = frozenset({signal.SIGKILL})
 
 
@@ -29,7 +34,8 @@ class ChildProcess:
 
     def __init__(self) -> None:
         """Start it; raises LostError when the system starts no more processes."""
-        command = [sys.executable, "-c", _PROGRAM, str(logging.getLogger().getEffectiveLevel())]
+        level = logging.getLogger().getEffectiveLevel()
+        command = [sys.executable, "-P", "-c", _PROGRAM, str(level), *sys.path]  # it finds what was found here
         try:
             self._process = subprocess.Popen(
                 command,
@@ -110,13 +116,20 @@ class ChildProcess:
         except Exception as error:  # also words that the end of the process cut short, or memory that ran out here
             if not isinstance(error, EOFError | pickle.UnpicklingError):
                 self._why = self._why or f"its answer could not be read: {type(error).__name__}: {error}"
-        self._process.kill()
-        self._process.wait()
+        self._see_off()
         for end in (self._process.stdin, pipe):
             with contextlib.suppress(OSError):  # what was not sent yet cannot be
                 if end is not None:
                     end.close()
         self._answers.put(None)
+
+    def _see_off(self) -> None:
+        """Wait for the end of a process that says no more."""
+        try:
+            self._process.wait(END_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
 
 def _log(values: dict[str, Any]) -> None:

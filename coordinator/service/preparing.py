@@ -28,7 +28,10 @@ def prepare_table(table: bytes, config: JobConfig) -> Preparation:
 
 
 def make_refining_ready() -> None:
-    """Load the kernels of refining, compile them if need be."""
+    """Load what refining needs; its kernels are compiled if need be."""
+    import scipy.special  # noqa: F401
+
+    import coordinator.model.refine  # noqa: F401
     from coordinator.model.trajectory.warmup import warm_up
 
     warm_up()

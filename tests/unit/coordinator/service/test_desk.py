@@ -46,6 +46,9 @@ class Silent:
     def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
         self.said.append((job, table))
 
+    def stop(self, job: str) -> None:
+        self.said.append((None, f"stop {job}"))
+
 
 @pytest.fixture
 def outlet() -> Silent:
