@@ -1,5 +1,6 @@
 """Child processes: what they answer, that they are tried twice, and that none outlives its work or its coordinator."""
 
+import dataclasses
 import json
 import logging
 import os
@@ -8,25 +9,28 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from common.config import JobConfig
+from common.config import JobConfig, SpaceConfig
 from common.logs import JsonLines, TextLines
 from coordinator.data.recording import Preparation
 from coordinator.service import children as module
 from coordinator.service.child_process import cause_of
 from coordinator.service.children import Children
 from coordinator.service.errand_port import LostError, StoppedError
-from coordinator.service.errands import Refined, Unprepared
+from coordinator.service.errands import Ready, Refined, Unprepared, prepare_job, refine_job
 from coordinator.service.job import Prepared
-from coordinator.service.ports import Ports
+from coordinator.service.ports import Ports, refine
+from coordinator.service.preparing import prepare_table
 from coordinator.service.slow_work import SlowWork
+from tests.unit.coordinator.model.trajectory.made import DECAY, pools, table
 from tests.unit.coordinator.service import strange_errands as strange
 from tests.unit.documents import ROOT
 
@@ -87,6 +91,36 @@ def test_a_child_does_errand_after_errand_elsewhere(pool: Children) -> None:
     first = pool.do("j", strange.pid)
     assert first != os.getpid()
     assert pool.do_in_turn("j", strange.pid) == first
+
+
+def plain(what: Any) -> Any:
+    """Return data as nested tuples, arrays as their bytes: equal only if every bit is."""
+    if isinstance(what, np.ndarray):
+        return what.dtype.str, what.shape, what.tobytes()
+    if dataclasses.is_dataclass(what):
+        return tuple((each.name, plain(getattr(what, each.name))) for each in dataclasses.fields(what))
+    if isinstance(what, Mapping):
+        return tuple((plain(key), plain(value)) for key, value in what.items())
+    if isinstance(what, list | tuple):
+        return tuple(map(plain, what))
+    return type(what), repr(what)
+
+
+def test_what_children_make_is_what_threads_make_to_the_last_bit(pool: Children) -> None:
+    rows = table(DECAY, ([1.0], [-2.0]), 0.1 * np.arange(40.0), noise=0.02, seed=108)
+    config = JobConfig(space=SpaceConfig(operators=("-", "*")))
+    prepare = partial(prepare_job, prepare_table, "j", rows.to_bytes(), config)
+    here, there = prepare(), pool.do("j", prepare)
+    assert isinstance(here, Ready)
+    assert isinstance(there, Ready)
+    assert plain(there) == plain(here)
+    found = pools(here.prepared.preparation, x=("x", "-0.4*x"))
+    refined = [
+        work(partial(refine_job, refine, "j", ready.prepared.preparation, ready.prepared.config, found))
+        for ready, work in ((here, lambda errand: errand()), (there, partial(pool.do, "j")))
+    ]
+    assert refined[0].refinement.simulation is not None
+    assert plain(refined[1]) == plain(refined[0])
 
 
 def test_a_child_starts_ahead_and_does_first_what_it_was_told_first(pool: Children, tmp_path: Path) -> None:
@@ -192,6 +226,7 @@ import sys
 from functools import partial
 from pathlib import Path
 from coordinator.service.children import Children
+from tests.unit.coordinator.model.trajectory.made import DECAY, pools, table
 from tests.unit.coordinator.service import strange_errands
 Children().do("j", partial(strange_errands.spin, Path(sys.argv[1])))
 """
