@@ -17,11 +17,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
+from common.garbage import collect_rarely
 from common.usage import memory_bytes
 
 Errand = tuple[bool, Callable[[], Any]]
 """Whether an answer is awaited, and what is to be called."""
 
+_ENDING: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 _STDIN: Final = 0
 _STDOUT: Final = 1
 _STDERR: Final = 2
@@ -36,10 +38,12 @@ def load_preparing() -> None:
 
 def main(level: int) -> None:
     """Do errands until the coordinator is gone. `level` is the least that is logged."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the coordinator's to handle
+    for number in _ENDING:  # the coordinator's to handle, also where a whole group of processes is told to end
+        signal.signal(number, signal.SIG_IGN)
     if sys.platform == "linux":
         with contextlib.suppress(OSError):  # where memory runs out, this is to go before the coordinator
             Path("/proc/self/oom_score_adj").write_text(_MORE_LIKELY, "ascii")
+    collect_rarely()
     errands, answers = _pipes()
     said = _Said(answers)
     logging.basicConfig(level=level, handlers=[said], force=True)

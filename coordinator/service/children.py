@@ -22,7 +22,7 @@ IDLE_S: Final = 120.0
 """A child that has had nothing to do for so long ends, and its memory is given back."""
 
 MAX_AT_ONCE: Final = 4
-MAX_ERRANDS: Final = 50
+MAX_ERRANDS: Final = 100
 MAX_MEMORY: Final = 1 << 30
 """A child that has done so much, or occupies so much, does no further errand: what it leaked is given back."""
 

@@ -20,6 +20,7 @@ import pytest
 
 from common.config import JobConfig, SpaceConfig
 from common.logs import JsonLines, TextLines
+from common.wire.simulated_bus import SimulatedNetwork
 from coordinator.data.recording import Preparation
 from coordinator.service import children as module
 from coordinator.service.child_process import cause_of
@@ -29,7 +30,9 @@ from coordinator.service.errands import Ready, Refined, Unprepared, prepare_job,
 from coordinator.service.job import Prepared
 from coordinator.service.ports import Ports, refine
 from coordinator.service.preparing import prepare_table
+from coordinator.service.service import Service
 from coordinator.service.slow_work import SlowWork
+from coordinator.service.store import Store
 from tests.unit.coordinator.model.trajectory.made import DECAY, pools, table
 from tests.unit.coordinator.service import strange_errands as strange
 from tests.unit.documents import ROOT
@@ -184,6 +187,17 @@ def test_who_waits_for_its_turn_is_stopped_too(pool: Children, tmp_path: Path) -
     assert {file.name for file in tmp_path.iterdir()} == {"first", "third", "go"}
 
 
+def test_a_service_that_ends_ends_its_children(pool: Children) -> None:
+    pid = pool.do("j", strange.pid)
+    ports = Ports(prepare_table, lambda work: work(), lambda: "now", errands=pool)
+    stop = threading.Event()
+    stop.set()
+    with Store.open(None) as store:
+        service = Service(SimulatedNetwork(0).bus("coordinator", is_router=True), store, ports=ports)
+        service.run(stop)
+    assert is_gone(pid)
+
+
 def test_a_child_without_work_ends_and_another_follows() -> None:
     with closing(Children(idle_s=0.05)) as pool:
         first = pool.do("j", strange.pid)
@@ -203,10 +217,11 @@ def test_only_functions_of_modules_are_sent(pool: Children) -> None:
     assert pool.do("j", partial(strange.echo, 1)) == 1
 
 
-def test_an_interrupt_is_for_the_coordinator(pool: Children, tmp_path: Path) -> None:
+def test_signals_that_ask_for_an_end_are_for_the_coordinator(pool: Children, tmp_path: Path) -> None:
     doing = Doing(partial(pool.do, "j", partial(strange.sleep, tmp_path / "mark", tmp_path / "go")))
     pid = pid_in(tmp_path / "mark")
-    os.kill(pid, signal.SIGINT)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        os.kill(pid, number)
     (tmp_path / "go").touch()
     assert doing.ended() is None
     assert pool.do("j", strange.pid) == pid

@@ -120,6 +120,7 @@ def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(de
     assert isinstance(cancelled, JobStatus)
     assert cancelled.job.state == "cancelled"
     assert ("b", TABLE) in outlet.said
+    assert (None, "stop a") in outlet.said  # it may be at work still
     assert "before its search began" in failure(desk.answer(Ask(body=GetResult(job="a")))).sentence
 
 
