@@ -58,6 +58,7 @@ class SlowWork:
             return
         except LostError as error:
             self._post(not_prepared(job, str(error)))
+            return
         self._errands.expect(partial(make_ready, self._ports.warm_up))
 
     def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
