@@ -42,6 +42,7 @@ from coordinator.service.desk import Desk
 from coordinator.service.errands import Ready, Refined, Unprepared
 from coordinator.service.greeter import Greeter
 from coordinator.service.job import Prepared
+from coordinator.service.membership import ABSENCE_S
 from coordinator.service.outlet import WorkerWord
 from coordinator.service.ports import Ports, StorePort
 from coordinator.service.preparing import with_children
@@ -52,6 +53,7 @@ _LOG = logging.getLogger(__name__)
 TICK_S: Final = 0.5
 PULL_TIMEOUT_S: Final = 5.0
 _TICK: Final = "tick"
+_ABSENCE: Final = "absence"
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,6 +201,8 @@ class Service:
         if event.name == _TICK:
             self._bus.post(_Look())
             self._bus.call_later(TICK_S, _TICK)
+        elif event.name == _ABSENCE:
+            self._bus.post(_Look())
 
     @_on.register
     def _on_posted(self, event: Posted) -> None:
@@ -240,6 +244,8 @@ class Service:
         key = topics.parse(event.key)
         if isinstance(key, topics.WorkerKey):
             self.conductor.membership.see(key.worker, event.present, self._bus.now())
+            if not event.present:
+                self._bus.call_later(ABSENCE_S, _ABSENCE)
 
     @_on.register
     def _on_message(self, event: Message) -> None:
