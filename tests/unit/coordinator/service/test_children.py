@@ -37,7 +37,7 @@ from tests.unit.coordinator.model.trajectory.made import DECAY, pools, table
 from tests.unit.coordinator.service import strange_errands as strange
 from tests.unit.documents import ROOT
 
-LIMIT_S = 30.0
+LIMIT_S = 120.0
 
 
 @pytest.fixture
