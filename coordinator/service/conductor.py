@@ -90,8 +90,8 @@ class Conductor:
         self.ended[record.id] = ended_view(self._store.job(record.id) or record, None)
         self.watch.given_up(record.id, reason)
 
-    def submit(self, body: Submit, now: float) -> None:
-        """Take in a job. The same id with the same contents again changes nothing.
+    def submit(self, body: Submit, now: float, submitter: str | None = None) -> None:
+        """Take in a job. The same id with the same contents again changes nothing, nor does it whose job it is.
 
         Raises:
             RefusedError: The id belongs to another job, or the table has not been uploaded.
@@ -106,7 +106,7 @@ class Conductor:
             raise RefusedError(f"the table of job {body.job} has not been uploaded; upload it, then submit again")
         submitted = self._clock()
         record = JobRecord(body.job, body.name, spec, body.table, submitted, priority=body.priority)
-        self._store.add_job(record)
+        self._store.add_job(record, submitter)
         self.jobs[body.job] = Job(record, body.config, now)
         self.watch.submitted(body)
         self._prepare_next()

@@ -82,10 +82,16 @@ class Store:
 
     # jobs
 
-    def add_job(self, job: JobRecord) -> bool:
-        """Keep a new job; return False, changing nothing, when a job of this id is kept already."""
+    def add_job(self, job: JobRecord, submitter: str | None = None) -> bool:
+        """Keep a new job; return False, changing nothing, when a job of this id is kept already.
+
+        `submitter` is who submitted it, by the name in the certificate; None: nobody proved it.
+        """
         with self._transaction() as sql:
-            return job_table.add(sql, job)
+            is_new = job_table.add(sql, job)
+            if is_new and submitter is not None:
+                job_table.keep_submitter(sql, job.id, submitter)
+            return is_new
 
     def job(self, job: str) -> JobRecord | None:
         """Return one job; None for an unknown id."""
@@ -96,11 +102,6 @@ class Store:
         """Return all jobs, in the order in which they came."""
         with self._transaction() as sql:
             return job_table.read_all(sql)
-
-    def keep_submitter(self, job: str, name: str) -> None:
-        """Keep who submitted a job, by the name in the certificate; what is kept already stays."""
-        with self._transaction() as sql:
-            job_table.keep_submitter(sql, job, name)
 
     def submitter(self, job: str) -> str | None:
         """Return who submitted a job; None when nobody proved it."""
