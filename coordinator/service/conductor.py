@@ -77,6 +77,7 @@ class Conductor:
                 self._give_up(record, error)
             else:
                 self.jobs[record.id] = Job(record, config, now)
+                self.watch.resumed(record.id)
 
     def _give_up(self, record: JobRecord, error: ValidationError) -> None:
         """Let a job of the store fail whose settings this version does not understand."""
@@ -303,7 +304,8 @@ class Conductor:
             self.job_failed(job, "poison", sentence, now)
 
     def place(self, now: float) -> None:
-        """Begin the terms that are due."""
+        """Begin the terms that are due; deaths that the last ones ended with are durable by then."""
+        self.watch.keep_deaths()
         self._terms.begin(tuple(self.jobs.values()), now)
 
     # ----------------------------------------------------------------------------------------- outcomes
@@ -333,7 +335,8 @@ class Conductor:
     def _conclude(self, job: Job, now: float) -> None:
         text = result_text(job_result(job, now)) if job.prepared is not None else None
         self._store.update_job(job.id, elapsed=now - job.submitted_at)
-        self._store.commit_result(job.id, job.state, text, job.reason, self._clock())
+        is_poison = job.fault == "poison"
+        self._store.commit_result(job.id, job.state, text, job.reason, self._clock(), keeps_checkpoints=is_poison)
         self._outlet.tell(Close(job=job.id))
         self.ended[job.id] = replace_workers(self._live_view(job, now))
         del self.jobs[job.id]

@@ -9,6 +9,7 @@ from common.wire.pieces import State
 from common.wire.views import StoreView
 from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pools, Refinement
+from coordinator.service.death_table import Death
 from coordinator.service.event_table import EventRecord
 from coordinator.service.job_table import JobRecord
 
@@ -33,8 +34,15 @@ class StorePort(Protocol):
     def update_job(self, job: str, only_in: Collection[str] | None = None, **changes: str | float | None) -> bool: ...
 
     def commit_result(
-        self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None
-    ) -> bool: ...
+        self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None,
+        *, keeps_checkpoints: bool = False,
+    ) -> bool: ...  # fmt: skip
+
+    def add_deaths(self, deaths: Sequence[Death]) -> None: ...
+
+    def deaths(self, job: str) -> tuple[Death, ...]: ...
+
+    def take_back_deaths(self, worker: str, instance: str) -> None: ...
 
     def result(self, job: str) -> str | None: ...
 

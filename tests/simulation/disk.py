@@ -12,7 +12,7 @@ from coordinator.service.store import Store
 
 READS: Final = frozenset({
     "job", "jobs", "result", "placements", "cuts", "has_blob", "blob_size", "get_blob", "get_chunk", "missing_chunks",
-    "blob_bytes",
+    "blob_bytes", "deaths",
 })  # fmt: skip
 
 

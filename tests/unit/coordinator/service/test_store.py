@@ -15,6 +15,8 @@ import pytest
 from common.errors import LocalProtocolError, RemoteProtocolError, StoreError
 from common.wire.limits import CHUNK_SIZE
 from common.wire.pieces import State
+from coordinator.service.checkpoint_table import MAX_FAILED
+from coordinator.service.death_table import Death
 from coordinator.service.event_table import MAX_EVENTS, EventRecord
 from coordinator.service.job_table import JobRecord
 from coordinator.service.schema import FILE_NAME, SCHEMA_VERSION
@@ -392,6 +394,39 @@ def test_a_full_disk_is_said_and_everything_committed_before_is_there(tmp_path: 
         assert store.checkpoints("j1") == {"x": (8, b"progress 8")}
         assert store.state("j1", "x", 8, 2) == states_of(8)[2]
         assert checkpoint(store, 16)
+
+
+def test_of_the_last_jobs_that_failed_so_the_last_checkpoints_are_kept(store: Store) -> None:
+    for number in range(MAX_FAILED + 2):
+        store.add_job(JobRecord(f"j{number}", "", "{}", "", ""))
+        for epoch in (8, 16):
+            for variable in ("x", "y"):
+                store.commit_checkpoint(f"j{number}", variable, epoch, b"progress", states_of(epoch), 1.0)
+        assert store.commit_result(f"j{number}", "failed", None, "it dies", "now", keeps_checkpoints=True)
+    kept = [number for number in range(MAX_FAILED + 2) if store.checkpoints(f"j{number}")]
+    assert kept == list(range(2, MAX_FAILED + 2))
+    assert store.checkpoints("j2") == {"x": (16, b"progress"), "y": (16, b"progress")}
+    assert store.state("j2", "x", 16, 0)
+    with pytest.raises(KeyError):
+        store.state("j2", "x", 8, 0)
+    assert not store.commit_result("j2", "cancelled", None)
+    assert store.checkpoints("j2")
+
+
+def test_deaths_count_until_a_commit_a_cut_the_end_or_a_return(store: Store) -> None:
+    store.add_job(JOB)
+    deaths = [Death("j1", variable, 1, worker, "i") for variable in ("x", "y", "z") for worker in ("v", "w")]
+    for _ in range(2):
+        store.add_deaths(deaths)
+    assert store.deaths("j1") == tuple(deaths)
+    store.commit_checkpoint("j1", "x", 8, b"progress", states_of(8), 1.0)
+    store.take_back_deaths("v", "i")
+    store.take_back_deaths("w", "another process")
+    assert store.deaths("j1") == (Death("j1", "y", 1, "w", "i"), Death("j1", "z", 1, "w", "i"))
+    store.commit_cut("j1", "y", b"cut")
+    assert store.deaths("j1") == (Death("j1", "z", 1, "w", "i"),)
+    store.commit_result("j1", "cancelled", None)
+    assert store.deaths("j1") == ()
 
 
 LAYOUT_1 = Path(__file__).with_name("store_layout_1.sql")
