@@ -4,7 +4,7 @@ Knows no bus: what is to be said goes through an `Outlet`, what must last throug
 same: first commit, then say.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from pydantic import ValidationError
@@ -32,7 +32,7 @@ from coordinator.service.archipelago import Checkpoint
 from coordinator.service.checkpoint import StoredProgress
 from coordinator.service.cut import Cut
 from coordinator.service.holdings import Holdings
-from coordinator.service.job import Conclude, Fault, Job, JobAction, KeepCut, Prepared, Refine, TellCommit
+from coordinator.service.job import Conclude, Fault, Job, JobAction, KeepCuts, Prepared, Refine, TellCommit
 from coordinator.service.job_table import JobRecord
 from coordinator.service.keeping import Keeper
 from coordinator.service.membership import Member, Membership
@@ -313,8 +313,8 @@ class Conductor:
     def _carry_out(self, job: Job, actions: list[JobAction], now: float) -> None:
         for action in actions:
             match action:
-                case KeepCut():
-                    self._keep_cut(job, action.cut)
+                case KeepCuts():
+                    self._keep_cuts(job, action.cuts)
                 case TellCommit():
                     self._outlet.tell(action.commit)
                 case Refine():
@@ -324,10 +324,11 @@ class Conductor:
                 case Conclude():
                     self._conclude(job, now)
 
-    def _keep_cut(self, job: Job, cut: Cut) -> None:
-        self._store.commit_cut(job.id, cut.variable, encode(cut))
-        self._outlet.tell(Close(job=job.id, variable=cut.variable))
-        self.watch.cut(job.id, cut)
+    def _keep_cuts(self, job: Job, cuts: Sequence[Cut]) -> None:
+        self._store.commit_cuts(job.id, {cut.variable: encode(cut) for cut in cuts})
+        for cut in cuts:
+            self._outlet.tell(Close(job=job.id, variable=cut.variable))
+            self.watch.cut(job.id, cut)
 
     def _live_view(self, job: Job, now: float) -> JobView:
         return self.watch.completed(job_view(job, self.membership, now, tuple(self.jobs.values())), job)

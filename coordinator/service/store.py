@@ -178,13 +178,17 @@ class Store:
         with self._transaction() as sql:
             return archipelago_table.placements(sql, job)
 
-    def commit_cut(self, job: str, variable: str, cut: bytes) -> bool:
-        """Make the end of an archipelago durable; return False when it had one before: first wins."""
+    def commit_cuts(self, job: str, cuts: Mapping[str, bytes]) -> bool:
+        """Make the ends of archipelagos durable, by variable, all or none of them.
+
+        Return False when one of them had ended before: its first end wins.
+        """
         with self._transaction() as sql:
-            is_first = archipelago_table.cut(sql, job, variable, cut)
-            checkpoint_table.forget(sql, job, variable)
-            death_table.forget(sql, job, variable)
-            return is_first
+            are_first = [archipelago_table.cut(sql, job, variable, cut) for variable, cut in cuts.items()]
+            for variable in cuts:
+                checkpoint_table.forget(sql, job, variable)
+                death_table.forget(sql, job, variable)
+            return all(are_first)
 
     def cuts(self, job: str) -> dict[str, bytes]:
         """Return the committed cuts by variable."""

@@ -51,6 +51,11 @@ class Disk:
         self._death = None
         return True
 
+    def cuts(self) -> int:
+        """Return how many archipelagos have ended."""
+        (count,) = self._connection.execute("SELECT count(*) FROM archipelagos WHERE cut IS NOT NULL").fetchone()
+        return int(count)
+
     def rows(self, table_part: str) -> int:
         """Return how many rows the tables have whose names contain `table_part`."""
         names = self._connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()

@@ -71,7 +71,7 @@ def test_an_unknown_job_is_our_own_error(store: Store) -> None:
     for act in (
         lambda: store.update_job("x", state="done"),
         lambda: store.raise_term("x", "v"),
-        lambda: store.commit_cut("x", "v", b""),
+        lambda: store.commit_cuts("x", {"v": b""}),
         lambda: store.commit_result("x", "done", "{}"),
     ):
         with pytest.raises(LocalProtocolError, match="not in the store"):
@@ -108,8 +108,8 @@ def test_terms_rise_by_one_and_belong_to_a_variable(store: Store) -> None:
 
 def test_the_first_cut_of_a_variable_wins(store: Store) -> None:
     store.add_job(JOB)
-    assert store.commit_cut("j1", "v [m/s]", b"\x00cut")
-    assert not store.commit_cut("j1", "v [m/s]", b"other")
+    assert store.commit_cuts("j1", {"v [m/s]": b"\x00cut"})
+    assert not store.commit_cuts("j1", {"v [m/s]": b"other"})
     store.raise_term("j1", "y")
     assert store.cuts("j1") == {"v [m/s]": b"\x00cut"}
 
@@ -207,7 +207,7 @@ def test_everything_is_there_after_opening_again_under_a_higher_incarnation(tmp_
         realm, incarnation = store.realm, store.incarnation
         store.add_job(JOB)
         store.raise_term("j1", "x")
-        store.commit_cut("j1", "x", b"cut")
+        store.commit_cuts("j1", {"x": b"cut"})
         digest = store.put_blob(b"abc")
     with Store.open(tmp_path) as store:
         assert (store.realm, store.incarnation) == (realm, incarnation + 1)
@@ -228,7 +228,7 @@ def test_what_was_committed_survives_a_process_that_is_killed(tmp_path: Path) ->
         "import os, signal, sys; from pathlib import Path;"
         "from coordinator.service.job_table import JobRecord; from coordinator.service.store import Store;"
         "s = Store.open(Path(sys.argv[1])); s.add_job(JobRecord('j1', 'n', '{}', '', ''));"
-        "s.commit_cut('j1', 'x', b'cut'); os.kill(os.getpid(), signal.SIGKILL)"
+        "s.commit_cuts('j1', {'x': b'cut'}); os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=False, timeout=60)
     with Store.open(tmp_path) as store:
@@ -244,7 +244,7 @@ def test_a_second_coordinator_on_the_same_store_is_refused_and_told_who_has_it(t
 
 def test_a_transaction_that_fails_leaves_nothing_behind(store: Store) -> None:
     with pytest.raises(LocalProtocolError):
-        store.commit_cut("none", "x", b"cut")
+        store.commit_cuts("none", {"x": b"cut"})
     assert store.cuts("none") == {}
     assert store.add_job(JOB)
 
@@ -371,7 +371,7 @@ def test_checkpoints_go_with_the_end_of_what_they_belong_to(store: Store) -> Non
     store.add_job(JOB)
     checkpoint(store, 8)
     checkpoint(store, 8, "y")
-    store.commit_cut("j1", "x", b"cut")
+    store.commit_cuts("j1", {"x": b"cut"})
     assert list(store.checkpoints("j1")) == ["y"]
     assert not checkpoint(store, 16)
     store.commit_result("j1", "done", "{}")
@@ -423,7 +423,7 @@ def test_deaths_count_until_a_commit_a_cut_the_end_or_a_return(store: Store) -> 
     store.take_back_deaths("v", "i")
     store.take_back_deaths("w", "another process")
     assert store.deaths("j1") == (Death("j1", "y", 1, "w", "i"), Death("j1", "z", 1, "w", "i"))
-    store.commit_cut("j1", "y", b"cut")
+    store.commit_cuts("j1", {"y": b"cut"})
     assert store.deaths("j1") == (Death("j1", "z", 1, "w", "i"),)
     store.commit_result("j1", "cancelled", None)
     assert store.deaths("j1") == ()
