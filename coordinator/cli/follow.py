@@ -116,10 +116,16 @@ def ending(view: JobView, target_error: float | None) -> str | None:
     if view.state == "failed":
         return f"job {view.job} failed: {view.reason}"
     if view.state == "cancelled":
-        return f"job {view.job} was cancelled; what it had found is kept"
+        found = "; what it had found is kept" if has_found(view) else ", before it found any equation"
+        return f"job {view.job} was cancelled{found}"
     if exit_code(view, target_error) == TARGET_MISSED:
         return f"--target-error {target_error:g} was not met within the budget by {', '.join(_missed(view))}"
     return None
+
+
+def has_found(view: JobView) -> bool:
+    """Tell whether a job has any equation that was searched for."""
+    return any(each.expression is not None and each.why != "known" for each in view.variables)
 
 
 def _missed(view: JobView) -> list[str]:
