@@ -284,6 +284,8 @@ class Conductor:
         if commit is not None:
             self._outlet.tell(commit)
         self.place(now)
+        if self._keeper.is_short:
+            self._keeper.look(self.jobs.values(), now)
 
     def tick(self, now: float) -> None:
         """Let time pass: lost workers, `--max-time`, jobs that wait for their turn."""
