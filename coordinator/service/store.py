@@ -215,7 +215,7 @@ class Store:
     # events
 
     def add_events(self, events: Iterable[EventRecord]) -> None:
-        """Keep what has happened; of each job, and of no job in particular, the last `MAX_EVENTS` are kept."""
+        """Keep what has happened; of each job, and of no job in particular, `MAX_EVENTS` are kept: commits go first."""
         with self._transaction() as sql:
             append_events(sql, tuple(events))
 

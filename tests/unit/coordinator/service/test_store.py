@@ -17,7 +17,7 @@ from common.wire.limits import CHUNK_SIZE
 from common.wire.pieces import State
 from coordinator.service.checkpoint_table import MAX_FAILED
 from coordinator.service.death_table import Death
-from coordinator.service.event_table import MAX_EVENTS, EventRecord
+from coordinator.service.event_table import LEAST_COMMITS, MAX_EVENTS, EventRecord
 from coordinator.service.job_table import JobRecord
 from coordinator.service.schema import FILE_NAME, SCHEMA_VERSION
 from coordinator.service.store import Store
@@ -330,6 +330,23 @@ def test_events_come_in_order_from_where_one_left_off_and_the_oldest_are_forgott
     kept = store.events("a", 0, 2 * MAX_EVENTS)
     assert (len(kept), kept[0].contents, kept[-1].contents) == (MAX_EVENTS, "2", str(MAX_EVENTS + 1))
     assert len(store.events("b", 0, 9)) == 3
+
+
+def test_commits_are_forgotten_before_what_is_rarer(store: Store) -> None:
+    def add(kind: str, numbers: range) -> None:
+        store.add_events(EventRecord("a", "t", kind, str(number)) for number in numbers)
+
+    def kept(kind: str) -> list[int]:
+        return [int(each.contents) for each in store.events("a", 0, 2 * MAX_EVENTS) if each.kind == kind]
+
+    add("isolated", range(10))
+    add("commit", range(2 * MAX_EVENTS))
+    assert kept("isolated") == list(range(10))
+    assert kept("commit") == list(range(MAX_EVENTS + 10, 2 * MAX_EVENTS))
+    add("stalled", range(MAX_EVENTS))
+    assert kept("commit") == list(range(2 * MAX_EVENTS - LEAST_COMMITS, 2 * MAX_EVENTS))
+    assert kept("isolated") == []
+    assert kept("stalled") == list(range(LEAST_COMMITS, MAX_EVENTS))
 
 
 # ------------------------------------------------------------------------------------------ checkpoints
