@@ -12,7 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from common.config import DataConfig, JobConfig
+from common.errors import RefusedError
 from coordinator.client import connected
+from coordinator.data.readers import read_table
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMIT_S = 200.0
@@ -214,3 +217,17 @@ def test_a_process_that_is_killed_is_started_again_under_its_name(place: Path) -
             assert parent.wait(LIMIT_S) == 0
     said = (place / "island_worker.log").read_text()
     assert f"process {before['again-0']} (again-0) was ended by signal 9; it is started again in 1 s" in said
+
+
+def test_a_job_in_the_line_is_cancelled_and_the_others_stay_in_it(place: Path) -> None:
+    with serving(place, "eight") as (address, _), connected(address) as coordinator:
+        table = coordinator.upload(read_table([place / "data.csv"], DataConfig()).to_bytes())
+        for number in range(7):
+            coordinator.submit(f"j{number}", "in the line", JobConfig(), table, -number)
+        until(lambda: coordinator.status("j6").ahead == 2)
+        answer = done(place, "coordinator", "cancel", "j5", "--connect", address)
+        assert (answer.returncode, answer.stdout) == (0, "job j5 is cancelled, before it found any equation\n")
+        assert coordinator.status("j5").state == "cancelled"
+        assert coordinator.status("j6").ahead == 1
+        with pytest.raises(RefusedError, match="was cancelled before its search began"):
+            coordinator.result("j5")
