@@ -1,25 +1,24 @@
 """The entry of the ``island-worker`` program: options, help, exit codes. Light, because ``--help`` must be instant.
 
-One process is one worker. With more than one, this process loads what workers need, forks them, and ends with them;
-it has no bus itself, since that would not survive a fork.
+One process is one worker. With more than one, this process loads what workers need, forks them, starts again those that
+die, and ends with them; it has no bus itself, since that would not survive a fork.
 """
 
 import argparse
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Final, NoReturn
 
 from common.arguments import seconds
+from island_worker.working import guarded, work, work_together
 
 if TYPE_CHECKING:
     from common.wire.addresses import Destination
     from common.wire.credentials import Credentials
 
-INTERRUPTED: Final = 130
 _WAIT_S: Final = 10.0
 _GRACE_S: Final = 30.0
 _UNITS: Final = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
@@ -28,7 +27,8 @@ _MOST_PROCESSES: Final = 1024
 
 _EPILOG: Final = """\
 exit codes: 0 the coordinator ended or the worker was told to end, 1 failed, 2 bad usage or refused by the coordinator,
-3 coordinator not reachable, 130 interrupted
+3 coordinator not reachable, 130 interrupted; of several processes the worst. One of several that dies is started again
+after 1 s, then 2 s and so on up to 30 s; one that dies five times within a minute is not, and counts as failed
 
 examples:
   island-worker --connect tcp/192.168.1.5:7447               one process per core, until the coordinator ends
@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         collect_rarely()
     words = sys.argv[1:] if argv is None else argv
-    code = _guarded(lambda: _dispatch(_parse(words)))
+    code = guarded(lambda: _dispatch(_parse(words)))
     if argv is None:
         sys.stdout.flush()
         sys.stderr.flush()
@@ -68,21 +68,6 @@ def _check_product() -> None:
             f"island-worker: 'common' at {common.__file__} is not Atoll's package; use an environment of its own\n"
         )
         raise SystemExit(2)
-
-
-def _guarded(work: Callable[[], int]) -> int:
-    """Do `work`; return its exit code, or the one of the error that it raised, which is said in one sentence."""
-    from common.errors import AtollError
-
-    try:
-        return work()
-    except AtollError as error:
-        sys.stderr.write(f"island-worker: {error}\n")
-        return error.exit_code
-    except KeyboardInterrupt:
-        return INTERRUPTED
-    except SystemExit as error:
-        return error.code if isinstance(error.code, int) else 0
 
 
 class _Parser(argparse.ArgumentParser):
@@ -151,6 +136,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     )
     add_log_options(parser)
     parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # end with this process
+    parser.add_argument("--sentences", type=int, help=argparse.SUPPRESS)  # why we end is written there
     parser.add_argument("--leave", action="store_true", help=argparse.SUPPRESS)  # the workers to the parent, and end
     parser.add_argument("--version", action="version", version=f"atoll {VERSION}")
     return parser.parse_args(argv)
@@ -159,6 +145,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 def _dispatch(options: argparse.Namespace) -> int:
     from common.wire.credentials import credentials_of
     from island_worker.processes import choose_number
+    from island_worker.sentences import hand_over
 
     credentials = credentials_of(vars(options), os.environ, "connect")
     connect = _destination(options, credentials)
@@ -168,9 +155,10 @@ def _dispatch(options: argparse.Namespace) -> int:
         number, reason = choose_number(os.environ)
         sys.stderr.write(f"island-worker: {number} {'process' if number == 1 else 'processes'}: {reason}\n")
     if number == 1 and not options.leave:
-        return _work(connect, name, options, options.parent)
+        say = partial(hand_over, options.sentences) if options.sentences is not None else None
+        return guarded(partial(work, connect, name, options, options.parent), say)
     names = [f"{name[:58]}-{index}" for index in range(number)]
-    return _work_together(connect, names, options)
+    return work_together(connect, names, options)
 
 
 def _destination(options: argparse.Namespace, credentials: "Credentials | None") -> "Destination":
@@ -195,55 +183,6 @@ def _destination(options: argparse.Namespace, credentials: "Credentials | None")
     if not connect:
         raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
     return destination(connect, credentials)
-
-
-def _work_together(connect: "Destination", names: Sequence[str], options: argparse.Namespace) -> int:
-    """Have one process for each name work; forked, where that can be, after all have been loaded once."""
-    from island_worker.forking import can_fork, leave, load_ahead
-    from island_worker.processes import ending_on_signals, hear_of_death, supervise, supervise_forks, worker_command
-
-    if not can_fork():
-        commands = [
-            worker_command(connect, each, options.wait, options.grace, options.lifetime, _log_options(options))
-            for each in names
-        ]
-        return supervise(commands, options.parent, options.grace)
-    with ending_on_signals():
-        if options.parent is not None:
-            hear_of_death()
-        load_ahead()
-        if options.parent not in (None, os.getppid()):
-            return 0
-    parent = options.parent if options.leave else os.getpid()
-    works = {name: partial(_work_guarded, connect, name, options, parent) for name in names}
-    if not options.leave:
-        return supervise_forks(list(works.values()), options.parent, options.grace)
-    leave(works)
-    return 0
-
-
-def _log_options(options: argparse.Namespace) -> list[str]:
-    return ["--log-format", options.log_format, "--log-level", options.log_level]
-
-
-def _work_guarded(connect: "Destination", name: str, options: argparse.Namespace, parent: int) -> int:
-    return _guarded(partial(_work, connect, name, options, parent))
-
-
-def _work(connect: "Destination", name: str, options: argparse.Namespace, parent: int | None) -> int:
-    from common.logs import configure
-    from island_worker.processes import end_with_parent, ending_on_signals, leaving_on_signals
-
-    with ending_on_signals():
-        if parent is not None:
-            end_with_parent(parent)
-        configure(options.log_format, options.log_level, worker=name)
-        from island_worker.leaving import Leaving
-        from island_worker.runtime import run_worker
-
-        leaving = Leaving(options.lifetime, options.grace)
-        on_signal = partial(leaving_on_signals, parent) if options.grace > 0.0 else lambda leave: nullcontext()
-        return run_worker(connect, name, options.wait, leaving, on_signal)
 
 
 def _name_for(bearer: str | None, wanted: str | None) -> str:

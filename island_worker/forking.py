@@ -10,7 +10,6 @@ import importlib
 import os
 import signal
 import sys
-import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
@@ -56,16 +55,14 @@ class Forked:
 
     def __init__(self, work: Work) -> None:
         """Fork; the child does `work` in a session of its own and ends with the code that it returns."""
-        self._lock = threading.Lock()
         self._code: int | None = None
         self.pid: int = _fork(work)
 
-    def wait(self) -> int:
-        """Wait for the end; return the exit code, negative for a signal. For one thread."""
-        os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
-        with self._lock:  # from here on the number may be another process's
-            _, status = os.waitpid(self.pid, 0)
-            self._code = os.waitstatus_to_exitcode(status)
+    def poll(self) -> int | None:
+        """Return the exit code, negative for a signal; None while it lives."""
+        if self._code is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            self._code = os.waitstatus_to_exitcode(status) if pid else None
         return self._code
 
     def terminate(self) -> None:
@@ -77,9 +74,8 @@ class Forked:
         self._send(signal.SIGKILL)
 
     def _send(self, number: int) -> None:
-        with self._lock:
-            if self._code is None:
-                os.kill(self.pid, number)
+        if self._code is None:  # else the number may be another process's
+            os.kill(self.pid, number)
 
 
 def leave(works: Mapping[str, Work]) -> None:

@@ -58,6 +58,9 @@ JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
 }
 """What this worker has of a job's configuration and dataset -> what happens -> what it has then."""
 
+MAX_TERMS: Final = 1024
+"""Of so many archipelagos that are not computed here, the last ones, the newest term is remembered."""
+
 Archipelago = tuple[str, str]
 
 
@@ -145,7 +148,7 @@ class Session:
         if placement.term <= self._terms.get(key, 0):
             return []
         actions = self._drop(key)
-        self._terms[key] = placement.term
+        self._note_term(key, placement.term)
         if self.worker not in placement.workers:
             return actions
         self._shares[key] = Share(placement, self.worker)
@@ -185,6 +188,7 @@ class Session:
         self._early.forget(job, variable)
         if variable is None and self._jobs.get(job, "unknown") != "unknown":
             self._step_job(job, "close")
+            del self._jobs[job]
             actions.append(DiscardJob(job))
         return actions
 
@@ -347,6 +351,17 @@ class Session:
             self._duplicates_before += share.duplicates
         self._troubles = [each for each in self._troubles if (each.job, each.variable) != key]
         return [Discard(share.key)] if share is not None else []
+
+    def _note_term(self, key: Archipelago, term: int) -> None:
+        """Remember the newest term of an archipelago; of those that are not computed here no more than `MAX_TERMS`.
+
+        Words of a term before one that was forgotten can do no harm: the answer to the next heartbeat sets them right.
+        """
+        self._terms.pop(key, None)
+        self._terms[key] = term
+        elsewhere = [each for each in self._terms if each not in self._shares and each != key]
+        for each in elsewhere[:-MAX_TERMS]:
+            del self._terms[each]
 
     def _step_job(self, job: str, step: JobStep) -> None:
         self._jobs[job] = JOB_TRANSITIONS[self._jobs.get(job, "unknown")][step]

@@ -51,11 +51,17 @@ class Assembly:
         self.states: Final[dict[int, State]] = {}
         self._missing = list(islands)
         self._begun = b""
+        self._whole_bytes = 0
 
     @property
     def is_complete(self) -> bool:
         """Whether all states are here."""
         return not self._missing
+
+    @property
+    def size(self) -> int:
+        """Bytes that are here."""
+        return self._whole_bytes + len(self._begun)
 
     @property
     def wanted(self) -> tuple[int, ...]:
@@ -85,5 +91,6 @@ class Assembly:
             if len(data) != piece.size or state.digest != piece.digest:
                 raise RemoteProtocolError(f"the state of island {piece.island} was damaged on its way")
             self.states[piece.island] = state
+            self._whole_bytes += len(data)
             whole.append(self._missing.pop(0))
         return whole

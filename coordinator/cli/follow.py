@@ -13,6 +13,9 @@ from coordinator.client import Client
 PATIENCE_S: Final = 30.0
 """How long a coordinator that stopped answering is waited for."""
 
+NOTHING_FOUND: Final = ", before it found any equation"
+"""What a sentence on a cancelled job ends with that has no equations."""
+
 _FIRST_INTERVAL_S: Final = 0.05
 _LAST_INTERVAL_S: Final = 0.3
 
@@ -116,10 +119,16 @@ def ending(view: JobView, target_error: float | None) -> str | None:
     if view.state == "failed":
         return f"job {view.job} failed: {view.reason}"
     if view.state == "cancelled":
-        return f"job {view.job} was cancelled; what it had found is kept"
+        found = "; what it had found is kept" if has_found(view) else NOTHING_FOUND
+        return f"job {view.job} was cancelled{found}"
     if exit_code(view, target_error) == TARGET_MISSED:
         return f"--target-error {target_error:g} was not met within the budget by {', '.join(_missed(view))}"
     return None
+
+
+def has_found(view: JobView) -> bool:
+    """Tell whether a job has any equation that was searched for."""
+    return any(each.expression is not None and each.why != "known" for each in view.variables)
 
 
 def _missed(view: JobView) -> list[str]:

@@ -9,7 +9,7 @@ from common.wire.addresses import Destination
 from common.wire.views import FINAL_STATES, JobView, WorkerView
 from coordinator.cli.exits import DONE
 from coordinator.cli.fleet import coordinator_lines, worker_table
-from coordinator.cli.follow import Follower, ending, exit_code
+from coordinator.cli.follow import NOTHING_FOUND, Follower, ending, exit_code, has_found
 from coordinator.cli.output import as_json, clipped, count, duration, note, say, table
 from coordinator.cli.progress import Display, JsonDisplay, LiveDisplay, PlainDisplay, is_screen, plain_lines
 from coordinator.cli.request import CONNECT_LIMIT_S, address_of
@@ -85,7 +85,8 @@ def cancel(options: argparse.Namespace) -> int:
     elif had_ended:
         say(f"job {job} had ended already: {view.state}")
     else:
-        say(f"job {job} is cancelled; its best equations: coordinator result {job}")
+        found = f"; its best equations: coordinator result {job}" if has_found(view) else NOTHING_FOUND
+        say(f"job {job} is cancelled{found}")
     return DONE
 
 

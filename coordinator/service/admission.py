@@ -22,8 +22,6 @@ _MAY: Final[dict[Role, str]] = {
 class Submitters(Protocol):
     """The part of the store that remembers whose job a job is."""
 
-    def keep_submitter(self, job: str, name: str) -> None: ...
-
     def submitter(self, job: str) -> str | None: ...
 
 
@@ -67,8 +65,6 @@ class Admission:
             return None
         return f"job {ask.body.job} was submitted by {owner}; only {owner} or an admin may cancel it"
 
-    def submitted(self, client: str, job: str) -> None:
-        """Remember that `client` submitted `job`; the first who did so stays."""
-        bearer = self._roster.bearer(client) if self._roster is not None else None
-        if bearer is not None:
-            self._submitters.keep_submitter(job, bearer)
+    def submitter(self, client: str) -> str | None:
+        """Return as whose job one is kept that `client` submits; None: nobody proves who it is."""
+        return self._roster.bearer(client) if self._roster is not None else None

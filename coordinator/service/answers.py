@@ -3,7 +3,7 @@
 from common.errors import RemoteProtocolError, StoreError
 from common.wire import topics
 from common.wire.bus import Query
-from common.wire.client_messages import Answer, Ask, Failure, Submit
+from common.wire.client_messages import Answer, Ask, Failure
 from common.wire.codec import decode, encode
 from common.wire.greetings import GreetingAnswer
 from common.wire.limits import MAX_MESSAGE
@@ -89,10 +89,7 @@ class Answers:
         if refusal is not None:
             return Failure(failure="refused", sentence=refusal)
         try:
-            answer = self._desk.answer(ask)
+            return self._desk.answer(ask, self._admission.submitter(client))
         except StoreError as error:
             self.broken = error
             return Failure(failure="internal", sentence=str(error)[:4000])
-        if isinstance(ask.body, Submit) and not isinstance(answer, Failure):
-            self._admission.submitted(client, ask.body.job)
-        return answer

@@ -94,6 +94,11 @@ class Archipelago:
         return self.placement is not None and self.durable == self.placement.epoch
 
     @property
+    def gathered(self) -> int | None:
+        """Bytes that are here of the checkpoint that is being gathered; None: there is none."""
+        return self._gathering.size if self._gathering is not None else None
+
+    @property
     def is_planned(self) -> bool:
         """Whether another placement has been asked for already."""
         return self._wants_hold or self._schedule.holds

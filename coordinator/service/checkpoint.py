@@ -106,6 +106,11 @@ class Gathering:
         return len(self._asked)
 
     @property
+    def size(self) -> int:
+        """Bytes that are here."""
+        return sum(each.size for each in self._assemblies.values())
+
+    @property
     def states(self) -> dict[int, State]:
         """The states that are here, by island."""
         return {island: state for each in self._assemblies.values() for island, state in each.states.items()}

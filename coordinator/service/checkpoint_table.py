@@ -2,8 +2,12 @@
 
 import sqlite3
 from collections.abc import Mapping
+from typing import Final
 
 from common.wire.pieces import State
+
+MAX_FAILED: Final = 4
+"""Of so many failed jobs, the last ones, the last checkpoints are kept."""
 
 
 def add(
@@ -39,6 +43,24 @@ def state(sql: sqlite3.Connection, job: str, variable: str, epoch: int, island: 
     if row is None:
         raise KeyError(f"{job} {variable} {epoch} {island}")
     return State(*row)
+
+
+def keep_last(sql: sqlite3.Connection, job: str) -> None:
+    """Keep the last checkpoint of each archipelago of a job that has failed, to be looked at; none of older such jobs.
+
+    Of `MAX_FAILED` failed jobs at most something is kept.
+    """
+    sql.execute(
+        "DELETE FROM checkpoints WHERE job = ? AND epoch < "
+        "(SELECT max(epoch) FROM checkpoints AS later WHERE later.job = checkpoints.job "
+        "AND later.variable = checkpoints.variable)",
+        (job,),
+    )
+    sql.execute(
+        "DELETE FROM checkpoints WHERE job IN (SELECT id FROM jobs WHERE state = 'failed' "
+        "AND id IN (SELECT job FROM checkpoints) ORDER BY finished DESC, number DESC LIMIT -1 OFFSET ?)",
+        (MAX_FAILED,),
+    )
 
 
 def forget(sql: sqlite3.Connection, job: str, variable: str | None = None) -> None:

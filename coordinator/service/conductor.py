@@ -4,7 +4,7 @@ Knows no bus: what is to be said goes through an `Outlet`, what must last throug
 same: first commit, then say.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from pydantic import ValidationError
@@ -32,7 +32,7 @@ from coordinator.service.archipelago import Checkpoint
 from coordinator.service.checkpoint import StoredProgress
 from coordinator.service.cut import Cut
 from coordinator.service.holdings import Holdings
-from coordinator.service.job import Conclude, Fault, Job, JobAction, KeepCut, Prepared, Refine, TellCommit
+from coordinator.service.job import Conclude, Fault, Job, JobAction, KeepCuts, Prepared, Refine, TellCommit
 from coordinator.service.job_table import JobRecord
 from coordinator.service.keeping import Keeper
 from coordinator.service.membership import Member, Membership
@@ -77,6 +77,7 @@ class Conductor:
                 self._give_up(record, error)
             else:
                 self.jobs[record.id] = Job(record, config, now)
+                self.watch.resumed(record.id)
 
     def _give_up(self, record: JobRecord, error: ValidationError) -> None:
         """Let a job of the store fail whose settings this version does not understand."""
@@ -90,8 +91,8 @@ class Conductor:
         self.ended[record.id] = ended_view(self._store.job(record.id) or record, None)
         self.watch.given_up(record.id, reason)
 
-    def submit(self, body: Submit, now: float) -> None:
-        """Take in a job. The same id with the same contents again changes nothing.
+    def submit(self, body: Submit, now: float, submitter: str | None = None) -> None:
+        """Take in a job. The same id with the same contents again changes nothing, nor does it whose job it is.
 
         Raises:
             RefusedError: The id belongs to another job, or the table has not been uploaded.
@@ -106,7 +107,7 @@ class Conductor:
             raise RefusedError(f"the table of job {body.job} has not been uploaded; upload it, then submit again")
         submitted = self._clock()
         record = JobRecord(body.job, body.name, spec, body.table, submitted, priority=body.priority)
-        self._store.add_job(record)
+        self._store.add_job(record, submitter)
         self.jobs[body.job] = Job(record, body.config, now)
         self.watch.submitted(body)
         self._prepare_next()
@@ -283,6 +284,8 @@ class Conductor:
         if commit is not None:
             self._outlet.tell(commit)
         self.place(now)
+        if self._keeper.is_short:
+            self._keeper.look(self.jobs.values(), now)
 
     def tick(self, now: float) -> None:
         """Let time pass: lost workers, `--max-time`, jobs that wait for their turn."""
@@ -303,7 +306,8 @@ class Conductor:
             self.job_failed(job, "poison", sentence, now)
 
     def place(self, now: float) -> None:
-        """Begin the terms that are due."""
+        """Begin the terms that are due; deaths that the last ones ended with are durable by then."""
+        self.watch.keep_deaths()
         self._terms.begin(tuple(self.jobs.values()), now)
 
     # ----------------------------------------------------------------------------------------- outcomes
@@ -311,8 +315,8 @@ class Conductor:
     def _carry_out(self, job: Job, actions: list[JobAction], now: float) -> None:
         for action in actions:
             match action:
-                case KeepCut():
-                    self._keep_cut(job, action.cut)
+                case KeepCuts():
+                    self._keep_cuts(job, action.cuts)
                 case TellCommit():
                     self._outlet.tell(action.commit)
                 case Refine():
@@ -322,10 +326,11 @@ class Conductor:
                 case Conclude():
                     self._conclude(job, now)
 
-    def _keep_cut(self, job: Job, cut: Cut) -> None:
-        self._store.commit_cut(job.id, cut.variable, encode(cut))
-        self._outlet.tell(Close(job=job.id, variable=cut.variable))
-        self.watch.cut(job.id, cut)
+    def _keep_cuts(self, job: Job, cuts: Sequence[Cut]) -> None:
+        self._store.commit_cuts(job.id, {cut.variable: encode(cut) for cut in cuts})
+        for cut in cuts:
+            self._outlet.tell(Close(job=job.id, variable=cut.variable))
+            self.watch.cut(job.id, cut)
 
     def _live_view(self, job: Job, now: float) -> JobView:
         return self.watch.completed(job_view(job, self.membership, now, tuple(self.jobs.values())), job)
@@ -333,8 +338,10 @@ class Conductor:
     def _conclude(self, job: Job, now: float) -> None:
         text = result_text(job_result(job, now)) if job.prepared is not None else None
         self._store.update_job(job.id, elapsed=now - job.submitted_at)
-        self._store.commit_result(job.id, job.state, text, job.reason, self._clock())
+        is_poison = job.fault == "poison"
+        self._store.commit_result(job.id, job.state, text, job.reason, self._clock(), keeps_checkpoints=is_poison)
         self._outlet.tell(Close(job=job.id))
+        self._outlet.stop(job.id)
         self.ended[job.id] = replace_workers(self._live_view(job, now))
         del self.jobs[job.id]
         self.watch.ended(job)

@@ -47,14 +47,14 @@ class Desk:
         self._now = now
         self._coordinator = coordinator
 
-    def answer(self, ask: Ask) -> Body:
-        """Return the answer to a client's question.
+    def answer(self, ask: Ask, submitter: str | None = None) -> Body:
+        """Return the answer to a client's question; `submitter`: as whose job one is kept that is submitted.
 
         Raises:
             StoreError: A job was to be cancelled, and that could not be made durable.
         """
         try:
-            return self._answer(ask)
+            return self._answer(ask, submitter)
         except (RefusedError, RemoteProtocolError) as error:
             return Failure(failure="refused", sentence=str(error)[:4000])
         except AtollError as error:
@@ -63,13 +63,13 @@ class Desk:
                 raise
             return Failure(failure="internal", sentence=str(error)[:4000])
 
-    def _answer(self, ask: Ask) -> Body:
+    def _answer(self, ask: Ask, submitter: str | None) -> Body:
         body = ask.body
         match body:
             case Upload():
                 return self._upload(body)
             case Submit():
-                self._conductor.submit(body, self._now())
+                self._conductor.submit(body, self._now(), submitter)
                 return self._status(body.job)
             case Jobs():
                 return JobList(jobs=self._views())

@@ -8,6 +8,9 @@ from typing import Final
 MAX_EVENTS: Final = 2000
 """Events kept of each job, and of no job in particular; older ones are forgotten."""
 
+LEAST_COMMITS: Final = 500
+"""Of these events so many may be commits before anything rarer is forgotten for them."""
+
 
 @dataclass(frozen=True, slots=True)
 class EventRecord:
@@ -24,15 +27,23 @@ class EventRecord:
 
 
 def append_events(sql: sqlite3.Connection, events: Sequence[EventRecord]) -> None:
-    """Add events, in order, and forget the oldest beyond `MAX_EVENTS`; part of the caller's transaction."""
+    """Add events, in order, and forget what is too much of each job; part of the caller's transaction."""
     rows = [(each.job, each.time, each.kind, each.contents) for each in events]
     sql.executemany("INSERT INTO events (job, time, kind, contents) VALUES (?, ?, ?, ?)", rows)
     for job in {each.job: None for each in events}:
-        sql.execute(
-            "DELETE FROM events WHERE job IS ? AND number <= "
-            "(SELECT number FROM events WHERE job IS ? ORDER BY number DESC LIMIT 1 OFFSET ?)",
-            (job, job, MAX_EVENTS),
-        )
+        _thin(sql, job)
+
+
+def _thin(sql: sqlite3.Connection, job: str | None) -> None:
+    """Forget the oldest events of a job beyond `MAX_EVENTS`: first commits, as long as there are `LEAST_COMMITS`."""
+    (excess,) = sql.execute("SELECT count(*) - ? FROM events WHERE job IS ?", (MAX_EVENTS, job)).fetchone()
+    if excess <= 0:
+        return
+    oldest = "SELECT number FROM events WHERE job IS ? AND {} ORDER BY number LIMIT ?"
+    (commits,) = sql.execute("SELECT count(*) FROM events WHERE job IS ? AND kind = 'commit'", (job,)).fetchone()
+    spare = min(excess, max(0, commits - LEAST_COMMITS))
+    for which, number in (("kind = 'commit'", spare), ("kind != 'commit'", excess - spare)):
+        sql.execute(f"DELETE FROM events WHERE number IN ({oldest.format(which)})", (job, number))
 
 
 def read_events(sql: sqlite3.Connection, job: str | None, after: int, limit: int) -> tuple[EventRecord, ...]:

@@ -39,10 +39,10 @@ JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class KeepCut:
-    """Commit the cut, then tell the workers that its archipelago is closed."""
+class KeepCuts:
+    """Commit the cuts, all or none of them, then tell the workers that their archipelagos are closed."""
 
-    cut: Cut
+    cuts: tuple[Cut, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class Conclude:
     """The job has ended: commit its result, then close it."""
 
 
-JobAction = KeepCut | TellCommit | Refine | Conclude
+JobAction = KeepCuts | TellCommit | Refine | Conclude
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,9 +145,13 @@ class Job:
     def begin(
         self, prepared: Prepared, cuts: Mapping[str, Cut], resumed: Mapping[str, StoredProgress] | None = None
     ) -> list[JobAction]:
-        """Set up the archipelagos; those of `cuts` have ended before, those of `resumed` go on from a checkpoint."""
+        """Set up the archipelagos; those of `cuts` have ended before, those of `resumed` go on from a checkpoint.
+
+        The search has lasted at least as long as any of them says.
+        """
         self._step("prepared")
         self.prepared = prepared
+        self.searched_before = max((cut.seconds for cut in cuts.values()), default=0.0)
         for target in prepared.sought:
             archipelago = self._archipelago(prepared, target)
             if target.variable in cuts:
@@ -185,11 +189,11 @@ class Job:
         limit = self.config.budget.max_time
         if self.state != "running" or limit is None or self.search_seconds(now) < limit:
             return []
-        actions: list[JobAction] = []
-        for archipelago in self.open_archipelagos:
+        open_ones = self.open_archipelagos
+        for archipelago in open_ones:
             archipelago.collector.cut_now("max-time")
-            actions += self._cut_of(archipelago)
-        return actions + (self._conclude_if_cut() if actions else [])
+        cuts = tuple(each.cut for each in open_ones if each.cut is not None)
+        return [KeepCuts(cuts), *self._conclude_if_cut()] if cuts else []
 
     def take_refined(self, refinement: Refinement) -> list[JobAction]:
         """Take in what refining gave, and end; without effect on a job that does not wait for it."""
@@ -249,14 +253,11 @@ class Job:
     def _after_epoch(self, archipelago: Archipelago) -> list[JobAction]:
         if archipelago.cut is None:
             return self._commit_of(archipelago)
-        return [*self._cut_of(archipelago), *self._conclude_if_cut()]
+        return [KeepCuts((archipelago.cut,)), *self._conclude_if_cut()]
 
     def _commit_of(self, archipelago: Archipelago) -> list[JobAction]:
         commit = archipelago.forget_due()
         return [TellCommit(commit)] if commit is not None else []
-
-    def _cut_of(self, archipelago: Archipelago) -> list[JobAction]:
-        return [KeepCut(archipelago.cut)] if archipelago.cut is not None else []
 
     def _conclude_if_cut(self) -> list[JobAction]:
         if self.open_archipelagos:

@@ -93,8 +93,8 @@ def result(sql: sqlite3.Connection, job: str) -> str | None:
 
 
 def keep_submitter(sql: sqlite3.Connection, job: str, name: str) -> None:
-    """Keep who submitted a job; what is kept already stays."""
-    sql.execute("INSERT OR IGNORE INTO submitters VALUES (?, ?)", (job, name))
+    """Keep who submitted a job, when it is added."""
+    sql.execute("INSERT INTO submitters VALUES (?, ?)", (job, name))
 
 
 def submitter(sql: sqlite3.Connection, job: str) -> str | None:

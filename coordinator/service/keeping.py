@@ -1,15 +1,24 @@
-"""Has checkpoints gathered and written while the search goes on. Knows no bus: it asks through an outlet."""
+"""Has checkpoints gathered and written while the search goes on. Knows no bus: it asks through an outlet.
 
-from collections.abc import Iterable
+Of all states together no more are held than there is room for. The checkpoint that was begun first always goes on, once
+nothing is being written, so that no one waits for ever, and one that is larger than the room goes through alone.
+"""
+
+from collections.abc import Iterable, Mapping
 from typing import Final, Protocol
 
 from common.wire.codec import encode
+from common.wire.limits import CHUNK_SIZE
 from common.wire.messages import Commit, PullStates, States
 from coordinator.service.archipelago import Archipelago, Checkpoint
+from coordinator.service.isolation import Key
 from coordinator.service.job import Job
 
 MOST_ASKS: Final = 4
 """Questions for states under way at the same time; with 4 MB an answer, what may come in at once."""
+
+MOST_BYTES: Final = 256 * 1024**2
+"""Of states held at the same time: gathered, asked for, or being written; and beyond that of one checkpoint."""
 
 
 class KeeperOutlet(Protocol):
@@ -28,10 +37,21 @@ class Keeper:
     def __init__(self, outlet: KeeperOutlet) -> None:
         self._outlet = outlet
         self._under_way = 0
+        self._gathered: dict[Key, int] = {}  # in the order in which they were begun
+        self._written: dict[Key, int] = {}
+        self.is_short = False  # some checkpoint waits for room
+
+    @property
+    def held(self) -> int:
+        """Bytes of all states that are here."""
+        return sum(self._gathered.values()) + sum(self._written.values())
 
     def look(self, jobs: Iterable[Job], now: float) -> None:
         """Ask for the states that are due, and have written what is complete."""
-        for job in jobs:
+        live = {job.id: job for job in jobs}
+        self._keep_only(live)
+        self.is_short = False
+        for job in live.values():
             for archipelago in job.open_archipelagos:
                 self._look_at(job, archipelago, now)
 
@@ -45,6 +65,9 @@ class Keeper:
         self._ask(archipelago)
         checkpoint = archipelago.checkpoint_due()
         if checkpoint is not None:
+            key = (archipelago.job, archipelago.variable)
+            self._gathered.pop(key, None)
+            self._written[key] = checkpoint.size
             progress = encode(checkpoint.stored_progress(job.search_seconds(now)))
             self._outlet.write(checkpoint, progress, now - job.submitted_at)
 
@@ -58,13 +81,44 @@ class Keeper:
         archipelago = job.archipelagos.get(asked.variable) if job is not None else None
         if archipelago is not None:
             archipelago.take_states(worker, asked, body)
+            self._note(archipelago)
 
     def written(self, job: Job | None, checkpoint: Checkpoint, now: float) -> Commit | None:
         """Take in that a checkpoint is durable; return what the workers are to be told."""
+        self._written.pop((checkpoint.job, checkpoint.variable), None)
         archipelago = job.archipelagos.get(checkpoint.variable) if job is not None else None
         return archipelago.committed(checkpoint, now) if archipelago is not None else None
 
     def _ask(self, archipelago: Archipelago) -> None:
-        for worker, pull in archipelago.asks(MOST_ASKS - self._under_way):
+        key = (archipelago.job, archipelago.variable)
+        asks = archipelago.asks(self._most_for(key))
+        if asks:
+            self._gathered.setdefault(key, 0)
+        for worker, pull in asks:
             self._under_way += 1
             self._outlet.pull(worker, pull)
+
+    def _most_for(self, key: Key) -> int:
+        """Return how many questions for states of an archipelago there is room for."""
+        most = MOST_ASKS - self._under_way
+        if not self._written and next(iter(self._gathered), key) == key:
+            return most
+        room = (MOST_BYTES - self.held) // CHUNK_SIZE - self._under_way
+        self.is_short = self.is_short or room < most
+        return min(most, room)
+
+    def _note(self, archipelago: Archipelago) -> None:
+        """Take notice of how much of an archipelago's checkpoint is here."""
+        key, gathered = (archipelago.job, archipelago.variable), archipelago.gathered
+        if gathered is None:
+            self._gathered.pop(key, None)
+        elif key in self._gathered:
+            self._gathered[key] = gathered
+
+    def _keep_only(self, live: Mapping[str, Job]) -> None:
+        """Forget checkpoints that were given up: their archipelago has ended, or lost a worker."""
+        for key in list(self._gathered):
+            job = live.get(key[0])
+            archipelago = job.archipelagos.get(key[1]) if job is not None and job.state == "running" else None
+            if archipelago is None or archipelago.cut is not None or archipelago.gathered is None:
+                del self._gathered[key]

@@ -51,6 +51,10 @@ class Suspicion:
             self._counted.setdefault(term, set()).add(dead)
         return counts
 
+    def counts(self, dead: Dead) -> bool:
+        """Tell whether the death of a process has been noted."""
+        return any(dead in those for those in self._counted.values())
+
     def came_back(self, dead: Dead) -> bool:
         """Note that a process lives after all; return whether a death is taken back by that."""
         terms = [term for term, those in self._counted.items() if those == {dead}]

@@ -9,6 +9,8 @@ from common.wire.pieces import State
 from common.wire.views import StoreView
 from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pools, Refinement
+from coordinator.service.death_table import Death
+from coordinator.service.errand_port import HERE, Errands
 from coordinator.service.event_table import EventRecord
 from coordinator.service.job_table import JobRecord
 
@@ -24,7 +26,7 @@ class StorePort(Protocol):
     def incarnation(self) -> int:
         """How often the store has been opened."""
 
-    def add_job(self, job: JobRecord) -> bool: ...
+    def add_job(self, job: JobRecord, submitter: str | None = None) -> bool: ...
 
     def job(self, job: str) -> JobRecord | None: ...
 
@@ -33,18 +35,23 @@ class StorePort(Protocol):
     def update_job(self, job: str, only_in: Collection[str] | None = None, **changes: str | float | None) -> bool: ...
 
     def commit_result(
-        self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None
-    ) -> bool: ...
+        self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None,
+        *, keeps_checkpoints: bool = False,
+    ) -> bool: ...  # fmt: skip
+
+    def add_deaths(self, deaths: Sequence[Death]) -> None: ...
+
+    def deaths(self, job: str) -> tuple[Death, ...]: ...
+
+    def take_back_deaths(self, worker: str, instance: str) -> None: ...
 
     def result(self, job: str) -> str | None: ...
-
-    def keep_submitter(self, job: str, name: str) -> None: ...
 
     def submitter(self, job: str) -> str | None: ...
 
     def begin_terms(self, archipelagos: Sequence[tuple[str, str]], place: Callable[[int, int], bytes]) -> None: ...
 
-    def commit_cut(self, job: str, variable: str, cut: bytes) -> bool: ...
+    def commit_cuts(self, job: str, cuts: Mapping[str, bytes]) -> bool: ...
 
     def cuts(self, job: str) -> dict[str, bytes]: ...
 
@@ -113,7 +120,8 @@ def at_once(work: Callable[[], None]) -> None:
 class Ports:
     """The outside world of a service. `clock` gives the time of day as ISO text.
 
-    `writer` does what it is given in the order in which it came, one piece at a time.
+    `errands` does what `preparer`, `refiner` and `warm_up` say, for threads of `background`. `writer` does what it is
+    given in the order in which it came, one piece at a time.
     """
 
     preparer: Preparer
@@ -122,3 +130,4 @@ class Ports:
     refiner: Refiner = refine
     warm_up: WarmUp = _nothing
     writer: Background = at_once
+    errands: Errands = HERE

@@ -56,9 +56,17 @@ CREATE TABLE states (
 
 _LAYOUT_2_SUBMITTERS: Final = "CREATE TABLE submitters (job TEXT PRIMARY KEY, name TEXT NOT NULL)"
 
+_LAYOUT_3_DEATHS: Final = """
+CREATE TABLE deaths (
+    job TEXT NOT NULL, variable TEXT NOT NULL, term INTEGER NOT NULL, worker TEXT NOT NULL, instance TEXT NOT NULL,
+    PRIMARY KEY (job, variable, term, worker, instance)
+)
+"""
+
 _LAYOUTS: Final = (
     _LAYOUT_1,
     ";".join((_LAYOUT_2_PRIORITIES, _LAYOUT_2_EVENTS, _LAYOUT_2_CHECKPOINTS, _LAYOUT_2_SUBMITTERS)),
+    _LAYOUT_3_DEATHS,
 )
 """What each version of the layout adds to the one before. A new store goes through all of them, an old one through
 those that it lacks."""

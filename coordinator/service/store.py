@@ -18,7 +18,8 @@ from common.errors import RemoteProtocolError, StoreError
 from common.wire.limits import chunk_count
 from common.wire.pieces import State
 from common.wire.views import StoreView
-from coordinator.service import archipelago_table, blob_table, checkpoint_table, job_table
+from coordinator.service import archipelago_table, blob_table, checkpoint_table, death_table, job_table
+from coordinator.service.death_table import Death
 from coordinator.service.event_table import EventRecord, append_events, read_events
 from coordinator.service.job_table import JobRecord
 from coordinator.service.schema import Lock, connect, translated
@@ -82,10 +83,16 @@ class Store:
 
     # jobs
 
-    def add_job(self, job: JobRecord) -> bool:
-        """Keep a new job; return False, changing nothing, when a job of this id is kept already."""
+    def add_job(self, job: JobRecord, submitter: str | None = None) -> bool:
+        """Keep a new job; return False, changing nothing, when a job of this id is kept already.
+
+        `submitter` is who submitted it, by the name in the certificate; None: nobody proved it.
+        """
         with self._transaction() as sql:
-            return job_table.add(sql, job)
+            is_new = job_table.add(sql, job)
+            if is_new and submitter is not None:
+                job_table.keep_submitter(sql, job.id, submitter)
+            return is_new
 
     def job(self, job: str) -> JobRecord | None:
         """Return one job; None for an unknown id."""
@@ -96,11 +103,6 @@ class Store:
         """Return all jobs, in the order in which they came."""
         with self._transaction() as sql:
             return job_table.read_all(sql)
-
-    def keep_submitter(self, job: str, name: str) -> None:
-        """Keep who submitted a job, by the name in the certificate; what is kept already stays."""
-        with self._transaction() as sql:
-            job_table.keep_submitter(sql, job, name)
 
     def submitter(self, job: str) -> str | None:
         """Return who submitted a job; None when nobody proved it."""
@@ -122,17 +124,24 @@ class Store:
             return True
 
     def commit_result(
-        self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None
-    ) -> bool:
-        """Make a job's final `state` and `result` (JSON) durable and forget its checkpoints.
+        self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None,
+        *, keeps_checkpoints: bool = False,
+    ) -> bool:  # fmt: skip
+        """Make a job's final `state` and `result` (JSON) durable and forget its checkpoints, or all but the last.
 
-        Return False when it had ended before: the first end wins.
+        With `keeps_checkpoints` the last of each archipelago stays, until `checkpoint_table.MAX_FAILED` more jobs have
+        failed so. Return False, changing nothing, when it had ended before: the first end wins.
         """
         with self._transaction() as sql:
             job_table.require(sql, job)
-            is_first = job_table.end(sql, job, state, result, reason, finished)
-            checkpoint_table.forget(sql, job)
-            return is_first
+            if not job_table.end(sql, job, state, result, reason, finished):
+                return False
+            if keeps_checkpoints:
+                checkpoint_table.keep_last(sql, job)
+            else:
+                checkpoint_table.forget(sql, job)
+            death_table.forget(sql, job)
+            return True
 
     def result(self, job: str) -> str | None:
         """Return a job's result as JSON; None while there is none."""
@@ -169,22 +178,44 @@ class Store:
         with self._transaction() as sql:
             return archipelago_table.placements(sql, job)
 
-    def commit_cut(self, job: str, variable: str, cut: bytes) -> bool:
-        """Make the end of an archipelago durable; return False when it had one before: first wins."""
+    def commit_cuts(self, job: str, cuts: Mapping[str, bytes]) -> bool:
+        """Make the ends of archipelagos durable, by variable, all or none of them.
+
+        Return False when one of them had ended before: its first end wins.
+        """
         with self._transaction() as sql:
-            is_first = archipelago_table.cut(sql, job, variable, cut)
-            checkpoint_table.forget(sql, job, variable)
-            return is_first
+            are_first = [archipelago_table.cut(sql, job, variable, cut) for variable, cut in cuts.items()]
+            for variable in cuts:
+                checkpoint_table.forget(sql, job, variable)
+                death_table.forget(sql, job, variable)
+            return all(are_first)
 
     def cuts(self, job: str) -> dict[str, bytes]:
         """Return the committed cuts by variable."""
         with self._transaction() as sql:
             return archipelago_table.cuts(sql, job)
 
+    # deaths
+
+    def add_deaths(self, deaths: Sequence[Death]) -> None:
+        """Keep deaths that count for archipelagos until they have a newer commit, or end."""
+        with self._transaction() as sql:
+            death_table.add(sql, deaths)
+
+    def deaths(self, job: str) -> tuple[Death, ...]:
+        """Return the deaths that count for archipelagos of a job, by variable, then by term."""
+        with self._transaction() as sql:
+            return death_table.read(sql, job)
+
+    def take_back_deaths(self, worker: str, instance: str) -> None:
+        """Forget the death of a process, which lives after all."""
+        with self._transaction() as sql:
+            death_table.take_back(sql, worker, instance)
+
     # events
 
     def add_events(self, events: Iterable[EventRecord]) -> None:
-        """Keep what has happened; of each job, and of no job in particular, the last `MAX_EVENTS` are kept."""
+        """Keep what has happened; of each job, and of no job in particular, `MAX_EVENTS` are kept: commits go first."""
         with self._transaction() as sql:
             append_events(sql, tuple(events))
 
@@ -203,12 +234,14 @@ class Store:
     ) -> bool:
         """Make a checkpoint of an archipelago durable, and `elapsed` of its job; keep the one before, but no older one.
 
-        Return False, changing nothing, when the archipelago or its job has ended.
+        Deaths that counted until now count no more. Return False, changing nothing, when the archipelago or its job has
+        ended.
         """
         with self._transaction() as sql:
             if archipelago_table.has_ended(sql, job, variable):
                 return False
             checkpoint_table.add(sql, job, variable, epoch, progress, states)
+            death_table.forget(sql, job, variable)
             job_table.update(sql, job, {"elapsed": elapsed})
             return True
 

@@ -14,11 +14,12 @@ from common.wire.views import EventKind, JobCounters, JobView
 from coordinator.service.archipelago import Archipelago, Checkpoint
 from coordinator.service.chronicle import Chronicle
 from coordinator.service.cut import Cut
+from coordinator.service.death_table import Death
 from coordinator.service.isolation import Isolation, Key
 from coordinator.service.job import Job
 from coordinator.service.leases import Leases
 from coordinator.service.membership import Member, Membership, Patience
-from coordinator.service.poison import Suspicion
+from coordinator.service.poison import Dead, Suspicion
 from coordinator.service.ports import StorePort
 from coordinator.service.stalls import Stillness
 
@@ -40,6 +41,8 @@ class Watch:
         self._membership = membership
         self._leases = Leases()
         self._suspicions: dict[Key, Suspicion] = {}
+        self._store = store
+        self._deaths: list[Death] = []
         self._counters: dict[str, JobCounters] = {}
         self._waited: dict[tuple[str, str, int, str], float] = {}
         self._refused: set[tuple[str, str]] = set()
@@ -53,6 +56,12 @@ class Watch:
     def submitted(self, body: Submit) -> None:
         """Take notice of a new job."""
         self.chronicle.note("submitted", f"submitted as {body.name!r}", body.job, priority=body.priority)
+
+    def resumed(self, job: str) -> None:
+        """Take over what was thought of a job's archipelagos before the coordinator was started again."""
+        for death in self._store.deaths(job):
+            suspicion = self._suspicions.setdefault((death.job, death.variable), Suspicion())
+            suspicion.died(death.term, (death.worker, death.instance))
 
     def prepared(self, job: Job) -> None:
         """Take notice that a job's data are prepared."""
@@ -115,6 +124,7 @@ class Watch:
         self._leases.forget(job.id)
         self._counters.pop(job.id, None)
         self._suspicions = {key: value for key, value in self._suspicions.items() if key[0] != job.id}
+        self._deaths = [each for each in self._deaths if each.job != job.id]
         self._waited = {key: value for key, value in self._waited.items() if key[0] != job.id}
 
     def completed(self, view: JobView, job: Job) -> JobView:
@@ -146,6 +156,7 @@ class Watch:
         else:
             text = f"process {hello.pid} on {hello.host or 'an unnamed host'}"
             self.chronicle.note("worker-joined", text, worker=hello.name)
+            self._take_back((hello.name, hello.instance))
 
     def waited(self, worker: str, holding: Holding) -> None:
         """Take notice of how long islands of a current placement have waited on a worker."""
@@ -156,10 +167,7 @@ class Watch:
         if not was_lost or self._membership.is_lost(worker):
             return
         self.chronicle.note("worker-back", "it is there again, as the same process", worker=worker)
-        for (job, variable), suspicion in self._suspicions.items():
-            if suspicion.came_back((worker, status.instance)):
-                text = f"worker {worker} is alive after all; its loss does not count"
-                self.chronicle.note("pardoned", text, job, variable=variable, worker=worker)
+        self._take_back((worker, status.instance))
 
     def lost(self, member: Member, why: str, jobs: Iterable[Job]) -> Verdicts:
         """Take notice that a process is lost; return the jobs that it was one worker too many for.
@@ -173,6 +181,12 @@ class Watch:
         if member.is_leaving:
             return []
         return [verdict for each in held if (verdict := self._count_death(each, dead, why)) is not None]
+
+    def keep_deaths(self) -> None:
+        """Make durable which deaths were counted, before their islands are placed anew."""
+        if self._deaths:
+            deaths, self._deaths = self._deaths, []
+            self._store.add_deaths(deaths)
 
     def patience(self, jobs: Iterable[Job]) -> Patience:
         """Return how patient to be with each worker."""
@@ -214,14 +228,28 @@ class Watch:
 
     # ------------------------------------------------------------------------------------------- private
 
-    def _count_death(self, archipelago: Archipelago, dead: tuple[str, str], why: str) -> tuple[str, str] | None:
+    def _take_back(self, dead: Dead) -> None:
+        """Take back the death of a process that is there."""
+        suspected = {key: each for key, each in self._suspicions.items() if each.counts(dead)}
+        for (job, variable), suspicion in suspected.items():
+            if suspicion.came_back(dead):
+                text = f"worker {dead[0]} is alive after all; its loss does not count"
+                self.chronicle.note("pardoned", text, job, variable=variable, worker=dead[0])
+        self._deaths = [each for each in self._deaths if (each.worker, each.instance) != dead]
+        if suspected:
+            self._store.take_back_deaths(*dead)
+
+    def _count_death(self, archipelago: Archipelago, dead: Dead, why: str) -> tuple[str, str] | None:
         """Count a death for an archipelago; return job and reason when it was one too many."""
         key = (archipelago.job, archipelago.variable)
         self._leases.evicted(key)
         self._count(archipelago.job, deaths=1)
         suspicion = self._suspicions.setdefault(key, Suspicion())
         term = archipelago.placement.term if archipelago.placement is not None else 0
-        if not suspicion.died(term, dead):
+        counts = suspicion.died(term, dead)
+        if suspicion.state != "condemned":  # else its job ends now, and that is durable
+            self._deaths.append(Death(*key, term, *dead))
+        if not counts:
             return None
         if suspicion.state == "isolated":
             text = "three times in a row a worker died that computed its islands; they get one worker for themselves"

@@ -12,7 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from common.config import DataConfig, JobConfig
+from common.errors import RefusedError
 from coordinator.client import connected
+from coordinator.data.readers import read_table
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMIT_S = 200.0
@@ -173,7 +176,7 @@ def test_a_worker_without_a_coordinator_says_so_and_ends_with_3(place: Path) -> 
         answer = done(place, "island_worker", *options)
         assert answer.returncode == 3
         assert answer.stdout == ""
-        assert answer.stderr.count("no coordinator answers at tcp/127.0.0.1:9") == int(processes)
+        assert answer.stderr.count("no coordinator answers at tcp/127.0.0.1:9") == 1
         assert "Traceback" not in answer.stderr
 
 
@@ -199,3 +202,32 @@ def test_two_coordinators_share_neither_a_port_nor_a_store(place: Path) -> None:
         for answer in (same_port, same_store):
             assert answer.stderr.count("\n") == 1
             assert answer.stdout == ""
+
+
+def test_a_process_that_is_killed_is_started_again_under_its_name(place: Path) -> None:
+    with serving(place, "six") as (address, _), connected(address) as coordinator:
+        family = started(place, "island_worker", "--connect", address, "--processes", "2", "--name", "again")
+        with family as parent:
+            until(lambda: len(coordinator.workers()) == 2)
+            before = {each.worker: each.pid for each in coordinator.workers()}
+            os.kill(before["again-0"], signal.SIGKILL)
+            until(lambda: {each.worker: each.pid for each in coordinator.workers()}["again-0"] != before["again-0"])
+            assert {each.worker: each.pid for each in coordinator.workers()}["again-1"] == before["again-1"]
+            parent.send_signal(signal.SIGTERM)
+            assert parent.wait(LIMIT_S) == 0
+    said = (place / "island_worker.log").read_text()
+    assert f"process {before['again-0']} (again-0) was ended by signal 9; it is started again in 1 s" in said
+
+
+def test_a_job_in_the_line_is_cancelled_and_the_others_stay_in_it(place: Path) -> None:
+    with serving(place, "eight") as (address, _), connected(address) as coordinator:
+        table = coordinator.upload(read_table([place / "data.csv"], DataConfig()).to_bytes())
+        for number in range(7):
+            coordinator.submit(f"j{number}", "in the line", JobConfig(), table, -number)
+        until(lambda: coordinator.status("j6").ahead == 2)
+        answer = done(place, "coordinator", "cancel", "j5", "--connect", address)
+        assert (answer.returncode, answer.stdout) == (0, "job j5 is cancelled, before it found any equation\n")
+        assert coordinator.status("j5").state == "cancelled"
+        assert coordinator.status("j6").ahead == 1
+        with pytest.raises(RefusedError, match="was cancelled before its search began"):
+            coordinator.result("j5")

@@ -12,7 +12,7 @@ from coordinator.service.store import Store
 
 READS: Final = frozenset({
     "job", "jobs", "result", "placements", "cuts", "has_blob", "blob_size", "get_blob", "get_chunk", "missing_chunks",
-    "blob_bytes",
+    "blob_bytes", "deaths",
 })  # fmt: skip
 
 
@@ -50,6 +50,11 @@ class Disk:
             return False
         self._death = None
         return True
+
+    def cuts(self) -> int:
+        """Return how many archipelagos have ended."""
+        (count,) = self._connection.execute("SELECT count(*) FROM archipelagos WHERE cut IS NOT NULL").fetchone()
+        return int(count)
 
     def rows(self, table_part: str) -> int:
         """Return how many rows the tables have whose names contain `table_part`."""

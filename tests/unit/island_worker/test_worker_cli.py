@@ -4,7 +4,7 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
@@ -12,7 +12,7 @@ import pytest
 from common.errors import RefusedError, UnreachableError
 from common.wire.addresses import destination
 from common.wire.credentials import load
-from island_worker import cli, forking, processes, runtime
+from island_worker import cli, forking, processes, runtime, supervision
 from island_worker.leaving import Leaving
 from tests.certificates import Lab
 
@@ -102,11 +102,12 @@ def test_several_processes_are_forked_when_all_is_loaded_and_have_numbered_names
     monkeypatch.setattr(forking, "can_fork", lambda: True)
     monkeypatch.setattr(processes, "end_with_parent", lambda parent: None)
 
-    def supervise_forks(works: Sequence[Callable[[], int]], parent: int | None, grace_s: float) -> int:
+    def supervise(starts: Mapping[str, Callable[[], int]], said: object, parent: int | None, grace_s: float) -> int:
         assert (loads, parent, grace_s) == (["all"], None, 30.0)
-        return max([work() for work in works]) or 3
+        return max([start() for start in starts.values()]) or 3
 
-    monkeypatch.setattr(processes, "supervise_forks", supervise_forks)
+    monkeypatch.setattr(forking, "Forked", lambda work: work())
+    monkeypatch.setattr(supervision, "supervise", supervise)
     assert cli.main(["--connect", "tcp/a:1", "--processes", "2", "--name", "n" * 64, "--wait", "2"]) == 3
     assert worked == [("tcp/a:1", "n" * 58 + f"-{index}", 2.0) for index in range(2)]
 
@@ -115,8 +116,13 @@ def test_where_a_fork_is_unsafe_several_processes_are_started_and_end_with_this_
     monkeypatch: pytest.MonkeyPatch, loads: list[str]
 ) -> None:
     started: list[list[str]] = []
+
+    def supervise(starts: Mapping[str, Callable[[], int]], *_: object) -> int:
+        return max([start() for start in starts.values()])
+
     monkeypatch.setattr(forking, "can_fork", lambda: False)
-    monkeypatch.setattr(processes, "supervise", lambda commands, *_: started.extend(commands) or 3)
+    monkeypatch.setattr(supervision, "supervise", supervise)
+    monkeypatch.setattr(supervision, "started", lambda command, _: started.append(command) or 3)
     words = ["--connect", "tcp/a:1", "--processes", "2", "--name", "n" * 64, "--lifetime", "30m", "--grace", "5"]
     assert cli.main(words) == 3
     assert loads == []
@@ -125,6 +131,7 @@ def test_where_a_fork_is_unsafe_several_processes_are_started_and_end_with_this_
         assert command[command.index("--name") + 1] == "n" * 58 + f"-{index}"
         assert command[command.index("--processes") + 1] == "1"
         assert "--parent" in command
+        assert "--sentences" in command
         assert command[command.index("--lifetime") + 1] == "1800"
         assert command[command.index("--grace") + 1] == "5"
 

@@ -6,29 +6,41 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from island_worker.processes import supervise, worst
+from island_worker import lives
+from island_worker.sentences import Sentences
+from island_worker.supervision import started, supervise, worst
 
 LIMIT_S = 30.0
 
 SUPERVISOR = """
 import sys
-from island_worker import processes
-processes._STOP_LIMIT_S = float(sys.argv[1])
+from functools import partial
+from island_worker import supervision
+from island_worker.sentences import Sentences
+supervision._STOP_LIMIT_S = float(sys.argv[1])
 grace_s = 30.0 if "0.5" in sys.argv[2] else 0.0
-sys.exit(processes.supervise([[sys.executable, "-c", sys.argv[2]]] * 2, None, grace_s))
+with Sentences() as sentences:
+    start = partial(supervision.started, [sys.executable, "-c", sys.argv[2]], sentences)
+    sys.exit(supervision.supervise({"w-0": start, "w-1": start}, sentences, None, grace_s))
 """
 FORKING_SUPERVISOR = """
 import sys
-from island_worker import processes
-from island_worker.cli import _guarded
-processes._STOP_LIMIT_S = float(sys.argv[1])
+from functools import partial
+from island_worker import supervision
+from island_worker.forking import Forked
+from island_worker.sentences import Sentences
+from island_worker.working import guarded
+supervision._STOP_LIMIT_S = float(sys.argv[1])
 code = compile(sys.argv[2], "child", "exec")
 grace_s = 30.0 if "0.5" in sys.argv[2] else 0.0
-sys.exit(processes.supervise_forks([lambda: _guarded(lambda: exec(code, {}) or 0)] * 2, None, grace_s))
+start = partial(Forked, lambda: guarded(lambda: exec(code, {}) or 0))
+with Sentences() as sentences:
+    sys.exit(supervision.supervise({"w-0": start, "w-1": start}, sentences, None, grace_s))
 """
 OBEDIENT = r"""
 import os, signal
@@ -164,17 +176,29 @@ def test_a_child_whose_parent_died_before_it_looked_ends_too() -> None:
     assert done.returncode == 0
 
 
-def _ending_with(code: str) -> list[str]:
-    return [sys.executable, "-c", f"import os, signal, sys; {code}"]
+def _ended(*codes: str) -> int:
+    """Supervise children that end so; return the exit code."""
+    with Sentences() as sentences:
+        commands = ([sys.executable, "-c", f"import os, signal, sys; {code}"] for code in codes)
+        return supervise(
+            {f"w-{number}": partial(started, command, sentences) for number, command in enumerate(commands)}, sentences
+        )
 
 
+@pytest.fixture
+def once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No child is started again."""
+    monkeypatch.setattr(lives, "MOST_DEATHS", 1)
+
+
+@pytest.mark.usefixtures("once")
 @pytest.mark.parametrize(
     ("codes", "expected"),
     [(["sys.exit(0)", "sys.exit(0)"], 0), (["sys.exit(3)", "sys.exit(2)"], 3), (["os.abort()", "sys.exit(0)"], 1)],
 )
 def test_the_worst_exit_code_is_ours(codes: list[str], expected: int) -> None:
     before = signal.getsignal(signal.SIGTERM)
-    assert supervise([_ending_with(code) for code in codes]) == expected
+    assert _ended(*codes) == expected
     assert signal.getsignal(signal.SIGTERM) == before
 
 
@@ -186,19 +210,39 @@ def test_worst(codes: list[int], expected: int) -> None:
 def test_a_fork_ends_with_the_code_of_its_work_and_never_returns() -> None:
     script = """
 import os, sys
-from island_worker.processes import supervise_forks
+from functools import partial
+from island_worker import lives
+from island_worker.forking import Forked
+from island_worker.sentences import Sentences
+from island_worker.supervision import supervise
+lives.MOST_DEATHS = 1
 def broken():
     raise ValueError("no such thing")
 def killed():
     os.abort()
-print(supervise_forks([lambda: 0, lambda: 3]), supervise_forks([broken]), supervise_forks([killed]), flush=True)
+def ended(*works):
+    with Sentences() as sentences:
+        return supervise({f"w-{number}": partial(Forked, work) for number, work in enumerate(works)}, sentences)
+print(ended(lambda: 0, lambda: 3), ended(broken), ended(killed), flush=True)
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=LIMIT_S, check=False)
     assert done.stdout == "3 1 1\n"
     assert "ValueError: no such thing" in done.stderr
-    assert "was ended by signal 6; the others go on" in done.stderr
+    assert "(w-0) was ended by signal 6" in done.stderr
 
 
-def test_a_child_that_is_killed_is_mentioned(capfd: pytest.CaptureFixture[str]) -> None:
-    assert supervise([_ending_with("os.kill(os.getpid(), signal.SIGKILL)"), _ending_with("sys.exit(0)")]) == 1
-    assert "was ended by signal 9; the others go on" in capfd.readouterr().err
+def test_a_child_that_is_killed_is_started_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lives, "FIRST_PAUSE_S", 0.01)
+    mark = str(tmp_path / "mark")
+    killed_once = f"os.path.exists({mark!r}) or (open({mark!r}, 'x'), os.kill(os.getpid(), signal.SIGKILL))"
+    assert _ended(killed_once, "sys.exit(0)") == 0
+    assert Path(mark).exists()
+
+
+def test_what_processes_say_of_their_ends_is_said_once(capfd: pytest.CaptureFixture[str]) -> None:
+    with Sentences() as sentences:
+        told = f"os.write({sentences.writing_end}, b'no coordinator answers\\n'); sys.exit(3)"
+        command = [sys.executable, "-c", f"import os, sys; {told}"]
+        starts = {f"w-{number}": partial(started, command, sentences) for number in range(3)}
+        assert supervise(starts, sentences) == 3
+    assert capfd.readouterr().err == "island-worker: no coordinator answers\n"

@@ -121,6 +121,9 @@ def finished(converged: bool) -> tuple[VariableView, ...]:
     return (VariableView(variable="x", lhs="dx/dt", epoch=3, converged=converged, finished=True),)
 
 
+FOUND = (VariableView(variable="x", lhs="dx/dt", epoch=3, expression="2.0*x"),)
+
+
 @pytest.mark.parametrize(
     ("changes", "target", "code", "words"),
     [
@@ -130,7 +133,8 @@ def finished(converged: bool) -> tuple[VariableView, ...]:
         ({"state": "done", "variables": finished(False)}, 1e-4, 4, "--target-error 0.0001 was not met"),
         ({"state": "failed", "reason": "two workers diverged", "fault": "diverged"}, None, 1, "two workers diverged"),
         ({"state": "failed", "reason": "column x is constant", "fault": "data"}, None, 2, "column x is constant"),
-        ({"state": "cancelled"}, None, 130, "was cancelled"),
+        ({"state": "cancelled"}, None, 130, "was cancelled, before it found any equation"),
+        ({"state": "cancelled", "variables": FOUND}, None, 130, "was cancelled; what it had found is kept"),
     ],
 )
 def test_the_end_of_a_job_decides_the_exit_code(

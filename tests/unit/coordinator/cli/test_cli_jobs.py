@@ -108,6 +108,23 @@ class TestWithACoordinator:
         assert "had ended already: done" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("variables", "said"),
+    [
+        ((), "before it found any equation"),
+        ((VariableView(variable="x", lhs="dx/dt", epoch=0),), "before it found any equation"),
+        ((VariableView(variable="x", lhs="dx/dt", epoch=0, expression="x", why="known"),), "before it found any"),
+        ((VariableView(variable="x", lhs="dx/dt", epoch=1, expression="x"),), "its best equations: coordinator result"),
+    ],
+)
+def test_cancel_promises_equations_only_where_there_are_some(
+    variables: tuple[VariableView, ...], said: str, client: FakeClient, capsys: pytest.CaptureFixture[str]
+) -> None:
+    client.__init__(job("one", "running").model_copy(update={"variables": variables}))  # type: ignore[misc]
+    assert main(["cancel"]) == 0
+    assert said in capsys.readouterr().out
+
+
 def test_cancel_without_a_name_refuses_to_choose(client: FakeClient, capsys: pytest.CaptureFixture[str]) -> None:
     client.__init__(job("one", "running"), job("two", "queued"))  # type: ignore[misc]
     assert main(["cancel"]) == 2

@@ -20,7 +20,7 @@ from coordinator.service.job import (
     JOB_TRANSITIONS,
     Conclude,
     Job,
-    KeepCut,
+    KeepCuts,
     Prepared,
     Refine,
     TellCommit,
@@ -93,7 +93,7 @@ def test_a_job_runs_until_every_variable_is_cut() -> None:
     for variable in ("x", "y"):
         assert job.receive("w0", report(0, 0, variable), 1.0) == []
         actions = job.receive("w1", report(1, 0, variable), 2.0)
-        assert isinstance(actions[0], KeepCut)
+        assert isinstance(actions[0], KeepCuts)
         assert any(isinstance(action, Refine) for action in actions) == (variable == "y")
     assert job.state == "refining"
     job.validate()
@@ -135,7 +135,9 @@ def test_time_cuts_every_variable() -> None:
             job.receive(f"w{island}", report(island, 0, variable), 1.0)
     assert job.tick(9.9) == []
     actions = job.tick(10.0)
-    assert [type(action) for action in actions] == [KeepCut, KeepCut, Refine]
+    assert [type(action) for action in actions] == [KeepCuts, Refine]
+    assert isinstance(actions[0], KeepCuts)
+    assert [cut.variable for cut in actions[0].cuts] == ["x", "y"]
     assert job.state == "refining"
 
 
@@ -227,6 +229,18 @@ def test_a_job_goes_on_from_its_checkpoints_and_from_the_time_it_had_taken() -> 
     assert job.search_seconds(5.0) == 12.5
     job.start(5.0)
     assert job.search_seconds(6.0) == 13.5
+
+
+def test_the_time_of_what_has_ended_counts_after_a_restart() -> None:
+    before = running(max_epochs=9, max_epochs_of={"y": 1})
+    for island in (0, 1):
+        before.receive(f"w{island}", report(island, 0, "y"), 3.5)
+    cut = before.archipelagos["y"].cut
+    assert cut is not None
+    job = job_with()
+    job.prepare()
+    job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"y": cut})
+    assert job.search_seconds(5.0) == 3.5
 
 
 def test_reports_that_a_heartbeat_promises_and_that_did_not_come_are_pulled() -> None:

@@ -15,7 +15,9 @@ import pytest
 from common.errors import LocalProtocolError, RemoteProtocolError, StoreError
 from common.wire.limits import CHUNK_SIZE
 from common.wire.pieces import State
-from coordinator.service.event_table import MAX_EVENTS, EventRecord
+from coordinator.service.checkpoint_table import MAX_FAILED
+from coordinator.service.death_table import Death
+from coordinator.service.event_table import LEAST_COMMITS, MAX_EVENTS, EventRecord
 from coordinator.service.job_table import JobRecord
 from coordinator.service.schema import FILE_NAME, SCHEMA_VERSION
 from coordinator.service.store import Store
@@ -69,7 +71,7 @@ def test_an_unknown_job_is_our_own_error(store: Store) -> None:
     for act in (
         lambda: store.update_job("x", state="done"),
         lambda: store.raise_term("x", "v"),
-        lambda: store.commit_cut("x", "v", b""),
+        lambda: store.commit_cuts("x", {"v": b""}),
         lambda: store.commit_result("x", "done", "{}"),
     ):
         with pytest.raises(LocalProtocolError, match="not in the store"):
@@ -106,8 +108,8 @@ def test_terms_rise_by_one_and_belong_to_a_variable(store: Store) -> None:
 
 def test_the_first_cut_of_a_variable_wins(store: Store) -> None:
     store.add_job(JOB)
-    assert store.commit_cut("j1", "v [m/s]", b"\x00cut")
-    assert not store.commit_cut("j1", "v [m/s]", b"other")
+    assert store.commit_cuts("j1", {"v [m/s]": b"\x00cut"})
+    assert not store.commit_cuts("j1", {"v [m/s]": b"other"})
     store.raise_term("j1", "y")
     assert store.cuts("j1") == {"v [m/s]": b"\x00cut"}
 
@@ -205,7 +207,7 @@ def test_everything_is_there_after_opening_again_under_a_higher_incarnation(tmp_
         realm, incarnation = store.realm, store.incarnation
         store.add_job(JOB)
         store.raise_term("j1", "x")
-        store.commit_cut("j1", "x", b"cut")
+        store.commit_cuts("j1", {"x": b"cut"})
         digest = store.put_blob(b"abc")
     with Store.open(tmp_path) as store:
         assert (store.realm, store.incarnation) == (realm, incarnation + 1)
@@ -226,7 +228,7 @@ def test_what_was_committed_survives_a_process_that_is_killed(tmp_path: Path) ->
         "import os, signal, sys; from pathlib import Path;"
         "from coordinator.service.job_table import JobRecord; from coordinator.service.store import Store;"
         "s = Store.open(Path(sys.argv[1])); s.add_job(JobRecord('j1', 'n', '{}', '', ''));"
-        "s.commit_cut('j1', 'x', b'cut'); os.kill(os.getpid(), signal.SIGKILL)"
+        "s.commit_cuts('j1', {'x': b'cut'}); os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=False, timeout=60)
     with Store.open(tmp_path) as store:
@@ -242,7 +244,7 @@ def test_a_second_coordinator_on_the_same_store_is_refused_and_told_who_has_it(t
 
 def test_a_transaction_that_fails_leaves_nothing_behind(store: Store) -> None:
     with pytest.raises(LocalProtocolError):
-        store.commit_cut("none", "x", b"cut")
+        store.commit_cuts("none", {"x": b"cut"})
     assert store.cuts("none") == {}
     assert store.add_job(JOB)
 
@@ -330,6 +332,23 @@ def test_events_come_in_order_from_where_one_left_off_and_the_oldest_are_forgott
     assert len(store.events("b", 0, 9)) == 3
 
 
+def test_commits_are_forgotten_before_what_is_rarer(store: Store) -> None:
+    def add(kind: str, numbers: range) -> None:
+        store.add_events(EventRecord("a", "t", kind, str(number)) for number in numbers)
+
+    def kept(kind: str) -> list[int]:
+        return [int(each.contents) for each in store.events("a", 0, 2 * MAX_EVENTS) if each.kind == kind]
+
+    add("isolated", range(10))
+    add("commit", range(2 * MAX_EVENTS))
+    assert kept("isolated") == list(range(10))
+    assert kept("commit") == list(range(MAX_EVENTS + 10, 2 * MAX_EVENTS))
+    add("stalled", range(MAX_EVENTS))
+    assert kept("commit") == list(range(2 * MAX_EVENTS - LEAST_COMMITS, 2 * MAX_EVENTS))
+    assert kept("isolated") == []
+    assert kept("stalled") == list(range(LEAST_COMMITS, MAX_EVENTS))
+
+
 # ------------------------------------------------------------------------------------------ checkpoints
 
 
@@ -369,7 +388,7 @@ def test_checkpoints_go_with_the_end_of_what_they_belong_to(store: Store) -> Non
     store.add_job(JOB)
     checkpoint(store, 8)
     checkpoint(store, 8, "y")
-    store.commit_cut("j1", "x", b"cut")
+    store.commit_cuts("j1", {"x": b"cut"})
     assert list(store.checkpoints("j1")) == ["y"]
     assert not checkpoint(store, 16)
     store.commit_result("j1", "done", "{}")
@@ -392,6 +411,39 @@ def test_a_full_disk_is_said_and_everything_committed_before_is_there(tmp_path: 
         assert store.checkpoints("j1") == {"x": (8, b"progress 8")}
         assert store.state("j1", "x", 8, 2) == states_of(8)[2]
         assert checkpoint(store, 16)
+
+
+def test_of_the_last_jobs_that_failed_so_the_last_checkpoints_are_kept(store: Store) -> None:
+    for number in range(MAX_FAILED + 2):
+        store.add_job(JobRecord(f"j{number}", "", "{}", "", ""))
+        for epoch in (8, 16):
+            for variable in ("x", "y"):
+                store.commit_checkpoint(f"j{number}", variable, epoch, b"progress", states_of(epoch), 1.0)
+        assert store.commit_result(f"j{number}", "failed", None, "it dies", "now", keeps_checkpoints=True)
+    kept = [number for number in range(MAX_FAILED + 2) if store.checkpoints(f"j{number}")]
+    assert kept == list(range(2, MAX_FAILED + 2))
+    assert store.checkpoints("j2") == {"x": (16, b"progress"), "y": (16, b"progress")}
+    assert store.state("j2", "x", 16, 0)
+    with pytest.raises(KeyError):
+        store.state("j2", "x", 8, 0)
+    assert not store.commit_result("j2", "cancelled", None)
+    assert store.checkpoints("j2")
+
+
+def test_deaths_count_until_a_commit_a_cut_the_end_or_a_return(store: Store) -> None:
+    store.add_job(JOB)
+    deaths = [Death("j1", variable, 1, worker, "i") for variable in ("x", "y", "z") for worker in ("v", "w")]
+    for _ in range(2):
+        store.add_deaths(deaths)
+    assert store.deaths("j1") == tuple(deaths)
+    store.commit_checkpoint("j1", "x", 8, b"progress", states_of(8), 1.0)
+    store.take_back_deaths("v", "i")
+    store.take_back_deaths("w", "another process")
+    assert store.deaths("j1") == (Death("j1", "y", 1, "w", "i"), Death("j1", "z", 1, "w", "i"))
+    store.commit_cuts("j1", {"y": b"cut"})
+    assert store.deaths("j1") == (Death("j1", "z", 1, "w", "i"),)
+    store.commit_result("j1", "cancelled", None)
+    assert store.deaths("j1") == ()
 
 
 LAYOUT_1 = Path(__file__).with_name("store_layout_1.sql")

@@ -1,0 +1,78 @@
+"""What must be whole is whole, at whichever of its commits the coordinator dies."""
+
+import hashlib
+from dataclasses import replace
+from itertools import count
+
+import pytest
+
+from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from common.wire import topics
+from common.wire.access import Roster
+from common.wire.bus import Query
+from common.wire.client_messages import Ask, Submit
+from common.wire.codec import encode
+from common.wire.simulated_bus import SimulatedNetwork
+from coordinator.service.job import Job, JobAction
+from coordinator.service.service import Service
+from tests.simulation.disk import CoordinatorDied, Disk
+from tests.simulation.schedule import JobPlan
+from tests.simulation.stage import Stage, calm_schedule
+from tests.simulation.troupe import Cast
+
+TABLE = b"x,y"
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_a_job_that_is_kept_has_its_submitter(before: bool) -> None:
+    ask = encode(Ask(body=Submit(job="j", name="n", config=JobConfig(), table=hashlib.sha256(TABLE).hexdigest())))
+    for commits in count(1):
+        disk = Disk()
+        store = disk.open(lambda seconds: None)
+        store.put_blob(TABLE)
+        network = SimulatedNetwork(0, None)
+        service = Service(network.bus("coordinator", is_router=True), store, roster=Roster({"ann": "submitter"}))
+        disk.die_at(commits, before)
+        try:
+            service._answers.answer(Query(topics.client(store.realm, "ann-1"), ask, None))
+            is_over = True
+        except CoordinatorDied:
+            is_over = False
+        disk.forget_death()
+        again = disk.open(lambda seconds: None)
+        assert again.submitter("j") == ("ann" if again.job("j") is not None else None), commits
+        disk.close()
+        if is_over:
+            assert commits > 1
+            return
+
+
+TIMED = JobConfig(
+    seed=1,
+    evolution=EvolutionConfig(islands=3),
+    migration=MigrationConfig(generations=20),
+    budget=BudgetConfig(max_epochs=10**6, stagnation=10**6, max_time=2.0),
+)
+
+
+@pytest.mark.parametrize("kind", ["die-before-commit", "die-after-commit"])
+@pytest.mark.parametrize("commits", range(1, 4))
+def test_time_ends_all_variables_or_none(kind: str, commits: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.simulation.stub.HIT_EPOCHS", 10**9)
+    cast = Cast(job=lambda seed: (TIMED, "x,y,z"))
+    stage = Stage(replace(calm_schedule(0), workers=2, slowness=10.0), cast)
+    troupe, tick, cuts = stage.troupe, Job.tick, []
+
+    def deadly(job: Job, now: float) -> list[JobAction]:
+        actions = tick(job, now)
+        if actions and not cuts:
+            troupe.down_s = 1.0
+            troupe.disk.die_at(commits, before=kind == "die-before-commit")
+            troupe.at(troupe.network.now + 0.5, lambda: cuts.append(troupe.disk.cuts()))
+        return actions
+
+    monkeypatch.setattr(Job, "tick", deadly)
+    result = stage.result_of(JobPlan(0))
+    assert cuts[0] in (0, 3)
+    assert {each["why"] for each in result["equations"]} == {"max-time"}
+    assert any("dies at commit" in line for line in troupe.story)

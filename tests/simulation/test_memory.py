@@ -1,0 +1,83 @@
+"""What coordinator and workers keep in memory of jobs that have ended: next to nothing."""
+
+import gc
+import weakref
+from typing import Any
+
+import numpy as np
+import pytest
+
+from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from coordinator.data.recording import Preparation
+from island_worker import session
+from tests.simulation.world import World, prepare
+
+
+def config(seed: int, **budget: object) -> JobConfig:
+    return JobConfig(
+        seed=seed,
+        evolution=EvolutionConfig(islands=3),
+        migration=MigrationConfig(generations=20),
+        budget=BudgetConfig(**{"max_epochs": 12, "stagnation": 1000, **budget}),
+    )
+
+
+class Watched:
+    """A world that knows what its jobs are made of, without holding it."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("tests.simulation.stub.HIT_EPOCHS", 10**9)
+        self.parts: list[weakref.ref[Any]] = []
+        self.world = World(workers=2, prepare=self._prepare, slowness=5.0)
+
+    def _prepare(self, table: bytes, config: JobConfig) -> Preparation:
+        values = np.arange(20.0)
+        self.parts.append(weakref.ref(values))
+        prepared = prepare(table, config)
+        target = prepared.dataset.targets[0]
+        object.__setattr__(target, "values", values)
+        return prepared
+
+    def look(self, job: str) -> None:
+        """Take notice of a job and its archipelagos."""
+        live = self.world.service.conductor.jobs[job]
+        self.parts += [weakref.ref(live), *(weakref.ref(each) for each in live.archipelagos.values())]
+        self.parts += [weakref.ref(each.collector) for each in live.archipelagos.values()]
+
+    def left(self) -> list[object]:
+        gc.collect()
+        return [part() for part in self.parts if part() is not None]
+
+
+@pytest.mark.parametrize("end", ["done", "cancelled", "failed"])
+def test_nothing_heavy_is_left_of_a_job_that_has_ended(end: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    watched = Watched(monkeypatch)
+    world, conductor = watched.world, watched.world.service.conductor
+    world.submit(config(1, max_epochs=12 if end == "done" else 10**6), "x,y")
+    while "job" not in conductor.jobs or not conductor.jobs["job"].archipelagos:
+        world.client.pause(0.01)
+    watched.look("job")
+    assert len(watched.left()) == 1 + 1 + 2 + 2
+    if end == "cancelled":
+        world.client.cancel("job")
+    elif end == "failed":
+        conductor.job_failed("job", "internal", "it broke", world.network.now)
+    assert world.finish().state == end
+    world.client.pause(3.0)
+    assert watched.left() == []
+    assert conductor._keeper.held == 0
+
+
+def test_a_worker_remembers_the_terms_of_some_jobs_that_have_ended_and_no_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(session, "MAX_TERMS", 4)
+    world = World(workers=2)
+    for number in range(6):
+        world.submit(config(number, max_epochs=2), "x,y", f"job{number}")
+        assert world.finish(f"job{number}").state == "done"
+        world.client.pause(2.0)
+    for worker in world.workers.values():
+        assert list(worker.session._terms)[-4:] == [(f"job{number}", name) for number in (4, 5) for name in "xy"]
+        assert len(worker.session._terms) <= 4 + 2
+        assert worker.session._jobs == {}

@@ -1,0 +1,134 @@
+"""Islands that end their workers, when the coordinator is started again in between, and what is kept of their job."""
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from common.wire import topics
+from common.wire.bus import Reply
+from common.wire.codec import decode, encode
+from common.wire.messages import Pull, PullAnswer, PullStates, States
+from coordinator.service.store import Store
+from tests.simulation.world import World, bus_of
+
+POISON = ("job", "x", 12)
+"""After the first checkpoint."""
+
+
+@pytest.fixture(autouse=True)
+def no_hits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.simulation.stub.HIT_EPOCHS", 10**9)
+
+
+def config(epochs: int = 40) -> JobConfig:
+    return JobConfig(
+        seed=1,
+        evolution=EvolutionConfig(islands=3),
+        migration=MigrationConfig(generations=20),
+        budget=BudgetConfig(max_epochs=epochs, stagnation=1000),
+    )
+
+
+class Ward:
+    """A world whose store lasts, in which two workers are there again soon, whoever dies."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.world = World(workers=0)
+        self.restart()
+        self.number = 0
+        self._look()
+
+    def restart(self) -> None:
+        """Kill the coordinator and start it again."""
+        self.world.network.crash("coordinator")
+        self.world.store.close()
+        self.world.store = Store.open(self.directory)
+        self.world.service = self.world.start_service()
+
+    def _look(self) -> None:
+        while len(self.world.workers) < 2:
+            self.number += 1
+            self.world.start_worker(f"w{self.number}", poisonous=POISON, slowness=5.0)
+        self.world.at(self.world.network.now + 1.0, self._look)
+
+    def state_of(self, variable: str = "x") -> str:
+        suspicion = self.world.service.conductor.watch._suspicions.get(("job", variable))
+        return suspicion.state if suspicion is not None else "sound"
+
+    def until(self, state: str, variable: str = "x") -> None:
+        """Let time pass until an archipelago is thought of so."""
+        end = self.world.network.now + 100.0
+        while self.state_of(variable) != state:
+            assert self.world.network.now < end, f"it never became {state}"
+            self.world.client.pause(0.02)
+
+
+@pytest.fixture
+def ward(tmp_path: Path) -> Iterator[Ward]:
+    made = Ward(tmp_path)
+    yield made
+    made.world.close()
+
+
+def test_a_coordinator_that_is_started_again_at_each_death_finds_the_poison_all_the_same(ward: Ward) -> None:
+    ward.world.submit(config(), "x")
+    for state in ("once", "twice", "isolated", "again"):
+        ward.until(state)
+        ward.restart()
+        assert ward.state_of() == state
+    view = ward.world.finish()
+    assert (view.state, view.fault) == ("failed", "poison")
+    assert ward.world.store.deaths("job") == ()
+
+
+def test_a_commit_makes_suspicion_be_forgotten(ward: Ward) -> None:
+    ward.world.submit(config(10_000), "y")
+    ward.world.client.pause(1.0)
+    ward.world.crash(next(iter(ward.world.workers)))
+    ward.until("once", "y")
+    assert len(ward.world.store.deaths("job")) == 1
+    ward.until("sound", "y")
+    assert ward.world.store.deaths("job") == ()
+    assert ward.world.client.status("job").state == "running"
+
+
+def test_a_worker_that_was_only_cut_off_is_pardoned_by_the_next_coordinator_too(ward: Ward) -> None:
+    ward.world.submit(config(10_000), "y")
+    ward.world.client.pause(1.0)
+    (name, *_) = ward.world.workers
+    ward.world.network.cut(name)
+    end = ward.world.network.now + 20.0
+    while not ward.world.store.deaths("job") and ward.world.network.now < end:
+        ward.world.client.pause(0.05)
+    (death,) = ward.world.store.deaths("job")
+    assert death.worker == name
+    ward.restart()
+    ward.world.at(ward.world.network.now + 0.2, partial(ward.world.network.heal, name))
+    ward.world.client.pause(3.0)
+    assert name in {view.worker for view in ward.world.client.workers() if view.state != "lost"}
+    assert ward.world.store.deaths("job") == ()
+
+
+def test_the_last_checkpoint_of_a_poisonous_job_can_still_be_read_and_those_of_others_cannot(ward: Ward) -> None:
+    ward.world.submit(config(), "x,y")
+    assert ward.world.finish().fault == "poison"
+    kept = ward.world.store.checkpoints("job")
+    assert "x" in kept
+    epoch, _ = kept["x"]
+    ward.restart()
+    stranger, realm = bus_of(ward.world, "stranger"), ward.world.store.realm
+    pull = PullStates(job="job", variable="x", term=1, epoch=epoch, islands=(0, 1, 2), offset=0)
+    stranger.get(topics.state(realm, "job"), encode(Pull(body=pull)))
+    reply = stranger.receive(5.0)
+    assert isinstance(reply, Reply)
+    assert reply.payload is not None
+    body = decode(reply.payload, PullAnswer).body
+    assert isinstance(body, States)
+    assert [piece.island for piece in body.pieces] == [0, 1, 2]
+    ward.world.submit(config(), "x,y", "other")
+    assert ward.world.finish("other").state == "done"
+    assert ward.world.store.checkpoints("other") == {}

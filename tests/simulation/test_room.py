@@ -1,0 +1,59 @@
+"""The states of checkpoints take no more room at the coordinator than they are given, and nobody waits for ever."""
+
+import pytest
+
+from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from common.wire.faults import Plan
+from coordinator.service import keeping
+from tests.simulation.schedule import schedule_of
+from tests.simulation.soak import play
+from tests.simulation.world import World, comparable
+
+ISLANDS = 3
+STATE_BYTES = 40
+JOBS = 2
+
+
+def config(seed: int) -> JobConfig:
+    return JobConfig(
+        seed=seed,
+        evolution=EvolutionConfig(islands=ISLANDS),
+        migration=MigrationConfig(generations=20),
+        budget=BudgetConfig(max_epochs=18, stagnation=1000),
+    )
+
+
+def run(monkeypatch: pytest.MonkeyPatch) -> tuple[list[str], list[int]]:
+    """Have jobs of three variables searched; return their answers, and the bytes held at each look."""
+    monkeypatch.setattr("tests.simulation.stub.HIT_EPOCHS", 10**9)
+    world = World(workers=2, plan=Plan(delay_s=(0.02, 0.06)), slowness=5.0)
+    keeper, held = world.service.conductor._keeper, []
+    came = keeper.states_came
+
+    def states_came(*arguments: object) -> None:
+        came(*arguments)  # type: ignore[arg-type]
+        held.append(keeper.held)
+
+    monkeypatch.setattr(keeper, "states_came", states_came)
+    for seed in range(JOBS):
+        world.submit(config(seed), "x,y,z", f"job{seed}")
+    assert [world.finish(f"job{seed}").state for seed in range(JOBS)] == ["done"] * JOBS
+    assert keeper.held == 0
+    return [comparable(world.result(f"job{seed}")) for seed in range(JOBS)], held
+
+
+def test_without_any_room_one_checkpoint_goes_through_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers, held = run(monkeypatch)
+    assert max(held) > ISLANDS * STATE_BYTES
+    with monkeypatch.context() as crowded:
+        crowded.setattr(keeping, "MOST_BYTES", 0)
+        crowded_answers, crowded_held = run(crowded)
+    assert crowded_answers == answers
+    assert 0 < max(crowded_held) <= ISLANDS * STATE_BYTES
+
+
+def test_nor_do_faults_make_anybody_wait_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(keeping, "MOST_BYTES", 0)
+    for seed in range(300, 308):
+        outcome = play(schedule_of(seed))
+        assert not outcome.wrong, outcome.wrong
