@@ -1,8 +1,9 @@
 """What checkpoints cost: the same searches with them and without, in turn, and bytes per island.
 
-``python -m benchmarks.checkpoints --epochs 60 --seeds 0-2`` starts two services of `--workers` each, one of which takes
-no checkpoint within the search, and gives them the same jobs in turn, with odd seeds the other way round. No target
-ends a search, and the digest must be the same.
+``python -m benchmarks.checkpoints --epochs 60 --seeds 0-5`` gives one service of `--workers` the same jobs twice, once
+without checkpoints, with odd seeds the other way round. The very same processes do both: two processes of the same
+program may differ by several percent in how fast their kernels run, according to where in memory these came to lie.
+No target ends a search, and the digest must be the same.
 
 Compared is the processor time of coordinator and workers while the islands are under way; unlike seconds of a clock it
 hardly depends on what else the machine does. The cost is the share of throughput that is missing with checkpoints.
@@ -34,11 +35,19 @@ UNMET: Final = 1e-300
 """A target error that ends no search."""
 
 NEVER: Final = 10**9
-WITHOUT: Final = f"""
-from coordinator.service import archipelago
-archipelago.FIRST_INTERVAL = {NEVER}
+PLAIN: Final = "plain"
+"""What the ids of jobs begin with that take no checkpoint."""
+
+PROGRAM: Final = f"""
+from coordinator.service.archipelago import Archipelago
+begin = Archipelago.__init__
+def chosen(self, job, *rest):
+    begin(self, job, *rest)
+    if job.startswith("{PLAIN}-"):
+        self.interval = {NEVER}
+Archipelago.__init__ = chosen
 {TIED_COORDINATOR}"""
-"""The coordinator's program with the first checkpoint beyond the end of every search."""
+"""The coordinator's program; the first checkpoint of plain jobs lies beyond the end of every search."""
 
 PROCESSES: Final = Path("/proc")
 _COMMITTED: Final = re.compile(r"\bcommit .*\bjob=(\S+) .*\bislands=(\d+) bytes=(\d+)")
@@ -93,15 +102,17 @@ class Pair:
         return 1.0 - self.without_cpu / self.with_cpu
 
 
-def measured(kept: Searches, plain: Searches, options: argparse.Namespace, seed: int) -> Pair:
+def measured(its: Searches, options: argparse.Namespace, seed: int) -> Pair:
     """Search for the same with checkpoints and without."""
     found: dict[bool, tuple[dict[str, Any], float]] = {}
-    for its in (plain, kept) if seed % 2 else (kept, plain):
+    for kept in (False, True) if seed % 2 else (True, False):
         spent = Spent(its.pids)
         sampled = table_of(trajectories(options.system, seed=seed))
-        found[its is kept] = (its.solve(f"seed {seed}", sampled, _config(options, seed), spent.look), spent.seconds)
+        prefix = "kept" if kept else PLAIN
+        result = its.solve(f"seed {seed}", sampled, _config(options, seed), spent.look, prefix)
+        found[kept] = (result, spent.seconds)
     (one, with_cpu), (other, without_cpu) = found[True], found[False]
-    sizes = committed(kept.log.read_text("utf-8") if kept.log is not None else "", one["job"])
+    sizes = committed(its.log.read_text("utf-8") if its.log is not None else "", one["job"])
     pair = Pair(
         seed,
         with_cpu,
@@ -152,14 +163,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     pairs: list[Pair] = []
     words = sys.argv[1:] if arguments is None else arguments
-    with (
-        plain_errors("benchmarks.checkpoints"),
-        searching(options.workers) as kept,
-        searching(options.workers, program=WITHOUT) as plain,
-    ):
+    with plain_errors("benchmarks.checkpoints"), searching(options.workers, program=PROGRAM) as its:
         for seed in options.seeds:
-            pairs.append(measured(kept, plain, options, seed))
-            figures = [{**asdict(its), "cost": its.cost} for its in pairs]
+            pairs.append(measured(its, options, seed))
+            figures = [{**asdict(pair), "cost": pair.cost} for pair in pairs]
             write_figures(options.out, "checkpoints", words, {"pairs": figures})
     say(pairs_table(pairs))
     cost = statistics.median(its.cost for its in pairs)
@@ -173,8 +180,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--system", choices=sorted(SYSTEMS), default="predator_prey", help="default: %(default)s")
     parser.add_argument("--epochs", type=whole, default=60, help="of every search (default: %(default)s)")
-    parser.add_argument("--workers", type=whole, default=2, help="of each service (default: %(default)s)")
-    parser.add_argument("--seeds", type=seeds, default=range(3), help="such as 0-4 (default: 0-2)")
+    parser.add_argument("--workers", type=whole, default=2, help="of the service (default: %(default)s)")
+    parser.add_argument("--seeds", type=seeds, default=range(6), help="such as 0-4 (default: 0-5)")
     parser.add_argument("--out", type=Path, help="file for all figures as JSON")
     return parser
 

@@ -58,7 +58,12 @@ class Searches:
         self._processes = processes
 
     def solve(
-        self, name: str, table: Table, config: JobConfig, watch: Callable[[JobView], None] | None = None
+        self,
+        name: str,
+        table: Table,
+        config: JobConfig,
+        watch: Callable[[JobView], None] | None = None,
+        prefix: str = "bench",
     ) -> dict[str, Any]:
         """Submit a job on `table`, follow it to its end and return what its result.json holds.
 
@@ -68,11 +73,12 @@ class Searches:
             config: of the search.
             watch: called with the state of the job ten times a second; a TimeoutError of its cancels
                 the job.
+            prefix: what the id of the job begins with.
 
         Raises:
             AtollError: the job failed, or a process ended.
         """
-        job = f"bench-{uuid.uuid4().hex[:12]}"
+        job = f"{prefix}-{uuid.uuid4().hex[:12]}"
         digest = self._client.upload(table.to_bytes())
         self._client.submit(job, name, config, digest)
         try:

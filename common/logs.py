@@ -31,7 +31,8 @@ class TextLines(logging.Formatter):
         said = " ".join(f"{name}={_quoted(value)}" for name, value in (self._context | fields_of(record)).items())
         line = " ".join(part for part in (_time(record), record.levelname, record.getMessage(), said) if part)
         text = f"{line} ({record.name})"
-        return f"{text}\n{self.formatException(record.exc_info)}" if record.exc_info else text
+        trace = trace_of(record)
+        return f"{text}\n{trace}" if trace else text
 
 
 class JsonLines(logging.Formatter):
@@ -48,8 +49,8 @@ class JsonLines(logging.Formatter):
             "time": _time(record), "level": record.levelname.lower(), "logger": record.name,
             "event": record.getMessage(),
         }  # fmt: skip
-        if record.exc_info:
-            said["exception"] = self.formatException(record.exc_info)
+        if trace := trace_of(record):
+            said["exception"] = trace
         return json.dumps(self._context | fields_of(record) | said, ensure_ascii=False, default=str)
 
 
@@ -66,6 +67,11 @@ def fields_of(record: logging.LogRecord) -> dict[str, object]:
     """Return the fields of a line."""
     found: dict[str, object] = getattr(record, _KEY, {})
     return found
+
+
+def trace_of(record: logging.LogRecord) -> str | None:
+    """Return the traceback of a record; one that comes from another process has it as text."""
+    return logging.Formatter().formatException(record.exc_info) if record.exc_info else record.exc_text
 
 
 def _time(record: logging.LogRecord) -> str:

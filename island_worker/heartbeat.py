@@ -1,4 +1,4 @@
-"""What a worker's heartbeat says beside what it holds: what it is computing, what went through it, what it takes."""
+"""What a worker's heartbeat says: what it holds and computes, what went through it, what it takes of its machine."""
 
 from common import usage
 from common.wire.messages import Doing

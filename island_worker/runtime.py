@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager
 from functools import singledispatchmethod
 from typing import Final
 
-from common.errors import AtollError, RefusedError, RemoteProtocolError, UnreachableError
+from common.errors import AtollError, RemoteProtocolError
 from common.logs import fields
 from common.wire import topics
 from common.wire.addresses import Destination
@@ -37,6 +37,7 @@ from common.wire.rejects import Rejects
 from common.wire.views import WorkerState
 from island_worker.actions import Action, Beat, Discard, DiscardJob, FetchJob, StopAt
 from island_worker.actions import Compute as ComputeTask
+from island_worker.attendance import GRACE, GREET, LIFETIME, Attendance
 from island_worker.compute import Compute, IslandCompute, WarmedUp, WarmUpFailed, WarmUpNote
 from island_worker.download import Datasets
 from island_worker.events import (
@@ -59,7 +60,6 @@ from island_worker.events import (
     Unloadable,
 )
 from island_worker.heartbeat import counters, doing
-from island_worker.joining import Joining
 from island_worker.leaving import Leaving
 from island_worker.session import Session
 from island_worker.speaking import FETCH_TIMEOUT_S, PULL_TIMEOUT_S, Asked, Voice
@@ -68,18 +68,10 @@ _LOG = logging.getLogger(__name__)
 
 HEARTBEAT_S: Final = 1.0
 TICK_S: Final = 0.5
-GREET_TIMEOUT_S: Final = 2.0
-GREET_PAUSE_S: Final = 0.2
 FETCH_PAUSE_S: Final = 0.5
-ALONE_S: Final = 3.0
-"""A worker that is leaving waits so long for a coordinator that has gone."""
-
 
 _BEAT: Final = "heartbeat"
 _TICK: Final = "tick"
-_GREET: Final = "greet"
-_LIFETIME: Final = "lifetime"
-_GRACE: Final = "grace"
 _FETCH: Final = "fetch/"
 
 
@@ -88,35 +80,39 @@ class Worker:
 
     def __init__(self, bus: Bus, compute: Compute, name: str, wait_s: float, leaving: Leaving | None = None) -> None:
         """Set up a worker whose `compute` warms up elsewhere; `wait_s`: how long the coordinator may be away."""
-        self.exit_code: int | None = None
-        self.error: AtollError | None = None
         self.name: Final = name
         self.session = Session(name)
         self.rejects = Rejects(_LOG)
         self._bus = MeteredBus(bus)
         self._told_at = bus.now()
         self._compute = compute
-        self._wait_s = wait_s
-        self._leaving = leaving or Leaving()
-        self._joining = Joining(name, bus.now())
         self._datasets = Datasets(self)
         self._detail = "loading kernels"
         self._voice = Voice(self._bus, name)
+        self._attendance = Attendance(self._bus, self._voice, name, wait_s, leaving or Leaving())
+
+    @property
+    def exit_code(self) -> int | None:
+        """How this worker ends; None while it does not."""
+        return self._attendance.exit.code
+
+    @property
+    def error(self) -> AtollError | None:
+        """Why it ends, when that is an error."""
+        return self._attendance.exit.error
 
     # ------------------------------------------------------------------------------------------- life
 
     def start(self) -> None:
         """Begin: greet the coordinator, start the timers."""
         self._compute.attach(self._bus.post)
-        self._greet()
+        self._attendance.start()
         self._bus.call_later(HEARTBEAT_S, _BEAT)
         self._bus.call_later(TICK_S, _TICK)
-        if self._leaving.lifetime_s is not None:
-            self._bus.call_later(self._leaving.lifetime_s, _LIFETIME)
 
     def leave(self) -> None:
         """Ask, at the next tick, to be let go: what is computed here is handed over first. Signal handlers may call."""
-        self._leaving.is_wanted = True
+        self._attendance.ask_to_leave()
 
     def run(self) -> int:
         """Work until the coordinator ends, refuses us or stays away; return the exit code."""
@@ -152,7 +148,7 @@ class Worker:
             case WarmedUp():
                 self._warmed_up(item)
             case WarmUpFailed():
-                self._leave(AtollError(item.sentence))
+                self._attendance.exit.because_of(AtollError(item.sentence))
             case JobReady() | Unloadable():
                 if self._datasets.loaded(item.job):
                     self._tell(item)
@@ -165,31 +161,26 @@ class Worker:
             self._beat()
             self._bus.call_later(HEARTBEAT_S, _BEAT)
         elif event.name == _TICK:
-            self._check_absence()
-            if self._leaving.is_wanted:
+            self._attendance.check_absence()
+            if self._attendance.is_to_leave:
                 self._begin_leaving()
             self._tell(Tick(self._bus.now()))
             self._bus.call_later(TICK_S, _TICK)
-        elif event.name == _LIFETIME:
+        elif event.name == LIFETIME:
             self._begin_leaving()
-        elif event.name == _GRACE:
-            _LOG.warning(
-                "not let go in time; what was not committed is computed again",
-                extra=fields(seconds=self._leaving.grace_s),
-            )
-            self.exit_code = 0
-        elif event.name == _GREET:
-            self._greet()
+        elif event.name == GRACE:
+            self._attendance.out_of_grace()
+        elif event.name == GREET:
+            self._attendance.greet()
         elif event.name.startswith(_FETCH):
             self._datasets.fetch(event.name.removeprefix(_FETCH))
 
     @_on.register
     def _on_link(self, event: Link) -> None:
-        if not event.up:
-            self._joining.lost(self._bus.now())
-            _LOG.warning("connection to the coordinator lost; waiting for it")
+        if event.up:
+            self._attendance.greet()
         else:
-            self._greet()
+            self._attendance.lost()
 
     @_on.register
     def _on_presence(self, event: Presence) -> None:
@@ -197,100 +188,54 @@ class Worker:
 
     # ------------------------------------------------------------------------------------ coordinator
 
-    def _greet(self) -> None:
-        asked = Asked("hello", self._joining.fingerprint)
-        self._voice.ask(topics.hello(self.name), self._joining.hello(), GREET_TIMEOUT_S, asked)
-
     def _greeted(self, fingerprint: str, payload: bytes | None) -> None:
-        """Take in the answer to a greeting that carried `fingerprint` ("": kernels not ready yet)."""
-        if payload is None:
-            self._voice.ask(topics.HELLO, self._joining.hello(), GREET_TIMEOUT_S, Asked("enquiry"))
-            self._bus.call_later(GREET_PAUSE_S, _GREET)
-            return
-        try:
-            joined = self._joining.take(fingerprint, payload)
-        except RefusedError as error:
-            self._leave(error)
+        """Take in the answer to a greeting: what a former coordinator had placed here is void."""
+        joined = self._attendance.greeted(fingerprint, payload)
+        if joined is None:
             return
         if joined.is_restart:
-            _LOG.info("the coordinator started anew; what was held is dropped")
             self._tell(Reset(joined.incarnation))
             for job in self._datasets.jobs():
                 if not self.session.wants(job):
                     self._forget_job(job)
-        if joined.is_new_realm:
-            self._listen()
         self._beat()
         if joined.greets_again:
-            self._greet()
-
-    def _listen(self) -> None:
-        """Declare everything that a worker receives, answers and shows."""
-        realm = self._joining.realm
-        self._bus.subscribe(topics.control(realm))
-        self._bus.subscribe(topics.control(realm, self.name))
-        self._bus.subscribe(topics.inbox(realm, self.name))
-        self._bus.serve(topics.worker(realm, self.name, "pull"))
-        self._bus.announce(topics.worker(realm, self.name, "alive"))
-        _LOG.info("joined", extra=fields(realm=realm))
+            self._attendance.greet()
 
     def _begin_leaving(self) -> None:
         """Say that this worker wants to end; it ends when it is told that nothing is left here, or after a while."""
-        if self._joining.welcome is None or self._leaving.grace_s <= 0.0:
-            self.exit_code = 0
-        elif not self._leaving.has_begun:
-            self._leaving.has_begun = True
-            _LOG.info("leaving: what is computed here is handed over", extra=fields(at_most_s=self._leaving.grace_s))
-            self._bus.call_later(self._leaving.grace_s, _GRACE)
+        if self._attendance.begin_leaving():
             self._beat()
 
     def _state(self) -> WorkerState:
-        if self._leaving.has_begun:
+        if self._attendance.is_leaving:
             return "leaving"
-        return self.session.state() if self._joining.is_accepted else "compiling"
+        return self.session.state() if self._attendance.is_accepted else "compiling"
 
     def _beat(self) -> None:
-        welcome = self._joining.welcome
-        if welcome is None:
+        incarnation = self._attendance.incarnation
+        if incarnation is None:
             return
+        state = self._state()
         status = WorkerStatus(
-            instance=self._joining.instance,
-            incarnation=welcome.incarnation,
-            state=self._state(),
+            instance=self._attendance.instance,
+            incarnation=incarnation,
+            state=state,
             progress=self._compute.progress,
             holdings=self.session.holdings(),
             troubles=self.session.troubles(),
             jobs=tuple(dict.fromkeys((*self.session.jobs(), *self._datasets.jobs()))),
             detail=self._detail,
-            doing=doing(self._compute.doing) if self._state() == "computing" else None,
+            doing=doing(self._compute.doing) if state == "computing" else None,
             counters=counters(self._bus, self.session, self.rejects),
         )
-        self._bus.put(topics.worker(welcome.realm, self.name, "status"), encode(status))
-
-    def _enquired(self, payload: bytes) -> None:
-        """Take in why our greeting may have remained without an answer."""
-        try:
-            self._joining.enquired(payload)
-        except RefusedError as error:
-            self._leave(error)
+        self._bus.put(topics.worker(self._attendance.realm, self.name, "status"), encode(status))
 
     def _warmed_up(self, item: WarmedUp) -> None:
-        """Greet once more, now with the fingerprint; then say that islands can be computed here."""
-        self._detail, self._joining.fingerprint = "", item.fingerprint
+        """Say that islands can be computed here."""
+        self._detail = ""
         _LOG.info("kernels ready", extra=fields(seconds=item.seconds, fingerprint=item.fingerprint))
-        if self._joining.welcome is not None:
-            self._greet()
-
-    def _check_absence(self) -> None:
-        """Leave when the coordinator has been away for longer than allowed."""
-        absence = self._joining.absence(self._bus.now())
-        if self._leaving.has_begun and absence > ALONE_S:
-            self.exit_code = 0  # there is nobody to hand over to, and what was committed is not lost
-        elif absence > self._wait_s:
-            self._leave(UnreachableError(self._joining.silence(self._wait_s)))
-
-    def _leave(self, error: AtollError) -> None:
-        self.error, self.exit_code = error, error.exit_code
+        self._attendance.kernels_ready(item.fingerprint)
 
     def _on_control(self, body: JobAnnouncement | Placements | Commit | Close | Shutdown | Introduce) -> None:
         match body:
@@ -306,26 +251,21 @@ class Worker:
                     self._forget_job(body.job)
                 self._tell(Closed(body))
             case Shutdown():
-                self._shut_down(body)
+                self._attendance.shut_down(body)
             case Introduce():
-                self._greet()
-
-    def _shut_down(self, body: Shutdown) -> None:
-        if body.refused:
-            self._leave(RefusedError(body.sentence))
-        else:
-            _LOG.info("this worker ends", extra=fields(reason=body.sentence or "the coordinator ended"))
-            self.exit_code = 0
+                self._attendance.greet()
 
     # ---------------------------------------------------------------------------------------- datasets
 
     def ask_announcement(self, job: str) -> None:
         """See `Asker.ask_announcement`."""
-        self._voice.ask(topics.job(self._joining.realm, job), b"", PULL_TIMEOUT_S, Asked("job", job))
+        self._voice.ask(topics.job(self._attendance.realm, job), b"", PULL_TIMEOUT_S, Asked("job", job))
 
     def ask_chunk(self, job: str, blob: str, index: int) -> None:
         """See `Asker.ask_chunk`."""
-        self._voice.ask(topics.blob(self._joining.realm, blob, index), b"", FETCH_TIMEOUT_S, Asked("chunk", job, index))
+        self._voice.ask(
+            topics.blob(self._attendance.realm, blob, index), b"", FETCH_TIMEOUT_S, Asked("chunk", job, index)
+        )
 
     def ask_later(self, job: str) -> None:
         """See `Asker.ask_later`."""
@@ -375,7 +315,7 @@ class Worker:
             case Asked("hello"):
                 self._greeted(asked.subject, event.payload)
             case Asked("enquiry") if event.payload is not None:
-                self._enquired(event.payload)
+                self._attendance.enquired(event.payload)
             case Asked("job"):
                 self._datasets.announcement_came(asked.subject, event.payload)
             case Asked("chunk"):
@@ -399,7 +339,7 @@ class Worker:
         self._tell(StatesCame(pull, body if isinstance(body, States) else None))
 
     def _check_realm(self, realm: str) -> None:
-        if realm != self._joining.realm:
+        if realm != self._attendance.realm:
             raise RemoteProtocolError(f"a message of realm {realm} came, which is not ours")
 
     # ------------------------------------------------------------------------------------------ actions
@@ -426,7 +366,7 @@ class Worker:
             case Beat():
                 self._beat()
             case _:
-                self._voice.say(self._joining.realm, action)
+                self._voice.say(self._attendance.realm, action)
 
 
 OnSignal = Callable[[Callable[[], None]], AbstractContextManager[None]]

@@ -198,11 +198,18 @@ class Coordinator:
             self._listening.set()
 
     def _serve(self) -> None:
-        from common.wire.zenoh_bus import open_router
-        from coordinator.service.service import Service
-        from coordinator.service.store import Store
+        from coordinator.service.child_main import load_preparing
+        from coordinator.service.children import Children
 
-        with Store.open(None) as store, open_router(self._endpoint) as bus:
-            service = Service(bus, store, expected_workers=self._workers, dismisses_workers=True)
-            self._listening.set()
-            service.run(self._stop)
+        with contextlib.closing(Children()) as children:
+            children.expect(load_preparing)  # loads while the rest of this is loaded
+            from common.wire.zenoh_bus import open_router
+            from coordinator.service.preparing import with_children
+            from coordinator.service.service import Service
+            from coordinator.service.store import Store
+
+            with Store.open(None) as store, open_router(self._endpoint) as bus:
+                ports = with_children(children)
+                service = Service(bus, store, expected_workers=self._workers, dismisses_workers=True, ports=ports)
+                self._listening.set()
+                service.run(self._stop)

@@ -42,7 +42,7 @@ class Request:
 
     def read(self) -> "Table":
         """Read the files and say on stderr what they hold; raises DataError."""
-        from coordinator.data.prepare import describe
+        from coordinator.data.describe import describe
         from coordinator.data.readers import read_table
 
         table = read_table(self.files, self.config.data)

@@ -1,6 +1,7 @@
 """Inputs between the rows at which they were measured: cubics, given by slopes at the rows. Pure.
 
-Not for the search, which sees inputs at rows only: models are simulated with them.
+Not for the search, which sees inputs at rows only: models are simulated with them. Most data have none, and
+need not wait for the library.
 """
 
 import math
@@ -8,7 +9,6 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator
 
 from common.dataset import FloatArray
 
@@ -17,12 +17,16 @@ _Slopes = Callable[[FloatArray, FloatArray], FloatArray]
 
 def _smooth(times: FloatArray, values: FloatArray) -> FloatArray:
     """Return the slopes of the cubic spline with continuous second derivatives (de Boor 1978, chapter IV)."""
+    from scipy.interpolate import CubicSpline
+
     slopes: FloatArray = CubicSpline(times, values)(times, 1)
     return slopes
 
 
 def _shape_preserving(times: FloatArray, values: FloatArray) -> FloatArray:
     """Return slopes that let nothing overshoot (Fritsch & Butland 1984): right for inputs that are switched."""
+    from scipy.interpolate import PchipInterpolator
+
     slopes: FloatArray = PchipInterpolator(times, values)(times, 1)
     return slopes
 
@@ -49,6 +53,8 @@ def input_slopes(times: Sequence[FloatArray], values: Sequence[FloatArray]) -> l
 
 def _left_out_error(kind: _Slopes, runs: Sequence[tuple[FloatArray, FloatArray]]) -> float:
     """Return the sum of absolute errors at inner rows when every other row is left out, first the odd then the even."""
+    from scipy.interpolate import CubicHermiteSpline
+
     total = 0.0
     for times, values in runs:
         for first in (0, 1):

@@ -12,7 +12,6 @@ from common.dataset import FloatArray
 from common.errors import DataError
 from common.table import Table
 from coordinator.data.checks import MIN_ROWS
-from coordinator.data.kernels_stencils import moments
 
 SMALLEST: Final = 1e-6
 """Rows of a smaller weight, over the largest, tell nothing beside the others."""
@@ -53,6 +52,8 @@ def weighty_rows(table: Table, name: str | None) -> tuple[list[int], str | None]
 
 def relative_weights(weights: FloatArray) -> FloatArray | None:
     """Return positive weights over their mean; None when all are equal, to 12 digits."""
+    from coordinator.data.kernels_stencils import moments  # not for whoever only looks at tables without weights
+
     scaled = weights / float(np.max(weights))
     mean, deviation = moments(scaled)
     return None if deviation <= 1e-12 * mean else np.ascontiguousarray(scaled / mean)

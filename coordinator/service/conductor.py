@@ -341,6 +341,7 @@ class Conductor:
         is_poison = job.fault == "poison"
         self._store.commit_result(job.id, job.state, text, job.reason, self._clock(), keeps_checkpoints=is_poison)
         self._outlet.tell(Close(job=job.id))
+        self._outlet.stop(job.id)
         self.ended[job.id] = replace_workers(self._live_view(job, now))
         del self.jobs[job.id]
         self.watch.ended(job)

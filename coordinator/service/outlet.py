@@ -37,3 +37,6 @@ class Outlet(Protocol):
 
     def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
         """Have the equations made of the pools elsewhere; `Conductor.refined` follows."""
+
+    def stop(self, job: str) -> None:
+        """End what is prepared or refined for a job; nothing follows."""

@@ -10,6 +10,7 @@ from common.wire.views import StoreView
 from coordinator.data.recording import Preparation
 from coordinator.model.refinement import Pools, Refinement
 from coordinator.service.death_table import Death
+from coordinator.service.errand_port import HERE, Errands
 from coordinator.service.event_table import EventRecord
 from coordinator.service.job_table import JobRecord
 
@@ -119,7 +120,8 @@ def at_once(work: Callable[[], None]) -> None:
 class Ports:
     """The outside world of a service. `clock` gives the time of day as ISO text.
 
-    `writer` does what it is given in the order in which it came, one piece at a time.
+    `errands` does what `preparer`, `refiner` and `warm_up` say, for threads of `background`. `writer` does what it is
+    given in the order in which it came, one piece at a time.
     """
 
     preparer: Preparer
@@ -128,3 +130,4 @@ class Ports:
     refiner: Refiner = refine
     warm_up: WarmUp = _nothing
     writer: Background = at_once
+    errands: Errands = HERE

@@ -3,11 +3,13 @@
 import queue
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Final
 
 from common.config import JobConfig
 from coordinator.data.recording import Preparation
+from coordinator.service.children import Children
 from coordinator.service.ports import Ports
 
 
@@ -26,7 +28,10 @@ def prepare_table(table: bytes, config: JobConfig) -> Preparation:
 
 
 def make_refining_ready() -> None:
-    """Load the kernels of refining, compile them if need be."""
+    """Load what refining needs; its kernels are compiled if need be."""
+    import scipy.special  # noqa: F401
+
+    import coordinator.model.refine  # noqa: F401
     from coordinator.model.trajectory.warmup import warm_up
 
     warm_up()
@@ -62,3 +67,9 @@ def iso_now() -> str:
 
 
 REAL: Final = Ports(prepare_table, in_thread, iso_now, warm_up=make_refining_ready, writer=Writer())
+"""Everything in this process."""
+
+
+def with_children(children: Children | None = None) -> Ports:
+    """Return the same with child processes, which prepare and refine; new ones unless given."""
+    return replace(REAL, errands=children or Children())

@@ -39,18 +39,21 @@ from coordinator.service.answers import Answers
 from coordinator.service.archipelago import Checkpoint
 from coordinator.service.conductor import Conductor
 from coordinator.service.desk import Desk
+from coordinator.service.errands import Ready, Refined, Unprepared
 from coordinator.service.greeter import Greeter
 from coordinator.service.job import Prepared
+from coordinator.service.membership import ABSENCE_S
 from coordinator.service.outlet import WorkerWord
 from coordinator.service.ports import Ports, StorePort
-from coordinator.service.preparing import REAL
-from coordinator.service.slow_work import Ready, Refined, SlowWork, Unprepared, Written
+from coordinator.service.preparing import with_children
+from coordinator.service.slow_work import SlowWork, Written
 
 _LOG = logging.getLogger(__name__)
 
 TICK_S: Final = 0.5
 PULL_TIMEOUT_S: Final = 5.0
 _TICK: Final = "tick"
+_ABSENCE: Final = "absence"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +90,7 @@ class Service:
         self._dropped = 0
         self._store = store
         self._dismisses_workers = dismisses_workers
-        self._ports = ports or REAL
+        self._ports = ports or with_children()
         self._slow_work = SlowWork(self._ports, store, self._bus.post)
         self._is_linked = True
         self._asked: dict[int, tuple[str, PullReports | PullStates]] = {}
@@ -121,10 +124,13 @@ class Service:
 
     def work(self, stop: threading.Event) -> None:
         """Work until `stop` is set."""
-        while not stop.is_set():
-            event = self._bus.receive(0.1)
-            if event is not None:
-                self.step(event)
+        try:
+            while not stop.is_set():
+                event = self._bus.receive(0.1)
+                if event is not None:
+                    self.step(event)
+        finally:
+            self._slow_work.close()
         self.conductor.watch.chronicle.flush()
         if self._dismisses_workers:
             self._put(topics.control(self._store.realm), Control(body=Shutdown(sentence="the coordinator ended")))
@@ -177,6 +183,10 @@ class Service:
         """See `Outlet.refine`."""
         self._slow_work.refine(job, prepared, pools)
 
+    def stop(self, job: str) -> None:
+        """See `Outlet.stop`."""
+        self._slow_work.stop(job)
+
     def _put(self, key: str, message: Control) -> None:
         self._bus.put(key, encode(message))
 
@@ -191,6 +201,8 @@ class Service:
         if event.name == _TICK:
             self._bus.post(_Look())
             self._bus.call_later(TICK_S, _TICK)
+        elif event.name == _ABSENCE:
+            self._bus.post(_Look())
 
     @_on.register
     def _on_posted(self, event: Posted) -> None:
@@ -232,6 +244,8 @@ class Service:
         key = topics.parse(event.key)
         if isinstance(key, topics.WorkerKey):
             self.conductor.membership.see(key.worker, event.present, self._bus.now())
+            if not event.present:
+                self._bus.call_later(ABSENCE_S, _ABSENCE)
 
     @_on.register
     def _on_message(self, event: Message) -> None:

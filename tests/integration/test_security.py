@@ -272,7 +272,7 @@ def worker_error(lab: Lab, router: ZenohBus, name: str, wait_s: float = LIMIT_S)
 def test_a_router_that_does_not_know_a_name_is_named_as_the_probable_cause(
     lab: Lab, roster: Roster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("island_worker.runtime.GREET_TIMEOUT_S", 0.2)
+    monkeypatch.setattr("island_worker.attendance.GREET_TIMEOUT_S", 0.2)
     old = Roster({name: role for name, role in roster.roles.items() if name not in ("bob", "lab2")})
     stop = threading.Event()
     with Store.open(None) as store, open_router(serving(lab), roster=old) as router:

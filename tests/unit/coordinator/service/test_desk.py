@@ -46,6 +46,9 @@ class Silent:
     def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
         self.said.append((job, table))
 
+    def stop(self, job: str) -> None:
+        self.said.append((None, f"stop {job}"))
+
 
 @pytest.fixture
 def outlet() -> Silent:
@@ -117,6 +120,7 @@ def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(de
     assert isinstance(cancelled, JobStatus)
     assert cancelled.job.state == "cancelled"
     assert ("b", TABLE) in outlet.said
+    assert (None, "stop a") in outlet.said  # it may be at work still
     assert "before its search began" in failure(desk.answer(Ask(body=GetResult(job="a")))).sentence
 
 

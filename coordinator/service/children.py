@@ -1,0 +1,195 @@
+"""The child processes of a coordinator: started ahead, kept for what comes next, ended with what they are at.
+
+An errand whose process dies is done once more in another. One that is stopped takes its process with it.
+"""
+
+import logging
+import os
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Final
+
+from common.cores import usable_cores
+from common.logs import fields
+from coordinator.service.child_process import ChildProcess
+from coordinator.service.errand_port import LostError, StoppedError, T
+
+LIMIT_S: Final = 3_600.0
+"""Far above what preparing or refining takes: what takes longer hangs, and is ended."""
+
+IDLE_S: Final = 120.0
+"""A child that has had nothing to do for so long ends, and its memory is given back."""
+
+MAX_AT_ONCE: Final = 4
+MAX_ERRANDS: Final = 100
+MAX_MEMORY: Final = 1 << 30
+"""A child that has done so much, or occupies so much, does no further errand: what it leaked is given back."""
+
+_REMEMBERED: Final = 256
+_LOG = logging.getLogger(__name__)
+
+
+class _Call:
+    """An errand under way."""
+
+    def __init__(self, job: str) -> None:
+        self.job = job
+        self.child: ChildProcess | None = None
+        self.is_stopped = False
+
+
+class Children:
+    """See `coordinator.service.errand_port.Errands`: places are child processes."""
+
+    def __init__(self, *, limit_s: float = LIMIT_S, idle_s: float = IDLE_S, at_once: int | None = None) -> None:
+        """`at_once`: how many errands of those that wait for their turn; as many as there are cores, but at most 4."""
+        self._limit_s = limit_s
+        self._idle_s = idle_s
+        self._at_once = at_once or min(usable_cores(os.environ)[0], MAX_AT_ONCE)
+        self._changed = threading.Condition()
+        self._calls: list[_Call] = []
+        self._line: list[_Call] = []
+        self._stopped: deque[str] = deque(maxlen=_REMEMBERED)  # an errand may come just after its job was stopped
+        self._idle: list[ChildProcess] = []
+        self._timer: threading.Timer | None = None
+        self._is_closed = False
+
+    # ------------------------------------------------------------------------------------------- errands
+
+    def do(self, job: str, errand: Callable[[], T]) -> T:
+        """See `Errands.do`."""
+        return self._do(_Call(job), errand)
+
+    def do_in_turn(self, job: str, errand: Callable[[], T]) -> T:
+        """See `Errands.do_in_turn`."""
+        call = _Call(job)
+        with self._changed:
+            self._line.append(call)
+        return self._do(call, errand)
+
+    def _do(self, call: _Call, errand: Callable[[], T]) -> T:
+        with self._changed:
+            self._calls.append(call)
+            call.is_stopped = call.job in self._stopped
+        try:
+            self._wait_for_turn(call)
+            return self._do_perhaps_again(call, errand)
+        finally:
+            with self._changed:
+                self._calls.remove(call)
+                if call in self._line:
+                    self._line.remove(call)
+                self._changed.notify_all()
+
+    def _do_perhaps_again(self, call: _Call, errand: Callable[[], T]) -> T:
+        try:
+            return self._attempt(call, errand)
+        except LostError as error:
+            _LOG.warning("errand lost, done again", extra=fields(job=call.job, why=str(error)))
+        try:
+            return self._attempt(call, errand)
+        except LostError as error:
+            raise LostError(f"{error}, twice") from error
+
+    def _wait_for_turn(self, call: _Call) -> None:
+        """Wait until few enough are before this one in the line; each of them has a limit."""
+        with self._changed:
+            while call in self._line[self._at_once :] and not self._is_over(call):
+                self._changed.wait()
+
+    def _attempt(self, call: _Call, errand: Callable[[], T]) -> T:
+        """Have the errand done by a child that does nothing else meanwhile."""
+        with self._changed:
+            if self._is_over(call):
+                raise StoppedError("it was stopped")
+            child = call.child = self._taken()
+        try:
+            child.send(errand)
+            outcome: T = child.answer(self._limit_s)
+        except LostError:
+            if self._is_over(call):
+                raise StoppedError("it was stopped") from None
+            raise
+        finally:
+            with self._changed:
+                call.child = None
+        self._give_back(child)
+        return outcome
+
+    def _is_over(self, call: _Call) -> bool:
+        return call.is_stopped or self._is_closed
+
+    # ----------------------------------------------------------------------------------------------- life
+
+    def expect(self, errand: Callable[[], None]) -> None:
+        """See `Errands.expect`: an idle child, or a new one if none is idle, does it as the first thing."""
+        with self._changed:
+            if self._is_closed:
+                return
+            try:
+                child = self._taken()
+            except LostError as error:
+                _LOG.warning("no child process ahead", extra=fields(why=str(error)))
+                return
+        child.send(errand, is_awaited=False)
+        self._give_back(child)
+
+    def stop(self, job: str) -> None:
+        """See `Errands.stop`."""
+        with self._changed:
+            self._stopped.append(job)
+            for call in self._calls:
+                if call.job == job:
+                    self._end(call)
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """See `Errands.close`; waits, within limits, until all processes are gone."""
+        with self._changed:
+            self._is_closed = True
+            children = [*self._idle, *(call.child for call in self._calls if call.child is not None)]
+            self._idle.clear()
+            for call in self._calls:
+                self._end(call)
+            self._changed.notify_all()
+            if self._timer is not None:
+                self._timer.cancel()
+        for child in children:
+            child.kill("the coordinator ended")
+        for child in children:
+            child.wait()
+
+    def _end(self, call: _Call) -> None:
+        call.is_stopped = True
+        if call.child is not None:
+            call.child.kill("it was stopped")
+
+    def _taken(self) -> ChildProcess:
+        """Return the idle child that worked last, or a new one; raises LostError."""
+        while self._idle:
+            child = self._idle.pop()
+            if child.is_alive:
+                return child
+        return ChildProcess()
+
+    def _give_back(self, child: ChildProcess) -> None:
+        """Keep the child for what comes next, for a while and unless it has done enough."""
+        is_spent = child.done >= MAX_ERRANDS or child.memory_bytes >= MAX_MEMORY
+        with self._changed:
+            if self._is_closed or is_spent or len(self._idle) >= self._at_once:
+                child.kill("it is not needed any more")
+                return
+            self._idle.append(child)
+            if self._timer is not None:
+                self._timer.cancel()
+            self._timer = threading.Timer(self._idle_s, self._let_go)
+            self._timer.daemon = True
+            self._timer.start()
+
+    def _let_go(self) -> None:
+        """End all children that are idle."""
+        with self._changed:
+            idle, self._idle = self._idle, []
+        for child in idle:
+            child.kill("it had nothing to do")
