@@ -219,6 +219,22 @@ def test_a_process_that_is_killed_is_started_again_under_its_name(place: Path) -
     assert f"process {before['again-0']} (again-0) was ended by signal 9; it is started again in 1 s" in said
 
 
+@pytest.mark.slow
+def test_a_coordinator_that_is_killed_while_it_refines_refines_again(place: Path, digest: str) -> None:
+    words = ["coordinator", "submit", "data.csv", *SEARCH, "--id", "j", "--no-wait", "--connect"]
+    with serving(place, "seven") as (address, process), connected(address) as coordinator:
+        worker = started(place, "island_worker", "--connect", address, "--processes", "1")
+        with worker:
+            assert done(place, *words, address).returncode == 0
+            until(lambda: coordinator.status("j").state == "refining")
+            process.kill()
+            process.wait(LIMIT_S)
+    with serving(place, "seven") as (address, _), connected(address) as coordinator:
+        assert coordinator.status("j").state in ("preparing", "running", "refining", "done")
+        until(lambda: coordinator.status("j").state == "done")
+        assert coordinator.result("j")["digest"] == digest
+
+
 def test_a_job_in_the_line_is_cancelled_and_the_others_stay_in_it(place: Path) -> None:
     with serving(place, "eight") as (address, _), connected(address) as coordinator:
         table = coordinator.upload(read_table([place / "data.csv"], DataConfig()).to_bytes())
