@@ -124,9 +124,13 @@ def candidates_of(field: Field, pools: Mapping[str, Pool], settled: Mapping[str,
     Args:
         field: what is modelled.
         pools: what the search handed on.
-        settled: equations by derivatives; those of converged searches without noise are not compared with others.
+        settled: equations by derivatives. Without noise those of converged searches are the only candidates, unless the
+            trajectories show that one of them only comes close, as a cosine of little does to a square.
     """
-    return [_candidates(field, name, pools, settled) for name in field.variables]
+    lists = [_candidates(field, name, pools, settled) for name in field.variables]
+    if any(len(its) != 1 for its in lists) or len(field.known) == len(lists) or _is_exact(field, lists):
+        return lists
+    return [_compared(field, name, pools, settled) for name in field.variables]
 
 
 def selected(
@@ -159,14 +163,20 @@ def _candidates(field: Field, name: str, pools: Mapping[str, Pool], settled: Map
     """Return the candidates of one variable, the best first."""
     if name in field.known:
         return [field.known[name]]
+    target = field.dataset.problem(name).target
+    if name in settled and not target.is_noisy:
+        its = settled[name]
+        if its.error <= enough(target, field.config.budget.target_error):
+            return [tidied(its.program)]
+    return _compared(field, name, pools, settled)
+
+
+def _compared(field: Field, name: str, pools: Mapping[str, Pool], settled: Mapping[str, Refined]) -> list[Program]:
+    """Return all candidates of one variable, the best first."""
+    if name in field.known:
+        return [field.known[name]]
     problem = field.dataset.problem(name)
     programs = [settled[name].program] if name in settled else []
-    if (
-        programs
-        and not problem.target.is_noisy
-        and settled[name].error <= enough(problem.target, field.config.budget.target_error)
-    ):
-        return [tidied(programs[0])]
     pool = pools[name]
     entries = [*pool.front, *pool.runners_up]
     programs += [Program.from_bytes(entry.program, len(problem.names)) for entry in entries]
@@ -175,6 +185,13 @@ def _candidates(field: Field, name: str, pools: Mapping[str, Pool], settled: Map
     contest = field.contest(its, [name])
     best = ranked(contest, problem, programs, _libraries(field, name, its))
     return [program for program in best if field.may_be_shown(program)]
+
+
+def _is_exact(field: Field, lists: Sequence[Sequence[Program]]) -> bool:
+    """Tell whether the first candidates give the trajectories up to errors of integration."""
+    contest = field.contest(field.measurements(field.variables).thinned(COMPARED_ROWS), field.variables)
+    found = contest.stand([its[0] for its in lists])
+    return found is not None and contest.is_exact(found)
 
 
 def _libraries(field: Field, name: str, its: Measurements) -> Iterator[list[Term]]:
