@@ -25,6 +25,7 @@ from coordinator.cli.signals import stopping
 if TYPE_CHECKING:
     from common.wire.bus import Bus
     from common.wire.zenoh_bus import ZenohBus
+    from coordinator.service.children import Children
     from coordinator.service.store import Store
 
 ANOTHER_LIMIT_S: Final = 0.5
@@ -36,23 +37,36 @@ _SIOCGIFADDR: Final = 0x8915
 
 def serve(options: argparse.Namespace) -> int:
     """Serve until SIGTERM or Ctrl-C; return 0."""
-    behind = options.router is not None
-    credentials = credentials_of(vars(options), os.environ, "connect" if behind else "serve")
+    credentials = credentials_of(vars(options), os.environ, "connect" if options.router is not None else "serve")
     wanted = destination(options.router or options.listen, credentials)
     roster = roster_of(options.roster, wanted)
     configure(options.log_format, options.log_level)
-    from coordinator.service.service import Service
+    from coordinator.service.child_main import load_preparing
+    from coordinator.service.children import Children
 
     stop = threading.Event()
-    with stopping(stop), _opened(options.state) as store, _joined(options, wanted, roster) as bus:
-        service = Service(bus, store, roster=roster)
+    with stopping(stop), contextlib.closing(Children()) as children:
+        children.expect(load_preparing)  # loads while the rest of this is loaded: a restart has jobs that wait for it
+        _serve(options, wanted, roster, children, stop)
+    note("coordinator: stopped; jobs and results are kept")
+    return DONE
+
+
+def _serve(
+    options: argparse.Namespace, wanted: Destination, roster: Roster | None, children: "Children", stop: threading.Event
+) -> None:
+    """Serve with these child processes until `stop` is set."""
+    from coordinator.service.preparing import with_children
+    from coordinator.service.service import Service
+
+    behind = options.router is not None
+    with _opened(options.state) as store, _joined(options, wanted, roster) as bus:
+        service = Service(bus, store, ports=with_children(children), roster=roster)
         service.start()
-        here = Destination(parse_address(bus.endpoint), credentials)
+        here = Destination(parse_address(bus.endpoint), wanted.credentials)
         with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):
             say(greeting(here, options.state, roster, behind))
             service.work(stop)
-    note("coordinator: stopped; jobs and results are kept")
-    return DONE
 
 
 def roster_of(file: str | None, at: Destination) -> Roster | None:
