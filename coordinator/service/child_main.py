@@ -19,6 +19,7 @@ from typing import Any, BinaryIO, Final
 
 from common.garbage import collect_rarely
 from common.usage import memory_bytes
+from coordinator.service.child_process import OTHER_VERSION, version
 
 Errand = tuple[bool, Callable[[], Any]]
 """Whether an answer is awaited, and what is to be called."""
@@ -36,8 +37,10 @@ def load_preparing() -> None:
     import coordinator.data.prepare  # noqa: F401
 
 
-def main(level: int) -> None:
-    """Do errands until the coordinator is gone. `level` is the least that is logged."""
+def main(level: int, of: str) -> None:
+    """Do errands until the coordinator, whose version is `of`, is gone. `level` is the least that is logged."""
+    if of != version():
+        sys.exit(OTHER_VERSION)
     for number in _ENDING:  # the coordinator's to handle, also where a whole group of processes is told to end
         signal.signal(number, signal.SIG_IGN)
     if sys.platform == "linux":
@@ -54,6 +57,8 @@ def main(level: int) -> None:
         outcome = errand()
         if is_awaited:
             said.say("answer", (outcome, memory_bytes()))
+        else:
+            said.say("done", None)
         del outcome, errand  # neither is to be kept while there is nothing to do
 
 

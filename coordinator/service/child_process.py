@@ -15,16 +15,20 @@ import threading
 from collections.abc import Callable
 from typing import Any, Final
 
+from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from coordinator.service.errand_port import LostError
 
 END_LIMIT_S: Final = 5.0
 """How long a process that was killed, or has closed its pipe, may take to be gone."""
 
+OTHER_VERSION: Final = 71
+"""Exit code of a child that was loaded from another version than ours: the program was replaced under us."""
+
 _PROGRAM: Final = """
 import sys
-level, *sys.path = sys.argv[1:]
+level, version, *sys.path = sys.argv[1:]
 from coordinator.service.child_main import main
-main(int(level))
+main(int(level), version)
 """
 _TOLD: Final = frozenset({signal.SIGKILL})
 
@@ -35,7 +39,7 @@ class ChildProcess:
     def __init__(self) -> None:
         """Start it; raises LostError when the system starts no more processes."""
         level = logging.getLogger().getEffectiveLevel()
-        command = [sys.executable, "-P", "-c", _PROGRAM, str(level), *sys.path]  # it finds what was found here
+        command = [sys.executable, "-P", "-c", _PROGRAM, str(level), version(), *sys.path]  # it finds what we found
         try:
             self._process = subprocess.Popen(
                 command,
@@ -47,8 +51,15 @@ class ChildProcess:
             raise LostError(f"no process could be started for it: {error.strerror}") from error
         self._answers: queue.SimpleQueue[tuple[Any, int] | None] = queue.SimpleQueue()
         self._why: str | None = None
+        self._expected = 0  # counted by who sends
+        self._expected_done = 0  # counted by who reads
         self._reader = threading.Thread(target=self._read, name="reading answers", daemon=True)
-        self._reader.start()
+        try:
+            self._reader.start()
+        except RuntimeError as error:
+            self._process.kill()
+            self._process.wait(END_LIMIT_S)
+            raise LostError(f"no thread could be started for it: {error}") from error
         self.done = 0
         self.memory_bytes = 0
 
@@ -62,6 +73,11 @@ class ChildProcess:
         """Whether errands can be sent; it may end at any time."""
         return self._reader.is_alive() and self._why is None
 
+    @property
+    def is_busy(self) -> bool:
+        """Whether it is still at something that nobody waits for."""
+        return self._expected > self._expected_done
+
     def send(self, errand: Callable[[], Any], is_awaited: bool = True) -> None:
         """Send an errand, its function by name; if the process has ended, `answer` tells.
 
@@ -71,6 +87,7 @@ class ChildProcess:
         """
         pipe = self._process.stdin
         assert pipe is not None
+        self._expected += not is_awaited
         try:
             with contextlib.suppress(OSError, ValueError):  # it has ended, and the pipe may be closed already
                 pickle.dump((is_awaited, errand), pipe, pickle.HIGHEST_PROTOCOL)
@@ -111,6 +128,8 @@ class ChildProcess:
                 kind, what = pickle.load(pipe)
                 if kind == "log":
                     _log(what)
+                elif kind == "done":
+                    self._expected_done += 1
                 else:
                     self._answers.put(what)
         except Exception as error:  # also words that the end of the process cut short, or memory that ran out here
@@ -138,10 +157,17 @@ def _log(values: dict[str, Any]) -> None:
     logging.getLogger(record.name).handle(record)
 
 
+def version() -> str:
+    """Return what must be the same in a coordinator and its children."""
+    return f"{VERSION} {ENGINE_REVISION} {PROTOCOL_VERSION}"
+
+
 def cause_of(code: int | None) -> str:
     """Return in words how a process ended by itself."""
     if code is None:
         return "its process did not end when it was told to"
+    if code == OTHER_VERSION:
+        return "its program is of another version than the coordinator, which must be started again"
     if code >= 0:
         return f"its process ended with exit code {code}"
     name = signal.Signals(-code).name if -code in set(signal.Signals) else "unknown"

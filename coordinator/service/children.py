@@ -3,11 +3,12 @@
 An errand whose process dies is done once more in another. One that is stopped takes its process with it.
 """
 
+import contextlib
 import logging
 import os
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Final
 
 from common.cores import usable_cores
@@ -84,11 +85,11 @@ class Children:
 
     def _do_perhaps_again(self, call: _Call, errand: Callable[[], T]) -> T:
         try:
-            return self._attempt(call, errand)
+            return self._attempt(call, errand, self._taken if call in self._line else self._free)
         except LostError as error:
             _LOG.warning("errand lost, done again", extra=fields(job=call.job, why=str(error)))
         try:
-            return self._attempt(call, errand)
+            return self._attempt(call, errand, ChildProcess)
         except LostError as error:
             raise LostError(f"{error}, twice") from error
 
@@ -98,14 +99,15 @@ class Children:
             while call in self._line[self._at_once :] and not self._is_over(call):
                 self._changed.wait()
 
-    def _attempt(self, call: _Call, errand: Callable[[], T]) -> T:
-        """Have the errand done by a child that does nothing else meanwhile."""
+    def _attempt(self, call: _Call, errand: Callable[[], T], choose: Callable[[], ChildProcess]) -> T:
+        """Have the errand done by the child that `choose` returns, and that does nothing else meanwhile."""
         with self._changed:
             if self._is_over(call):
                 raise StoppedError("it was stopped")
-            child = call.child = self._taken()
+            child = call.child = choose()
         try:
-            child.send(errand)
+            with _ended_after(self._limit_s, child):
+                child.send(errand)
             outcome: T = child.answer(self._limit_s)
         except LostError:
             if self._is_over(call):
@@ -165,11 +167,24 @@ class Children:
         if call.child is not None:
             call.child.kill("it was stopped")
 
+    def _free(self) -> ChildProcess:
+        """Return an idle child that need not be waited for, or a new one; raises LostError.
+
+        One that was started ahead is waited for: a new one would not be quicker.
+        """
+        return self._chosen(lambda child: not child.is_busy or child.done == 0)
+
     def _taken(self) -> ChildProcess:
-        """Return the idle child that worked last, or a new one; raises LostError."""
-        while self._idle:
-            child = self._idle.pop()
-            if child.is_alive:
+        """Return an idle child, best one that need not be waited for, or a new one; raises LostError."""
+        is_there_a_free_one = any(child.is_alive and not child.is_busy for child in self._idle)
+        return self._chosen(lambda child: not (is_there_a_free_one and child.is_busy))
+
+    def _chosen(self, suits: Callable[[ChildProcess], bool]) -> ChildProcess:
+        """Return the idle child that worked last of those that suit, or a new one; raises LostError."""
+        self._idle = [child for child in self._idle if child.is_alive]
+        for child in reversed(self._idle):
+            if suits(child):
+                self._idle.remove(child)
                 return child
         return ChildProcess()
 
@@ -181,15 +196,38 @@ class Children:
                 child.kill("it is not needed any more")
                 return
             self._idle.append(child)
-            if self._timer is not None:
-                self._timer.cancel()
-            self._timer = threading.Timer(self._idle_s, self._let_go)
-            self._timer.daemon = True
+            self._begin_to_wait()
+
+    def _begin_to_wait(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = threading.Timer(self._idle_s, self._let_go)
+        self._timer.daemon = True
+        with contextlib.suppress(RuntimeError):  # the system starts no more threads; children stay a while longer
             self._timer.start()
 
     def _let_go(self) -> None:
-        """End all children that are idle."""
+        """End all children that have nothing to do."""
         with self._changed:
-            idle, self._idle = self._idle, []
+            idle = [child for child in self._idle if not child.is_busy]
+            self._idle = [child for child in self._idle if child.is_busy]
+            if self._idle and not self._is_closed:
+                self._begin_to_wait()
         for child in idle:
             child.kill("it had nothing to do")
+
+
+@contextlib.contextmanager
+def _ended_after(limit_s: float, child: ChildProcess) -> Iterator[None]:
+    """End a child that does not take in within `limit_s` seconds what it is sent; raises LostError without a thread."""
+    timer = threading.Timer(limit_s, child.kill, (f"its process took in nothing for {limit_s:,.0f} s and was ended",))
+    timer.daemon = True
+    try:
+        timer.start()
+    except RuntimeError as error:
+        child.kill("it could not be watched")
+        raise LostError(f"no thread could be started for it: {error}") from error
+    try:
+        yield
+    finally:
+        timer.cancel()

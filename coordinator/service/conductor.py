@@ -110,7 +110,7 @@ class Conductor:
         self._store.add_job(record, submitter)
         self.jobs[body.job] = Job(record, body.config, now)
         self.watch.submitted(body)
-        self._prepare_next()
+        self._prepare_next(now)
 
     def cancel(self, job_id: str, now: float) -> None:
         """End a job and keep what it has found; without effect when it has ended."""
@@ -295,7 +295,7 @@ class Conductor:
                 self._lose(member, member.lost_by, now)
         for job in list(self.jobs.values()):
             self._carry_out(job, job.tick(now), now)
-        self._prepare_next()
+        self._prepare_next(now)
         self.place(now)
         self._keeper.look(self.jobs.values(), now)
         self.watch.look(self.jobs.values(), now)
@@ -345,15 +345,19 @@ class Conductor:
         self.ended[job.id] = replace_workers(self._live_view(job, now))
         del self.jobs[job.id]
         self.watch.ended(job)
-        self._prepare_next()
+        self._prepare_next(now)
 
-    def _prepare_next(self) -> None:
+    def _prepare_next(self, now: float) -> None:
         """Begin to prepare the next job that waits, if it is its turn."""
         waiting = next_job(self.jobs.values())
         if waiting is None:
             return
         # What the store refuses, as on a full disk, must leave the job in the line, or nobody would prepare it.
-        table = self._store.get_blob(waiting.table)
+        try:
+            table = self._store.get_blob(waiting.table)
+        except KeyError:
+            self.job_failed(waiting.id, "internal", "its table is not in the store any more; submit it again", now)
+            return
         self._store.update_job(waiting.id, state="preparing")
         waiting.prepare()
         self._outlet.prepare(waiting.id, table, waiting.config)

@@ -1,17 +1,21 @@
 """What takes long, away from the service's loop: preparing, refining, writing. What comes of it is posted there."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 from common.config import JobConfig
 from common.errors import StoreError
+from common.logs import fields
 from coordinator.model.refinement import Pools
 from coordinator.service.archipelago import Checkpoint
 from coordinator.service.errand_port import LostError, StoppedError
 from coordinator.service.errands import make_ready, not_prepared, not_refined, prepare_job, refine_job
 from coordinator.service.job import Prepared
 from coordinator.service.ports import Ports, StorePort
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +52,10 @@ class SlowWork:
 
     def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
         """Prepare a table; `Ready` or `Unprepared` is posted, unless it is stopped."""
-        self._ports.background(lambda: self._prepare(job, table, config))
+        try:
+            self._ports.background(lambda: self._prepare(job, table, config))
+        except RuntimeError as error:  # the system starts no more threads
+            self._post(not_prepared(job, str(error)))
 
     def _prepare(self, job: str, table: bytes, config: JobConfig) -> None:
         """Have the job prepared; then, while it is searched, what refining it will need. Runs in the background."""
@@ -59,11 +66,18 @@ class SlowWork:
         except LostError as error:
             self._post(not_prepared(job, str(error)))
             return
+        except Exception as error:  # somebody waits for an answer, whatever this machine has run out of
+            _LOG.exception("preparing broke", extra=fields(job=job))
+            self._post(not_prepared(job, f"{type(error).__name__}: {error}"))
+            return
         self._errands.expect(partial(make_ready, self._ports.warm_up))
 
     def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
         """Make the equations of the pools; `Refined` is posted, unless it is stopped."""
-        self._ports.background(lambda: self._refine(job, prepared, pools))
+        try:
+            self._ports.background(lambda: self._refine(job, prepared, pools))
+        except RuntimeError as error:  # the system starts no more threads
+            self._post(not_refined(job, str(error)))
 
     def _refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
         """Have the equations made; runs in the background."""
@@ -74,6 +88,9 @@ class SlowWork:
             return
         except LostError as error:
             self._post(not_refined(job, str(error)))
+        except Exception as error:  # as above
+            _LOG.exception("refining broke", extra=fields(job=job))
+            self._post(not_refined(job, f"{type(error).__name__}: {error}"))
 
     def stop(self, job: str) -> None:
         """End what is under way for a job, if anything is: nobody waits for it any more."""

@@ -214,6 +214,25 @@ def test_a_job_without_its_table_is_refused() -> None:
         world.client.submit("job", "", config(), BLOB)
 
 
+def test_a_job_whose_table_has_gone_fails_and_the_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World(workers=1)
+    get = world.store.get_blob
+    gone = [True]
+
+    def get_blob(digest: str) -> bytes:
+        if gone:
+            gone.pop()
+            raise KeyError(digest)
+        return get(digest)
+
+    monkeypatch.setattr(world.store, "get_blob", get_blob)
+    world.submit(config(), job="first")
+    world.submit(config(), job="second")
+    view = world.finish("first")
+    assert (view.state, view.reason) == ("failed", "its table is not in the store any more; submit it again")
+    assert world.finish("second").state == "done"
+
+
 def test_unknown_jobs_are_refused() -> None:
     world = World(workers=0)
     for question in (world.client.status, world.client.result, world.client.cancel):

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -129,6 +130,36 @@ def test_what_children_make_is_what_threads_make_to_the_last_bit(pool: Children)
 def test_a_child_starts_ahead_and_does_first_what_it_was_told_first(pool: Children, tmp_path: Path) -> None:
     pool.expect(partial(strange.sleep, tmp_path / "mark", ROOT))
     assert pool.do("j", strange.pid) == pid_in(tmp_path / "mark")
+
+
+def test_what_is_awaited_does_not_wait_for_what_is_only_expected(pool: Children, tmp_path: Path) -> None:
+    first = pool.do("j", strange.pid)
+    pool.expect(partial(strange.sleep, tmp_path / "mark", tmp_path / "until"))
+    assert pid_in(tmp_path / "mark") == first
+    assert pool.do("j", strange.pid) != first
+    (tmp_path / "until").touch()
+
+
+def test_a_child_that_is_busy_is_not_without_work(tmp_path: Path) -> None:
+    with closing(Children(idle_s=0.05)) as pool:
+        pool.expect(partial(strange.sleep, tmp_path / "mark", tmp_path / "until"))
+        pid = pid_in(tmp_path / "mark")
+        time.sleep(0.3)
+        assert not is_gone(pid)
+        (tmp_path / "until").touch()
+        until(partial(is_gone, pid))
+
+
+def test_a_child_that_takes_nothing_in_is_ended(tmp_path: Path) -> None:
+    with closing(Children(limit_s=5.0)) as pool:
+        os.kill(pool.do("j", strange.pid), signal.SIGSTOP)
+        assert pool.do("j", partial(strange.echo, b"x" * (1 << 20))) == b"x" * (1 << 20)
+
+
+def test_a_child_of_another_version_does_nothing(pool: Children, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("coordinator.service.child_process.version", lambda: "0.0 1 1")
+    with pytest.raises(LostError, match="of another version than the coordinator, which must be started again, twice"):
+        pool.do("j", strange.pid)
 
 
 def test_an_errand_whose_process_is_killed_is_done_again(
@@ -295,3 +326,24 @@ def test_a_job_is_done_whatever_refining_dies_of(pool: Children, tmp_path: Path,
 def test_a_job_fails_when_preparing_it_dies_twice(pool: Children) -> None:
     said = Unprepared("j", "internal", "preparing the data broke (its process was ended by signal 11 (SIGSEGV), twice)")
     assert posted(pool) == [said]
+
+
+def no_thread(*_: Any) -> None:
+    raise RuntimeError("can't start new thread")
+
+
+@pytest.mark.parametrize("where", ["background", "errands"])
+def test_a_machine_without_threads_to_spare_is_an_answer_too(where: str) -> None:
+    nothing: Preparation = None  # type: ignore[assignment]
+    errands = SimpleNamespace(do=no_thread, do_in_turn=no_thread)
+    background = no_thread if where == "background" else lambda work: work()
+    ports = Ports(strange.prepare_and_die, background, lambda: "now", errands=errands)  # type: ignore[arg-type]
+    said: list[object] = []
+    work = SlowWork(ports, None, said.append)  # type: ignore[arg-type]
+    work.prepare("j", b"", JobConfig())
+    work.refine("j", Prepared(nothing, JobConfig(), "", 0), {})
+    unprepared, refined = said
+    assert isinstance(unprepared, Unprepared)
+    assert "can't start new thread" in unprepared.sentence
+    assert isinstance(refined, Refined)
+    assert "can't start new thread" in refined.refinement.warnings[0]
