@@ -201,11 +201,12 @@ def bands(its: Measurements, shot: Shot, spread: FloatArray, scale: float) -> Fl
     """
     fitted = len(shot.system.places)
     found = np.zeros((len(its.observed), its.rows))
+    sensitivities = shot.gradients
     for group, (first, end) in enumerate(shot.segments.tolist()):
         own = np.linalg.pinv(shot.own[group], hermitian=True)
         carried = own @ shot.coupling[group].T
         for state, index in enumerate(its.observed.tolist()):
-            gradients = shot.gradients[first:end, index]
+            gradients = sensitivities[first:end, index]
             starts = gradients[:, fitted:]
             constants = gradients[:, :fitted] - starts @ carried
             variance = np.einsum("np,pq,nq->n", constants, spread, constants)
