@@ -135,14 +135,13 @@ def _binned(run: Run, thinning: int) -> _Bins:
     rows = len(run.times)
     bins = max(rows // thinning, min(rows, FEWEST_BINS))
     share = rows / bins / thinning if bins > rows // thinning else 1.0
-    its = Run(np.empty(bins), np.empty(bins), np.empty(bins))
-    if run.precision is not None:
-        precision = np.empty(bins)
-        thin_into(its.times, its.values, precision, run.times, run.values, run.precision)
-    thin_into(its.times, its.values, its.weights, run.times, run.values, run.weights)
-    if run.precision is None:
-        return _Bins(Run(its.times, its.values, share * its.weights), share)
-    return _Bins(Run(its.times, its.values, share * its.weights / precision, precision), share)
+    times, values, weights = np.empty(bins), np.empty(bins), np.empty(bins)
+    precision = np.empty(bins) if run.precision is not None else None
+    if run.precision is not None and precision is not None:
+        thin_into(times, values, precision, run.times, run.values, run.precision)
+    thin_into(times, values, weights, run.times, run.values, run.weights)
+    trust = share * weights if precision is None else share * weights / precision
+    return _Bins(Run(times, values, trust, precision), share)
 
 
 def _chosen(parts: Sequence[_Bins], degrees: Sequence[int]) -> Choice:
