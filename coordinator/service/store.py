@@ -179,9 +179,9 @@ class Store:
             return archipelago_table.placements(sql, job)
 
     def commit_cuts(self, job: str, cuts: Mapping[str, bytes]) -> bool:
-        """Make the ends of archipelagos durable, by variable, all or none of them.
+        """Make the ends of archipelagos durable, by variable, in one transaction.
 
-        Return False when one of them had ended before: its first end wins.
+        Return False when one of them had ended before: its first end stays, the others are made durable all the same.
         """
         with self._transaction() as sql:
             are_first = [archipelago_table.cut(sql, job, variable, cut) for variable, cut in cuts.items()]
