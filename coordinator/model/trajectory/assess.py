@@ -201,7 +201,7 @@ def bands(its: Measurements, shot: Shot, spread: FloatArray, scale: float) -> Fl
     """
     fitted = len(shot.system.places)
     found = np.zeros((len(its.observed), its.rows))
-    sensitivities = shot.gradients
+    sensitivities = shot.integrated_sensitivities()
     for group, (first, end) in enumerate(shot.segments.tolist()):
         own = np.linalg.pinv(shot.own[group], hermitian=True)
         carried = own @ shot.coupling[group].T

@@ -82,9 +82,11 @@ class Shot:
     shooter: "Shooter" = field(repr=False)
     is_stiff: bool = False
 
-    @property
-    def gradients(self) -> FloatArray:
-        """Sensitivities (N, D, P + D + K) to the constants and to what each segment has its own, integrated again."""
+    def integrated_sensitivities(self) -> FloatArray:
+        """Return the sensitivities (N, D, P + D + K) to the constants and to what each segment has its own.
+
+        They are integrated again at each call, since they would make a shot many times as large.
+        """
         return self.shooter.sensitivities(self)
 
     @property
@@ -277,7 +279,7 @@ class Shooter:
         return self._weighed(simulated, gradients, residuals, segments, sigmas, fitted), False
 
     def sensitivities(self, shot: Shot) -> FloatArray:
-        """Return `Shot.gradients` of a fit of this shooter's."""
+        """Return `Shot.integrated_sensitivities` of a fit of this shooter's."""
         method = self._methods[1 if shot.is_stiff else 0]
         return self._shot(method, shot.system, shot.segments, shot.starts)[3]
 

@@ -18,6 +18,7 @@ from coordinator.model.trajectory.assess import (
 )
 from coordinator.model.trajectory.measurements import measurements_of
 from coordinator.model.trajectory.opened import as_it_is
+from coordinator.model.trajectory.shooting import Shooter
 from tests.unit.coordinator.model.trajectory.made import DECAY, LOTKA, LOTKA_TEXT, Known, contest, recording
 
 TIMES = 0.2 * np.arange(20.0)
@@ -97,14 +98,27 @@ def test_bands_of_a_coupled_system_are_those_of_its_linearisation():
     standing = its.stand([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
     shot, fitted = standing.shot, len(standing.shot.system.places)
     whole = np.zeros((len(TIMES) * 2, 2, fitted + 4))
+    sensitivities = shot.integrated_sensitivities()
     for group, (first, end) in enumerate(shot.segments.tolist()):
-        whole[first:end, :, :fitted] = shot.gradients[first:end, :, :fitted]
-        whole[first:end, :, fitted + 2 * group : fitted + 2 * group + 2] = shot.gradients[first:end, :, fitted:]
+        whole[first:end, :, :fitted] = sensitivities[first:end, :, :fitted]
+        whole[first:end, :, fitted + 2 * group : fitted + 2 * group + 2] = sensitivities[first:end, :, fitted:]
     weighed = (whole / shot.sigmas[None, :, None]).reshape(-1, fitted + 4)
     errors = errors_of(its, standing)
     covariance = np.linalg.inv(weighed.T @ weighed) * (80.0 / errors.freedom)
     expected = np.sqrt(np.einsum("nop,pq,noq->on", whole, covariance, whole))
     assert banded(its, rows, standing) == pytest.approx(expected, rel=1e-4)
+
+
+def test_bands_integrate_once_however_many_pieces_there_are(monkeypatch):
+    rows = measurements_of(recording(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES, 0.01), [0, 1])
+    its = contest(LOTKA, rows, 1e-8)
+    standing = its.stand([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
+    integrate, times = Shooter.sensitivities, []
+    monkeypatch.setattr(Shooter, "sensitivities", lambda self, shot: times.append(1) or integrate(self, shot))
+    spread, scale = spread_of(its, standing.shot, errors_of(its, standing))
+    times.clear()
+    bands(rows, standing.shot, spread, scale)
+    assert len(times) == 1
 
 
 def test_bands_of_a_system_without_constants_are_those_of_its_initial_states():

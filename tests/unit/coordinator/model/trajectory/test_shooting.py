@@ -146,7 +146,7 @@ def test_the_block_inverse_gives_the_covariance_of_the_dense_fit():
     columns = []
     for group, (first, end) in enumerate(shot.segments.tolist()):
         part = np.zeros((2 * (end - first), fitted + 6))
-        gradients = shot.gradients[first:end] / shot.sigmas[None, :, None]
+        gradients = shot.integrated_sensitivities()[first:end] / shot.sigmas[None, :, None]
         part[:, :fitted] = gradients[:, :, :fitted].reshape(-1, fitted)
         part[:, fitted + 2 * group : fitted + 2 * group + 2] = gradients[:, :, fitted:].reshape(-1, 2)
         columns.append(part)
@@ -160,7 +160,7 @@ def test_two_fits_are_the_same_to_the_bit():
     first, second = fitted_lotka(its), fitted_lotka(its)
     assert first.system.values.tobytes() == second.system.values.tobytes()
     assert first.simulated.tobytes() == second.simulated.tobytes()
-    assert first.gradients.tobytes() == second.gradients.tobytes()
+    assert first.integrated_sensitivities().tobytes() == second.integrated_sensitivities().tobytes()
 
 
 def test_work_counts_rows_and_what_is_carried_along():
