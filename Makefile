@@ -40,8 +40,8 @@ quick: $(STAMP) kernels
 
 # Compiled before the first test, whose time is limited.
 kernels: $(STAMP)
-	@$(BIN)/python -c "from island_worker.warmup import warm_up; warm_up(print)"
-	@$(BIN)/python -c "from coordinator.warmup import warm_up; warm_up()"
+	@$(BIN)/python -c "from atoll_island_worker.compute.warmup import warm_up; warm_up(print)"
+	@$(BIN)/python -c "from atoll_coordinator.warmup import warm_up; warm_up()"
 
 # For the test that compares the bits of different processors; two compilers at a time take no longer than one.
 generic-kernels: $(STAMP)

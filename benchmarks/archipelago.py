@@ -10,10 +10,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from common.config import PRESETS, JobConfig, Preset
-from common.dataset import FloatArray, Problem, Target
-from common.pareto import FrontEntry
-from island_worker.evolution.island import Island, senders
+from atoll.config import PRESETS, JobConfig, Preset
+from atoll.data.dataset import FloatArray, Problem, Target
+from atoll.search.pareto import FrontEntry
+from atoll_island_worker.evolution.island import Island, senders
 
 TERMINALS: Final = 7
 SAMPLE: Final = 16

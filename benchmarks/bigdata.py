@@ -19,14 +19,14 @@ from typing import Final
 import numpy as np
 import polars
 
+from atoll.errors import AtollError, UnreachableError
+from atoll_coordinator.cli.local.cluster import worker_command
+from atoll_coordinator.cli.terminal.output import say, table
+from atoll_coordinator.client import Client, connected
 from benchmarks.figures import write_figures
 from benchmarks.options import whole
 from benchmarks.reporting import load, plain_errors
 from benchmarks.services import CONNECT_LIMIT_S, Coordinating, coordinating
-from common.errors import AtollError, UnreachableError
-from coordinator.cli.local import worker_command
-from coordinator.cli.output import say, table
-from coordinator.client import Client, connected
 
 COLUMNS: Final = 5
 GOAL_BYTES: Final = 10**9
@@ -58,7 +58,7 @@ def peak(pid: int, processes: Path = Path("/proc")) -> int:
 def submitted(its: Coordinating, file: Path) -> int:
     """Submit by the command line, in a process of its own; return the most bytes that it had."""
     words = ["submit", str(file), "--target", "y", "--id", JOB, "--no-wait", "--connect", its.address]
-    process = subprocess.Popen([sys.executable, "-m", "coordinator", *words], stdout=its.log, stderr=its.log)
+    process = subprocess.Popen([sys.executable, "-m", "atoll_coordinator", *words], stdout=its.log, stderr=its.log)
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:

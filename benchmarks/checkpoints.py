@@ -20,15 +20,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from atoll.config import PRESETS, JobConfig
+from atoll.wire.messages.views import JobView
+from atoll_coordinator.cli.terminal.output import note, say, table
 from benchmarks.derivatives import table_of
 from benchmarks.figures import write_figures
 from benchmarks.options import whole
 from benchmarks.reporting import load, plain_errors, seeds
 from benchmarks.services import TIED_COORDINATOR, Searches, searching
 from benchmarks.systems import SYSTEMS, trajectories
-from common.config import PRESETS, JobConfig
-from common.wire.views import JobView
-from coordinator.cli.output import note, say, table
 
 GOAL: Final = 0.03
 UNMET: Final = 1e-300
@@ -39,7 +39,7 @@ PLAIN: Final = "plain"
 """What the ids of jobs begin with that take no checkpoint."""
 
 PROGRAM: Final = f"""
-from coordinator.service.archipelago import Archipelago
+from atoll_coordinator.service.search.archipelago import Archipelago
 begin = Archipelago.__init__
 def chosen(self, job, *rest):
     begin(self, job, *rest)

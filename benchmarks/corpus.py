@@ -15,22 +15,22 @@ from zipfile import BadZipFile
 import numpy as np
 import numpy.typing as npt
 
+from atoll.config import PRESETS, JobConfig
+from atoll.data.dataset import Problem
+from atoll.errors import DataError, UsageError
+from atoll.expression.kernels.tape import LANES
+from atoll.expression.operators import ARITY
+from atoll.search.seeding import stream_key
+from atoll.wire.codec import decode_arrays
+from atoll_coordinator.cli.terminal.output import note
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.data.reading.files import read_table
+from atoll_island_worker.evolution.island import Island
+from atoll_island_worker.evolution.kernels.random import below
+from atoll_island_worker.evolution.kernels.variation import copy_list, cross, mutate
+from atoll_island_worker.evolution.setting import Setting
+from atoll_island_worker.evolution.structures import Lists, Space, empty_lists
 from benchmarks.strogatz import LABEL, PUBLISHED
-from common.config import PRESETS, JobConfig
-from common.dataset import Problem
-from common.errors import DataError, UsageError
-from common.expression.kernels import LANES
-from common.expression.operators import ARITY
-from common.seeding import stream_key
-from common.wire.codec import decode_arrays
-from coordinator.cli.output import note
-from coordinator.data.prepare import prepare
-from coordinator.data.readers import read_table
-from island_worker.evolution.island import Island
-from island_worker.evolution.kernels_random import below
-from island_worker.evolution.kernels_variation import copy_list, cross, mutate
-from island_worker.evolution.setting import Setting
-from island_worker.evolution.structures import Lists, Space, empty_lists
 
 CORPUS: Final = Path(__file__).parent / "data" / "corpus.npz"
 SIZE: Final = 1000
@@ -45,9 +45,9 @@ _UNMET: Final = 1e-300
 class Corpus:
     """Operation lists of P individuals, in the order of the files that they come from, and rows of those files.
 
-    `code`, `left`, `right` (P, L) and `constants` (P, L) are as in `island_worker.evolution.structures.Lists`; `origin`
-    (P,) is an index into `names`, `generation` (P,) that of the parents. `inputs` (F, V, 16) and `target` (F, 16) are
-    evenly spaced rows of the F files.
+    `code`, `left`, `right` (P, L) and `constants` (P, L) are as in `atoll_island_worker.evolution.structures.Lists`;
+    `origin` (P,) is an index into `names`, `generation` (P,) that of the parents. `inputs` (F, V, 16) and `target` (F,
+    16) are evenly spaced rows of the F files.
     """
 
     names: npt.NDArray[np.str_]

@@ -13,10 +13,10 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import least_squares
 
+from atoll.expression.program import Program
+from atoll.expression.text.parsing import from_infix
 from benchmarks.evaluation import evaluate
 from benchmarks.fractions import FloatArray
-from common.expression.parse import from_infix
-from common.expression.program import Program
 
 EXACT: Final = 1e-8
 """Error of the fit over the target's deviation (root mean square) below which the fit is exact."""

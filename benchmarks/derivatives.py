@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from atoll.config import PRESETS, JobConfig
+from atoll.data.dataset import Dataset
+from atoll.data.table import Table
+from atoll_coordinator.data.prepare import prepare
 from benchmarks.systems import SYSTEMS, TABLE_III, FloatArray, Sampled, trajectories
-from common.config import PRESETS, JobConfig
-from common.dataset import Dataset
-from common.table import Table
-from coordinator.data.prepare import prepare
 
 SMALLEST = 1e-9
 """Normalized error that always counts as converged."""

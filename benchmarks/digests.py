@@ -19,12 +19,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
+from atoll.errors import AtollError
+from atoll_coordinator.cli.signals import raising_interrupts
+from atoll_coordinator.cli.terminal.output import note, say, table
 from benchmarks.reporting import load, machine, plain_errors
 from benchmarks.services import searching
 from benchmarks.systems import TABLE_III, trajectories, write_csv
-from common.errors import AtollError
-from coordinator.cli.output import note, say, table
-from coordinator.cli.signals import raising_interrupts
 
 UNREACHABLE: Final = 1e-300
 """A target that is never met, so that all of the search is compared."""
@@ -94,7 +94,7 @@ def searched(way: Way, data: Path, options: argparse.Namespace, folder: Path) ->
 
 def _command(words: Sequence[str], environment: dict[str, str]) -> dict[str, object]:
     process = subprocess.Popen(
-        [sys.executable, "-m", "coordinator", *words],
+        [sys.executable, "-m", "atoll_coordinator", *words],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True,
     )  # fmt: skip
     try:

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from atoll.expression.text.parsing import from_infix
 from benchmarks.evaluation import evaluate
 from benchmarks.fractions import FloatArray
-from common.expression.parse import from_infix
 
 EQUIVALENTS: Final = {
     "glider1": (

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from common.expression.operators import (
+from atoll.expression.operators import (
     ABS,
     ADD,
     CONSTANT,
@@ -25,7 +25,7 @@ from common.expression.operators import (
     TANH,
     VARIABLE,
 )
-from common.expression.program import Program
+from atoll.expression.program import Program
 
 FloatArray = npt.NDArray[np.float64]
 

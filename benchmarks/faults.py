@@ -20,6 +20,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Final, TypeVar
 
+from atoll.config import PRESETS, JobConfig
+from atoll.errors import AtollError, UnreachableError, UsageError
+from atoll.wire.messages.views import FINAL_STATES, JobView
+from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll_coordinator.client import Client
 from benchmarks.derivatives import table_of
 from benchmarks.figures import write_figures
 from benchmarks.machines import Machines, can_have_networks, running
@@ -27,11 +32,6 @@ from benchmarks.options import whole
 from benchmarks.reporting import load, plain_errors
 from benchmarks.strikes import LASTING_S, Blow, Kind, Standing, Strikes, kinds_of, rows
 from benchmarks.systems import TABLE_III, trajectories
-from common.config import PRESETS, JobConfig
-from common.errors import AtollError, UnreachableError, UsageError
-from common.wire.views import FINAL_STATES, JobView
-from coordinator.cli.output import note, say, table
-from coordinator.client import Client
 
 A = TypeVar("A")
 

@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 
+from atoll_coordinator.cli.terminal.output import note, say, table
 from benchmarks.archipelago import SAMPLE
 from benchmarks.growth import ARMS, FUNCTION, Arm, Mean, Run, Task, bloats, by_size, curves, difference, pairs, run
 from benchmarks.reporting import plain_errors
 from benchmarks.runs import Figures, add_options, canvas, in_parallel, positive, save
-from coordinator.cli.output import note, say, table
 
 
 def draw(path: Path, functions: Sequence[Run], both: Sequence[tuple[Run, Run]]) -> None:

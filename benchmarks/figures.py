@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from atoll.errors import UsageError
 from benchmarks.reporting import load, machine
-from common.errors import UsageError
 
 
 def write_figures(out: Path | None, benchmark: str, arguments: Sequence[str], figures: Mapping[str, Any]) -> None:

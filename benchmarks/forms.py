@@ -27,6 +27,8 @@ from typing import Final
 
 import numpy as np
 
+from atoll.errors import UsageError
+from atoll.expression.text.parsing import from_infix
 from benchmarks.evaluation import evaluate
 from benchmarks.fractions import (
     Atoms,
@@ -38,8 +40,6 @@ from benchmarks.fractions import (
     UndefinedError,
 )
 from benchmarks.rewriting import Rewritten, rewrite
-from common.errors import UsageError
-from common.expression.parse import from_infix
 
 NEGLIGIBLE: Final = 1e-6
 """Share of the target's standard deviation below which a term counts as absent."""

@@ -21,16 +21,16 @@ from typing import Any
 
 import msgpack
 
-from common.config import BudgetConfig, EvolutionConfig, JobConfig
-from common.errors import RemoteProtocolError
-from common.seeding import Stream, stream_key
-from common.wire import topics
-from common.wire.client_messages import Answer, Ask
-from common.wire.codec import decode
-from common.wire.faults import Plan
-from common.wire.greetings import Greeting, GreetingAnswer
-from common.wire.limits import MAX_MESSAGE
-from common.wire.messages import Control, EpochReport, Mail, Pull, PullAnswer, WorkerStatus
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
+from atoll.errors import RemoteProtocolError
+from atoll.search.seeding import Stream, stream_key
+from atoll.wire import topics
+from atoll.wire.bus.faults import Plan
+from atoll.wire.codec import decode
+from atoll.wire.messages.clients import Answer, Ask
+from atoll.wire.messages.handshake import Greeting, GreetingAnswer
+from atoll.wire.messages.limits import MAX_MESSAGE
+from atoll.wire.messages.workers import Control, EpochReport, Mail, Pull, PullAnswer, WorkerStatus
 from tests.simulation.world import World, bus_of, comparable
 
 CONFIG = JobConfig(seed=3, evolution=EvolutionConfig(islands=4), budget=BudgetConfig(max_epochs=14))

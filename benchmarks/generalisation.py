@@ -7,10 +7,8 @@ from typing import Any, Final
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from benchmarks.fractions import FloatArray
-from benchmarks.noisy_data import Path
-from common.errors import UsageError
-from common.expression.operators import (
+from atoll.errors import UsageError
+from atoll.expression.operators import (
     ABS,
     ADD,
     CONSTANT,
@@ -29,7 +27,9 @@ from common.expression.operators import (
     TANH,
     VARIABLE,
 )
-from common.expression.parse import from_infix
+from atoll.expression.text.parsing import from_infix
+from benchmarks.fractions import FloatArray
+from benchmarks.noisy_data import Path
 
 GOOD_R2: Final = 0.9
 """A variable is foretold when its R² exceeds this."""

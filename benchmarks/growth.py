@@ -8,17 +8,17 @@ from typing import Final, Literal
 
 import numpy as np
 
+from atoll.config import JobConfig
+from atoll.data.dataset import FloatArray
+from atoll.expression.program import Program
+from atoll.expression.text.infix import to_infix
+from atoll.expression.text.parsing import from_infix
+from atoll.search.seeding import Stream, stream_key
+from atoll_island_worker.evolution.island import Island
 from benchmarks.archipelago import configured, problem_of
 from benchmarks.evaluation import evaluate
 from benchmarks.population import Population, population
 from benchmarks.random_targets import random_targets
-from common.config import JobConfig
-from common.dataset import FloatArray
-from common.expression.parse import from_infix
-from common.expression.program import Program
-from common.expression.text import to_infix
-from common.seeding import Stream, stream_key
-from island_worker.evolution.island import Island
 
 Arm = Literal["predictors", "all rows"]
 ARMS: Final[tuple[Arm, Arm]] = ("predictors", "all rows")

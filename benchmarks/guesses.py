@@ -14,6 +14,11 @@ from typing import Final
 
 import numpy as np
 
+from atoll.config import PRESETS, JobConfig, PriorConfig
+from atoll.data.dataset import Dataset, Problem, Target
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.cli.terminal.output import count, note, say, table
+from atoll_coordinator.service.jobs.defaults import resolve
 from benchmarks.archipelago import Archipelago
 from benchmarks.evaluation import evaluate
 from benchmarks.options import positive
@@ -21,11 +26,6 @@ from benchmarks.reporting import plain_errors, seeds
 from benchmarks.runs import Figures, in_parallel
 from benchmarks.runs import add_options as add_run_options
 from benchmarks.systems import TRUTH, trajectories
-from common.config import PRESETS, JobConfig, PriorConfig
-from common.dataset import Dataset, Problem, Target
-from common.expression.parse import from_infix
-from coordinator.cli.output import count, note, say, table
-from coordinator.service.resolve import resolve
 
 STRIDE: Final = 10
 KINDS: Final = ("none", "form", "part", "wrong")

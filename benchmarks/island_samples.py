@@ -5,17 +5,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from atoll.config import PRESETS
+from atoll.wire.codec import dataset_to_bytes, decode, encode
+from atoll.wire.messages.workers import EpochReport, IslandReport, Reports
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.service.jobs.defaults import resolve
+from atoll_coordinator.service.jobs.job import course_of
+from atoll_island_worker.compute.engine import Engine
+from atoll_island_worker.session.events import Computed
+from atoll_island_worker.session.tasks import Task, TaskKey
 from benchmarks.derivatives import table_of
 from benchmarks.systems import trajectories
-from common.config import PRESETS
-from common.wire.codec import dataset_to_bytes, decode, encode
-from common.wire.messages import EpochReport, IslandReport, Reports
-from coordinator.data.prepare import prepare
-from coordinator.service.job import course_of
-from coordinator.service.resolve import resolve
-from island_worker.engine import Engine
-from island_worker.events import Computed
-from island_worker.tasks import Task, TaskKey
 
 SYSTEM: Final = "predator_prey"
 ISLANDS: Final = 8

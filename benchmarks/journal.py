@@ -11,11 +11,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from atoll.errors import DataError, UsageError
 from benchmarks.coverage import Covered
 from benchmarks.noise_judging import EquationOutcome, Outcome
 from benchmarks.noisy_data import Key
 from benchmarks.reporting import load, machine
-from common.errors import DataError, UsageError
 
 KEPT = ("equations", "noise", "simulation", "warnings", "seconds", "search_seconds", "digest", "reason", "symbols")
 """Parts of a result that are kept."""

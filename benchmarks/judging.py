@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+from atoll.data.dataset import Dataset, FloatArray
+from atoll_coordinator.cli.terminal.output import error_text
 from benchmarks.forms import FormVerdict, compare
-from common.dataset import Dataset, FloatArray
-from coordinator.cli.output import error_text
 
 TOLERANCE: Final = 0.01
 """Largest relative error of a constant."""

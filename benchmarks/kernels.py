@@ -3,7 +3,7 @@
 ``python -m benchmarks.kernels`` measures, on one thread,
 
 * the corpus (``benchmarks.corpus``): 1,000 offspring of ``paper`` searches on 16 rows, from operation list to fitness,
-  in batches (``island_worker.evolution.kernels_batch``);
+  in batches (``atoll_island_worker.evolution.kernels.batch``);
 * the same lists one by one, on more rows, and with the gradient by every constant;
 * every operator by itself, forward and with gradient.
 
@@ -22,15 +22,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
+from atoll.errors import UsageError
+from atoll.expression.kernels.tape import LANES
+from atoll.expression.operators import BY_NAME
+from atoll_coordinator.cli.terminal.output import note, say, table
 from benchmarks.corpus import CORPUS, load_corpus, make_corpus, save_corpus
 from benchmarks.figures import write_figures
 from benchmarks.options import whole
 from benchmarks.reporting import load, plain_errors
 from benchmarks.speeds import OperatorSpeed, Peak, Speed, operator_speed, parts_of, peak, speed, wrong
-from common.errors import UsageError
-from common.expression.kernels import LANES
-from common.expression.operators import BY_NAME
-from coordinator.cli.output import note, say, table
 
 ROWS: Final = (64, 128, 1024)
 OPERATOR_ROWS: Final = (16, 128)

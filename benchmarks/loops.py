@@ -10,15 +10,15 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from atoll.compilation.jit import inlined, kernel
+from atoll.expression.kernels.lanes import fill, place
+from atoll.expression.kernels.tape import LANES, forward, reverse_block
+from atoll.expression.operators import ARITY, CONSTANT, VARIABLE
+from atoll_island_worker.evolution.kernels.batch import Batch, empty_batch, measure_lists
+from atoll_island_worker.evolution.kernels.fit import errors, residual_of
+from atoll_island_worker.evolution.kernels.tape import compile_tape
+from atoll_island_worker.evolution.structures import Floats, Lists, Rows, Tape, Work, empty_tape, empty_work
 from benchmarks.evaluation import OPERATIONS, FloatArray
-from common.expression.kernels import LANES, forward, reverse_block
-from common.expression.kernels_lanes import fill, place
-from common.expression.operators import ARITY, CONSTANT, VARIABLE
-from common.jit import inlined, kernel
-from island_worker.evolution.kernels_batch import Batch, empty_batch, measure_lists
-from island_worker.evolution.kernels_fit import errors, residual_of
-from island_worker.evolution.kernels_tape import compile_tape
-from island_worker.evolution.structures import Floats, Lists, Rows, Tape, Work, empty_tape, empty_work
 
 REGISTER_STEPS: Final = 4
 """Multiplications, and additions, that `in_registers_into` does with each number."""

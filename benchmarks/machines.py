@@ -16,11 +16,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
+from atoll.errors import AtollError, UsageError
+from atoll_coordinator.cli.local.cluster import worker_command
+from atoll_coordinator.cli.signals import raising_interrupts
+from atoll_coordinator.client import Client, connected
 from benchmarks.services import CONNECT_LIMIT_S, Searches
-from common.errors import AtollError, UsageError
-from coordinator.cli.local import worker_command
-from coordinator.cli.signals import raising_interrupts
-from coordinator.client import Client, connected
 
 COORDINATOR: Final = "coordinator"
 ROUTER: Final = "router"
@@ -29,8 +29,8 @@ STOPPED_S: Final = 10.0
 
 _TIED: Final = """
 import sys
-from coordinator.cli.main import main
-from island_worker.processes import end_with_parent
+from atoll_coordinator.cli.main import main
+from atoll_island_worker.processes.signals import end_with_parent
 end_with_parent(int(sys.argv[1]))
 sys.exit(main(sys.argv[2:]))
 """

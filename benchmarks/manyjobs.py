@@ -15,16 +15,16 @@ from typing import Any, Final
 
 import numpy as np
 
+from atoll.config import PRESETS, JobConfig
+from atoll.data.table import Table
+from atoll.errors import AtollError, UnreachableError
+from atoll.wire.messages.views import FINAL_STATES
+from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll_coordinator.client import Client, connected
 from benchmarks.figures import write_figures
 from benchmarks.options import whole
 from benchmarks.reporting import load, plain_errors
 from benchmarks.services import CONNECT_LIMIT_S, Searches, searching
-from common.config import PRESETS, JobConfig
-from common.errors import AtollError, UnreachableError
-from common.table import Table
-from common.wire.views import FINAL_STATES
-from coordinator.cli.output import note, say, table
-from coordinator.client import Client, connected
 
 LIMIT_S: Final = 600.0
 ROWS: Final = 200

@@ -19,6 +19,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
+from atoll.errors import UsageError
+from atoll_coordinator.cli.terminal.output import note, say
 from benchmarks import noise_cases
 from benchmarks.figures import write_figures
 from benchmarks.journal import Journal
@@ -32,8 +34,6 @@ from benchmarks.pysindy_models import METHODS, require, solve
 from benchmarks.reporting import load, plain_errors, seeds
 from benchmarks.services import Searches, searching
 from benchmarks.systems import TABLE_III
-from common.errors import UsageError
-from coordinator.cli.output import note, say
 
 OURS: Final = "atoll"
 LEVELS: Final = (0.0, 0.01, 0.05, 0.1, 0.2)

@@ -10,6 +10,11 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
+from atoll.config import DataConfig
+from atoll.data.table import Table
+from atoll.errors import AtollError
+from atoll_coordinator.cli.terminal.output import clipped, note, say, shortened, table
+from atoll_coordinator.data.reading.files import read_table
 from benchmarks.derivatives import table_of
 from benchmarks.fractions import FloatArray
 from benchmarks.noise_search import configured, search
@@ -19,11 +24,6 @@ from benchmarks.noisy_data import Path as Course
 from benchmarks.services import Searches, searching
 from benchmarks.stopwatch import Stopwatch, largest_child_mb
 from benchmarks.systems import Sampled, trajectories, with_noise
-from common.config import DataConfig
-from common.errors import AtollError
-from common.table import Table
-from coordinator.cli.output import clipped, note, say, shortened, table
-from coordinator.data.readers import read_table
 
 Rows = list[dict[str, Any]]
 Section = Callable[[int, float | None, Sequence[int]], Rows]

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from atoll_coordinator.cli.terminal.output import table
 from benchmarks.noise_judging import Outcome
 from benchmarks.noise_tables import Summary, percent, summarized
-from coordinator.cli.output import table
 
 EQUATIONS: Final = 14
 FOUND: Final = {0.0: 14, 0.01: 13, 0.05: 11, 0.1: 10, 0.2: 8}

@@ -12,14 +12,14 @@ from typing import Any, Final
 
 import numpy as np
 
+from atoll.errors import UsageError
+from atoll.expression.text.parsing import from_infix
 from benchmarks.coverage import Covered, covered
 from benchmarks.evaluation import evaluate
 from benchmarks.forms import FormVerdict, compare
 from benchmarks.generalisation import foretold, is_foretold
 from benchmarks.judging import SMALL_ERROR
 from benchmarks.noisy_data import Case, Key
-from common.errors import UsageError
-from common.expression.parse import from_infix
 
 FREE: Final = 1.0
 """Largest relative error of a constant of an equation that is exact in form: it has the truth's sign."""

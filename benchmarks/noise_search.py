@@ -4,12 +4,12 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from atoll.config import PRESETS, JobConfig
+from atoll.errors import AtollError
 from benchmarks.noise_judging import Outcome, failed, outcome
 from benchmarks.noisy_data import Case, Key
 from benchmarks.services import Searches
 from benchmarks.stopwatch import Stopwatch
-from common.config import PRESETS, JobConfig
-from common.errors import AtollError
 
 
 def configured(seed: int, data: Mapping[str, Any], max_time: float | None) -> JobConfig:

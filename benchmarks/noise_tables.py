@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.cli.terminal.output import clipped, error_text, shortened, table
 from benchmarks.noise_judging import BY_FUNCTION, EquationOutcome, Outcome
-from coordinator.cli.output import clipped, error_text, shortened, table
 
 GRADES: Final = ("exact", "good", "doubtful", "no model", "-")
 

@@ -13,13 +13,13 @@ from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
+from atoll.data.table import Table
+from atoll.expression.text.parsing import from_infix
 from benchmarks.derivatives import table_of
 from benchmarks.evaluation import evaluate
 from benchmarks.fractions import FloatArray
 from benchmarks.odd_systems import ODD
 from benchmarks.systems import RUNS, SYSTEMS, Sampled, System, drawn, solutions, with_noise
-from common.expression.parse import from_infix
-from common.table import Table
 
 STEP: Final = 0.1
 POINTS: Final = 100

@@ -24,8 +24,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from atoll.errors import AtollError, UsageError
 from benchmarks.fractions import FloatArray
-from common.errors import AtollError, UsageError
 
 THREADS: Final = 2
 POPULATION: Final = 1000

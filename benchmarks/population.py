@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from atoll.data.dataset import FloatArray
+from atoll.expression.operators import ARITY, CONSTANT, VARIABLE
+from atoll.expression.program import Program
+from atoll.wire.codec import decode_arrays
+from atoll_island_worker.evolution.island import Island
 from benchmarks.evaluation import OPERATIONS
-from common.dataset import FloatArray
-from common.expression.operators import ARITY, CONSTANT, VARIABLE
-from common.expression.program import Program
-from common.wire.codec import decode_arrays
-from island_worker.evolution.island import Island
 
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]

@@ -23,10 +23,10 @@ from typing import Final
 
 import numpy as np
 
+from atoll.data.dataset import FloatArray
+from atoll.expression.text.parsing import from_infix
+from atoll.search.seeding import Stream, stream_key
 from benchmarks.evaluation import evaluate
-from common.dataset import FloatArray
-from common.expression.parse import from_infix
-from common.seeding import Stream, stream_key
 
 BUDGET: Final = 500_000
 """Point evaluations of a run whose published budget is not known."""

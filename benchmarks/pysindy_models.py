@@ -18,10 +18,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from atoll.errors import UsageError
 from benchmarks.fractions import FloatArray
 from benchmarks.generalisation import field_of, simulated
 from benchmarks.noisy_data import Case, Key, Path
-from common.errors import UsageError
 
 PLAIN_LIBRARIES: Final = ((1, 0, False), (2, 0, False), (3, 0, False), (4, 0, False))
 """Degree of the polynomials, multiples of sines and cosines, and whether those of two states are multiplied."""

@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 
+from atoll.data.dataset import FloatArray
+from atoll.expression.operators import BY_NAME, VARIABLE
+from atoll.expression.program import Program
+from atoll.expression.simplification import simplify_program
+from atoll.search.seeding import Stream, stream_key
 from benchmarks.evaluation import node_values
-from common.dataset import FloatArray
-from common.expression.algebra import simplify_program
-from common.expression.operators import BY_NAME, VARIABLE
-from common.expression.program import Program
-from common.seeding import Stream, stream_key
 
 MOST_OPERATORS: Final = 10
 """Operators of a target at most, before it is simplified."""

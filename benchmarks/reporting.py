@@ -13,10 +13,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from atoll.errors import AtollError
+from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll_coordinator.model.report.result import versions
 from benchmarks.judging import HEADS, MORE_HEADS, Verdict, cells, miss
-from common.errors import AtollError
-from coordinator.cli.output import note, say, table
-from coordinator.model.result import versions
 
 
 def seeds(text: str) -> list[int]:

@@ -11,6 +11,24 @@ from typing import Final
 
 import numpy as np
 
+from atoll.expression.operators import (
+    ADD,
+    CONSTANT,
+    COS,
+    DIVIDE,
+    EXP,
+    INVERSE,
+    MULTIPLY,
+    NEGATE,
+    POW,
+    SIN,
+    SQUARE,
+    SUBTRACT,
+    VARIABLE,
+)
+from atoll.expression.program import Program
+from atoll.expression.text.infix import FUNCTIONS
+from atoll.expression.text.parsing import from_infix
 from benchmarks.angles import LARGEST_MULTIPLE, NEGLIGIBLE, Key, SharedAtoms, Side
 from benchmarks.evaluation import OPERATIONS
 from benchmarks.fractions import (
@@ -29,24 +47,6 @@ from benchmarks.fractions import (
     power,
     scaled,
 )
-from common.expression.operators import (
-    ADD,
-    CONSTANT,
-    COS,
-    DIVIDE,
-    EXP,
-    INVERSE,
-    MULTIPLY,
-    NEGATE,
-    POW,
-    SIN,
-    SQUARE,
-    SUBTRACT,
-    VARIABLE,
-)
-from common.expression.parse import from_infix
-from common.expression.program import Program
-from common.expression.text import FUNCTIONS
 
 PHASE: Final = 1e-6
 """Radians: phases as near as this to a multiple of pi/2 are that multiple."""

@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
+from atoll.errors import AtollError, UsageError
+from atoll.machine.cores import usable_cores
+from atoll_coordinator.cli.terminal.output import note
+from atoll_island_worker.compute.warmup import warm_up
+from atoll_island_worker.processes.signals import end_with_parent
 from benchmarks.reporting import load, machine, seeds
-from common.cores import usable_cores
-from common.errors import AtollError, UsageError
-from coordinator.cli.output import note
-from island_worker.processes import end_with_parent
-from island_worker.warmup import warm_up
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

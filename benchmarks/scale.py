@@ -22,15 +22,15 @@ from typing import Any, Final
 
 import numpy as np
 
+from atoll.config import PRESETS, JobConfig
+from atoll.data.table import Table
+from atoll.errors import AtollError, UnreachableError
+from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll_coordinator.client import Client, connected
 from benchmarks.figures import write_figures
 from benchmarks.island_samples import Samples, sampled
 from benchmarks.reporting import load
 from benchmarks.services import CONNECT_LIMIT_S, Coordinating, coordinating
-from common.config import PRESETS, JobConfig
-from common.errors import AtollError, UnreachableError
-from common.table import Table
-from coordinator.cli.output import note, say, table
-from coordinator.client import Client, connected
 
 ISLANDS_EACH: Final = 8
 """Islands of an archipelago, and of a worker."""

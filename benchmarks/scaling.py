@@ -24,6 +24,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from atoll.config import PRESETS, JobConfig
+from atoll.data.table import Table
+from atoll.errors import AtollError
+from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll_coordinator.client import connected
 from benchmarks.derivatives import table_of
 from benchmarks.figures import write_figures
 from benchmarks.options import positive, whole
@@ -32,11 +37,6 @@ from benchmarks.scale import measure_scale
 from benchmarks.services import Searches, searching
 from benchmarks.systems import TABLE_III, trajectories
 from benchmarks.watching import Idleness, Load, counting, load_of
-from common.config import PRESETS, JobConfig
-from common.errors import AtollError
-from common.table import Table
-from coordinator.cli.output import note, say, table
-from coordinator.client import connected
 
 GOAL_WAITING: Final = 0.05
 GOAL_EFFICIENCY: Final = 0.90

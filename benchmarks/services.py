@@ -15,16 +15,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO, Any, Final
 
+from atoll.config import PRESETS, JobConfig
+from atoll.data.table import Table
+from atoll.errors import AtollError, UnreachableError
+from atoll.wire.messages.views import FINAL_STATES, JobView
+from atoll_coordinator.cli.local.cluster import worker_command
+from atoll_coordinator.cli.signals import raising_interrupts
+from atoll_coordinator.cli.terminal.output import count, duration, error_text, note
+from atoll_coordinator.client import Client, connected
 from benchmarks.derivatives import table_of
 from benchmarks.systems import trajectories
-from common.config import PRESETS, JobConfig
-from common.errors import AtollError, UnreachableError
-from common.table import Table
-from common.wire.views import FINAL_STATES, JobView
-from coordinator.cli.local import worker_command
-from coordinator.cli.output import count, duration, error_text, note
-from coordinator.cli.signals import raising_interrupts
-from coordinator.client import Client, connected
 
 CONNECT_LIMIT_S: Final = 20.0
 KERNELS_LIMIT_S: Final = 600.0
@@ -34,8 +34,8 @@ STOP_LIMIT_S: Final = 5.0
 _LOOK_S: Final = 0.1
 TIED_COORDINATOR: Final = """
 import sys
-from coordinator.cli.main import main
-from island_worker.processes import end_with_parent
+from atoll_coordinator.cli.main import main
+from atoll_island_worker.processes.signals import end_with_parent
 end_with_parent(int(sys.argv[1]))
 sys.exit(main(sys.argv[2:]))
 """

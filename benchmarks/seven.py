@@ -18,13 +18,13 @@ from typing import Final
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from atoll.config import PRESETS, JobConfig
+from atoll_coordinator.data.prepare import prepare
 from benchmarks.derivatives import table_of
 from benchmarks.judging import Question, judged
 from benchmarks.reporting import Report, add_common, plain_errors
 from benchmarks.services import Searches, searching
 from benchmarks.systems import SYSTEMS, TABLE_III, TRUTH, FloatArray, Sampled, trajectories
-from common.config import PRESETS, JobConfig
-from coordinator.data.prepare import prepare
 
 SINGULAR: Final = 1e-3
 SCALES: Final = (1e-6, 1e6)

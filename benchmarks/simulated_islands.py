@@ -22,16 +22,16 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from atoll.config import JobConfig
+from atoll.search.commit_order import Course, Position
+from atoll.wire.bus.interface import Bus
+from atoll.wire.bus.zenoh_bus import open_client
+from atoll.wire.messages.workers import Addition, IslandReport
+from atoll_island_worker.compute.compute import WarmedUp
+from atoll_island_worker.session.events import Computed, JobReady, Snapshot
+from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
+from atoll_island_worker.worker import Worker
 from benchmarks.island_samples import Samples
-from common.config import JobConfig
-from common.slices import Course, Position
-from common.wire.bus import Bus
-from common.wire.messages import Addition, IslandReport
-from common.wire.zenoh_bus import open_client
-from island_worker.compute import WarmedUp
-from island_worker.events import Computed, JobReady, Snapshot
-from island_worker.runtime import Worker
-from island_worker.tasks import ShareKey, Task, TaskKey
 
 CONNECT_LIMIT_S: Final = 30.0
 WAIT_S: Final = 60.0
@@ -133,7 +133,7 @@ class Pacer:
 
 
 class PacedCompute:
-    """A `island_worker.compute.Compute` whose islands take `period_s` an epoch."""
+    """A `atoll_island_worker.compute.compute.Compute` whose islands take `period_s` an epoch."""
 
     def __init__(self, samples: Samples, period_s: float, pacer: Pacer, books: Books) -> None:
         self.progress = 0

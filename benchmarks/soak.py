@@ -17,6 +17,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Final
 
+from atoll.config import PRESETS, JobConfig
+from atoll.errors import AtollError
+from atoll.search.seeding import Stream, stream_key
+from atoll.wire.messages.views import FINAL_STATES, JobView
+from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll_coordinator.client import Client, connected
 from benchmarks.derivatives import table_of
 from benchmarks.figures import write_figures
 from benchmarks.machines import COORDINATOR, Machines, running
@@ -24,12 +30,6 @@ from benchmarks.options import positive
 from benchmarks.reporting import load, plain_errors
 from benchmarks.systems import trajectories
 from benchmarks.trend import Trend, trend
-from common.config import PRESETS, JobConfig
-from common.errors import AtollError
-from common.seeding import Stream, stream_key
-from common.wire.views import FINAL_STATES, JobView
-from coordinator.cli.output import note, say, table
-from coordinator.client import Client, connected
 
 SAMPLE_S: Final = 5.0
 SAY_S: Final = 60.0

@@ -10,6 +10,9 @@ from typing import Final
 
 import numpy as np
 
+from atoll.expression.operators import ARITY, BY_NAME, COS, SIN, VARIABLE
+from atoll_island_worker.evolution.kernels.rows import padded_rows
+from atoll_island_worker.evolution.structures import Lists, Rows
 from benchmarks.corpus import Corpus
 from benchmarks.evaluation import FloatArray
 from benchmarks.loops import (
@@ -30,9 +33,6 @@ from benchmarks.loops import (
     room_for,
     values_by_numpy,
 )
-from common.expression.operators import ARITY, BY_NAME, COS, SIN, VARIABLE
-from island_worker.evolution.kernels_rows import padded_rows
-from island_worker.evolution.structures import Lists, Rows
 
 OPERATOR_NODES: Final = 30
 IN_CACHE: Final = 1024

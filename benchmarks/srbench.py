@@ -23,12 +23,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.cli.terminal.output import note, say, table
 from benchmarks.equivalents import EQUIVALENTS, OTHERS, OVERCREDITED, UNCREDITED, rows_of
 from benchmarks.evaluation import evaluate
 from benchmarks.forms import compare
 from benchmarks.fractions import FloatArray
-from common.expression.parse import from_infix
-from coordinator.cli.output import note, say, table
 
 STRICT: Final = 1e-3
 """Largest relative difference of a constant by the strict rule."""

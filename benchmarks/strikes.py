@@ -5,9 +5,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from atoll.search.seeding import Stream, stream_key
+from atoll.wire.messages.views import JobView
 from benchmarks.machines import COORDINATOR, ROUTER, Machines
-from common.seeding import Stream, stream_key
-from common.wire.views import JobView
 
 Kind = Literal[
     "kill-worker", "stop-worker", "kill-coordinator", "stop-coordinator", "kill-router", "stop-router", "cut-worker"

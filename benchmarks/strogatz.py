@@ -20,6 +20,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from atoll.config import PRESETS, JobConfig
+from atoll.wire.messages.views import JobView
+from atoll_coordinator.cli.terminal.output import error_text, say, table
+from atoll_coordinator.data.prepare import prepare
 from benchmarks import strogatz_noise, strogatz_versus
 from benchmarks.judging import Question, Verdict, judged
 from benchmarks.operon import require
@@ -27,10 +31,6 @@ from benchmarks.records import Records
 from benchmarks.reporting import Report, add_common, plain_errors
 from benchmarks.services import Searches, searching
 from benchmarks.strogatz_files import LABEL, rows_of, truths
-from common.config import PRESETS, JobConfig
-from common.wire.views import JobView
-from coordinator.cli.output import error_text, say, table
-from coordinator.data.prepare import prepare
 
 SOLVED: Final = 1e-4
 NEVER: Final = 10**9

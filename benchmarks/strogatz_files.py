@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from atoll.config import DataConfig
+from atoll.data.table import Table
+from atoll.errors import DataError
+from atoll_coordinator.data.reading.files import read_table
 from benchmarks.fractions import FloatArray
-from common.config import DataConfig
-from common.errors import DataError
-from common.table import Table
-from coordinator.data.readers import read_table
 
 LABEL: Final = "label"
 

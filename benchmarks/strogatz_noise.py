@@ -9,13 +9,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from atoll.config import JobConfig
+from atoll_coordinator.cli.terminal.output import count, note, say, table
 from benchmarks.forms import compare
 from benchmarks.records import Records
 from benchmarks.services import Searches
 from benchmarks.srbench import STRICT, assess
 from benchmarks.strogatz_files import Split, rows_of, split
-from common.config import JobConfig
-from coordinator.cli.output import count, note, say, table
 
 PUBLISHED: Final = {
     0.0: ("85.7 (PySR, 8 h)", 85.7, "20.0", "11.4"),

@@ -7,6 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from atoll.config import JobConfig
+from atoll.data.table import Table
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.cli.terminal.output import error_text, note, say, table
 from benchmarks import operon
 from benchmarks.evaluation import evaluate
 from benchmarks.fractions import FloatArray
@@ -15,10 +19,6 @@ from benchmarks.records import Records
 from benchmarks.reporting import load
 from benchmarks.services import Searches
 from benchmarks.strogatz_files import LABEL, rows_of
-from common.config import JobConfig
-from common.expression.parse import from_infix
-from common.table import Table
-from coordinator.cli.output import error_text, note, say, table
 
 
 @dataclass(frozen=True)

@@ -21,17 +21,17 @@ from typing import Any, Final
 
 import numpy as np
 
+from atoll.config import PRESETS, Preset
+from atoll.data.dataset import FloatArray
+from atoll.expression.operators import SIN
+from atoll.expression.program import Program
+from atoll.expression.text.infix import to_infix
+from atoll_coordinator.cli.terminal.output import count, note, say, table
 from benchmarks.archipelago import Archipelago, configured, problem_of
 from benchmarks.evaluation import evaluate, node_values
 from benchmarks.published import FRESH, LARGEST_ERROR, ROWS, USUAL, Row
 from benchmarks.reporting import plain_errors
 from benchmarks.runs import Figures, add_options, canvas, in_parallel, positive, save
-from common.config import PRESETS, Preset
-from common.dataset import FloatArray
-from common.expression.operators import SIN
-from common.expression.program import Program
-from common.expression.text import to_infix
-from coordinator.cli.output import count, note, say, table
 
 TARGET_ERROR: Final = 1e-13
 """Normalized error at which an island stops by itself: below what a wrong equation can have on so few points."""

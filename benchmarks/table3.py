@@ -21,6 +21,11 @@ from typing import Final, Literal
 
 import numpy as np
 
+from atoll.config import PRESETS, JobConfig
+from atoll.data.table import Table
+from atoll.errors import UsageError
+from atoll_coordinator.cli.terminal.output import clipped, note, say, shortened, table
+from atoll_coordinator.data.prepare import prepare
 from benchmarks.derivatives import table_of
 from benchmarks.judging import Question, Verdict, judged, miss
 from benchmarks.options import positive
@@ -28,11 +33,6 @@ from benchmarks.reporting import Report, add_common, plain_errors
 from benchmarks.services import Searches, searching
 from benchmarks.strogatz import PUBLISHED
 from benchmarks.systems import SYSTEMS, TABLE_III, TRUTH, Sampled, trajectories
-from common.config import PRESETS, JobConfig
-from common.errors import UsageError
-from common.table import Table
-from coordinator.cli.output import clipped, note, say, shortened, table
-from coordinator.data.prepare import prepare
 
 STEP: Final = 0.1
 """Sampling step of the paper; with 10 time units, 100 points on a trajectory."""

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from common.wire import topics
-from common.wire.bus import Bus, Message
-from common.wire.views import JobView
-from common.wire.zenoh_bus import open_client
+from atoll.wire import topics
+from atoll.wire.bus.interface import Bus, Message
+from atoll.wire.bus.zenoh_bus import open_client
+from atoll.wire.messages.views import JobView
 
 PROCESSES: Final = Path("/proc")
 _CONNECT_LIMIT_S: Final = 20.0

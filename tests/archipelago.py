@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-from common.config import JobConfig
-from common.dataset import Dataset, Problem
-from common.pareto import FrontEntry, merge
-from island_worker.evolution.island import EpochOutcome, Island, senders
+from atoll.config import JobConfig
+from atoll.data.dataset import Dataset, Problem
+from atoll.search.pareto import FrontEntry, merge
+from atoll_island_worker.evolution.island import EpochOutcome, Island, senders
 
 
 @dataclass(frozen=True)

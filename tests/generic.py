@@ -8,11 +8,11 @@ import subprocess
 import sys
 from typing import Final
 
-from common.jit import cache_directory
+from atoll.compilation.jit import cache_directory
 
 _WARM_UP: Final = """
-from coordinator.data import warmup
-from island_worker.warmup import warm_up
+from atoll_coordinator.data import warmup
+from atoll_island_worker.compute.warmup import warm_up
 warm_up(str)
 warmup.warm_up()
 """

@@ -1,4 +1,4 @@
-"""The promises of `common.wire.bus`, one test each, kept by the bus over zenoh and by the simulated one alike."""
+"""The promises of `atoll.wire.bus.interface`, one test each, kept by the zenoh bus and the simulated one alike."""
 
 import threading
 import time
@@ -8,10 +8,10 @@ from typing import Protocol, TypeVar
 
 import pytest
 
-from common.errors import LocalProtocolError
-from common.wire.bus import MAX_PAYLOAD, Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
-from common.wire.simulated_bus import SimulatedNetwork
-from common.wire.zenoh_bus import ZenohBus, open_client, open_router
+from atoll.errors import LocalProtocolError
+from atoll.wire.bus.interface import MAX_PAYLOAD, Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
+from atoll.wire.bus.simulated_bus import SimulatedNetwork
+from atoll.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 
 E = TypeVar("E", bound=Event)
 LIMIT_S = 30.0

@@ -4,10 +4,10 @@ import json
 import sys
 from pathlib import Path
 
-from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig, PredictorConfig
-from coordinator.data.prepare import prepare
-from coordinator.data.readers import read_table
-from coordinator.service.resolve import resolve
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig, PredictorConfig
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.data.reading.files import read_table
+from atoll_coordinator.service.jobs.defaults import resolve
 from tests.archipelago import search_all
 
 CONFIG = JobConfig(

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.cli import local
-from coordinator.cli.main import main
+from atoll_coordinator.cli.local import cluster as local
+from atoll_coordinator.cli.main import main
 
 pytestmark = pytest.mark.timeout(200)
 

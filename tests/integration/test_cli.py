@@ -15,7 +15,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = str(ROOT / "examples" / "lotka_volterra.csv")
-PROGRAM = [sys.executable, "-m", "coordinator"]
+PROGRAM = [sys.executable, "-m", "atoll_coordinator"]
 LIMIT_S = 200
 
 
@@ -27,7 +27,7 @@ def coordinator(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 def started(*words: str, cwd: Path, program: str = "coordinator") -> Iterator[subprocess.Popen[str]]:
     """Start a program; its end is the test's business, but not beyond the test."""
     with subprocess.Popen(
-        [sys.executable, "-m", program, *words],
+        [sys.executable, "-m", f"atoll_{program}", *words],
         cwd=cwd,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

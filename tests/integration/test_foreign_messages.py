@@ -3,15 +3,15 @@
 import threading
 from collections.abc import Callable
 
-from common.config import BudgetConfig, EvolutionConfig, JobConfig
-from common.wire import topics
-from common.wire.zenoh_bus import open_client, open_router
-from coordinator.client import Client
-from coordinator.service.ports import Ports
-from coordinator.service.preparing import in_thread
-from coordinator.service.service import Service
-from coordinator.service.store import Store
-from island_worker.runtime import Worker
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
+from atoll.wire import topics
+from atoll.wire.bus.zenoh_bus import open_client, open_router
+from atoll_coordinator.client import Client
+from atoll_coordinator.service.background.preparing import in_thread
+from atoll_coordinator.service.ports import Ports
+from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.store.store import Store
+from atoll_island_worker.worker import Worker
 from tests.simulation.stub import StubCompute
 from tests.simulation.test_trouble import nonsense
 from tests.simulation.world import World, comparable, prepare

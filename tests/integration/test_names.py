@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import sympy
 
-from common.expression.parse import from_infix
+from atoll.expression.text.parsing import from_infix
 from tests.oracles.evaluate import evaluate
 
 NAMES = ("S", "I", "R", "N", "E", "beta", "θ", "lambda", "v [m/s]")
@@ -25,7 +25,7 @@ def test_names_that_mean_something_elsewhere_are_names_here(tmp_path: Path) -> N
     (tmp_path / "names.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     words = ["run", "names.csv", "--target", "label", "--workers", "1", "--max-epochs", "30", "--json"]
     done = subprocess.run(
-        [sys.executable, "-m", "coordinator", *words], cwd=tmp_path, capture_output=True, text=True, timeout=250
+        [sys.executable, "-m", "atoll_coordinator", *words], cwd=tmp_path, capture_output=True, text=True, timeout=250
     )
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)

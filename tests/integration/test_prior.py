@@ -16,7 +16,7 @@ LIMIT_S = 200
 
 def run(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    words = [sys.executable, "-m", "coordinator", "run", "data.csv", "--workers", "1", "--out", "out", *options]
+    words = [sys.executable, "-m", "atoll_coordinator", "run", "data.csv", "--workers", "1", "--out", "out", *options]
     return subprocess.run(
         words, cwd=folder, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False
     )

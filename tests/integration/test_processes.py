@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from common.config import DataConfig, JobConfig
-from common.errors import RefusedError
-from coordinator.client import connected
-from coordinator.data.readers import read_table
+from atoll.config import DataConfig, JobConfig
+from atoll.errors import RefusedError
+from atoll_coordinator.client import connected
+from atoll_coordinator.data.reading.files import read_table
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMIT_S = 200.0
@@ -52,7 +52,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def command(program: str, *words: str) -> list[str]:
-    return [sys.executable, "-m", program, *words]
+    return [sys.executable, "-m", f"atoll_{program}", *words]
 
 
 def environment() -> dict[str, str]:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from common.wire.addresses import bindable, parse_address
-from coordinator.client import connected
+from atoll.wire.addresses import bindable, parse_address
+from atoll_coordinator.client import connected
 from tests.integration.test_processes import SEARCH, _steps, done, started, until
 
 

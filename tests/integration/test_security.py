@@ -9,26 +9,27 @@ from pathlib import Path
 
 import pytest
 
-from common.config import BudgetConfig, EvolutionConfig, JobConfig
-from common.errors import RefusedError, UnreachableError
-from common.wire import topics, zenoh_bus
-from common.wire.access import Roster, read_roster
-from common.wire.addresses import Destination, destination
-from common.wire.bus import Message, Presence, Query, Reply
-from common.wire.client_messages import Ask, Jobs
-from common.wire.codec import encode
-from common.wire.credentials import Credentials, load
-from common.wire.greetings import Greeting, Hello
-from common.wire.messages import Close, Control, Shutdown
-from common.wire.zenoh_bus import ZenohBus, open_client, open_router
-from coordinator.cli.main import main
-from coordinator.cli.router import upstream_settings
-from coordinator.client import Client, connected
-from coordinator.service.ports import Ports
-from coordinator.service.preparing import in_thread
-from coordinator.service.service import Service
-from coordinator.service.store import Store
-from island_worker.runtime import Worker
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
+from atoll.errors import RefusedError, UnreachableError
+from atoll.wire import topics
+from atoll.wire.addresses import Destination, destination
+from atoll.wire.bus import zenoh_bus
+from atoll.wire.bus.interface import Message, Presence, Query, Reply
+from atoll.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
+from atoll.wire.codec import encode
+from atoll.wire.messages.clients import Ask, Jobs
+from atoll.wire.messages.handshake import Greeting, Hello
+from atoll.wire.messages.workers import Close, Control, Shutdown
+from atoll.wire.security.access_control import Roster, read_roster
+from atoll.wire.security.credentials import Credentials, load
+from atoll_coordinator.cli.main import main
+from atoll_coordinator.cli.verbs.router import upstream_settings
+from atoll_coordinator.client import Client, connected
+from atoll_coordinator.service.background.preparing import in_thread
+from atoll_coordinator.service.ports import Ports
+from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.store.store import Store
+from atoll_island_worker.worker import Worker
 from tests.certificates import Lab
 from tests.integration.test_foreign_messages import AtOnce, wait_until
 from tests.simulation.stub import StubCompute
@@ -42,7 +43,7 @@ CONFIG = JobConfig(seed=1, evolution=EvolutionConfig(islands=4), budget=BudgetCo
 def _soon() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(zenoh_bus, "_ATTEMPT_MS", 1_000)
-        patch.setattr("common.wire.credentials._PROBE_LIMIT_S", 1.0)
+        patch.setattr("atoll.wire.security.credentials._PROBE_LIMIT_S", 1.0)
         yield
 
 
@@ -272,7 +273,7 @@ def worker_error(lab: Lab, router: ZenohBus, name: str, wait_s: float = LIMIT_S)
 def test_a_router_that_does_not_know_a_name_is_named_as_the_probable_cause(
     lab: Lab, roster: Roster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("island_worker.attendance.GREET_TIMEOUT_S", 0.2)
+    monkeypatch.setattr("atoll_island_worker.connection.connection.GREET_TIMEOUT_S", 0.2)
     old = Roster({name: role for name, role in roster.roles.items() if name not in ("bob", "lab2")})
     stop = threading.Event()
     with Store.open(None) as store, open_router(serving(lab), roster=old) as router:

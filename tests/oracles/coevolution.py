@@ -5,10 +5,10 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from common.dataset import FloatArray
-from island_worker.evolution.formula import from_tape, to_program
-from island_worker.evolution.kernels_tape import compile_tape
-from island_worker.evolution.structures import Fit, Lists, Rows, empty_tape
+from atoll.data.dataset import FloatArray
+from atoll_island_worker.evolution.formula import from_tape, to_program
+from atoll_island_worker.evolution.kernels.tape import compile_tape
+from atoll_island_worker.evolution.structures import Fit, Lists, Rows, empty_tape
 from tests.oracles.tapes import node_values
 
 

@@ -16,7 +16,8 @@ import mpmath
 import numpy as np
 import numpy.typing as npt
 
-from common.expression.kernels_elementary import (
+from atoll.compilation.jit import kernel
+from atoll.expression.kernels.elementary import (
     strict_cos,
     strict_exp,
     strict_log,
@@ -24,7 +25,6 @@ from common.expression.kernels_elementary import (
     strict_sin,
     strict_tanh,
 )
-from common.jit import kernel
 
 Floats = npt.NDArray[np.float64]
 SMALLEST_SUBNORMAL = 5e-324

@@ -5,9 +5,9 @@ import math
 import numpy as np
 from scipy.optimize import least_squares as minimised
 
-from common.dataset import FloatArray
-from common.expression.operators import CONSTANT
-from common.expression.program import Program
+from atoll.data.dataset import FloatArray
+from atoll.expression.operators import CONSTANT
+from atoll.expression.program import Program
 from tests.oracles.tapes import node_values
 
 UNIT_ROUNDING = 2.3e-16

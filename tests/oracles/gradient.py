@@ -5,7 +5,7 @@ from typing import Any
 
 import mpmath
 
-from common.expression.operators import (
+from atoll.expression.operators import (
     ABS,
     ADD,
     CONSTANT,
@@ -24,7 +24,7 @@ from common.expression.operators import (
     TANH,
     VARIABLE,
 )
-from common.expression.program import Program
+from atoll.expression.program import Program
 
 DIGITS = 60
 STEP = mpmath.mpf(10) ** -25

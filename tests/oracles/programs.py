@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from common.expression.operators import CONSTANT
-from common.expression.program import Program
+from atoll.expression.operators import CONSTANT
+from atoll.expression.program import Program
 
 
 def program_of(nodes: Sequence[float | tuple[int, ...]]) -> Program:

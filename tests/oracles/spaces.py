@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from common.expression.operators import BY_NAME
-from island_worker.evolution.kernels_random import Stream
-from island_worker.evolution.kernels_variation import random_list
-from island_worker.evolution.structures import Coevolution, Lists, Space, empty_lists
+from atoll.expression.operators import BY_NAME
+from atoll_island_worker.evolution.kernels.random import Stream
+from atoll_island_worker.evolution.kernels.variation import random_list
+from atoll_island_worker.evolution.structures import Coevolution, Lists, Space, empty_lists
 
 DEFAULT = ("+", "-", "*", "/", "sin", "cos")
 

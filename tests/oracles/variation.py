@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from common.expression.operators import ARITY, CONSTANT, VARIABLE
-from common.seeding import Stream
-from island_worker.evolution.structures import Lists, Space
+from atoll.expression.operators import ARITY, CONSTANT, VARIABLE
+from atoll.search.seeding import Stream
+from atoll_island_worker.evolution.structures import Lists, Space
 
 Node = tuple[int, int, int, float]
 

@@ -3,8 +3,8 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from common.expression.operators import ARITY, CONSTANT, VARIABLE
-from common.expression.program import Program
+from atoll.expression.operators import ARITY, CONSTANT, VARIABLE
+from atoll.expression.program import Program
 
 NAMES = ("x", "y", "θ")
 

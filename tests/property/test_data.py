@@ -4,10 +4,10 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from common.config import Angle, DataConfig, JobConfig
-from common.errors import AtollError, DataError
-from coordinator.data.prepare import describe, prepare
-from coordinator.data.readers import read_table
+from atoll.config import Angle, DataConfig, JobConfig
+from atoll.errors import AtollError, DataError
+from atoll_coordinator.data.prepare import describe, prepare
+from atoll_coordinator.data.reading.files import read_table
 from tests.unit.coordinator.data.tables import table_of
 
 NAMES = ("t", "x", "y", "trajectory", "lambda")

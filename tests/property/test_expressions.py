@@ -7,12 +7,12 @@ import struct
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from common.errors import UsageError
-from common.expression.algebra import complexity, simplify_program
-from common.expression.operators import ARITY, CONSTANT, COS, EXP, LOG, POW, SIN, TANH
-from common.expression.parse import from_infix
-from common.expression.program import Program
-from common.expression.text import PRINTABLE_SIZE, to_infix, tree_size
+from atoll.errors import UsageError
+from atoll.expression.operators import ARITY, CONSTANT, COS, EXP, LOG, POW, SIN, TANH
+from atoll.expression.program import Program
+from atoll.expression.simplification import complexity, simplify_program
+from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
+from atoll.expression.text.parsing import from_infix
 from tests.oracles.evaluate import evaluate
 from tests.property.programs import NAMES, ROWS, programs
 

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from common.expression.operators import BY_NAME, CONSTANT
-from common.seeding import Stream
-from island_worker.evolution.formula import from_tape, to_program
-from island_worker.evolution.kernels_random import below, next_bits, normal, uniform
-from island_worker.evolution.kernels_tape import compile_tape, sign
-from island_worker.evolution.kernels_variation import cross, distance, mutate, random_constant
-from island_worker.evolution.structures import Space, empty_lists, empty_tape
+from atoll.expression.operators import BY_NAME, CONSTANT
+from atoll.search.seeding import Stream
+from atoll_island_worker.evolution.formula import from_tape, to_program
+from atoll_island_worker.evolution.kernels.random import below, next_bits, normal, uniform
+from atoll_island_worker.evolution.kernels.tape import compile_tape, sign
+from atoll_island_worker.evolution.kernels.variation import cross, distance, mutate, random_constant
+from atoll_island_worker.evolution.structures import Space, empty_lists, empty_tape
 from tests.oracles import variation as oracle
 from tests.oracles.spaces import random_lists, space_of, stream_of
 from tests.oracles.tapes import node_values

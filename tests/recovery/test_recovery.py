@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from common.config import BudgetConfig, DataConfig, EvolutionConfig, JobConfig, PredictorConfig, SpaceConfig
-from common.dataset import FloatArray, Problem, Target
-from coordinator.data.prepare import prepare
-from coordinator.data.readers import read_table
-from coordinator.service.resolve import resolve
+from atoll.config import BudgetConfig, DataConfig, EvolutionConfig, JobConfig, PredictorConfig, SpaceConfig
+from atoll.data.dataset import FloatArray, Problem, Target
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.data.reading.files import read_table
+from atoll_coordinator.service.jobs.defaults import resolve
 from tests.archipelago import Search, search
 
 Truth = Callable[[FloatArray, FloatArray], FloatArray]

@@ -7,8 +7,8 @@ import sqlite3
 from collections.abc import Callable
 from typing import Any, Final
 
-from coordinator.service.schema import _prepare
-from coordinator.service.store import Store
+from atoll_coordinator.service.store.schema import _prepare
+from atoll_coordinator.service.store.store import Store
 
 READS: Final = frozenset({
     "job", "jobs", "result", "placements", "cuts", "has_blob", "blob_size", "get_blob", "get_chunk", "missing_chunks",

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from island_worker.runtime import Leaving
+from atoll_island_worker.worker import Leaving
 from tests.simulation.schedule import Fault
 from tests.simulation.stub import StubCompute
 from tests.simulation.troupe import USUAL_BACKGROUND_S, Troupe

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
-from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from common.seeding import Stream, stream_key
-from common.wire.faults import Plan
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll.search.seeding import Stream, stream_key
+from atoll.wire.bus.faults import Plan
 
 Kind = Literal[
     "kill", "hang", "stuck", "slow", "cut", "join", "leave", "close",

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from coordinator.cli.output import note, say
+from atoll_coordinator.cli.terminal.output import note, say
 from tests.simulation.schedule import Schedule, schedule_of
 from tests.simulation.shrink import shrunk
 from tests.simulation.stage import Outcome, Stage

@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any, Final
 
-from common.config import JobConfig
-from common.errors import AtollError, RefusedError, UnreachableError
-from common.wire.faults import Plan
-from common.wire.views import FINAL_STATES, JobView
-from coordinator.client import Client
-from coordinator.service import archipelago, checkpoint
+from atoll.config import JobConfig
+from atoll.errors import AtollError, RefusedError, UnreachableError
+from atoll.wire.bus.faults import Plan
+from atoll.wire.messages.views import FINAL_STATES, JobView
+from atoll_coordinator.client import Client
+from atoll_coordinator.service.search import archipelago
+from atoll_coordinator.service.search import checkpoints as checkpoint
 from tests.simulation.hand import Hand
 from tests.simulation.schedule import JobPlan, Schedule
 from tests.simulation.troupe import STUBS, Cast, Troupe

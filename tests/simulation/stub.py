@@ -10,18 +10,18 @@ import struct
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
-from common.config import JobConfig
-from common.errors import RemoteProtocolError
-from common.expression.operators import CONSTANT, COS, SIN, TANH
-from common.seeding import Stream, stream_key
-from common.slices import Course, Position
-from common.wire.messages import Addition, HitStatement, IslandReport, Tally
-from common.wire.simulated_bus import SimulatedNetwork
-from coordinator.service.job import course_of
-from island_worker.agenda import Agenda, Work
-from island_worker.compute import WarmedUp, WarmUpNote
-from island_worker.events import Computed, JobReady
-from island_worker.tasks import ShareKey, Task, TaskKey
+from atoll.config import JobConfig
+from atoll.errors import RemoteProtocolError
+from atoll.expression.operators import CONSTANT, COS, SIN, TANH
+from atoll.search.commit_order import Course, Position
+from atoll.search.seeding import Stream, stream_key
+from atoll.wire.bus.simulated_bus import SimulatedNetwork
+from atoll.wire.messages.workers import Addition, HitStatement, IslandReport, Tally
+from atoll_coordinator.service.jobs.job import course_of
+from atoll_island_worker.compute.compute import WarmedUp, WarmUpNote
+from atoll_island_worker.compute.run_queue import Agenda, Work
+from atoll_island_worker.session.events import Computed, JobReady
+from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
 
 SLOTS = 4
 """Solutions per island."""

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from common.errors import StoreError
-from common.wire import topics
-from common.wire.codec import encode
-from common.wire.faults import Partition, Plan
-from common.wire.messages import WorkerStatus
-from coordinator.service.store import Store
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll.errors import StoreError
+from atoll.wire import topics
+from atoll.wire.bus.faults import Partition, Plan
+from atoll.wire.codec import encode
+from atoll.wire.messages.workers import WorkerStatus
+from atoll_coordinator.service.store.store import Store
 from tests.simulation.stub import StubIsland
 from tests.simulation.world import World, bus_of, comparable
 
@@ -122,7 +122,7 @@ def test_lost_and_late_answers_with_states_do_not_change_the_answer() -> None:
 
 
 def test_states_that_are_larger_than_a_message_come_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("common.wire.pieces.cut.__defaults__", (25,))  # a state has 40 bytes
+    monkeypatch.setattr("atoll.wire.state_transfer.cut.__defaults__", (25,))  # a state has 40 bytes
     world = world_of(workers=3, seed=2)
     world.at(1.6, lambda: world.crash("w1"))
     assert comparable(world.run(config(2))) == undisturbed(2)
@@ -229,7 +229,7 @@ def test_checkpoints_of_another_engine_fail_the_job(
 ) -> None:
     lasting.submit(config())
     lasting.client.pause(2.5)
-    monkeypatch.setattr("coordinator.service.conductor.ENGINE_REVISION", 99)
+    monkeypatch.setattr("atoll_coordinator.service.controller.ENGINE_REVISION", 99)
     restart(lasting, tmp_path)
     assert "engine revision" in (lasting.finish().reason or "")
 
@@ -278,8 +278,8 @@ def test_a_worker_that_leaves_hands_over_and_nothing_is_computed_twice() -> None
 
 
 def test_a_worker_whose_lifetime_is_over_leaves() -> None:
-    from island_worker.leaving import Leaving
-    from island_worker.runtime import Worker
+    from atoll_island_worker.connection.drain import Leaving
+    from atoll_island_worker.worker import Worker
 
     world = world_of(workers=1, seed=1)
     bus, stub = world.network.bus("brief"), world.compute(world.network, "brief", 1, slowness=5.0)

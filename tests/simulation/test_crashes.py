@@ -6,15 +6,15 @@ from itertools import count
 
 import pytest
 
-from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from common.wire import topics
-from common.wire.access import Roster
-from common.wire.bus import Query
-from common.wire.client_messages import Ask, Submit
-from common.wire.codec import encode
-from common.wire.simulated_bus import SimulatedNetwork
-from coordinator.service.job import Job, JobAction
-from coordinator.service.service import Service
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll.wire import topics
+from atoll.wire.bus.interface import Query
+from atoll.wire.bus.simulated_bus import SimulatedNetwork
+from atoll.wire.codec import encode
+from atoll.wire.messages.clients import Ask, Submit
+from atoll.wire.security.access_control import Roster
+from atoll_coordinator.service.jobs.job import Job, JobAction
+from atoll_coordinator.service.service import Service
 from tests.simulation.disk import CoordinatorDied, Disk
 from tests.simulation.schedule import JobPlan
 from tests.simulation.stage import Stage, calm_schedule

@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from common.pareto import FrontEntry, merge
-from common.slices import Course, Position
-from common.wire.faults import Plan
-from common.wire.messages import IslandReport
-from coordinator.service.job import course_of
-from island_worker.tasks import Task, TaskKey
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll.search.commit_order import Course, Position
+from atoll.search.pareto import FrontEntry, merge
+from atoll.wire.bus.faults import Plan
+from atoll.wire.messages.workers import IslandReport
+from atoll_coordinator.service.jobs.job import course_of
+from atoll_island_worker.session.tasks import Task, TaskKey
 from tests.simulation.stub import Shuffle, StubIsland, StubWork, hits_of, parse_slots
 from tests.simulation.world import World
 

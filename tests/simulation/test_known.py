@@ -2,7 +2,7 @@
 
 import pytest
 
-from common.config import BudgetConfig, JobConfig, PriorConfig
+from atoll.config import BudgetConfig, JobConfig, PriorConfig
 from tests.simulation.world import World
 
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from coordinator.data.recording import Preparation
-from island_worker import session
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_island_worker.session import session
 from tests.simulation.world import World, prepare
 
 

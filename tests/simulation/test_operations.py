@@ -2,10 +2,10 @@
 
 from functools import cache, partial
 
-from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from common.wire.messages import Holding, WorkerStatus
-from common.wire.views import EventView
-from coordinator.service.membership import STANDING_S
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll.wire.messages.views import EventView
+from atoll.wire.messages.workers import Holding, WorkerStatus
+from atoll_coordinator.service.workers.membership import STANDING_S
 from tests.simulation.stub import hits_of
 from tests.simulation.world import World, comparable
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from common.wire import topics
-from common.wire.bus import Reply
-from common.wire.codec import decode, encode
-from common.wire.messages import Pull, PullAnswer, PullStates, States
-from coordinator.service.store import Store
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll.wire import topics
+from atoll.wire.bus.interface import Reply
+from atoll.wire.codec import decode, encode
+from atoll.wire.messages.workers import Pull, PullAnswer, PullStates, States
+from atoll_coordinator.service.store.store import Store
 from tests.simulation.world import World, bus_of
 
 POISON = ("job", "x", 12)

@@ -5,14 +5,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from common.dataset import Dataset, Target
-from common.wire.faults import Plan
-from coordinator.data.recording import Preparation
-from coordinator.model.refinement import Refinement
-from island_worker.agenda import Work
-from island_worker.engine import Engine
-from island_worker.tasks import ShareKey, Task
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll.data.dataset import Dataset, Target
+from atoll.wire.bus.faults import Plan
+from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.model.inference.refinement import Refinement
+from atoll_island_worker.compute.engine import Engine
+from atoll_island_worker.compute.run_queue import Work
+from atoll_island_worker.session.tasks import ShareKey, Task
 from tests.simulation.stub import StubCompute
 from tests.simulation.world import World, comparable
 
@@ -74,8 +74,8 @@ def answer(workers: int, seed: int, plan: Plan | None = None, crash_at_s: float 
 def test_real_islands_go_on_from_their_states_as_if_nothing_had_happened(monkeypatch: pytest.MonkeyPatch) -> None:
     """Checkpoints at every epoch: a worker dies after the first, and another leaves at the same time."""
     calm = answer(workers=1, seed=0)
-    monkeypatch.setattr("coordinator.service.archipelago.FIRST_INTERVAL", 1)
-    monkeypatch.setattr("coordinator.service.checkpoint.LEAST_INTERVAL", 1)
+    monkeypatch.setattr("atoll_coordinator.service.search.archipelago.FIRST_INTERVAL", 1)
+    monkeypatch.setattr("atoll_coordinator.service.search.checkpoints.LEAST_INTERVAL", 1)
     world = World(workers=3, seed=1, expected=3, compute=RealCompute, prepare=prepare, refiner=unrefined, slowness=20.0)
 
     def strike() -> None:

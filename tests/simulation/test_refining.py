@@ -1,10 +1,10 @@
 """Between the last cut and the result: what is made of the fronts, and what happens when that breaks."""
 
-from common.config import BudgetConfig, JobConfig
-from common.expression.parse import from_infix
-from coordinator.data.recording import Preparation
-from coordinator.model.refinement import Constant, Pools, Refined, Refinement
-from coordinator.service.progress import ended_view
+from atoll.config import BudgetConfig, JobConfig
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.model.inference.refinement import Constant, Pools, Refined, Refinement
+from atoll_coordinator.service.monitoring.views import ended_view
 from tests.simulation.world import World
 
 CONFIG = JobConfig(budget=BudgetConfig(max_epochs=2))

@@ -2,9 +2,9 @@
 
 import pytest
 
-from common.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from common.wire.faults import Plan
-from coordinator.service import keeping
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll.wire.bus.faults import Plan
+from atoll_coordinator.service.search import checkpoint_coordinator as keeping
 from tests.simulation.schedule import schedule_of
 from tests.simulation.soak import play
 from tests.simulation.world import World, comparable

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from common.config import BudgetConfig, EvolutionConfig, JobConfig
-from common.wire.faults import Partition, Plan
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
+from atoll.wire.bus.faults import Partition, Plan
 from tests.simulation.world import World, comparable
 
 ROOT = Path(__file__).resolve().parents[2]

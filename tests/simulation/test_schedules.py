@@ -9,8 +9,8 @@ from typing import get_args
 
 import pytest
 
-from common.wire.faults import Plan
-from coordinator.service.job_table import JobRecord
+from atoll.wire.bus.faults import Plan
+from atoll_coordinator.service.store.jobs import JobRecord
 from tests.simulation.disk import CoordinatorDied, Disk
 from tests.simulation.schedule import Fault, JobPlan, Kind, Schedule, job_config, schedule_of
 from tests.simulation.shrink import shrunk
@@ -80,13 +80,13 @@ def test_another_answer_is_found() -> None:
 
 
 def test_a_job_that_does_not_end_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("coordinator.service.conductor.Conductor.place", lambda self, now: None)
+    monkeypatch.setattr("atoll_coordinator.service.controller.Conductor.place", lambda self, now: None)
     outcome = play(disturbed())
     assert any("do not end" in each for each in outcome.wrong), told(outcome)
 
 
 def test_what_is_left_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("island_worker.runtime.Worker._forget_job", lambda self, job: None)
+    monkeypatch.setattr("atoll_island_worker.worker.Worker._forget_job", lambda self, job: None)
     outcome = play(disturbed())
     assert any("still holds datasets" in each for each in outcome.wrong), told(outcome)
 
@@ -101,7 +101,7 @@ def test_what_breaks_a_rule_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(self: object) -> None:
         raise AssertionError("planted")
 
-    monkeypatch.setattr("coordinator.service.job.Job.validate", broken)
+    monkeypatch.setattr("atoll_coordinator.service.jobs.job.Job.validate", broken)
     assert any("planted" in each for each in play(disturbed()).wrong)
 
 

@@ -4,17 +4,17 @@ from pathlib import Path
 
 import pytest
 
-from common import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from common.config import BudgetConfig, EvolutionConfig, JobConfig
-from common.errors import DataError, RefusedError
-from common.wire import topics
-from common.wire.bus import Reply
-from common.wire.client_messages import Submit
-from common.wire.codec import decode, encode
-from common.wire.faults import Plan
-from common.wire.greetings import Greeting, GreetingAnswer, Hello, Refusal
-from common.wire.limits import MAX_MESSAGE
-from common.wire.messages import (
+from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
+from atoll.errors import DataError, RefusedError
+from atoll.wire import topics
+from atoll.wire.bus.faults import Plan
+from atoll.wire.bus.interface import Reply
+from atoll.wire.codec import decode, encode
+from atoll.wire.messages.clients import Submit
+from atoll.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal
+from atoll.wire.messages.limits import MAX_MESSAGE
+from atoll.wire.messages.workers import (
     Block,
     Control,
     EpochReport,
@@ -25,7 +25,7 @@ from common.wire.messages import (
     Shutdown,
     WorkerStatus,
 )
-from coordinator.service.store import Store
+from atoll_coordinator.service.store.store import Store
 from tests.simulation.world import World, bus_of, comparable
 
 BLOB = "0" * 64
@@ -108,7 +108,7 @@ def test_a_second_worker_of_the_same_name_is_refused_and_told_which_option_to_us
     world.network.run(1.0)
     first = world.workers["w0"]
     bus = world.network.bus("impostor")
-    from island_worker.runtime import Worker
+    from atoll_island_worker.worker import Worker
     from tests.simulation.stub import StubCompute
 
     second = Worker(bus, StubCompute(world.network, "impostor", 0), "w0", wait_s=10.0)

@@ -10,15 +10,15 @@ from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import Any, Final
 
-from common.config import JobConfig
-from common.wire.bus import Event
-from common.wire.messages import EpochReport
-from common.wire.simulated_bus import SimulatedBus, SimulatedNetwork
-from coordinator.model.refinement import Refinement
-from coordinator.service.ports import Ports
-from coordinator.service.service import Service
-from island_worker.events import Computed
-from island_worker.runtime import Leaving, Worker
+from atoll.config import JobConfig
+from atoll.wire.bus.interface import Event
+from atoll.wire.bus.simulated_bus import SimulatedBus, SimulatedNetwork
+from atoll.wire.messages.workers import EpochReport
+from atoll_coordinator.model.inference.refinement import Refinement
+from atoll_coordinator.service.ports import Ports
+from atoll_coordinator.service.service import Service
+from atoll_island_worker.session.events import Computed
+from atoll_island_worker.worker import Leaving, Worker
 from tests.simulation.disk import CoordinatorDied, Disk, DiskStore
 from tests.simulation.schedule import Schedule, job_config
 from tests.simulation.stub import StubCompute

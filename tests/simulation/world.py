@@ -10,20 +10,20 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from common.config import JobConfig
-from common.dataset import Dataset, Target
-from common.errors import UnreachableError
-from common.wire.bus import Event
-from common.wire.faults import Plan
-from common.wire.simulated_bus import SimulatedBus, SimulatedNetwork
-from common.wire.views import FINAL_STATES, JobView
-from coordinator.client import Client
-from coordinator.data.recording import Preparation
-from coordinator.model.refine import refine_all
-from coordinator.service.ports import Ports, Preparer, Refiner
-from coordinator.service.service import Service
-from coordinator.service.store import Store
-from island_worker.runtime import Worker
+from atoll.config import JobConfig
+from atoll.data.dataset import Dataset, Target
+from atoll.errors import UnreachableError
+from atoll.wire.bus.faults import Plan
+from atoll.wire.bus.interface import Event
+from atoll.wire.bus.simulated_bus import SimulatedBus, SimulatedNetwork
+from atoll.wire.messages.views import FINAL_STATES, JobView
+from atoll_coordinator.client import Client
+from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.model.pipeline import refine_all
+from atoll_coordinator.service.ports import Ports, Preparer, Refiner
+from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.store.store import Store
+from atoll_island_worker.worker import Worker
 from tests.simulation.stub import StubCompute
 
 LIMIT_S = 600.0

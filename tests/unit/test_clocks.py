@@ -13,10 +13,10 @@ WALL_CLOCKS = {
 }
 
 FOR_PEOPLE = {
-    "common/logs.py": {"_time"},
-    "common/wire/credentials.py": {"_check_dates"},
-    "coordinator/cli/doctor_network.py": {"_greeted", "check_certificates"},
-    "coordinator/service/preparing.py": {"iso_now"},
+    "common/atoll/logs.py": {"_time"},
+    "common/atoll/wire/security/credentials.py": {"_check_dates"},
+    "coordinator/atoll_coordinator/cli/doctor/network.py": {"_greeted", "check_certificates"},
+    "coordinator/atoll_coordinator/service/background/preparing.py": {"iso_now"},
 }
 """Functions that ask for the time of day, by file: what they return is shown and stored, and decides about no job. The
 dates in certificates are those of the world."""

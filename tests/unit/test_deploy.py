@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 import yaml
 
-from common import jit
-from common.wire.addresses import Address, parse_address
-from coordinator.cli import arguments
-from island_worker import cli as worker_cli
+from atoll.compilation import jit
+from atoll.wire.addresses import Address, parse_address
+from atoll_coordinator.cli.options import parser as arguments
+from atoll_island_worker import cli as worker_cli
 from tests.unit.documents import PROGRAMS, ROOT
 
 INSTRUCTIONS = {"FROM", "WORKDIR", "COPY", "RUN", "ENV", "USER", "EXPOSE", "HEALTHCHECK", "ENTRYPOINT", "CMD"}
@@ -191,7 +191,7 @@ def test_python_in_the_image_names_what_exists(image: list[Instruction]) -> None
         node for pair in scripts for node in ast.walk(ast.parse("".join(pair))) if isinstance(node, ast.ImportFrom)
     ]
     names = [f"{node.module}:{alias.name}" for node in imports for alias in node.names]
-    assert "island_worker.warmup:warm_up" in names
+    assert "atoll_island_worker.compute.warmup:warm_up" in names
     for name in names:
         assert callable(pkgutil.resolve_name(name))
 

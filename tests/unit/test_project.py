@@ -1,30 +1,30 @@
-"""The project as a whole: what is packaged, what the documents promise, whose `common` is imported."""
+"""The project as a whole: what is packaged, what the documents promise, what is imported beside it."""
 
 import argparse
-import os
 import pkgutil
 import re
 import subprocess
 import sys
 import tomllib
 from collections.abc import Iterable
-from fnmatch import fnmatch
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-import common
-from common.config import PRESETS
-from coordinator.cli import arguments, exits
-from coordinator.cli.options import job_config
-from coordinator.service.resolve import STAGNATION_CLEAN, STAGNATION_NOISY
-from island_worker import cli as worker_cli
+import atoll
+from atoll.config import PRESETS
+from atoll_coordinator.cli import exit_codes as exits
+from atoll_coordinator.cli.options import parser as arguments
+from atoll_coordinator.cli.options.job_config import job_config
+from atoll_coordinator.service.jobs.defaults import STAGNATION_CLEAN, STAGNATION_NOISY
+from atoll_island_worker import cli as worker_cli
 from tests.unit import documents
 from tests.unit.documents import ROOT
 
-PACKAGES = {"common", "coordinator", "island_worker"}
+PACKAGES = {"common": "atoll", "coordinator": "atoll_coordinator", "island_worker": "atoll_island_worker"}
+"""The source roots, and the package that each holds."""
 DOCUMENTS = documents.texts()
 COMMANDS = [(name, words) for name, text in DOCUMENTS.items() for words in documents.commands(text)]
 
@@ -34,22 +34,14 @@ def project() -> dict[str, Any]:
     return tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 
 
-def folders_with_modules() -> set[str]:
-    """Return the dotted names of the folders of the checkout that hold Python modules."""
-    hidden_or_built = (".", "build", "dist")
-    tops = [top for top in ROOT.iterdir() if top.is_dir() and not top.name.startswith(hidden_or_built)]
-    files = [file.relative_to(ROOT) for top in tops for file in top.rglob("*.py")]
-    return {".".join(file.parent.parts) for file in files}
-
-
 def test_the_version_is_said_once(project: dict[str, Any]) -> None:
-    assert project["project"]["version"] == common.VERSION
-    assert f"## [{common.VERSION}]" in DOCUMENTS["CHANGELOG.md"]
+    assert project["project"]["version"] == atoll.VERSION
+    assert f"## [{atoll.VERSION}]" in DOCUMENTS["CHANGELOG.md"]
 
 
 @pytest.mark.parametrize("number", ["protocol", "engine"])
 def test_the_changelog_names_protocol_and_engine(number: str) -> None:
-    value = {"protocol": common.PROTOCOL_VERSION, "engine": common.ENGINE_REVISION}[number]
+    value = {"protocol": atoll.PROTOCOL_VERSION, "engine": atoll.ENGINE_REVISION}[number]
     assert f"{number} {value}" in DOCUMENTS["CHANGELOG.md"].lower()
 
 
@@ -60,12 +52,18 @@ def test_both_programs_are_installed_and_can_be_called(project: dict[str, Any]) 
         assert callable(EntryPoint(name, target, "console_scripts").load())
 
 
-def test_exactly_our_packages_are_installed(project: dict[str, Any]) -> None:
-    patterns = project["tool"]["setuptools"]["packages"]["find"]["include"]
-    shipped = {name for name in folders_with_modules() if any(fnmatch(name, pattern) for pattern in patterns)}
-    assert {name.split(".")[0] for name in shipped} == PACKAGES
-    missing = [name for name in shipped if not (ROOT / Path(*name.split(".")) / "__init__.py").exists()]
-    assert not missing, "without __init__.py a foreign package could take the place of ours"
+def test_every_source_root_holds_its_package_and_nothing_else(project: dict[str, Any]) -> None:
+    build = project["tool"]["hatch"]["build"]
+    assert build["dev-mode-dirs"] == list(PACKAGES)
+    assert build["targets"]["wheel"]["packages"] == [f"{root}/{package}" for root, package in PACKAGES.items()]
+    for root, package in PACKAGES.items():
+        assert [item.name for item in (ROOT / root).iterdir() if not item.name.startswith(("__pycache__", "."))] == [
+            package
+        ]
+        folders = {file.parent for file in (ROOT / root).rglob("*.py")}
+        missing = [folder for folder in folders if not (folder / "__init__.py").exists()]
+        assert not missing, "without __init__.py a folder is not shipped as a package"
+        assert (ROOT / root / package / "py.typed").exists()
 
 
 def test_files_that_the_distribution_names_are_there(project: dict[str, Any]) -> None:
@@ -75,21 +73,21 @@ def test_files_that_the_distribution_names_are_there(project: dict[str, Any]) ->
     assert project["project"]["license"] == "Apache-2.0"
 
 
-@pytest.mark.parametrize(("module", "attribute"), [("coordinator.cli.main", "main"), ("island_worker.cli", "main")])
-def test_a_foreign_common_is_named_in_one_sentence(module: str, attribute: str, tmp_path: Path) -> None:
-    """Another distribution has put its package `common` in front of ours."""
-    (tmp_path / "common").mkdir()
-    (tmp_path / "common" / "__init__.py").write_text("VERSION = '9'\n")
-    script = f"import sys; from {module} import {attribute}; sys.exit({attribute}(['--version']))"
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+def test_atoll_is_imported_beside_a_users_own_common_and_coordinator(tmp_path: Path) -> None:
+    """A user's modules of the names of our source roots neither shadow our packages nor are shadowed by them."""
+    (tmp_path / "common.py").write_text("MINE = 1\n")
+    (tmp_path / "coordinator").mkdir()
+    (tmp_path / "coordinator" / "__init__.py").write_text("MINE = 2\n")
+    (tmp_path / "island_worker").mkdir()
+    (tmp_path / "island_worker" / "__init__.py").write_text("MINE = 3\n")
+    script = (
+        "import atoll, atoll_coordinator.cli.main, atoll_island_worker.cli, common, coordinator, island_worker\n"
+        "print(common.MINE, coordinator.MINE, island_worker.MINE, atoll.VERSION)"
     )
-    assert done.returncode != 0
-    assert done.stdout == ""
-    (sentence,) = done.stderr.splitlines()
-    assert str(tmp_path / "common" / "__init__.py") in sentence
-    assert "not Atoll's package" in sentence
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.stdout == f"1 2 3 {atoll.VERSION}\n", done.stderr
 
 
 @pytest.mark.parametrize(("document", "words"), COMMANDS)
@@ -180,6 +178,6 @@ def all_options() -> set[str]:
 
 
 def errors() -> Iterable[type[Any]]:
-    from common.errors import AtollError
+    from atoll.errors import AtollError
 
     return [AtollError, *AtollError.__subclasses__()]

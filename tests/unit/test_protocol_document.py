@@ -7,8 +7,10 @@ from typing import get_args
 
 import pytest
 
-from common.config import Model
-from common.wire import client_messages, greetings, messages
+from atoll.config import Model
+from atoll.wire.messages import clients as client_messages
+from atoll.wire.messages import handshake as greetings
+from atoll.wire.messages import workers as messages
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "protocol.md").read_text("utf-8")

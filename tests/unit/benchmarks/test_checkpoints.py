@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from atoll.wire.messages.views import JobState, JobView, VariableView
 from benchmarks.checkpoints import Pair, Spent, committed, pairs_table
-from common.wire.views import JobState, JobView, VariableView
 
 LOG = """2026-11-21T20:54:25.545Z INFO commit job=one variable=x epoch=59 term=1 islands=4 bytes=184768 text="durable"
 2026-11-21T20:54:26.598Z INFO commit job=other variable=x epoch=64 term=1 islands=4 bytes=10 text="durable"

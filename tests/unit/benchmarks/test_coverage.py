@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from atoll.expression.text.infix import to_infix
+from atoll.expression.text.parsing import from_infix
 from benchmarks.coverage import covered
 from benchmarks.evaluation import evaluate
-from common.expression.parse import from_infix
-from common.expression.text import to_infix
 
 ROWS = np.random.default_rng(0).uniform(0.4, 4.0, (2, 60))
 COLUMNS = {"x": ROWS[0], "y": ROWS[1]}

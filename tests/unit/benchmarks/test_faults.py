@@ -2,9 +2,9 @@
 
 import pytest
 
+from atoll.wire.messages.views import JobState, JobView, VariableView
 from benchmarks.faults import main
 from benchmarks.strikes import LASTING_S, Blow, Standing, Strikes, kinds_of, rows
-from common.wire.views import JobState, JobView, VariableView
 
 
 def view(state: JobState = "running", **epochs: int) -> JobView:

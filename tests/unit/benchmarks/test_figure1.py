@@ -5,6 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from atoll.expression.operators import ADD, CONSTANT, DIVIDE, SIN, VARIABLE
+from atoll.expression.simplification import complexity
+from atoll.expression.text.parsing import from_infix
+from atoll_island_worker.evolution.island import Island
 from benchmarks import figure1
 from benchmarks.archipelago import configured, problem_of
 from benchmarks.evaluation import evaluate
@@ -25,10 +29,6 @@ from benchmarks.growth import (
 )
 from benchmarks.population import Population, population
 from benchmarks.random_targets import LEAST_SIZE, random_targets
-from common.expression.algebra import complexity
-from common.expression.operators import ADD, CONSTANT, DIVIDE, SIN, VARIABLE
-from common.expression.parse import from_infix
-from island_worker.evolution.island import Island
 
 X = np.linspace(-3.0, 3.0, 50)
 

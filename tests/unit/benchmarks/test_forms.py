@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from atoll.errors import UsageError
+from atoll.expression.text.parsing import from_infix
 from benchmarks.evaluation import evaluate
 from benchmarks.forms import FormVerdict, compare, main
-from common.errors import UsageError
-from common.expression.parse import from_infix
 
 RANGES = {
     "positive": ((0.3, 8.0), (0.3, 8.0)),

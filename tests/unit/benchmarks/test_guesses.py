@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from atoll.expression.text.parsing import from_infix
 from benchmarks.guesses import EQUATIONS, KINDS, Found, Task, config_of, problem_of, rows, search
-from common.expression.parse import from_infix
 
 LIMIT = 3e5
 

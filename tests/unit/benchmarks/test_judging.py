@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from atoll.data.dataset import Dataset, Target
 from benchmarks.judging import HEADS, MORE_HEADS, Question, cells, judged, miss
-from common.dataset import Dataset, Target
 
 TRUTH = "3*x - x*y"
 

@@ -6,6 +6,10 @@ import json
 import numpy as np
 import pytest
 
+from atoll.errors import DataError, UsageError
+from atoll.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, SIN, VARIABLE
+from atoll_island_worker.evolution.kernels.rows import padded_rows
+from atoll_island_worker.evolution.structures import empty_lists, empty_tape
 from benchmarks import kernels, speeds
 from benchmarks.corpus import CORPUS, EPOCHS, SIZE, load_corpus, make_corpus, save_corpus
 from benchmarks.figures import write_figures
@@ -21,10 +25,6 @@ from benchmarks.loops import (
 )
 from benchmarks.speeds import OperatorSpeed, Peak, Speed, computed_values, parts_of, wrong
 from benchmarks.strogatz import PUBLISHED
-from common.errors import DataError, UsageError
-from common.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, SIN, VARIABLE
-from island_worker.evolution.kernels_rows import padded_rows
-from island_worker.evolution.structures import empty_lists, empty_tape
 
 SPEED = Speed(16, 25.2e6, 180e6, 90e6, 20e6, 10e6, 70e6, 30.0)
 

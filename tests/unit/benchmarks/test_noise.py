@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 
+from atoll.errors import DataError, UsageError
 from benchmarks import noise
 from benchmarks.coverage import Covered
 from benchmarks.journal import Journal, outcome_from
@@ -14,7 +15,6 @@ from benchmarks.noise_goals import goals, shown
 from benchmarks.noise_judging import EquationOutcome, Outcome, failed, outcome
 from benchmarks.noise_tables import by_equation, by_grade, by_level, misses, summarized
 from benchmarks.noisy_data import Key, case
-from common.errors import DataError, UsageError
 
 KEY = Key("atoll", "plain", "lotka_volterra", 0.05, 100)
 RESPIRATION = Key("atoll", "plain", "bacterial_respiration", 0.05, 100)

@@ -5,13 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
+from atoll.expression.text.parsing import from_infix
 from benchmarks.derivatives import table_of
 from benchmarks.evaluation import evaluate
 from benchmarks.forms import compare
 from benchmarks.noisy_data import LENGTHS, VARIANTS, Key, case, fresh
 from benchmarks.odd_systems import ODD
 from benchmarks.systems import SYSTEMS, TABLE_III, TRUTH, trajectories
-from common.expression.parse import from_infix
 
 KEY = Key("atoll", "plain", "bar_magnets", 0.1, 100)
 

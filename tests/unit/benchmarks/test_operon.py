@@ -5,9 +5,9 @@ import subprocess
 import numpy as np
 import pytest
 
+from atoll.errors import AtollError, UsageError
 from benchmarks import operon
 from benchmarks.operon import require, scaled_error, search_apart
-from common.errors import AtollError, UsageError
 
 
 @pytest.fixture

@@ -4,11 +4,11 @@ import dataclasses
 
 import pytest
 
+from atoll.errors import UsageError
 from benchmarks import pysindy_models
 from benchmarks.noise_judging import outcome
 from benchmarks.noisy_data import Key, case
 from benchmarks.pysindy_models import WAVES, WEAK, as_infix, solve
-from common.errors import UsageError
 
 KEY = Key(WEAK, "plain", "bar_magnets", 0.0, 100)
 

@@ -6,8 +6,8 @@ import json
 
 import pytest
 
+from atoll.errors import DataError
 from benchmarks.reporting import Report, plain_errors, seeds
-from common.errors import DataError
 from tests.unit.benchmarks.verdicts import VERDICT
 
 MISS = dataclasses.replace(VERDICT, found=False, exact=False, reason="a term is missing: v", seconds=2.0, seed=1)

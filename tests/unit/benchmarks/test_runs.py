@@ -6,9 +6,9 @@ import sys
 
 import pytest
 
+from atoll.errors import AtollError, UsageError
 from benchmarks import runs
 from benchmarks.runs import Figures, canvas, in_parallel, positive
-from common.errors import AtollError, UsageError
 
 
 @pytest.fixture(autouse=True)

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pytest
 
+from atoll.config import PRESETS
+from atoll.data.table import Table
+from atoll.errors import AtollError
+from atoll.search.commit_order import Course
+from atoll.wire.messages.workers import Addition, EpochReport, IslandReport, Tally
+from atoll_island_worker.session.events import Computed, JobReady, Snapshot
+from atoll_island_worker.session.tasks import Task, TaskKey
 from benchmarks import bigdata, manyjobs, scale, scaling
 from benchmarks.island_samples import Samples
 from benchmarks.scale import Account, Load, growth, load_of, loads_table, shape
 from benchmarks.simulated_islands import Books, PacedCompute, Pacer, pretended
-from common.config import PRESETS
-from common.errors import AtollError
-from common.slices import Course
-from common.table import Table
-from common.wire.messages import Addition, EpochReport, IslandReport, Tally
-from island_worker.events import Computed, JobReady, Snapshot
-from island_worker.tasks import Task, TaskKey
 
 LOAD = Load(64, 8, 8, 10.0, 1.0, 60.0, 400.0, 2e6, 1e5, 0.05, 0.03, 200 * 2**20, 5.0, 50.0, 1.0)
 

@@ -4,12 +4,12 @@ import json
 
 import pytest
 
+from atoll.wire import topics
+from atoll.wire.bus.interface import Message
+from atoll.wire.bus.zenoh_bus import open_router
+from atoll.wire.messages.views import JobView, VariableView
 from benchmarks.scaling import Findings, Round, Timing, _parser, differing, main, speed_ups, timings_table, waiting
 from benchmarks.watching import Idleness, Load, Traffic, busy, counting, idle_share, kind_of, load_of
-from common.wire import topics
-from common.wire.bus import Message
-from common.wire.views import JobView, VariableView
-from common.wire.zenoh_bus import open_router
 
 TIMINGS = [
     Timing(1, 0, 10.0, 10**8, "a", 0.0),

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from atoll.config import PRESETS
+from atoll.expression.text.parsing import from_infix
 from benchmarks.evaluation import evaluate
 from benchmarks.seven import SCALED_TRUTH, case, configured, pendulum, scaled, singular
 from benchmarks.systems import Sampled, trajectories
-from common.config import PRESETS
-from common.expression.parse import from_infix
 
 
 def test_a_well_sampled_run_is_not_flagged():

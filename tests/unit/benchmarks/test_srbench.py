@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from atoll.errors import UsageError
 from benchmarks import srbench
 from benchmarks.equivalents import EQUIVALENTS, OTHERS, OVERCREDITED, UNCREDITED, rows_of
 from benchmarks.srbench import Comparer, assess, expectations, main, srbench_solved, strict_solved
-from common.errors import UsageError
 
 
 @pytest.fixture(scope="module")

@@ -5,12 +5,12 @@ import sys
 
 import pytest
 
+from atoll.errors import AtollError
+from atoll.wire.messages.views import JobView
 from benchmarks.noise_search import search
 from benchmarks.noisy_data import Key, case
 from benchmarks.services import Searches
 from benchmarks.stopwatch import Stopwatch, largest_child_mb, resident_mb
-from common.errors import AtollError
-from common.wire.views import JobView
 
 KEY = Key("atoll", "plain", "glider", 0.05, 100)
 

@@ -5,8 +5,8 @@ import dataclasses
 
 import pytest
 
+from atoll.wire.messages.views import JobView, VariableView
 from benchmarks.strogatz import PUBLISHED, Passings, _parser, beside_the_paper, configured, is_solved, levels, main
-from common.wire.views import JobView, VariableView
 from tests.unit.benchmarks.verdicts import VERDICT
 
 

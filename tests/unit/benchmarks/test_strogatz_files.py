@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from atoll.errors import DataError
 from benchmarks import strogatz
 from benchmarks.equivalents import EQUIVALENTS
 from benchmarks.strogatz_files import NAMES, rows_of, split, truths
-from common.errors import DataError
 
 
 @pytest.fixture

@@ -7,12 +7,12 @@ from argparse import Namespace
 import numpy as np
 import pytest
 
+from atoll.config import PRESETS
 from benchmarks import strogatz_noise
 from benchmarks.records import Records
 from benchmarks.srbench import Assessment
 from benchmarks.strogatz_files import NAMES, rows_of, split
 from benchmarks.strogatz_noise import Outcome, by_file, by_level, outcome, rates, run
-from common.config import PRESETS
 
 CONFIG = PRESETS["default"].model_copy(update={"data": PRESETS["default"].data.model_copy(update={"target": "label"})})
 TRUTH = "2*y - x*y - y**2"

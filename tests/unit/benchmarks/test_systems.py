@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import sympy
 
+from atoll.config import DataConfig
+from atoll_coordinator.data.reading.files import read_table
 from benchmarks.systems import SYSTEMS, TABLE_III, TRUTH, main, trajectories
-from common.config import DataConfig
-from coordinator.data.readers import read_table
 
 
 @pytest.mark.parametrize("name", SYSTEMS)

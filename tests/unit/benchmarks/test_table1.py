@@ -6,11 +6,11 @@ import math
 import numpy as np
 import pytest
 
+from atoll.expression.text.parsing import from_infix
+from atoll_island_worker.evolution.island import Island
 from benchmarks import table1
 from benchmarks.published import ROWS, USUAL
 from benchmarks.table1 import Run, Task, cells, curve, difference, is_shifted, largest_error, main, run, summary
-from common.expression.parse import from_infix
-from island_worker.evolution.island import Island
 
 X = np.linspace(0.1, 6.2, 200)
 

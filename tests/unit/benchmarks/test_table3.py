@@ -5,6 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from atoll.errors import UsageError
+from atoll_coordinator.data.prepare import prepare
 from benchmarks.systems import TRUTH, trajectories
 from benchmarks.table3 import (
     EQUATIONS,
@@ -19,8 +21,6 @@ from benchmarks.table3 import (
     summed_up,
     with_slopes,
 )
-from common.errors import UsageError
-from coordinator.data.prepare import prepare
 from tests.unit.benchmarks.verdicts import VERDICT
 
 GLIDER_V = ("glider", "v")

@@ -2,9 +2,9 @@
 
 import pytest
 
+from atoll.search.seeding import Stream
 from benchmarks.soak import measured, short_job
 from benchmarks.trend import trend
-from common.seeding import Stream
 
 TIMES = [5.0 * step for step in range(200)]
 

@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 import pytest
 
-from common.config import JobConfig
-from common.errors import AtollError, DataError, RefusedError, UnreachableError
-from common.wire.bus import Event, Message, Reply
-from common.wire.client_messages import (
+from atoll.config import JobConfig
+from atoll.errors import AtollError, DataError, RefusedError, UnreachableError
+from atoll.wire.bus.interface import Event, Message, Reply
+from atoll.wire.codec import decode, encode
+from atoll.wire.messages.clients import (
     Answer,
     Ask,
     Cancel,
@@ -27,11 +28,10 @@ from common.wire.client_messages import (
     WorkerList,
     Workers,
 )
-from common.wire.codec import decode, encode
-from common.wire.greetings import GreetingAnswer, Refusal, Welcome
-from common.wire.limits import CHUNK_SIZE
-from common.wire.views import JobView
-from coordinator.client import ANSWER_LIMIT_S, Client
+from atoll.wire.messages.handshake import GreetingAnswer, Refusal, Welcome
+from atoll.wire.messages.limits import CHUNK_SIZE
+from atoll.wire.messages.views import JobView
+from atoll_coordinator.client import ANSWER_LIMIT_S, Client
 
 Body = Upload | Submit | Jobs | Status | Workers | GetResult | Cancel
 AnswerBody = Uploaded | JobList | JobStatus | WorkerList | Result | Failure

@@ -7,25 +7,30 @@ from typing import Any
 
 import pytest
 
-from common.config import JobConfig
-from common.wire.simulated_bus import SimulatedNetwork
-from coordinator.service.ports import Ports
-from coordinator.service.preparing import REAL
-from coordinator.service.service import Service
-from coordinator.service.store import Store
+from atoll.config import JobConfig
+from atoll.wire.bus.simulated_bus import SimulatedNetwork
+from atoll_coordinator.service.background.preparing import REAL
+from atoll_coordinator.service.ports import Ports
+from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.store.store import Store
 from tests.unit.documents import ROOT
 
 CALLED = {
-    "coordinator.data.kernels_loess": {"loess_into", "spread_into", "thin_into", "validate_into"},
-    "coordinator.data.kernels_stencils": {"best_stencil_into", "differences_into", "left_out_into", "moments"},
-    "coordinator.model.trajectory.kernels_integrate": {"shoot"},
-    "coordinator.model.trajectory.kernels_normal": {"normal_equations", "solve_step"},
+    "atoll_coordinator.data.differentiation.kernels.loess": {"loess_into", "spread_into", "thin_into", "validate_into"},
+    "atoll_coordinator.data.differentiation.kernels.stencils": {
+        "best_stencil_into",
+        "differences_into",
+        "left_out_into",
+        "moments",
+    },
+    "atoll_coordinator.model.shooting.kernels.integrate": {"shoot"},
+    "atoll_coordinator.model.shooting.kernels.normal_equations": {"normal_equations", "solve_step"},
 }
 """Kernels that are called from Python; the others are compiled with them."""
 
 READY = """
 import importlib, sys
-from coordinator.warmup import warm_up
+from atoll_coordinator.warmup import warm_up
 warm_up()
 for name in sys.argv[1:]:
     kernels = {name: its for name, its in vars(importlib.import_module(name)).items() if hasattr(its, "signatures")}
@@ -44,7 +49,7 @@ def python(code: str, *words: str) -> set[str]:
     return set(subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True).stdout.split())
 
 
-@pytest.mark.parametrize("package", ["coordinator.data", "coordinator.model.trajectory"])
+@pytest.mark.parametrize("package", ["atoll_coordinator.data", "atoll_coordinator.model.shooting"])
 def test_without_a_compiler_there_is_nothing_to_do(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
     module = __import__(f"{package}.warmup", fromlist=["warm_up"])
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
@@ -54,8 +59,8 @@ def test_without_a_compiler_there_is_nothing_to_do(package: str, monkeypatch: py
 
 def test_a_coordinator_starts_without_the_compiler() -> None:
     """What a start need not wait for: kernels, and what refining needs."""
-    said = python("import sys, coordinator.service.service; print(*sys.modules)")
-    assert {"numba", "scipy", "sympy", "coordinator.model.refine"}.isdisjoint(said)
+    said = python("import sys, atoll_coordinator.service.service; print(*sys.modules)")
+    assert {"numba", "scipy", "sympy", "atoll_coordinator.model.pipeline"}.isdisjoint(said)
 
 
 class Order:
@@ -95,6 +100,6 @@ def test_a_warm_up_that_fails_is_told_and_nothing_else(caplog: pytest.LogCapture
 
 def test_a_real_coordinator_warms_up_the_kernels_of_refining(monkeypatch: pytest.MonkeyPatch) -> None:
     called = []
-    monkeypatch.setattr("coordinator.model.trajectory.warmup.warm_up", lambda: called.append(1))
+    monkeypatch.setattr("atoll_coordinator.model.shooting.warmup.warm_up", lambda: called.append(1))
     REAL.warm_up()
     assert called == [1]

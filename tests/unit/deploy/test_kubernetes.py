@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 import yaml
 
-from common.wire.addresses import parse_address
-from coordinator.cli import arguments
-from island_worker import cli as worker_cli
+from atoll.wire.addresses import parse_address
+from atoll_coordinator.cli.options import parser as arguments
+from atoll_island_worker import cli as worker_cli
 from tests.unit.documents import ROOT
 
 BASE = ROOT / "deploy" / "kubernetes" / "base"

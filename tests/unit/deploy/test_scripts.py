@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.cli import arguments
-from island_worker import cli as worker_cli
+from atoll_coordinator.cli.options import parser as arguments
+from atoll_island_worker import cli as worker_cli
 from tests.unit.documents import ROOT
 
 DEPLOY = ROOT / "deploy"

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 import yaml
 
-from common.wire.addresses import bindable, parse_address
-from common.wire.zenoh_bus import open_client
-from coordinator.cli import arguments
-from island_worker import cli as worker_cli
+from atoll.wire.addresses import bindable, parse_address
+from atoll.wire.bus.zenoh_bus import open_client
+from atoll_coordinator.cli.options import parser as arguments
+from atoll_island_worker import cli as worker_cli
 from tests.unit.documents import ROOT
 
 UNITS = ROOT / "deploy" / "systemd"
@@ -92,7 +92,7 @@ def test_the_settings_for_zenohd_are_those_of_our_own_router() -> None:
     """They are read by zenoh itself, and a router with them passes messages on."""
     import zenoh
 
-    from common.wire import zenoh_bus
+    from atoll.wire.bus import zenoh_bus
 
     theirs = zenoh.Config.from_file(str(ROOT / "deploy" / "router" / "zenohd.json5"))
     ours = zenoh_bus._config("router", ["tcp/0.0.0.0:7447"], [], None)

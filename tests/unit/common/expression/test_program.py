@@ -4,9 +4,9 @@ import struct
 
 import pytest
 
-from common.errors import RemoteProtocolError
-from common.expression.operators import ADD, CONSTANT, NEGATE, OPERATORS, VARIABLE
-from common.expression.program import MAX_NODES, Program, check_program_bytes
+from atoll.errors import RemoteProtocolError
+from atoll.expression.operators import ADD, CONSTANT, NEGATE, OPERATORS, VARIABLE
+from atoll.expression.program import MAX_NODES, Program, check_program_bytes
 
 
 def packed(*nodes: tuple[int, int, int], constants: tuple[float, ...] = ()) -> bytes:

@@ -4,8 +4,8 @@ import socket
 
 import pytest
 
-from common.errors import UsageError
-from common.wire.addresses import Address, bindable, parse_address, why_unreachable
+from atoll.errors import UsageError
+from atoll.wire.addresses import Address, bindable, parse_address, why_unreachable
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field, TypeAdapter
 
-from common.config import Model
-from common.dataset import Dataset, Target
-from common.errors import LocalProtocolError, RemoteProtocolError
-from common.wire import codec
+from atoll.config import Model
+from atoll.data.dataset import Dataset, Target
+from atoll.errors import LocalProtocolError, RemoteProtocolError
+from atoll.wire import codec
 
 
 class Ping(Model):

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from common.errors import UnreachableError, UsageError
-from common.wire.connect_file import address_in, announced
+from atoll.errors import UnreachableError, UsageError
+from atoll.wire.connect_file import address_in, announced
 
 
 @pytest.fixture

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.errors import LocalProtocolError, RemoteProtocolError
-from common.wire import topics
-from common.wire.keys import matches
+from atoll.errors import LocalProtocolError, RemoteProtocolError
+from atoll.wire import topics
+from atoll.wire.bus.keys import matches
 
 IDS = st.from_regex(topics.ID, fullmatch=True)
 DIGESTS = st.from_regex(topics.DIGEST, fullmatch=True)

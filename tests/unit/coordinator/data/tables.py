@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from common.table import Table
+from atoll.data.table import Table
 
 
 def table_of(columns, starts=(0,), skipped=()):

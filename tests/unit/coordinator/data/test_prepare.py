@@ -7,11 +7,11 @@ import pytest
 import sympy
 from sympy.parsing.sympy_parser import parse_expr
 
+from atoll.config import Angle, DataConfig, JobConfig
+from atoll.errors import DataError
+from atoll_coordinator.data.prepare import prepare
 from benchmarks.derivatives import table_of as table_of_samples
 from benchmarks.systems import SYSTEMS, TRUTH, trajectories
-from common.config import Angle, DataConfig, JobConfig
-from common.errors import DataError
-from coordinator.data.prepare import prepare
 from tests.unit.coordinator.data.tables import oscillator, table_of
 
 

@@ -4,14 +4,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from common.config import JobConfig
-from common.dataset import Dataset, FloatArray, Problem, Target
-from common.expression.algebra import complexity, simplify_program
-from common.expression.parse import from_infix
-from common.expression.program import Program
-from common.expression.text import to_infix
-from common.pareto import FrontEntry
-from coordinator.model.derivative import values_of
+from atoll.config import JobConfig
+from atoll.data.dataset import Dataset, FloatArray, Problem, Target
+from atoll.expression.program import Program
+from atoll.expression.simplification import complexity, simplify_program
+from atoll.expression.text.infix import to_infix
+from atoll.expression.text.parsing import from_infix
+from atoll.search.pareto import FrontEntry
+from atoll_coordinator.model.regression.gradient import values_of
 
 NAMES = ("x", "y")
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from common.expression.operators import ADD, ARITY, MULTIPLY, SIN, SUBTRACT, VARIABLE
-from common.expression.parse import from_infix
-from common.expression.text import to_infix
-from island_worker.evolution.formula import (
+from atoll.expression.operators import ADD, ARITY, MULTIPLY, SIN, SUBTRACT, VARIABLE
+from atoll.expression.text.infix import to_infix
+from atoll.expression.text.parsing import from_infix
+from atoll_island_worker.evolution.formula import (
     combined,
     from_program,
     from_tape,
@@ -16,7 +16,7 @@ from island_worker.evolution.formula import (
     reductions,
     to_program,
 )
-from island_worker.evolution.structures import empty_tape
+from atoll_island_worker.evolution.structures import empty_tape
 from tests.oracles.programs import program_of
 from tests.oracles.tapes import node_values
 from tests.property.programs import NAMES, programs

@@ -7,17 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from common.config import BudgetConfig, EvolutionConfig, JobConfig, PredictorConfig, SpaceConfig
-from common.dataset import Problem, Target
-from common.expression.parse import from_infix
-from common.expression.program import Program
-from common.expression.text import to_infix
-from common.pareto import FrontEntry
-from island_worker.evolution.front import Front, Offering
-from island_worker.evolution.kernels_generation import PARTS, REFITTING
-from island_worker.evolution.runners import RunnersUp
-from island_worker.evolution.setting import Setting
-from island_worker.evolution.structures import empty_lists
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, PredictorConfig, SpaceConfig
+from atoll.data.dataset import Problem, Target
+from atoll.expression.program import Program
+from atoll.expression.text.infix import to_infix
+from atoll.expression.text.parsing import from_infix
+from atoll.search.pareto import FrontEntry
+from atoll_island_worker.evolution.front import Front, Offering
+from atoll_island_worker.evolution.kernels.generation import PARTS, REFITTING
+from atoll_island_worker.evolution.runners_up import RunnersUp
+from atoll_island_worker.evolution.setting import Setting
+from atoll_island_worker.evolution.structures import empty_lists
 from tests.oracles import fitting
 from tests.oracles.tapes import list_of, node_values
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from common.config import (
+from atoll.config import (
     BudgetConfig,
     EvolutionConfig,
     JobConfig,
@@ -18,12 +18,12 @@ from common.config import (
     PredictorConfig,
     SpaceConfig,
 )
-from common.dataset import Problem, Target
-from common.errors import LocalProtocolError, RemoteProtocolError
-from common.expression.algebra import complexity
-from common.expression.program import Program
-from common.wire.codec import decode_arrays, encode_arrays
-from island_worker.evolution.island import Island, receivers, senders
+from atoll.data.dataset import Problem, Target
+from atoll.errors import LocalProtocolError, RemoteProtocolError
+from atoll.expression.program import Program
+from atoll.expression.simplification import complexity
+from atoll.wire.codec import decode_arrays, encode_arrays
+from atoll_island_worker.evolution.island import Island, receivers, senders
 from tests.archipelago import advance, reshuffle, search
 from tests.oracles import fitting
 from tests.oracles.tapes import node_values

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from common.config import EvolutionConfig, JobConfig
-from common.errors import RemoteProtocolError
-from common.expression.operators import EXP
-from common.wire.codec import decode_arrays, encode_arrays
-from island_worker.evolution.migration import destinations, operator_codes, pack, receivers, senders, unpack
+from atoll.config import EvolutionConfig, JobConfig
+from atoll.errors import RemoteProtocolError
+from atoll.expression.operators import EXP
+from atoll.wire.codec import decode_arrays, encode_arrays
+from atoll_island_worker.evolution.migration import destinations, operator_codes, pack, receivers, senders, unpack
 from tests.oracles.spaces import random_lists, space_of
 
 ISLANDS, POPULATION = 5, 12

@@ -2,9 +2,9 @@
 
 import pytest
 
-from common.config import BudgetConfig, JobConfig
-from common.dataset import Target
-from island_worker.evolution.setting import EXACT_TARGET, UNREACHABLE_TARGET, island_share, target_error
+from atoll.config import BudgetConfig, JobConfig
+from atoll.data.dataset import Target
+from atoll_island_worker.evolution.setting import EXACT_TARGET, UNREACHABLE_TARGET, island_share, target_error
 
 
 def target(floor=0.0, noise=0.0):

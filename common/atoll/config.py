@@ -1,0 +1,188 @@
+"""The configuration of a job, grouped by intent. Pure data: it travels on the wire and decides every bit of a result.
+
+Two presets: ``default`` (all of Atoll's additions) and ``paper`` (Table II of Schmidt & Lipson 2008, nothing added).
+Fields left ``None`` are resolved from the data when the job is prepared, see `atoll_coordinator.service`.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic_core import CoreSchema
+
+Preset = Literal["default", "paper"]
+Loss = Literal["mae", "rmse"]
+
+PAPER_TERMINALS = 7
+TERMINALS_BEYOND_VARIABLES = 5
+
+PositiveInt = Annotated[int, Field(ge=1)]
+_SEQUENCES: Final = frozenset({"list", "tuple", "set", "frozenset"})
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+def _fail_fast(schema: Any) -> None:
+    if isinstance(schema, dict):
+        if schema.get("type") in _SEQUENCES:
+            schema["fail_fast"] = True
+        for part in schema.values():
+            _fail_fast(part)
+    elif isinstance(schema, list):
+        for part in schema:
+            _fail_fast(part)
+
+
+class Model(BaseModel):
+    """Base of everything that is validated: frozen, unknown fields refused, NaN and infinity refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: type[BaseModel], handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Let every sequence be read up to its first wrong item: a million wrong ones would make a million errors."""
+        schema = handler(source)
+        _fail_fast(schema)
+        return schema
+
+
+class Angle(Model):
+    """One state that is an angle: it is unwrapped before smoothing."""
+
+    column: str
+    degrees: bool = False
+
+
+class DataConfig(Model):
+    """How the columns of the table are to be read. Names are column names as in the header, without units."""
+
+    time: str | None = Field(None, description="time column; `t` or `time` unless named")
+    states: tuple[str, ...] | None = Field(None, description="state columns; all other numeric columns unless named")
+    inputs: tuple[str, ...] = Field((), description="columns that are variables without an equation; may name time")
+    trajectory: str | None = Field(None, description="column whose value changes where a new trajectory begins")
+    target: str | None = Field(None, description="explicit regression of this column on the others; no time needed")
+    derivatives: tuple[str, ...] | None = Field(None, description="given derivatives, one column per state, in order")
+    order: Literal[1, 2] = Field(1, description="2: positions are measured, the second derivative is sought")
+    angles: tuple[Angle, ...] = ()
+    only: tuple[str, ...] | None = Field(None, description="search these equations only")
+    robust: bool = Field(False, description="smooth so that outliers lose their weight")
+    holdout: Annotated[int, Field(ge=1)] | Annotated[str, Field(pattern=r"^.+=.+$")] | None = Field(
+        None, description="trajectories kept from the search: so many last ones, or COLUMN=VALUE"
+    )
+    weights: str | None = Field(None, description="column of row weights: inverse variances, up to a factor; 0: unused")
+    offsets: tuple[str, ...] = Field((), description="states measured up to an offset that each trajectory has its own")
+    missing: Literal["refuse", "drop"] = Field("refuse", description="what to do with rows holding NaN or infinity")
+
+
+class SpaceConfig(Model):
+    """The space of expressions."""
+
+    operators: tuple[str, ...] = ("+", "-", "*", "/", "sin", "cos")
+    operators_of: dict[str, tuple[str, ...]] = Field(default_factory=dict, description="per equation; overrides")
+    variables_of: dict[str, tuple[str, ...]] = Field(
+        default_factory=dict, description="per equation, the variables that it may use; all unless named"
+    )
+    terminals: PositiveInt | None = Field(None, description="first nodes of a list; None: max(7, variables + 5)")
+    operator_nodes: Annotated[int, Field(ge=1, le=100)] = 25
+    max_size: Annotated[int, Field(ge=1, le=120)] | None = Field(None, description="largest complexity on the front")
+
+    def operators_for(self, variable: str) -> tuple[str, ...]:
+        """Return the operators that the equation of `variable` is made of."""
+        return self.operators_of.get(variable, self.operators)
+
+    def columns_for(self, variable: str, names: Sequence[str]) -> tuple[int, ...]:
+        """Return the indices into `names`, the symbols, of what the equation of `variable` may use, ascending."""
+        allowed = self.variables_of.get(variable, names)
+        return tuple(index for index, name in enumerate(names) if name in allowed)
+
+    def terminals_for(self, variables: int) -> int:
+        """Return the number of terminals of a list over so many variables."""
+        return self.terminals or max(PAPER_TERMINALS, variables + TERMINALS_BEYOND_VARIABLES)
+
+
+class PriorConfig(Model):
+    """What is known beforehand, as infix text over the table's symbols, by left-hand side such as `x` or `dx/dt`.
+
+    When a job is prepared, left-hand sides become the names of their variables.
+    """
+
+    guesses: dict[str, tuple[str, ...]] = Field(
+        default_factory=dict, description="expressions among which the islands begin; their constants are fitted"
+    )
+    known: dict[str, str] = Field(default_factory=dict, description="equations that are given, not searched")
+
+
+class EvolutionConfig(Model):
+    """Variation, selection and the fitting of constants."""
+
+    islands: Annotated[int, Field(ge=1, le=1024)] = 8
+    population: Annotated[int, Field(ge=4, le=4096, multiple_of=2)] = 64
+    crossover: Probability = 0.75
+    mutation: Probability = Field(0.05, description="per node")
+    loss: Loss = "mae"
+    constant_fit_steps: Annotated[int, Field(ge=0, le=100)] = Field(4, description="Levenberg-Marquardt steps a child")
+    constant_fit_gate: Annotated[float, Field(gt=0.0)] = Field(
+        0.25, description="steps are taken when a child's loss is at most this share of its worse parent's"
+    )
+    linear_terms: Annotated[int, Field(ge=0, le=4)] = Field(4, description="top-level terms fitted linearly; 0: none")
+    scaled_constants: bool = Field(True, description="draw constants over the data's scales, not from [-10, 10]")
+    refit_interval: Annotated[int, Field(ge=1)] = Field(10, description="generations between offers to the front")
+    runners_up: Annotated[int, Field(ge=0, le=64)] | None = Field(
+        None, description="next best of each complexity kept beside the front; None: 0, or 8 with noisy targets"
+    )
+
+
+class PredictorConfig(Model):
+    """Coevolved fitness predictors (paper, section 2.3 and Table II)."""
+
+    enabled: bool = True
+    rows: Annotated[int, Field(ge=4, le=1024)] | None = Field(None, description="None: 16, or 32 with noisy targets")
+    predictors: Annotated[int, Field(ge=2, le=64)] = 8
+    trainers: Annotated[int, Field(ge=1, le=64)] = 8
+    renewal: PositiveInt = Field(50, description="predictor generations between trainer renewals")
+    effort: Probability = Field(0.05, description="largest share of all point evaluations")
+
+
+class MigrationConfig(Model):
+    """When solutions are reshuffled over the islands of a variable."""
+
+    generations: Annotated[int, Field(ge=1, le=10_000)] = 100
+    joining: PositiveInt | None = Field(4, description="islands that begin the first epoch at a time; None: all")
+
+
+class BudgetConfig(Model):
+    """When a job ends. By default by convergence, stagnation or a fixed number of epochs: never by the clock."""
+
+    target_error: Annotated[float, Field(gt=0.0)] | None = Field(None, description="normalized error that is enough")
+    max_epochs: PositiveInt = 1000
+    max_epochs_of: dict[str, PositiveInt] = Field(default_factory=dict, description="per variable; overrides")
+    max_time: Annotated[float, Field(gt=0.0)] | None = Field(None, description="seconds")
+    stagnation: PositiveInt | None = Field(
+        None, description="epochs without a better equation after which a search ends; None: 60, or 3 where noisy"
+    )
+
+
+class JobConfig(Model):
+    """Everything that decides a result, apart from the table itself."""
+
+    preset: Preset = "default"
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    data: DataConfig = DataConfig()
+    space: SpaceConfig = SpaceConfig()
+    prior: PriorConfig = PriorConfig()
+    evolution: EvolutionConfig = EvolutionConfig()
+    predictors: PredictorConfig = PredictorConfig()
+    migration: MigrationConfig = MigrationConfig()
+    budget: BudgetConfig = BudgetConfig()
+
+
+PAPER = JobConfig(
+    preset="paper",
+    space=SpaceConfig(terminals=PAPER_TERMINALS),
+    evolution=EvolutionConfig(constant_fit_steps=0, linear_terms=0, scaled_constants=False, runners_up=0),
+    predictors=PredictorConfig(rows=16),
+    migration=MigrationConfig(joining=None),
+    budget=BudgetConfig(max_epochs=5000, stagnation=500),
+)
+"""Table II of the paper, nothing added."""
+
+PRESETS: dict[Preset, JobConfig] = {"default": JobConfig(), "paper": PAPER}

@@ -1,0 +1,96 @@
+"""What a search is given: rows of input variables and, per equation sought, the target column.
+
+Not the measurements (those are `atoll.data.table.Table`): smoothing and differentiating have been done, once, by the
+coordinator. Letters: R rows, V input variables.
+"""
+
+import hashlib
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+CLEAN_FLOOR: Final = 1e-3
+"""Targets known better than this, relative to their spread, count as noise-free."""
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """The left-hand side of one equation.
+
+    `variable` is the column name it belongs to and the name by which everything refers to this equation; `lhs` is how
+    it is printed, such as ``dx/dt``; `values` has shape (R,); `floor` is the mean estimated uncertainty of `values`
+    divided by `deviation`, the standard deviation of `values`; `noise` is the estimated relative noise (0: none).
+    """
+
+    variable: str
+    lhs: str
+    values: FloatArray
+    floor: float
+    deviation: float
+    noise: float = 0.0
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether the truth itself would miss these values by so much that errors alone cannot tell it."""
+        return self.noise > 0.0 or self.floor >= CLEAN_FLOOR
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One regression problem: the inputs, shape (V, R), C order, and one target over the same R rows."""
+
+    names: tuple[str, ...]
+    inputs: FloatArray
+    target: Target
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """All regression problems of a job over the same rows.
+
+    `names` are the V symbols used in expressions, in the order of the rows of `inputs`; `symbols` maps each column name
+    of the user's file to its symbol; `warnings` are sentences for the user about how the data were treated.
+    """
+
+    names: tuple[str, ...]
+    inputs: FloatArray
+    targets: tuple[Target, ...]
+    symbols: dict[str, str]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the equations, in their order; of those that are known as well."""
+        return tuple(target.variable for target in self.targets)
+
+    def problem(self, variable: str) -> Problem:
+        """Return the regression problem of `variable`; raises KeyError for an unknown one."""
+        for target in self.targets:
+            if target.variable == variable:
+                return Problem(self.names, self.inputs, target)
+        raise KeyError(variable)
+
+    @cached_property
+    def digest(self) -> str:
+        """Hex digest of everything that can influence the search."""
+        digest = hashlib.sha256()
+        _update(digest, self.names)
+        digest.update(self.inputs.tobytes())
+        for target in self.targets:
+            _update(digest, (target.variable, target.lhs))
+            digest.update(target.values.tobytes())
+            digest.update(struct.pack("<ddd", target.floor, target.deviation, target.noise))
+        return digest.hexdigest()
+
+
+def _update(digest: "hashlib._Hash", texts: Sequence[str]) -> None:
+    for text in texts:
+        encoded = text.encode()
+        digest.update(struct.pack("<q", len(encoded)) + encoded)

@@ -1,0 +1,131 @@
+"""Raw numeric columns as they were read from files: what a client uploads and only the coordinator interprets.
+
+Letters: C columns, N rows.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll.data.dataset import FloatArray
+from atoll.errors import DataError, RemoteProtocolError
+from atoll.wire.codec import decode_arrays, encode_arrays
+
+IntArray = npt.NDArray[np.int64]
+S = TypeVar("S", bound=np.generic)
+MANY = 5
+"""So many rows are named in a message before it says how many there are in all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns as read, checked for shape only.
+
+    `names` are unique and without units, `units` are "" where the header gives none; `columns` (C, N) float64, C order,
+    may hold NaN and infinity; `starts` are the rows at which the files or blank rows begin a new trajectory, the first
+    one 0. For messages: `files` are the names of the files, `file_of_row` (N,) indices into them, `line_of_row` (N,)
+    line numbers from 1, or 0 where a file has no lines. `skipped` are columns that hold text.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    columns: FloatArray
+    starts: tuple[int, ...]
+    files: tuple[str, ...]
+    file_of_row: IntArray
+    line_of_row: IntArray
+    skipped: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check that the parts fit together; raises DataError."""
+        shape = (len(self.names), len(self.file_of_row))
+        sizes_fit = self.columns.shape == shape and len(self.units) == shape[0] and len(self.line_of_row) == shape[1]
+        if not sizes_fit or len(set(self.names)) != len(self.names) or not self.files:
+            raise DataError(f"a table of {len(self.names)} names has columns of shape {self.columns.shape}")
+        if list(self.starts) != sorted(set(self.starts)) or self.starts[:1] != (0,) or self.starts[-1] > shape[1]:
+            raise DataError(f"a table of {shape[1]} rows has trajectories that start at rows {self.starts}")
+        if shape[1] and not 0 <= self.file_of_row.min() <= self.file_of_row.max() < len(self.files):
+            raise DataError(f"a table refers to files beyond its {len(self.files)}")
+
+    @property
+    def rows(self) -> int:
+        """Number of rows N."""
+        return int(self.columns.shape[1])
+
+    def column(self, name: str) -> FloatArray:
+        """Return the values (N,) of column `name`; raises KeyError."""
+        try:
+            values: FloatArray = self.columns[self.names.index(name)]
+        except ValueError:
+            raise KeyError(name) from None
+        return values
+
+    def places(self, rows: Sequence[int]) -> str:
+        """Say where `rows` (indices from 0) stand: ``rows 12, 40 (lines 13, 41 of a.csv), 2 in all``."""
+        shown = list(rows[:MANY])
+        numbers = ", ".join(str(row + 1) for row in shown)
+        text = f"{_plural('row', shown)} {numbers}{', …' if len(rows) > MANY else ''}"
+        files = [int(self.file_of_row[row]) for row in shown]
+        if all(self.line_of_row[row] > 0 for row in shown):
+            parts = []
+            for file in dict.fromkeys(files):
+                lines = [str(self.line_of_row[row]) for row, its in zip(shown, files, strict=True) if its == file]
+                parts.append(f"{_plural('line', lines)} {', '.join(lines)} of {self.files[file]}")
+            text += f" ({'; '.join(parts)})"
+        return text + (f", {len(rows)} in all" if len(rows) > 1 else "")
+
+    def to_bytes(self) -> bytes:
+        """Return the bytes that are uploaded; `from_bytes` reads them."""
+        header = {
+            "names": list(self.names),
+            "units": list(self.units),
+            "starts": list(self.starts),
+            "files": list(self.files),
+            "skipped": list(self.skipped),
+        }
+        arrays = {"columns": self.columns, "file_of_row": self.file_of_row, "line_of_row": self.line_of_row}
+        return encode_arrays(header, arrays)
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> "Table":
+        """Parse what `to_bytes` wrote; raises RemoteProtocolError when it is anything else."""
+        header, arrays = decode_arrays(data)
+        try:
+            return cls(
+                _texts(header["names"]),
+                _texts(header["units"]),
+                _numbers(arrays["columns"], np.float64, 2),
+                tuple(int(start) for start in header["starts"]),
+                _texts(header["files"]),
+                _numbers(arrays["file_of_row"], np.int64, 1),
+                _numbers(arrays["line_of_row"], np.int64, 1),
+                _texts(header["skipped"]),
+            )
+        except (KeyError, TypeError, ValueError, DataError) as error:
+            raise RemoteProtocolError(f"the bytes of a table do not fit: {error}") from error
+
+    @cached_property
+    def digest(self) -> str:
+        """Hex sha256 of the content."""
+        return hashlib.sha256(self.to_bytes()).hexdigest()
+
+
+def _plural(noun: str, items: Sequence[object]) -> str:
+    return noun if len(items) == 1 else noun + "s"
+
+
+def _texts(values: object) -> tuple[str, ...]:
+    if not isinstance(values, (list, tuple)) or not all(isinstance(value, str) for value in values):
+        raise TypeError("a list of texts was expected")
+    return tuple(values)
+
+
+def _numbers(array: npt.NDArray[Any], kind: type[S], dimensions: int) -> npt.NDArray[S]:
+    if array.dtype != kind or array.ndim != dimensions:
+        raise TypeError(f"an array of {array.dtype} with {array.ndim} dimensions was found")
+    return np.ascontiguousarray(array)

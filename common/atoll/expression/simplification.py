@@ -1,0 +1,178 @@
+"""Simplify programs without changing a bit of what they compute: dead nodes, constant parts, equal parts.
+
+No algebra in the sense of the real numbers: ``x - x`` stays, for it is no number where x is infinite. What remains is
+the canonical program: nodes in the order in which a reader meets them, left operand first.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import Final
+
+import numpy as np
+
+from atoll.expression.operators import (
+    ABS,
+    ADD,
+    ARITY,
+    CONSTANT,
+    COS,
+    DIVIDE,
+    EXP,
+    INVERSE,
+    LOG,
+    MULTIPLY,
+    NEGATE,
+    POW,
+    SIN,
+    SQRT,
+    SQUARE,
+    SUBTRACT,
+    TANH,
+    VARIABLE,
+)
+from atoll.expression.program import Program
+
+_Node = tuple[int, int, int, float]
+_COMMUTATIVE: Final = frozenset({ADD, MULTIPLY})
+_ELEMENTARY: Final = {SIN: "sin", COS: "cos", EXP: "exp", LOG: "log", TANH: "tanh", POW: "pow"}
+
+
+def simplify_program(program: Program, *, merges_constants: bool = True) -> Program:
+    """Return the canonical program of the same function: equal on every row, bit for bit.
+
+    Nodes on which the output does not depend go; an operator on constants alone becomes its value, if that is finite;
+    equal nodes become one, where ``a + b`` equals ``b + a`` and ``a*a`` equals ``a**2``; equal constants, too, unless
+    they are to be fitted apart. Pure and deterministic.
+    """
+    return simplified(_nodes_of(program), merges_constants=merges_constants)
+
+
+def simplified(given: Iterable[_Node], *, merges_constants: bool = True) -> Program:
+    """Return the same of the program with these nodes: code, arguments (or the variable's index), constant."""
+    nodes, output = _distinct_nodes(given, merges_constants)
+    order = _reading_order(nodes, output)
+    place = {index: position for position, index in enumerate(order)}
+    rows = [_moved(nodes[index], place) for index in order]
+    codes, lefts, rights, values = zip(*rows, strict=True)
+    return Program(
+        np.array(codes, dtype=np.int8),
+        np.array(lefts, dtype=np.int16),
+        np.array(rights, dtype=np.int16),
+        np.array(values, dtype=np.float64),
+    )
+
+
+def complexity(program: Program) -> int:
+    """Return the number of nodes, operators and terminals, of the canonical program."""
+    return len(_reading_order(*_distinct_nodes(_nodes_of(program))))
+
+
+def _nodes_of(program: Program) -> Iterable[_Node]:
+    columns = (program.operators, program.left, program.right, program.constants)
+    return zip(*(column.tolist() for column in columns), strict=True)
+
+
+def _distinct_nodes(given: Iterable[_Node], merges_constants: bool = True) -> tuple[list[_Node], int]:
+    """Return folded nodes without duplicates, and the index of the output among them."""
+    nodes: list[_Node] = []
+    known: dict[tuple[int, int, int, str | None], int] = {}
+    place: list[int] = []
+    for code, left, right, value in given:
+        arity = ARITY[code]
+        node = (
+            code,
+            place[left] if arity else left,
+            place[right] if arity == 2 else 0,
+            value,
+        )
+        if arity:
+            node = _folded(node, nodes)
+        key = _key(node)
+        if key not in known or (node[0] == CONSTANT and not merges_constants):
+            known[key] = len(nodes)
+            nodes.append(node)
+        place.append(known[key])
+    return nodes, place[-1]
+
+
+def _key(node: _Node) -> tuple[int, int, int, str | None]:
+    """Return what makes two nodes equal; constants by their bits, so that 0.0 and -0.0 differ."""
+    code, left, right, value = node
+    if code == CONSTANT:
+        return (code, 0, 0, value.hex())
+    if code in _COMMUTATIVE:
+        if code == MULTIPLY and left == right:
+            return (SQUARE, left, 0, None)
+        return (code, min(left, right), max(left, right), None)
+    return (code, left, right, None)
+
+
+def _folded(node: _Node, nodes: list[_Node]) -> _Node:
+    """Return a constant in place of an operator on constants, unless its value is not finite."""
+    code, left, right, _ = node
+    if nodes[left][0] != CONSTANT or (ARITY[code] == 2 and nodes[right][0] != CONSTANT):
+        return node
+    value = _value(code, nodes[left][3], nodes[right][3])
+    # Infinity and NaN both give NaN here.
+    return (CONSTANT, 0, 0, value) if value - value == 0.0 else node
+
+
+def _value(code: int, a: float, b: float) -> float:
+    """Return the value of one operator, computed as the kernels do."""
+    if code in _ELEMENTARY:
+        return _elementary(code, a, b)
+    x, y = np.float64(a), np.float64(b)
+    with np.errstate(all="ignore"):
+        return float(_ARITHMETIC[code](x, y))
+
+
+_ARITHMETIC: Final[dict[int, Callable[[np.float64, np.float64], np.float64]]] = {
+    ADD: lambda x, y: x + y,
+    SUBTRACT: lambda x, y: x - y,
+    MULTIPLY: lambda x, y: x * y,
+    DIVIDE: lambda x, y: x / y,
+    SQRT: lambda x, _: np.sqrt(x),
+    ABS: lambda x, _: np.abs(x),
+    INVERSE: lambda x, _: np.float64(1.0) / x,
+    SQUARE: lambda x, _: x * x,
+    NEGATE: lambda x, _: -x,
+}
+
+
+def _elementary(code: int, a: float, b: float) -> float:
+    # Imported here: it loads the compiler, which programs that only print expressions do not need.
+    from atoll.expression.kernels import elementary as kernels_elementary
+
+    function = getattr(kernels_elementary, f"strict_{_ELEMENTARY[code]}")
+    with np.errstate(all="ignore"):
+        return float(function(np.float64(a), np.float64(b)) if code == POW else function(np.float64(a)))
+
+
+def _reading_order(nodes: list[_Node], output: int) -> list[int]:
+    """Return the live nodes, operands before operators and left before right."""
+    order: list[int] = []
+    done: set[int] = set()
+    stack = [output]
+    while stack:
+        index = stack[-1]
+        if index in done:
+            stack.pop()
+            continue
+        code, left, right, _ = nodes[index]
+        arity = ARITY[code]
+        if arity and left not in done:
+            stack.append(left)
+        elif arity == 2 and right not in done:
+            stack.append(right)
+        else:
+            stack.pop()
+            done.add(index)
+            order.append(index)
+    return order
+
+
+def _moved(node: _Node, place: dict[int, int]) -> _Node:
+    code, left, right, value = node
+    arity = ARITY[code]
+    if arity == 0:
+        return (code, left if code == VARIABLE else 0, 0, value if code == CONSTANT else 0.0)
+    return (code, place[left], place[right] if arity == 2 else 0, 0.0)

@@ -1,0 +1,31 @@
+"""What ``coordinator doctor`` looks at in data files: whether ``submit`` would take them, and as what."""
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+from atoll.errors import DataError, UsageError
+from atoll_coordinator.cli.doctor.finding import Finding, fine, problem
+
+
+def check_data(options: argparse.Namespace) -> Iterator[Finding]:
+    """Read DATA with the data options that were given, as ``submit`` does; nothing is smoothed."""
+    if not options.data:
+        return
+    from atoll_coordinator.cli.options.parser import parse
+    from atoll_coordinator.cli.request import request_of
+    from atoll_coordinator.data.reading.description import describe
+    from atoll_coordinator.data.reading.files import read_table
+    from atoll_coordinator.data.reading.measured import measured
+
+    given = {name: value for name, value in vars(options).items() if name != "verb"}
+    try:
+        request = request_of(argparse.Namespace(**{**vars(parse(["submit", *options.data])), **given}))
+        table = read_table([Path(name) for name in options.data], request.config.data)
+        text, remarks = describe(table, request.config), measured(table, request.config.data).warnings
+    except (DataError, UsageError) as error:
+        yield problem("data", error)
+        return
+    yield fine("data", text)
+    for remark in remarks:
+        yield Finding("data", "warning", remark, "check that this is what you mean")

@@ -1,0 +1,93 @@
+"""The course of a local run: read, submit, follow, write and print, while workers and coordinator are at work here."""
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any, Final
+
+from atoll.wire.messages.views import FINAL_STATES, JobView
+from atoll_coordinator.cli.exit_codes import FAILED, INTERRUPTED
+from atoll_coordinator.cli.local.cluster import Coordinator, NoWorkerLeftError, Workers
+from atoll_coordinator.cli.request import request_of
+from atoll_coordinator.cli.terminal.follow import Follower
+from atoll_coordinator.cli.terminal.output import duration, note, write_result
+from atoll_coordinator.cli.terminal.progress import Display, open_display
+from atoll_coordinator.client import Client, connected
+
+_CONNECT_LIMIT_S: Final = 20.0
+_WORTH_SAYING_S: Final = 0.05
+_CANCEL_LIMIT_S: Final = 10.0
+
+
+class LocalRun:
+    """One run, whose workers have been started already and are ended by the caller."""
+
+    def __init__(
+        self, options: argparse.Namespace, folder: Path, endpoint: str, workers: Workers, started: float
+    ) -> None:
+        """`started` is the monotonic second at which the command began; raises UsageError or DataError."""
+        self._request = request_of(options)
+        self._folder = folder
+        self._endpoint = endpoint
+        self._workers = workers
+        self._started = started
+        self._coordinator = Coordinator(endpoint, workers.number)
+        self._forced: int | None = None
+
+    def conduct(self) -> int:
+        """Start the coordinator, follow the job, write and print its result; return the exit code."""
+        with self._coordinator:
+            table = self._request.read()
+            self._coordinator.wait()
+            with connected(self._endpoint, _CONNECT_LIMIT_S) as client:
+                self._request.submit(client, table)
+                return self._see_through(client)
+
+    def _see_through(self, client: Client) -> int:
+        with open_display("") as display:
+            follower = Follower(client, self._request.job, display, self._watch)
+            view = self._follow(follower, client, display)
+        self._workers.dismiss()
+        result = self._request.result(client, view)
+        if result is not None:
+            path = write_result(self._folder, result)
+            self._request.show(result)
+            self._sum_up(result, follower.timeline.phases, path)
+        return self._request.finish(view) if self._forced is None else self._forced
+
+    def _follow(self, follower: Follower, client: Client, display: Display) -> JobView:
+        """Follow the job; an interrupt, or the loss of all workers, cancels it and keeps its best equations."""
+        try:
+            return follower.to_the_end()
+        except KeyboardInterrupt:
+            display.say("interrupted: keeping the best equations so far; Ctrl-C again ends at once")
+            self._forced = INTERRUPTED
+        except NoWorkerLeftError as error:
+            display.say(f"coordinator: {error}")
+            self._forced = FAILED
+        return _cancelled(client, self._request.job)
+
+    def _watch(self) -> list[str]:
+        self._coordinator.check()
+        return self._workers.check()
+
+    def _sum_up(self, result: dict[str, Any], phases: dict[str, float], path: Path) -> None:
+        total = time.monotonic() - self._started
+        parts = {name: phases.get(name, 0.0) for name in ("compiling kernels", "loading kernels")}
+        parts["search"] = float(result["search_seconds"] or 0.0)
+        refining = phases.get("refining", 0.0)
+        parts["refining"] = refining if refining >= _WORTH_SAYING_S else 0.0
+        rest = max(0.0, total - sum(parts.values()))
+        said = [f"{name} {duration(seconds)}" for name, seconds in parts.items() if seconds]
+        note(", ".join([f"start-up {duration(rest)}", *said, f"total {duration(total)}"]))
+        note(f"result in {path}")
+
+
+def _cancelled(client: Client, job: str) -> JobView:
+    """Cancel the job and wait, within limits, until it has ended."""
+    view = client.cancel(job)
+    end = client.now() + _CANCEL_LIMIT_S
+    while view.state not in FINAL_STATES and client.now() < end:
+        client.pause(0.1)
+        view = client.status(job)
+    return view

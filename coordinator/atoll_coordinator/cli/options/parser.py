@@ -1,0 +1,276 @@
+"""The command line itself: verbs, options, help. Standard library only, because ``--help`` must be instant.
+
+What the options mean for a job is decided in `atoll_coordinator.cli.options.job_config`; what a verb does, in the
+module that `HANDLERS` names.
+"""
+
+import argparse
+import re
+import sys
+from collections.abc import Sequence
+from typing import Any, Final, NoReturn
+
+from atoll.errors import UsageError
+from atoll_coordinator.cli.options.service import add_doctor, add_router, add_serve, add_tls
+
+HANDLERS: Final = {
+    "run": "atoll_coordinator.cli.verbs.run",
+    "serve": "atoll_coordinator.cli.verbs.serve",
+    "router": "atoll_coordinator.cli.verbs.router",
+    "submit": "atoll_coordinator.cli.verbs.submit",
+    "jobs": "atoll_coordinator.cli.verbs.jobs",
+    "status": "atoll_coordinator.cli.verbs.jobs",
+    "workers": "atoll_coordinator.cli.verbs.jobs",
+    "cancel": "atoll_coordinator.cli.verbs.jobs",
+    "logs": "atoll_coordinator.cli.verbs.logs",
+    "result": "atoll_coordinator.cli.verbs.result",
+    "doctor": "atoll_coordinator.cli.doctor.doctor",
+}
+"""The module of each verb. Its function of the verb's name takes the parsed options and returns the exit code."""
+
+LATER_VERBS: Final = ("simulate", "analyse", "analyze", "report", "export")
+
+EXIT_CODES: Final = (
+    "exit codes: 0 done, 1 job failed, 2 bad usage or bad data, 3 coordinator not reachable,\n"
+    "4 an explicit --target-error was not met within the budget, 130 detached or interrupted"
+)
+RESULT_FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
+MOST_WORKERS: Final = 1024
+MOST_LINES: Final = 1000
+
+
+class _Parser(argparse.ArgumentParser):
+    """Raises UsageError where argparse would print its usage and exit."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{self._reword(message)}; see {self.prog} --help")
+
+    def _reword(self, message: str) -> str:
+        """Return argparse's complaint in the order found, expected."""
+        choice = re.fullmatch(r"argument (.+): invalid choice: (.+) \(choose from (.+)\)", message)
+        if choice:
+            return f"{choice[1]} must be one of {choice[3]}, but {choice[2]} was given"
+        return message.replace("unrecognized arguments:", "unknown option").removeprefix("argument ")
+
+
+def parse(argv: Sequence[str]) -> argparse.Namespace:
+    """Return the parsed options; `verb` is one of `HANDLERS`.
+
+    Raises:
+        UsageError: an option or verb is unknown or incomplete, or the verb of a later version.
+        SystemExit: after ``--help`` or ``--version``.
+    """
+    verb = next((word for word in argv if not word.startswith("-")), None)
+    if verb in LATER_VERBS:
+        raise UsageError(f"{verb} is not in this version")
+    options = build_parser().parse_args(_join_operators(argv))
+    if options.verb is None:
+        raise UsageError(f"no command was given, expected one of {', '.join(HANDLERS)}; see coordinator --help")
+    return options
+
+
+def _join_operators(argv: Sequence[str]) -> list[str]:
+    """Write ``--operators -,+`` as one word, since argparse takes a leading minus for an option."""
+    words: list[str] = []
+    for word in argv:
+        if words and words[-1] == "--operators" and (word == "-" or word.startswith("-,")):
+            words[-1] = f"--operators={word}"
+        else:
+            words.append(word)
+    return words
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the whole command line."""
+    parser = _Parser(
+        prog="coordinator",
+        description="Atoll finds the differential equations behind measured trajectories.",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", title="commands")
+    _add_run(verbs)
+    add_serve(_verb, verbs)
+    add_router(_verb, verbs)
+    _add_submit(verbs)
+    _add_readers(verbs)
+    _add_data(add_doctor(_verb, verbs).add_argument_group("data"))
+    return parser
+
+
+class _Version(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        from atoll import PROTOCOL_VERSION, VERSION
+
+        sys.stdout.write(f"coordinator {VERSION} (protocol {PROTOCOL_VERSION})\n")
+        parser.exit()
+
+
+def _verb(verbs: Any, name: str, text: str) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        name,
+        help=text,
+        description=text[0].upper() + text[1:] + ".",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    return parser
+
+
+def _add_run(verbs: Any) -> None:
+    parser = _verb(verbs, "run", "search on this machine; nothing needs to be started beforehand")
+    _add_job(parser)
+    parser.add_argument(
+        "--workers", type=_workers, metavar="N", help="worker processes (default: one per core this process may use)"
+    )
+    parser.add_argument("--out", metavar="DIR", help="folder of result.json and the log (default: runs/JOB)")
+
+
+def _add_submit(verbs: Any) -> None:
+    parser = _verb(verbs, "submit", "give a job to a coordinator and follow it; Ctrl-C detaches, the job goes on")
+    _add_connect(parser)
+    _add_job(parser)
+    parser.add_argument("--no-wait", action="store_true", help="print the job id, and nothing else, and return")
+    parser.add_argument("--out", metavar="DIR", help="also write result.json into this folder")
+    parser.add_argument(
+        "--priority", type=_priority, default=0, metavar="N",
+        help="-10 to 10; each step doubles the job's share of the workers, and it is taken up sooner (default: 0)",
+    )  # fmt: skip
+
+
+def _add_readers(verbs: Any) -> None:
+    texts = {
+        "jobs": ("list the jobs of a coordinator", "only jobs whose id begins with this"),
+        "status": ("show how far a job has come", "id or its beginning (default: every job that has not ended)"),
+        "workers": ("list the workers of a coordinator", "only workers whose name begins with this"),
+        "result": (
+            "print the equations of a job; while it runs, the best so far",
+            "id or its beginning, or PATH/result.json",
+        ),
+        "cancel": ("end a job and keep its best equations", "id or its beginning (default: the only one not ended)"),
+        "logs": ("tell what happened to a job", "id or its beginning (default: what happened at all)"),
+    }
+    for name, (text, subject) in texts.items():
+        parser = _verb(verbs, name, text)
+        parser.add_argument("job", metavar="ID", nargs=None if name == "result" else "?", help=subject)
+        _add_connect(parser)
+        parser.add_argument("--json", action="store_true", help="print JSON")
+        if name == "result":
+            _add_result(parser)
+        if name in ("status", "logs"):
+            text = "go on until the job has ended" + (", with its exit code" if name == "status" else "")
+            parser.add_argument("--follow", action="store_true", help=text)
+        if name == "logs":
+            parser.add_argument(
+                "--lines", type=_lines, default=200, metavar="N", help="at most the N last events (default: 200)"
+            )
+        if name == "workers":
+            parser.add_argument("--coordinator", action="store_true", help="show the coordinator's own counters")
+
+
+def _add_result(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--format", choices=RESULT_FORMATS, help="form of the output (default: text)")
+    parser.add_argument(
+        "--pick", action="append", default=[], metavar="x=2", help="take number 2 of the front of x; repeatable"
+    )
+
+
+def _add_connect(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--connect", metavar="tcp/HOST:PORT", help="the coordinator (default: $ATOLL_CONNECT)")
+    add_tls(parser)
+
+
+def _add_job(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("data", nargs="+", metavar="DATA", help="CSV, TSV or Parquet files with a header")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--name", metavar="NAME", help="a label for lists (default: the first file's name)")
+    parser.add_argument("--id", metavar="ID", help="the job's id (default: made up)")
+    parser.add_argument("--config", metavar="job.toml", help="the same settings as a file; options override it")
+    _add_data(parser.add_argument_group("data"))
+    _add_search(parser.add_argument_group("search"))
+    _add_budget(parser.add_argument_group("budget"))
+
+
+def _add_data(group: Any) -> None:
+    group.add_argument("--time", metavar="t", help="time column (default: t or time)")
+    group.add_argument("--states", metavar="x,y", help="state columns (default: all other numeric columns)")
+    group.add_argument("--inputs", metavar="u", help="columns that are variables without an equation; may name time")
+    group.add_argument("--trajectory", metavar="run", help="column whose value changes where a trajectory begins")
+    group.add_argument("--target", metavar="y", help="explicit regression of y on the other columns")
+    group.add_argument("--derivatives", metavar="dx,dy", help="measured derivatives, one column per state")
+    group.add_argument("--order", metavar="1|2", help="2: seek d2x/dt2 from positions (default: 1)")
+    group.add_argument(
+        "--angle", action="append", metavar="theta[:deg]", help="a state that is an angle, to be unwrapped; repeatable"
+    )
+    group.add_argument("--only", metavar="x", help="search these equations only; the other states stay usable")
+    group.add_argument("--offsets", metavar="x", help="states measured up to an offset, fitted for each trajectory")
+    group.add_argument(
+        "--missing", metavar="refuse|drop", help="what to do with rows holding NaN or infinity (default: refuse)"
+    )
+    group.add_argument("--robust", action="store_true", help="smooth so that outliers lose their weight")
+    group.add_argument(
+        "--holdout", metavar="K|run=4", help="keep K last trajectories, or that one, from the search, to judge by them"
+    )
+    group.add_argument(
+        "--weights", metavar="w", help="column of row weights, such as 1/variance; rows of weight 0 are left out"
+    )
+
+
+def _add_search(group: Any) -> None:
+    group.add_argument("--seed", metavar="S", help="same seed, same answer (default: 0)")
+    group.add_argument(
+        "--preset", metavar="default|paper", help="paper: Table II of Schmidt & Lipson 2008, nothing added"
+    )
+    group.add_argument(
+        "--operators",
+        action="append",
+        metavar="LIST",
+        help="what expressions are made of (default: +,-,*,/,sin,cos); x=LIST for one equation; repeatable",
+    )
+    group.add_argument(
+        "--allow", action="append", metavar="x=x,y", help="the variables that one equation may use; repeatable"
+    )
+    group.add_argument(
+        "--guess",
+        action="append",
+        metavar="dx=EXPR",
+        help="an equation to begin from, its constants fitted; repeatable",
+    )
+    group.add_argument(
+        "--known", action="append", metavar="dy=EXPR", help="an equation that is given, not searched; repeatable"
+    )
+    group.add_argument("--islands", metavar="K", help="islands per state variable (default: 8)")
+    group.add_argument("--max-size", metavar="N", help="largest complexity of an equation (default: no limit)")
+
+
+def _add_budget(group: Any) -> None:
+    group.add_argument("--max-time", metavar="60s", help="end after 90, 60s, 10m, 1h (default: never by the clock)")
+    group.add_argument(
+        "--max-epochs", metavar="N", help="end after N epochs, or x=20,y=12 by state variable (default: 1000)"
+    )
+    group.add_argument(
+        "--target-error",
+        metavar="E",
+        help="normalized error at which an equation counts as found (default: from the data)",
+    )
+
+
+def _workers(text: str) -> int:
+    return _whole(text, 1, MOST_WORKERS)
+
+
+def _lines(text: str) -> int:
+    return _whole(text, 1, MOST_LINES)
+
+
+def _priority(text: str) -> int:
+    return _whole(text, -10, 10)
+
+
+def _whole(text: str, least: int, most: int) -> int:
+    if not (re.fullmatch("-?[0-9]{1,6}", text) and least <= int(text) <= most):
+        raise argparse.ArgumentTypeError(f"expected a whole number from {least} to {most}, but {text!r} was given")
+    return int(text)

@@ -1,0 +1,110 @@
+"""What ``run`` and ``submit`` have in common: the job that the options describe, its data, how its result appears."""
+
+import argparse
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from atoll.config import JobConfig
+from atoll.errors import DataError, RefusedError, UsageError
+from atoll.wire.addresses import Destination, destination
+from atoll.wire.messages.views import JobView
+from atoll.wire.security.credentials import credentials_of
+from atoll_coordinator.cli.job_ids import job_id
+from atoll_coordinator.cli.options.job_config import job_config
+from atoll_coordinator.cli.terminal.follow import ending, exit_code
+from atoll_coordinator.cli.terminal.output import as_json, note, say
+from atoll_coordinator.client import Client
+
+if TYPE_CHECKING:
+    from atoll.data.table import Table
+
+CONNECT_LIMIT_S: Final = 3.0
+"""How long a coordinator is looked for."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """A job as the user asked for it, before its data are read."""
+
+    job: str
+    name: str
+    config: JobConfig
+    files: tuple[Path, ...]
+    json: bool
+    priority: int = 0
+
+    @property
+    def target_error(self) -> float | None:
+        """The normalized error that the user named, if any."""
+        return self.config.budget.target_error
+
+    def read(self) -> "Table":
+        """Read the files and say on stderr what they hold; raises DataError."""
+        from atoll_coordinator.data.reading.description import describe
+        from atoll_coordinator.data.reading.files import read_table
+
+        table = read_table(self.files, self.config.data)
+        note(describe(table, self.config))
+        return table
+
+    def submit(self, client: Client, table: "Table") -> JobView:
+        """Upload `table` and submit the job."""
+        digest = client.upload(table.to_bytes())
+        return client.submit(self.job, self.name, self.config, digest, self.priority)
+
+    def result(self, client: Client, view: JobView) -> dict[str, Any] | None:
+        """Return the result of the ended job; None when it ended before there was any."""
+        try:
+            return client.result(self.job)
+        except RefusedError:
+            if view.state == "done":
+                raise
+            return None
+
+    def show(self, result: dict[str, Any]) -> None:
+        """Print the equations on stdout, or all of the result as JSON."""
+        from atoll_coordinator.model.report.render import render_text
+
+        say(as_json(result) if self.json else render_text(result))
+
+    def finish(self, view: JobView) -> int:
+        """Say what an unwanted end means; return the exit code."""
+        sentence = ending(view, self.target_error)
+        if sentence:
+            note(f"coordinator: {sentence}")
+        return exit_code(view, self.target_error)
+
+
+def request_of(options: argparse.Namespace) -> Request:
+    """Return the job that the options describe.
+
+    Raises:
+        UsageError: the options are wrong.
+        DataError: a file is not there.
+    """
+    files = tuple(Path(name) for name in options.data)
+    name = options.name if options.name is not None else files[0].name
+    request = Request(
+        job_id(options.id), name, job_config(options), files, options.json, getattr(options, "priority", 0)
+    )
+    for file in files:
+        if not file.is_file():
+            found = _what_is_there(file)
+            raise DataError(f"{file} {found}, but a CSV, TSV or Parquet file was expected; check the name")
+    return request
+
+
+def _what_is_there(path: Path) -> str:
+    if path.is_dir():
+        return "is a folder"
+    return "is a pipe or a device" if path.exists() else "does not exist"
+
+
+def address_of(options: argparse.Namespace) -> Destination:
+    """Return where the coordinator is, by ``--connect`` and ``--tls-*`` or the environment; raises UsageError."""
+    address = options.connect or os.environ.get("ATOLL_CONNECT")
+    if not address:
+        raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
+    return destination(address, credentials_of(vars(options), os.environ, "connect"))

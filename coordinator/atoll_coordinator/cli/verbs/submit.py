@@ -1,0 +1,60 @@
+"""``coordinator submit``: give a job to a coordinator and follow it; leaving early leaves the job running."""
+
+import argparse
+from pathlib import Path
+
+from atoll.errors import UsageError
+from atoll.wire.addresses import Destination
+from atoll.wire.messages.views import FINAL_STATES, JobView
+from atoll_coordinator.cli.exit_codes import DONE, INTERRUPTED
+from atoll_coordinator.cli.request import CONNECT_LIMIT_S, Request, address_of, request_of
+from atoll_coordinator.cli.signals import raising_interrupts
+from atoll_coordinator.cli.terminal.follow import Follower
+from atoll_coordinator.cli.terminal.output import note, refuse_existing_result, say, write_result
+from atoll_coordinator.cli.terminal.progress import open_display, waiting
+from atoll_coordinator.client import Client, connected
+
+
+def submit(options: argparse.Namespace) -> int:
+    """Submit ``options.data`` as a job; return the exit code of the job unless told not to wait for it."""
+    request, address = request_of(options), address_of(options)
+    folder = Path(options.out) if options.out is not None else None
+    if folder is not None and options.no_wait:
+        raise UsageError("--out and --no-wait contradict each other: there is no result yet; fetch it later")
+    if folder is not None:
+        refuse_existing_result(folder)
+    with raising_interrupts(), connected(address, CONNECT_LIMIT_S) as client:
+        view = request.submit(client, request.read())
+        if options.no_wait:
+            _say_what_it_waits_for(view, client, address)
+            say(request.job)
+            return DONE
+        return _see_through(request, client, address, folder)
+
+
+def _say_what_it_waits_for(view: JobView, client: Client, address: Destination) -> None:
+    """Tell somebody who leaves now what keeps the job from being searched at once, if anything does."""
+    if view.state in FINAL_STATES:
+        note(f"job {view.job} is known, and has ended: {view.state}")
+    elif waits := waiting(view, client.workers(), f"island-worker --connect {address}"):
+        note(f"job {view.job} {view.state}; {waits}")
+
+
+def _see_through(request: Request, client: Client, address: Destination, folder: Path | None) -> int:
+    try:
+        view = _follow(request, client, address)
+    except KeyboardInterrupt:
+        note(f"detached; the job goes on: coordinator status {request.job} --connect {address}")
+        return INTERRUPTED
+    result = request.result(client, view)
+    if result is not None:
+        if folder is not None:
+            note(f"result in {write_result(folder, result)}")
+        request.show(result)
+    return request.finish(view)
+
+
+def _follow(request: Request, client: Client, address: Destination) -> JobView:
+    with open_display(f"island-worker --connect {address}") as display:
+        display.say(f"job {request.job} submitted; Ctrl-C detaches and leaves it running")
+        return Follower(client, request.job, display).to_the_end()

@@ -1,0 +1,65 @@
+"""Inputs between the rows at which they were measured: cubics, given by slopes at the rows. Pure.
+
+Not for the search, which sees inputs at rows only: models are simulated with them. Most data have none, and
+need not wait for the library.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+
+_Slopes = Callable[[FloatArray, FloatArray], FloatArray]
+
+
+def _smooth(times: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the slopes of the cubic spline with continuous second derivatives (de Boor 1978, chapter IV)."""
+    from scipy.interpolate import CubicSpline
+
+    slopes: FloatArray = CubicSpline(times, values)(times, 1)
+    return slopes
+
+
+def _shape_preserving(times: FloatArray, values: FloatArray) -> FloatArray:
+    """Return slopes that let nothing overshoot (Fritsch & Butland 1984): right for inputs that are switched."""
+    from scipy.interpolate import PchipInterpolator
+
+    slopes: FloatArray = PchipInterpolator(times, values)(times, 1)
+    return slopes
+
+
+_KINDS: Final[tuple[_Slopes, ...]] = (_smooth, _shape_preserving)
+
+
+def input_slopes(times: Sequence[FloatArray], values: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return slopes of one input along each trajectory.
+
+    The input is taken as smooth or as shape-preserving, whichever predicts rows that are left out better. A linear
+    input has its own slope, but for rounding.
+
+    Args:
+        times: of each trajectory, ascending strictly, 5 rows or more.
+        values: of the input at these times, finite.
+    """
+    _, exponent = math.frexp(max(float(np.max(np.abs(each))) for each in values))
+    runs = [(its, np.ldexp(each, -exponent)) for its, each in zip(times, values, strict=True)]
+    best = min(_KINDS, key=lambda kind: _left_out_error(kind, runs))
+    with np.errstate(over="ignore", under="ignore"):
+        return [np.ldexp(best(*run), exponent) for run in runs]
+
+
+def _left_out_error(kind: _Slopes, runs: Sequence[tuple[FloatArray, FloatArray]]) -> float:
+    """Return the sum of absolute errors at inner rows when every other row is left out, first the odd then the even."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    total = 0.0
+    for times, values in runs:
+        for first in (0, 1):
+            kept = slice(first, None, 2)
+            left_out = slice(first + 1, len(times) - 1, 2)
+            curve = CubicHermiteSpline(times[kept], values[kept], kind(times[kept], values[kept]))
+            total += float(np.sum(np.abs(curve(times[left_out]) - values[left_out])))
+    return total

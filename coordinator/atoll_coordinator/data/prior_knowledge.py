@@ -1,0 +1,157 @@
+"""What is known beforehand, in terms of the data: guesses, known equations, what an equation may be made of. Pure.
+
+What cannot be used is refused in one sentence, before anything is searched.
+"""
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Final
+
+from atoll.config import JobConfig, PriorConfig, SpaceConfig
+from atoll.data.dataset import Dataset
+from atoll.errors import UsageError
+from atoll.expression.operation_list import placed_text
+from atoll.expression.operators import BY_NAME, VARIABLE
+from atoll.expression.program import Program
+from atoll.expression.simplification import complexity, simplify_program
+from atoll.expression.text.infix import PRINTABLE_SIZE, tree_size
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.data.reading.columns import Roles, variable_columns
+from atoll_coordinator.data.reading.left_hand_sides import LeftSides
+from atoll_coordinator.data.reading.symbols import symbols_for
+
+GUESSES_PER_POPULATION: Final = 4
+"""At most one of so many individuals begins as a guess."""
+
+
+def resolve_roles(config: JobConfig, roles: Roles) -> tuple[JobConfig, tuple[str, ...]]:
+    """Return the resolved configuration (see `resolve_prior`) and the equations of the job, in order.
+
+    Those are the ones sought, all unless ``--only`` names some, and the known ones. Raises UsageError.
+    """
+    symbols = symbols_for(variable_columns(roles, config.data.order))
+    known = _sides(config, roles.equations, symbols).single("--known", config.prior.known)
+    only = config.data.only
+    kept = tuple(name for name in roles.equations if not only or name in only or name in known)
+    return resolve_prior(config, kept, symbols), kept
+
+
+def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[str, str]) -> JobConfig:
+    """Return `config` with what is known beforehand by variable, and allowed variables by symbol; all is checked.
+
+    Args:
+        config: as submitted; one that has been through this stays as it is.
+        variables: names of the job's equations, of known ones as well.
+        symbols: symbol of each column that expressions may use, in the order of the dataset's rows.
+
+    Raises:
+        UsageError: a left-hand side, name or operator does not exist or is given twice, an expression cannot be read,
+            or a guess does not fit the operation lists of its equation.
+    """
+    sides, names = _sides(config, variables, symbols), tuple(symbols.values())
+    known = sides.single("--known", config.prior.known)
+    for name, text in known.items():
+        _known_program(name, text, names)
+    given = sides.several("--guess", config.prior.guesses)
+    guesses = {name: tuple(text for texts in those for text in texts) for name, those in given.items()}
+    space = _resolved_space(config.space, sides)
+    for option, those in (("--guess", guesses), ("--operators", space.operators_of), ("--allow", space.variables_of)):
+        _check_sought(option, those, known)
+    resolved = config.model_copy(update={"prior": PriorConfig(guesses=guesses, known=known), "space": space})
+    for name, texts in guesses.items():
+        _check_guesses(resolved, name, texts, names)
+    return resolved
+
+
+def known_programs(dataset: Dataset, config: JobConfig) -> dict[str, Program]:
+    """Return the programs of the known equations by variable, in the dataset's order.
+
+    Args:
+        dataset: has the known variables among its targets.
+        config: resolved.
+
+    Raises:
+        UsageError: an equation is no expression over the dataset's symbols.
+    """
+    known = config.prior.known
+    return {name: _known_program(name, known[name], dataset.names) for name in dataset.variables if name in known}
+
+
+def guessed_programs(dataset: Dataset, config: JobConfig) -> dict[str, tuple[Program, ...]]:
+    """Return the programs of the guesses by variable, their constants as given; `config` is resolved.
+
+    Raises:
+        UsageError: a guess is no expression over the dataset's symbols.
+    """
+    guesses = config.prior.guesses
+    return {
+        name: tuple(simplify_program(_parsed("--guess", name, text, dataset.names)) for text in guesses[name])
+        for name in dataset.variables
+        if name in guesses
+    }
+
+
+def _sides(config: JobConfig, variables: Sequence[str], symbols: Mapping[str, str]) -> LeftSides:
+    return LeftSides(tuple(variables), symbols, None if config.data.target is not None else config.data.order)
+
+
+def _resolved_space(space: SpaceConfig, sides: LeftSides) -> SpaceConfig:
+    allowed = sides.single("--allow", space.variables_of)
+    update = {
+        "operators_of": sides.single("--operators", space.operators_of),
+        "variables_of": {name: sides.symbols_of("--allow", texts) for name, texts in allowed.items()},
+    }
+    return space.model_copy(update=update)
+
+
+def _check_sought(option: str, variables: Iterable[str], known: Collection[str]) -> None:
+    for name in variables:
+        if name in known:
+            raise UsageError(f"{option} names '{name}', whose equation is known; leave one of the two out")
+
+
+def _parsed(option: str, variable: str, text: str, names: Sequence[str]) -> Program:
+    try:
+        return from_infix(text, names)
+    except UsageError as error:
+        raise UsageError(f"{option} for '{variable}': {error}") from error
+
+
+def _known_program(variable: str, text: str, names: Sequence[str]) -> Program:
+    program = simplify_program(_parsed("--known", variable, text, names))
+    if tree_size(program) > PRINTABLE_SIZE:
+        raise UsageError(f"--known for '{variable}' has more than {PRINTABLE_SIZE} operations when written out")
+    return program
+
+
+def _check_guesses(config: JobConfig, variable: str, texts: Sequence[str], names: Sequence[str]) -> None:
+    """Raise UsageError unless every guess for `variable` can stand in its populations."""
+    population = config.evolution.population
+    most = population // GUESSES_PER_POPULATION
+    if len(texts) > most:
+        raise UsageError(
+            f"--guess gives {len(texts)} guesses for '{variable}', but a population of {population} takes at most "
+            f"{most}; leave the least likely ones out"
+        )
+    for text in texts:
+        program = _parsed("--guess", variable, text, names)
+        objection = _objection(config.space, variable, text, program, names)
+        if objection is not None:
+            raise UsageError(f"the guess '{text}' for '{variable}' {objection}")
+
+
+def _objection(space: SpaceConfig, variable: str, text: str, program: Program, names: Sequence[str]) -> str | None:
+    """Return why a guess cannot stand in the populations of `variable`, without its subject; None when it can."""
+    columns = space.columns_for(variable, names)
+    used = set(program.left[program.operators == VARIABLE].tolist())
+    excluded = [names[index] for index in sorted(used.difference(columns))]
+    if excluded:
+        return f"uses {excluded[0]}, but --allow lets it use {', '.join(names[index] for index in columns)} only"
+    operators = [BY_NAME[name].code for name in space.operators_for(variable)]
+    try:
+        placed_text(text, names, operators, space.terminals_for(len(names)), space.operator_nodes)
+    except UsageError as error:
+        return str(error)
+    size = complexity(program)
+    if space.max_size is not None and size > space.max_size:
+        return f"has size {size}, but --max-size is {space.max_size}; shorten it, or allow more"
+    return None

@@ -1,0 +1,107 @@
+"""The measurements of a job, trajectory by trajectory, and how they were smoothed: what a model is judged by.
+
+The search sees a `atoll.data.dataset.Dataset` of smoothed rows; everything after it goes back to the states as they
+were measured. Pure data. Letters: R rows of one trajectory, S states, U inputs.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from atoll.data.dataset import Dataset, FloatArray
+
+Method = Literal["interpolation", "loess", "robust loess"]
+Reason = Literal["end", "gap", "jump", "outlier"]
+"""Why a row is not used: near an end of its trajectory, near a gap in the times, where the state changes too fast for
+the sampling or for the smoother, or without weight as an outlier."""
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A row that is not used because of one state: the place of its `trajectory` and its `row` in there."""
+
+    trajectory: int
+    row: int
+    reason: Reason
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One continuous measurement; arrays in C order.
+
+    `name` is what the user knows it by: its number from 1, or the value of the trajectory column. `times` (R,) ascend
+    strictly, centred over all trajectories; `measured`, `smoothed` and `slopes` are (S, R), angles unwrapped and in
+    radians; `slopes` are first derivatives. `inputs` and `input_slopes` are (U, R): an input between rows is the cubic
+    with these values and slopes. `held_out` trajectories were kept from the search and from every fit. `trust` (S, R)
+    says between 0 (an outlier) and 1 how much a measurement is believed; None: wholly. `weights` (R,) divide the
+    variance of the errors of each row and are 1 on average over all rows; None: all alike.
+    """
+
+    name: str
+    times: FloatArray
+    measured: FloatArray
+    smoothed: FloatArray
+    slopes: FloatArray
+    inputs: FloatArray
+    input_slopes: FloatArray
+    held_out: bool = False
+    trust: FloatArray | None = None
+    weights: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class Smoothing:
+    """How one state was smoothed.
+
+    `noise` is the estimated standard deviation of its measurement errors, in its unit and in rows of weight 1 (where it
+    was interpolated, an upper estimate, often of rounding alone), and `relative` that over the state's pooled standard
+    deviation; `span` (rows) and `degree` are those of loess, None where it was interpolated; `doubtful` counts rows
+    whose derivative cannot be trusted, and `outliers` those that robust loess all but ignored. `doubts` are the rows of
+    trajectories that are not held out which are not used because of this state, in order.
+    """
+
+    state: str
+    method: Method
+    noise: float
+    relative: float
+    span: int | None = None
+    degree: int | None = None
+    doubtful: int = 0
+    outliers: int = 0
+    doubts: tuple[Doubt, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """All trajectories of a job.
+
+    `states` and `inputs` are column names, `state_symbols` and `input_symbols` the names in expressions, in the order
+    of the arrays' rows; `offsets` are states measured up to an offset that each trajectory has its own. With `order` 2
+    the variables of expressions are the states, then `velocity_symbols`, then the inputs. `offset` is what was taken
+    from the times of the file to centre them.
+    """
+
+    states: tuple[str, ...]
+    state_symbols: tuple[str, ...]
+    velocity_symbols: tuple[str, ...]
+    inputs: tuple[str, ...]
+    input_symbols: tuple[str, ...]
+    order: Literal[1, 2]
+    offset: float
+    smoothing: tuple[Smoothing, ...]
+    trajectories: tuple[Trajectory, ...]
+    offsets: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Preparation:
+    """What preparing a table gives.
+
+    `dataset` is what the search sees; `recording` is None where the left-hand sides were given; `held_out` has the same
+    targets over rows of held-out trajectories, with floor, deviation and noise of `dataset`, None where there are none.
+    `weights` say how much each row of `dataset` counts where the left-hand sides were given, None: all alike.
+    """
+
+    dataset: Dataset
+    recording: Recording | None = None
+    held_out: Dataset | None = None
+    weights: FloatArray | None = None

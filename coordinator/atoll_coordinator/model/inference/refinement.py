@@ -1,0 +1,148 @@
+"""What is made of the fronts after the search: equations with error bars, contenders, verdicts, simulations. Pure data.
+
+Letters: K constants of one program, T trajectories, R rows of one trajectory, S states.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.program import Program
+from atoll.search.pareto import FrontEntry
+
+Grade = Literal["exact", "good", "doubtful", "no model"]
+Origin = Literal["front", "runner-up", "guess", "library", "descent", "known"]
+"""Where an equation comes from: the front or the runners-up of the search, a guess, a library of terms, what was given,
+or a descent from any of these to a shorter description. Constants may have been fitted and made simple since."""
+
+NORMAL_95: Final = 1.959963984540054
+"""Standard errors on either side of a 95 % interval."""
+
+LOOSE: Final = 0.5
+"""A constant whose standard error is a larger share of it than this is not determined by the data."""
+
+
+@dataclass(frozen=True)
+class Pool:
+    """What the search hands on of one variable.
+
+    `front` has for each complexity the program of least error, if no simpler one is as good; `runners_up` the next best
+    of each complexity, distinct in function, by (complexity, error).
+    """
+
+    front: tuple[FrontEntry, ...]
+    runners_up: tuple[FrontEntry, ...] = ()
+
+
+Pools = Mapping[str, Pool]
+"""By variable, what the search hands on."""
+
+
+@dataclass(frozen=True)
+class Constant:
+    """One constant of an equation as it is shown.
+
+    `value` is printed; `fitted` is its value by maximum likelihood before it was made simple, and `std_error` and
+    `interval` (95 %) belong to that; `identifiable` is false where the data do not determine it.
+    """
+
+    value: float
+    fitted: float | None = None
+    std_error: float | None = None
+    interval: tuple[float, float] | None = None
+    identifiable: bool = True
+
+
+@dataclass(frozen=True)
+class Implied:
+    """A factor of one that is not written, of the term `of`; the constant has its value as it was fitted."""
+
+    of: Program
+    constant: Constant
+
+
+@dataclass(frozen=True)
+class Contender:
+    """An equation that was compared with the one shown, all other variables as in the model.
+
+    `nats` is how much longer the description of the data is with it (0 for the one shown, negative where it is shorter
+    but foretells less well; below about 3 the data hardly decide); `r2` is that of its state's simulation,
+    `held_out_r2` the same on trajectories that did not take part in its fit, None where there are none:
+    held-out ones, or when it `is_cross_validated` each of the others, left out one at a time.
+    """
+
+    program: Program
+    nats: float
+    r2: float | None
+    held_out_r2: float | None = None
+    is_shown: bool = False
+    is_cross_validated: bool = False
+    origin: Origin | None = None
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """Two constants of a model that the data hardly tell apart: (variable, place among its constants), twice."""
+
+    first: tuple[str, int]
+    second: tuple[str, int]
+    value: float
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """The equation of one variable as it is shown; before refinement, a member of the front as it stands.
+
+    `member` is the index of the front member it came from, None when it came from elsewhere; `error` is the job's loss
+    and `mse` the mean squared error on all rows of the dataset; `constants` has one for each constant of `program`, in
+    node order (empty before refinement); `implied` has the factors of one that are not written.
+    """
+
+    member: int | None
+    program: Program
+    error: float
+    mse: float
+    constants: tuple[Constant, ...] = ()
+    implied: tuple[Implied, ...] = ()
+    contenders: tuple[Contender, ...] = ()
+    grade: Grade | None = None
+    reason: str | None = None
+    origin: Origin | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """One trajectory by the model, from fitted initial conditions.
+
+    `times` (R,) are centred as in the recording; `values` and `errors` (S, R) are the simulated states and the standard
+    errors that those of the constants and initial conditions give them (None where the simulation ends early);
+    `r2` has one number for each state, None where it could not be simulated to the end. `offsets` are what was measured
+    minus the state, by the names of the states that have one; `values` include them.
+    """
+
+    name: str
+    held_out: bool
+    times: FloatArray
+    values: FloatArray | None
+    errors: FloatArray | None
+    r2: tuple[float | None, ...]
+    offsets: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """The model's simulations of all trajectories; `states` are the column names in the order of their rows."""
+
+    states: tuple[str, ...]
+    trajectories: tuple[Simulated, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """Everything that refining a job gives; `equations` lacks variables of which the front has nothing better."""
+
+    equations: Mapping[str, Refined] = field(default_factory=dict)
+    simulation: Simulation | None = None
+    correlations: tuple[Correlation, ...] = ()
+    warnings: tuple[str, ...] = ()

@@ -1,0 +1,97 @@
+"""What a simulation leaves of a state: is it as large as the noise, and is it without a pattern? Pure.
+
+Residuals of a right model are the measurement errors: their variance is that of the noise, and neighbours do not know
+of each other. Both are asked of all trajectories together, with p-values. Letters: R rows of one trajectory, n rows of
+all, p fitted parameters.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+
+LAGS: Final = 3
+"""Rows this far apart are compared; a model that misses something errs the same way for several rows."""
+
+FAR_OUT: Final = 3.0
+"""Robust checks bring residuals in to so many standard deviations."""
+
+_NORMAL_MAD: Final = 0.6744897501960817
+"""Median of the absolute value of a standard normal number."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """What was found of the residuals of one state.
+
+    `deviation` is their standard deviation, corrected for what was fitted. `ratio` is that over the noise and
+    `too_large` the probability of at least that ratio if they were noise. `correlation` is that of neighbours, as far
+    as it exceeds what fitting causes: about the share of the residuals' variance that follows a pattern; `patterned` is
+    the probability of at least that much, over `LAGS` lags, if they were noise.
+    """
+
+    deviation: float
+    ratio: float
+    too_large: float
+    correlation: float
+    patterned: float
+
+
+def check(residuals: Sequence[FloatArray], noise: float, parameters: float = 0.0, *, is_robust: bool = False) -> Check:
+    """Return the checks of one state's residuals.
+
+    Args:
+        residuals: (R,) for each trajectory, measured minus simulated, finite.
+        noise: estimated standard deviation of the measurement errors, in the same unit; that estimate is taken to rest
+            on n - p rows as well. 0 gives an infinite ratio.
+        parameters: p, how many numbers were fitted to these residuals: constants and initial values, by share where
+            other states decide as well.
+        is_robust: whether there are outliers, which must not decide.
+    """
+    from scipy import special
+
+    rows = sum(len(each) for each in residuals)
+    free = max(rows - parameters, 1.0)
+    errors = _brought_in(residuals) if is_robust else residuals
+    square = float(sum(each @ each for each in errors))
+    deviation = math.sqrt(square / free)
+    ratio = deviation / noise if noise > 0.0 else math.inf
+    if square == 0.0:
+        return Check(0.0, 0.0 if noise > 0.0 else 1.0, 1.0, 0.0, 1.0)
+    correlations, weights = _correlations(errors, square, rows / free * parameters)
+    score = sum(correlations) / math.sqrt(sum(weights)) if sum(weights) else 0.0
+    return Check(
+        deviation,
+        ratio,
+        float(special.fdtrc(free, free, ratio * ratio)) if math.isfinite(ratio) else 0.0,
+        correlations[0] if correlations else 0.0,
+        float(special.ndtr(-score)),
+    )
+
+
+def _correlations(errors: Sequence[FloatArray], square: float, parameters: float) -> tuple[list[float], list[float]]:
+    """Return the correlation at each lag beyond what fitting causes, and the variance it has in noise.
+
+    With the projection H on what p parameters can do, residuals of noise have E sum e_i e_(i+k) = - sigma^2 sum
+    H_(i,i+k) over n_k pairs; that is about - sigma^2 p n_k/n, since what they do is smooth. The variance is that of
+    Ljung & Box (1978), n_k/(n (n + 2)).
+    """
+    rows = sum(len(each) for each in errors)
+    correlations, variances = [], []
+    for lag in range(1, LAGS + 1):
+        pairs = sum(max(len(each) - lag, 0) for each in errors)
+        if pairs:
+            product = float(sum(each[:-lag] @ each[lag:] for each in errors if len(each) > lag))
+            correlations.append(product / square + parameters * pairs / rows**2)
+            variances.append(pairs / (rows * (rows + 2)))
+    return correlations, variances
+
+
+def _brought_in(residuals: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return the residuals with those far out, by the median of their size, brought in."""
+    limit = FAR_OUT * float(np.median(np.abs(np.concatenate(list(residuals))))) / _NORMAL_MAD
+    return [np.clip(each, -limit, limit) for each in residuals]

@@ -1,0 +1,215 @@
+"""How far a fitted model can be trusted: errors of constants, bands of simulations, held-out trajectories. Pure.
+
+Letters: P fitted constants, D states, N rows, G pieces that were simulated at a stretch.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.program import Program
+from atoll_coordinator.model.inference.refinement import LOOSE, Constant, Correlation, Implied, Simulated
+from atoll_coordinator.model.selection.comparison import Contest, Standing, bounded_covariance, covariance
+from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.multiple_shooting import Shot
+from atoll_coordinator.model.structure.rewriting import constant_places
+from atoll_coordinator.model.structure.unit_coefficients import ONE, Opened
+
+HIGH: Final = 0.95
+"""Correlations of at least this size between two constants are reported."""
+
+_STEPS: Final = 30
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of the constants of one equation: those that are written, and factors of one that are not."""
+
+    written: tuple[Constant, ...]
+    implied: tuple[Implied, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """What the fit of all constants says of them: their joint covariance (P, P), and the rows left to judge it by."""
+
+    values: FloatArray
+    covariance: FloatArray
+    freedom: float
+
+
+def errors_of(contest: Contest, standing: Standing) -> Errors:
+    """Return the errors of the constants of a fit, variances corrected for the numbers fitted."""
+    shot = standing.shot
+    counts = float(contest.counts.sum()) / contest.coherence
+    fitted = len(shot.system.places) + shot.starts.size
+    freedom = max(counts - fitted, 1.0)
+    return Errors(shot.system.values, covariance(shot) * (contest.coherence * counts / freedom), freedom)
+
+
+def constants_of(contest: Contest, openings: Sequence[Opened], shown: Sequence[Program], errors: Errors) -> list[Known]:
+    """Return the constants of each program with standard errors and 95 % intervals (Student's t).
+
+    Args:
+        contest: says which equations are given.
+        openings: the programs that `errors` are of, their factors of one being constants as well.
+        shown: the same programs as they are written.
+        errors: of all constants of `openings`, one program after the other.
+    """
+    from scipy import special
+
+    reach = float(special.stdtrit(errors.freedom, 0.975))
+    spreads = np.sqrt(np.maximum(np.diag(errors.covariance), 0.0)).tolist()
+    found: list[Known] = []
+    index = 0
+    for equation, (opening, program) in enumerate(zip(openings, shown, strict=True)):
+        values = program.constants[constant_places(program)].tolist()
+        if equation in contest.fixed:
+            found.append(Known(tuple(map(Constant, values)), ()))
+            continue
+        written: dict[int, Constant] = {}
+        implied: list[Implied] = []
+        for origin in opening.origins:
+            value = ONE if origin is None else values[origin]
+            its = _constant(value, float(errors.values[index]), spreads[index], reach)
+            if origin is None:
+                implied.append(Implied(opening.terms[len(implied)], its))
+            else:
+                written[origin] = its
+            index += 1
+        found.append(Known(tuple(written[number] for number in range(len(values))), tuple(implied)))
+    return found
+
+
+def _constant(value: float, fitted: float, error: float, reach: float) -> Constant:
+    bounds = (fitted - reach * error, fitted + reach * error) if math.isfinite(error) else None
+    return Constant(value, fitted, error, bounds, error <= LOOSE * abs(fitted))
+
+
+def correlations_of(
+    contest: Contest, variables: Sequence[str], openings: Sequence[Opened], errors: Errors
+) -> tuple[Correlation, ...]:
+    """Return the pairs of constants that are written and highly correlated, the highest first."""
+    names = [
+        (variable, origin)
+        for equation, (variable, opening) in enumerate(zip(variables, openings, strict=True))
+        if equation not in contest.fixed
+        for origin in opening.origins
+    ]
+    spreads = np.sqrt(np.maximum(np.diag(errors.covariance), 1e-300))
+    with np.errstate(invalid="ignore"):  # infinite variances
+        unit = errors.covariance / np.outer(spreads, spreads)
+    pairs = [
+        Correlation((one, first_number), (other, second_number), float(unit[first, second]))
+        for second, (other, second_number) in enumerate(names)
+        for first, (one, first_number) in enumerate(names[:second])
+        if first_number is not None and second_number is not None
+        if HIGH <= abs(unit[first, second]) <= 1.0 + 1e-6
+    ]
+    return tuple(sorted(pairs, key=lambda pair: -abs(pair.value)))
+
+
+def held(contest: Contest, programs: Sequence[Program], near: Shot | None = None) -> Shot | None:
+    """Return `programs`, all constants as they are, fitted to the trajectories by their initial states alone."""
+    system = contest.system(programs, [constant_places(program) for program in programs])
+    starts, sigmas = (None, None) if near is None else (near.starts, near.sigmas)
+    return contest.shooter.fit(system, None, _STEPS, starts, sigmas)
+
+
+def simulated(
+    its: Measurements, shot: Shot, errors: FloatArray | None, states: Sequence[str], *, held_out: bool
+) -> list[Simulated]:
+    """Return the simulations of all trajectories of `states`; `errors` are (O, N)."""
+    offsets = _offsets(its, shot)
+    values = shot.simulated[its.observed]
+    for state, offset in zip(its.offset.tolist(), offsets, strict=True):
+        values[state] += offset
+    return [
+        Simulated(
+            name,
+            held_out,
+            its.times[rows],
+            values[:, rows],
+            None if errors is None else errors[:, rows],
+            tuple(r2_of(its, shot, rows)),
+            {states[state]: float(offset[rows].mean()) for state, offset in zip(its.offset, offsets, strict=True)},
+        )
+        for name, rows in _rows_of(its)
+    ]
+
+
+def _offsets(its: Measurements, shot: Shot) -> list[FloatArray]:
+    """Return for each state that has one the offset at every row (N,)."""
+    lengths = shot.segments[:, 1] - shot.segments[:, 0]
+    columns = shot.starts[:, shot.starts.shape[1] - len(its.offset) :].T
+    return [np.repeat(column, lengths) for column in columns]
+
+
+def not_simulated(its: Measurements, *, held_out: bool) -> list[Simulated]:
+    """Return as many simulations that came to nothing as there are trajectories."""
+    unknown = tuple(None for _ in its.observed)
+    return [Simulated(name, held_out, its.times[rows], None, None, unknown) for name, rows in _rows_of(its)]
+
+
+def _rows_of(its: Measurements) -> list[tuple[str, FloatArray]]:
+    ranges = [np.arange(*bound) for bound in its.bounds.tolist()]
+    found = []
+    for index, name in enumerate(its.names):
+        own = [rows for rows, owner in zip(ranges, its.owners.tolist(), strict=True) if owner == index]
+        if own:
+            found.append((name, np.concatenate(own)))
+    return found
+
+
+def r2_of(its: Measurements, shot: Shot, rows: FloatArray | slice) -> list[float | None]:
+    """Return for each measured state the share of its variance along these rows that the simulation explains."""
+    found: list[float | None] = []
+    for state in range(len(its.observed)):
+        weights = its.weights[state, rows]
+        left = weights * shot.residuals[state, rows] ** 2
+        values = its.measured[state, rows][weights > 0.0]
+        precision = np.ones(len(values)) if its.precision is None else its.precision[rows][weights > 0.0]
+        mean = float((precision * values).sum() / precision.sum()) if len(values) else 0.0
+        spread = float((precision * (values - mean) ** 2).sum())
+        found.append(1.0 - float(left.sum()) / spread if spread > 0.0 else None)
+    return found
+
+
+def spread_of(contest: Contest, shot: Shot, errors: Errors) -> tuple[FloatArray, float]:
+    """Return the covariance (P, P) of the constants, large where it is infinite, and what variances are to be scaled
+    by: the sum of weights over the rows left to judge by."""
+    scale = float(contest.shooter.measurements.weights.sum()) / errors.freedom
+    return scale * bounded_covariance(shot), scale
+
+
+def bands(its: Measurements, shot: Shot, spread: FloatArray, scale: float) -> FloatArray:
+    """Return the standard errors (O, N) of the simulated states: those of constants and initial states together.
+
+    To first order: with sensitivities J of the constants and Y of a piece's initial state, whose normal equations have
+    blocks B (coupling) and C (own), the variance of a state is K S K' + Y C^-1 Y' with K = J - Y C^-1 B'. The
+    constants may have been fitted to these trajectories or to others.
+
+    Args:
+        its: the trajectories.
+        shot: the fit of their initial states, in which the constants are free.
+        spread: S, the covariance (P, P) of the constants.
+        scale: what variances that follow from normal equations are multiplied by.
+    """
+    fitted = len(shot.system.places)
+    found = np.zeros((len(its.observed), its.rows))
+    sensitivities = shot.integrated_sensitivities()
+    for group, (first, end) in enumerate(shot.segments.tolist()):
+        own = np.linalg.pinv(shot.own[group], hermitian=True)
+        carried = own @ shot.coupling[group].T
+        for state, index in enumerate(its.observed.tolist()):
+            gradients = sensitivities[first:end, index]
+            starts = gradients[:, fitted:]
+            constants = gradients[:, :fitted] - starts @ carried
+            variance = np.einsum("np,pq,nq->n", constants, spread, constants)
+            variance += scale * np.einsum("nd,de,ne->n", starts, own, starts)
+            found[state, first:end] = np.sqrt(np.maximum(variance, 0.0))
+    return found

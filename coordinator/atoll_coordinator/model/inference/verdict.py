@@ -1,0 +1,197 @@
+"""How far the equation of a variable can be trusted: a grade, and one sentence with the reason. Pure.
+
+A model that was fitted to trajectories is judged by what its simulation leaves of the measurements, by what its
+constants are known to, and by the next best equation. Without trajectories (labels or derivatives were given) there is
+only the error on the target. The rules and limits: ADR 0020.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from atoll.data.dataset import FloatArray
+from atoll_coordinator.model.inference.refinement import Constant, Grade
+from atoll_coordinator.model.inference.residuals import Check, check
+from atoll_coordinator.model.selection.front import ALWAYS_CONVERGED
+
+CLEAN: Final = 1e-5
+"""Noise, or the floor of a target, below this share of the deviation is none."""
+EXACT: Final = 1e-6
+"""Residuals below this share of the deviation are those of the integration; or they are noise, if that is as small."""
+NEGLIGIBLE: Final = 1e-3
+"""Residuals below this share of the deviation may have any pattern."""
+IMPROBABLE: Final = 0.01
+TOO_LARGE: Final = 1.25
+"""Residuals this many times as large as the noise are too large, unless they may be so by chance."""
+PATTERNED: Final = 0.1
+"""Share of the residuals' variance that may follow a pattern: constants that were made simple leave a little."""
+DISTINCT_NATS: Final = 3.0
+"""Another equation that is not this much longer as a description may be the right one (odds of 20)."""
+LEAST_R2: Final = 0.5
+"""A simulation that explains less is no model."""
+GOOD_R2: Final = 0.9
+"""A simulation that explains less of what is not noise is doubtful."""
+LARGEST_FLOOR: Final = 0.01
+"""A target that is more uncertain cannot tell a law from nonsense of the same error; trajectories can."""
+LEAST_TARGET_R2: Final = 0.1
+"""An equation that explains less of its target is no better than a constant."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What is known of the equation of one variable. Defaults stand for what is not known.
+
+    Of the target, on the rows of the search: `error` is the normalized error, `floor` the target's; `target_r2` is the
+    share of the target's variance that is explained.
+
+    Of the simulation: `residuals` has (R,) numbers for each trajectory that was fitted and could be simulated to its
+    end, measured minus simulated values of this state; `failed` counts the others. `parameters` is how many numbers
+    were fitted to them: constants and initial values, each shared by as many states as it was fitted to. `noise` is
+    the smoother's estimate of the measurement errors (0 for a state that was interpolated) and `deviation` the pooled
+    standard deviation, both in the state's unit; `has_outliers` makes the checks robust. `held_out_r2` is the R2 of the
+    simulations of held-out trajectories; with `is_cross_validated`, of those that were left out one at a time.
+
+    Of the model: `constants`, as they are reported; `rival` is how many nats longer the description is with the next
+    best equation that is another function and has no more constants; `is_known` tells that the equation was given.
+    """
+
+    error: float = math.inf
+    floor: float = 0.0
+    target_r2: float | None = None
+    residuals: Sequence[FloatArray] = ()
+    failed: int = 0
+    parameters: float = 0.0
+    noise: float = 0.0
+    deviation: float = 1.0
+    has_outliers: bool = False
+    held_out_r2: float | None = None
+    is_cross_validated: bool = False
+    constants: Sequence[Constant] = ()
+    rival: float | None = None
+    is_known: bool = False
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the model was fitted to trajectories."""
+        return bool(self.residuals) or self.failed > 0
+
+
+def judge(evidence: Evidence) -> tuple[Grade, str]:
+    """Return the grade of an equation, and the reason in one sentence."""
+    if evidence.is_simulated:
+        return _by_simulation(evidence)
+    return _by_target(evidence)
+
+
+def _by_simulation(its: Evidence) -> tuple[Grade, str]:
+    trajectories = len(its.residuals) + its.failed
+    if its.failed * 2 >= trajectories:
+        return "no model", f"It cannot be simulated to the end of {its.failed} of {trajectories} trajectories."
+    found = check(its.residuals, its.noise, its.parameters, is_robust=its.has_outliers)
+    left = found.deviation / its.deviation
+    r2 = 1.0 - left * left
+    if not r2 >= LEAST_R2:  # NaN explains nothing
+        return "no model", f"Its simulation explains too little of the measurements (R2 {_r2(r2)})."
+    doubts = [*_doubts_of_simulation(its, found), *_doubts_of_model(its)]
+    if doubts:
+        return "doubtful", _sentence(doubts)
+    if its.noise <= CLEAN * its.deviation and left <= max(EXACT, 2.0 * its.noise / its.deviation):
+        return "exact", f"Without noise, the simulation misses the measurements by {left:.1g} of their deviation."
+    return "good", _sentence([_praise(its, found)])
+
+
+def _by_target(its: Evidence) -> tuple[Grade, str]:
+    if its.floor <= CLEAN and its.error <= max(ALWAYS_CONVERGED, 2.0 * its.floor):
+        return "exact", f"The error, {its.error:.1g} of the target's deviation, is at the level of rounding."
+    if not math.isfinite(its.error):
+        return "no model", "Its error is not finite."
+    is_at_floor = its.error <= 2.0 * its.floor
+    r2 = its.target_r2
+    if r2 is not None and r2 < LEAST_TARGET_R2:
+        what = (
+            "It is not much better than a constant" if its.is_known else "Nothing much better than a constant was found"
+        )
+        return "no model", f"{what} (R2 {_r2(r2)} on the target)."
+    doubts = [*_doubts_of_target(its, is_at_floor=is_at_floor), *_doubts_of_model(its)]
+    if doubts:
+        return "doubtful", _sentence(doubts)
+    return "good", _sentence([_praise_of_target(its, is_at_floor=is_at_floor)])
+
+
+def _doubts_of_simulation(its: Evidence, found: Check) -> Iterator[str]:
+    """Yield what speaks against the simulation, the worst first."""
+    left = found.deviation / its.deviation
+    noise = its.noise / its.deviation
+    if its.failed:
+        yield f"it cannot be simulated to the end of {its.failed} of {len(its.residuals) + its.failed} trajectories"
+    if its.held_out_r2 is not None and its.held_out_r2 < 1.0 - noise * noise - (1.0 - GOOD_R2):
+        yield f"{_unseen(its)} are simulated with R2 {_r2(its.held_out_r2)} only"
+    if left <= NEGLIGIBLE:
+        return
+    if noise <= CLEAN:
+        yield f"there is no noise, but the simulation misses the measurements by {_percent(left)} of their deviation"
+        return
+    if found.ratio > TOO_LARGE and found.too_large < IMPROBABLE:
+        yield (
+            f"the simulation misses the measurements by {_percent(left)} of their deviation, {found.ratio:.2g} times "
+            f"the noise (p = {found.too_large:.1g})"
+        )
+    if found.correlation > PATTERNED and found.patterned < IMPROBABLE:
+        share = _percent(min(found.correlation, 1.0))
+        yield f"about {share} of what it leaves follows a pattern (p = {found.patterned:.1g})"
+
+
+def _doubts_of_target(its: Evidence, *, is_at_floor: bool) -> Iterator[str]:
+    if its.target_r2 is not None and its.target_r2 < GOOD_R2 and not is_at_floor:
+        yield f"it explains the target with R2 {_r2(its.target_r2)} only"
+    if its.floor > LARGEST_FLOOR:
+        yield f"the target itself is uncertain by {_percent(its.floor)} of its deviation"
+
+
+def _doubts_of_model(its: Evidence) -> Iterator[str]:
+    if its.rival is not None and its.rival < DISTINCT_NATS:
+        nats = f"{its.rival:.2g} nats apart" if its.rival >= 0.0 else f"{-its.rival:.2g} nats shorter"
+        yield f"another equation describes the data about as well ({nats})"
+    loose = sum(not constant.identifiable for constant in its.constants)
+    if loose:
+        many = f"{loose} of {len(its.constants)} constants are" if len(its.constants) > 1 else "its constant is"
+        yield f"{many} not determined by the data"
+
+
+def _praise(its: Evidence, found: Check) -> str:
+    left = found.deviation / its.deviation
+    held_out = f"; {_unseen(its)}: R2 {_r2(its.held_out_r2)}" if its.held_out_r2 is not None else ""
+    if left <= NEGLIGIBLE:
+        return f"the simulation misses the measurements by {left:.1g} of their deviation{held_out}"
+    return (
+        f"what the simulation leaves, {_percent(left)} of the deviation, is like the noise, "
+        f"{_percent(its.noise / its.deviation)}, and without a pattern{held_out}"
+    )
+
+
+def _unseen(its: Evidence) -> str:
+    return "trajectories left out one at a time" if its.is_cross_validated else "held-out trajectories"
+
+
+def _praise_of_target(its: Evidence, *, is_at_floor: bool) -> str:
+    if is_at_floor:
+        return f"the error is that of the target itself, {_percent(its.floor)} of its deviation"
+    if its.target_r2 is None:
+        return f"the error is {_percent(its.error)} of the target's deviation"
+    return f"it explains the target with R2 {_r2(its.target_r2)}; how much of the rest is noise is not known"
+
+
+def _sentence(clauses: Sequence[str]) -> str:
+    """Return at most two clauses as a sentence; a third is worth no more reading."""
+    text = ", and ".join(clauses[:2])
+    return text[0].upper() + text[1:] + "."
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %" if share < 0.995 else f"{100.0 * share:.0f} %"
+
+
+def _r2(value: float) -> str:
+    """Return R2 in up to four decimals, never rounded up to 1."""
+    return f"{math.floor(value * 1e4) / 1e4:.4g}" if math.isfinite(value) else str(value)

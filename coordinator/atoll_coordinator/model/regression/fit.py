@@ -1,0 +1,138 @@
+"""The constants of a program fitted to all rows, to convergence: Levenberg's method with Marquardt's damping.
+
+Maximum likelihood for noise of one variance on every row, or of one that the rows' weights divide. Letters: R rows, K
+constants that are fitted.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray, Problem
+from atoll.expression.program import Program
+from atoll_coordinator.model.regression.gradient import gradient_of, node_values, values_of
+from atoll_coordinator.model.structure.rewriting import constant_places, with_constants
+
+MOST_STEPS: Final = 40
+OVERHEAD: Final = 500
+"""Rows whose evaluation takes as long as a program takes beside them."""
+
+_FIRST_DAMPING: Final = 1e-3
+_SMALLEST_DAMPING: Final = 1e-12
+_LARGEST_DAMPING: Final = 1e8
+_SETTLED: Final = 1e-6
+_HOPELESS: Final = 7
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A program with its constants fitted.
+
+    `mse` is the mean squared error on all rows, infinite where the program has no finite value on one of them;
+    `normal` (K, K) is the matrix of the normal equations at the constants that were fitted, in node order.
+    """
+
+    program: Program
+    mse: float
+    normal: FloatArray
+
+
+class Polisher:
+    """Fits programs to the rows of one problem; `evaluations` counts the point evaluations, overhead included."""
+
+    def __init__(self, problem: Problem, weights: FloatArray | None = None) -> None:
+        """`weights` (R,) of the rows, 1 on average; None: all alike."""
+        self._inputs = problem.inputs
+        self._target = problem.target.values
+        self._roots = None if weights is None else np.sqrt(weights)
+        self.evaluations = 0
+
+    def mse(self, program: Program) -> float:
+        """Return the mean squared error of `program`."""
+        self.evaluations += len(self._target) + OVERHEAD
+        with np.errstate(all="ignore"):
+            return _mse(self._weighed(values_of(program, self._inputs) - self._target))
+
+    def _weighed(self, rows: FloatArray) -> FloatArray:
+        return rows if self._roots is None else np.asarray(rows * self._roots)
+
+    def fit(self, program: Program, fixed: Sequence[int] = (), enough: float = 0.0, steps: int = MOST_STEPS) -> Fitted:
+        """Return `program` with its constants fitted.
+
+        Args:
+            program: where the fit begins.
+            fixed: indices of nodes whose constants stay.
+            enough: a mean squared error; a fit that is not going to come near it is given up early.
+            steps: most steps, successful or not.
+        """
+        places = [place for place in constant_places(program) if place not in fixed]
+        mse, gradient, normal = self._equations(program, places, np.inf)
+        if not places or not math.isfinite(mse):
+            return Fitted(program, mse, normal)
+        damping = _FIRST_DAMPING
+        for step in range(steps):
+            change = _solved(normal, gradient, damping)
+            moved = _moved(program, places, change)
+            new_mse, new_gradient, new_normal = self._equations(moved, places, mse)
+            if not new_mse <= mse:
+                damping *= 10.0
+                if damping > _LARGEST_DAMPING:
+                    break
+                continue
+            is_settled = new_mse >= mse * (1.0 - _SETTLED)
+            is_hopeless = step >= _HOPELESS and _projected(mse, new_mse, steps - step) > enough > 0.0
+            program, mse, gradient, normal = moved, new_mse, new_gradient, new_normal
+            damping = max(0.1 * damping, _SMALLEST_DAMPING)
+            if is_settled or is_hopeless:
+                break
+        return Fitted(program, mse, normal)
+
+    def _equations(self, program: Program, places: list[int], limit: float) -> tuple[float, FloatArray, FloatArray]:
+        """Return mean squared error, gradient (K,) and normal matrix (K, K); the latter two empty beyond `limit`."""
+        values = node_values(program, self._inputs)
+        with np.errstate(all="ignore"):
+            errors = self._weighed(values[-1] - self._target)
+        self.evaluations += len(errors) + OVERHEAD
+        mse = _mse(errors)
+        if not mse <= limit or math.isinf(mse):
+            return mse, np.zeros(0), np.zeros((0, 0))
+        slopes = gradient_of(program, values, places)
+        self.evaluations += 2 * len(errors)
+        with np.errstate(all="ignore"):
+            slopes = self._weighed(slopes)
+            gradient, normal = slopes @ errors, slopes @ slopes.T
+        is_finite = bool(np.isfinite(gradient).all() and np.isfinite(normal).all())
+        return mse if is_finite else math.inf, gradient, normal
+
+
+def _mse(errors: FloatArray) -> float:
+    with np.errstate(all="ignore"):
+        mse = float(errors @ errors) / len(errors)
+    return mse if math.isfinite(mse) else math.inf
+
+
+def _moved(program: Program, places: list[int], change: FloatArray) -> Program:
+    return with_constants(
+        program, {place: float(program.constants[place] + by) for place, by in zip(places, change, strict=True)}
+    )
+
+
+def _projected(before: float, after: float, steps: int) -> float:
+    """Return the mean squared error after as many `steps` as good as the last one."""
+    return float(after * (after / before) ** steps) if before > 0.0 else 0.0
+
+
+def _solved(normal: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
+    """Return the step of (N + damping diag N) step = -gradient, in units in which the diagonal of N is one."""
+    scale = np.sqrt(np.diag(normal))
+    scale[scale == 0.0] = 1.0
+    unit = normal / np.outer(scale, scale)
+    np.fill_diagonal(unit, 1.0 + damping)
+    try:
+        step = np.linalg.solve(unit, -gradient / scale)
+    except np.linalg.LinAlgError:
+        return np.zeros_like(gradient)
+    return np.asarray(step / scale)

@@ -1,0 +1,183 @@
+"""From a front to the shortest model: its members polished, reduced, made simple, and what lies one step beside.
+
+The search compares individuals by their error on some rows; here whole descriptions are compared, on all rows. Members
+far from the shortest are left out. Each of the others, and what its reductions lead to, is snapped. Then the programs
+one step from the smallest of the nearly shortest models are tried (a larger one may have begun to describe the noise),
+and those one step from the shortest as long as that makes it shorter; not when its errors are at the limit, where
+nothing but its size could be better. The work is bounded by a number of point evaluations, never by the clock.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray, Problem
+from atoll.expression.program import Program
+from atoll_coordinator.model.regression.criterion import Criterion, program_length
+from atoll_coordinator.model.regression.fit import Fitted, Polisher
+from atoll_coordinator.model.regression.rounding import Model, snapped
+from atoll_coordinator.model.structure.neighbours import neighbours
+from atoll_coordinator.model.structure.rewriting import reductions, structure, tidied
+
+MARGIN: Final = 40.0
+"""Members are left out whose description is longer than the shortest by more nats."""
+
+NEARLY: Final = 6.0
+"""Neighbours are snapped whose description, their constants as fitted, is longer than the best by at most so much."""
+
+NEAR: Final = 20.0
+"""The smallest model that is at most so many nats longer than the shortest has its neighbours tried, too."""
+
+MOST_MEMBERS: Final = 10
+MOST_NEIGHBOURS: Final = 12
+MOST_EVALUATIONS: Final = 12_000_000
+"""Point evaluations after which no new program is tried; those of a fit count with what it costs beside them."""
+
+_STEPS: Final = 40
+_TRIAL_STEPS: Final = 25
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A fitted program, the front member that it came from, and the model it became."""
+
+    member: int
+    fitted: Fitted
+    model: Model
+
+    @property
+    def rank(self) -> tuple[float, int, bytes]:
+        """What the shortest model has the least of."""
+        return (self.model.length, len(self.model.program), self.model.program.to_bytes())
+
+
+class Shortening:
+    """Shortens the front of one problem. Remembers what it has fitted, by structure."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        operators: Collection[int],
+        variables: Collection[int] | None = None,
+        weights: FloatArray | None = None,
+    ) -> None:
+        """`operators` (codes) and `variables` (indices, all unless given) are what new programs may bring in.
+
+        `weights` (R,) of the rows are 1 on average; None: all alike.
+        """
+        self.criterion: Final = Criterion.of(problem.target)
+        self.polisher: Final = Polisher(problem, weights)
+        self._variables = range(len(problem.names)) if variables is None else variables
+        self._operators = operators
+        self._fits: dict[bytes, tuple[Fitted, float]] = {}
+        self._ends: dict[bytes, Fitted] = {}
+
+    def candidates(self, front: Sequence[Program], looks_around: bool = True) -> list[Candidate]:
+        """Return what the members of `front` became, the shortest first; nothing when none has a finite error.
+
+        Without `looks_around`, programs beside the members are not tried.
+        """
+        found: dict[bytes, Candidate] = {}
+        for member, fitted in self._members(front):
+            self._take_in(found, member, (fitted, self._reduced(fitted)))
+        if not found or not looks_around:
+            return sorted(found.values(), key=lambda each: each.rank)
+        best = min(found.values(), key=lambda each: each.rank)
+        simple = min(found.values(), key=lambda each: self._simplicity(each, best))
+        if simple is not best and not self._is_exact(best):
+            self._take_in(found, simple.member, self._around(simple))
+            best = min(found.values(), key=lambda each: each.rank)
+        while not self._is_exact(best) and not self._is_exhausted():
+            self._take_in(found, best.member, self._around(best))
+            following = min(found.values(), key=lambda each: each.rank)
+            if following is best:
+                break
+            best = following
+        return sorted(found.values(), key=lambda each: each.rank)
+
+    def _is_exact(self, candidate: Candidate) -> bool:
+        return candidate.fitted.mse <= self.criterion.limit
+
+    def _simplicity(self, candidate: Candidate, best: Candidate) -> tuple[bool, int, tuple[float, int, bytes]]:
+        """Return what the smallest program has the least of whose model is nearly as short as the best."""
+        is_far = candidate.model.length > best.model.length + NEAR
+        return is_far, len(candidate.model.program), candidate.rank
+
+    def _members(self, front: Sequence[Program]) -> list[tuple[int, Fitted]]:
+        """Return the members worth the effort, polished, by rising length; of equal structures the first."""
+        fits = {structure(program): (index, program) for index, program in reversed([*enumerate(map(tidied, front))])}
+        polished = [(index, self._fitted(program)) for index, program in fits.values()]
+        priced = sorted(
+            ((self.criterion.length(fitted), index, fitted) for index, fitted in polished), key=lambda each: each[:2]
+        )
+        limit = priced[0][0] + MARGIN if priced else 0.0
+        return [(index, fitted) for length, index, fitted in priced[:MOST_MEMBERS] if length <= limit]
+
+    def _take_in(self, found: dict[bytes, Candidate], member: int, fits: Sequence[Fitted]) -> None:
+        for fitted in fits:
+            key = structure(fitted.program)
+            if key not in found:
+                found[key] = Candidate(member, fitted, snapped(fitted, self.criterion, self.polisher))
+
+    def _fitted(self, program: Program, enough: float = 0.0) -> Fitted:
+        """Return `program` fitted; less well when it is not going to come near the mean squared error `enough`."""
+        key = structure(program)
+        known = self._fits.get(key)
+        if known is None or (known[0].mse > known[1] > 0.0 and not 0.0 < enough <= known[1]):
+            known = (self.polisher.fit(program, enough=enough, steps=_TRIAL_STEPS if enough else _STEPS), enough)
+            self._fits[key] = known
+        return known[0]
+
+    def _tried(self, program: Program, length: float) -> tuple[float, Fitted]:
+        """Return `program` fitted and its length, which is of interest when it is less than `length`."""
+        fitted = self._fitted(program, self.criterion.mse_of(length - program_length(program)))
+        return self.criterion.length(fitted), fitted
+
+    def _reduced(self, fitted: Fitted) -> Fitted:
+        """Follow the reductions, each time the one that leaves the shortest description, until none is shorter."""
+        path: list[bytes] = []
+        while structure(fitted.program) not in self._ends:
+            path.append(structure(fitted.program))
+            following = self._best_reduction(fitted)
+            if following is None:
+                self._ends[path[-1]] = fitted
+            else:
+                fitted = following
+        end = self._ends[structure(fitted.program)]
+        self._ends |= dict.fromkeys(path, end)
+        return end
+
+    def _best_reduction(self, fitted: Fitted) -> Fitted | None:
+        best, least = None, self.criterion.length(fitted)
+        for program in reductions(fitted.program):
+            if self._is_exhausted():
+                break
+            length, reduced = self._tried(program, least)
+            if length < least:
+                best, least = reduced, length
+        return best
+
+    def _around(self, best: Candidate) -> list[Fitted]:
+        """Return the most promising programs one step from `best`, each also reduced.
+
+        Of those with equal errors, which say the same in other words, the shortest is taken; but of those that say the
+        same as `best`, the shortest for each collection of operators, since their constants may be simpler.
+        """
+        most = self.criterion.length(best.fitted) + NEARLY
+        found: dict[tuple[str, bytes], tuple[float, Fitted]] = {}
+        for program in neighbours(best.fitted.program, self._variables, self._operators):
+            if self._is_exhausted():
+                break
+            length, fitted = self._tried(program, most)
+            meaning = (f"{fitted.mse:.6g}", b"")
+            if meaning[0] == f"{best.fitted.mse:.6g}":
+                meaning = (meaning[0], np.sort(fitted.program.operators).tobytes())
+            if length < most and (meaning not in found or length < found[meaning][0]):
+                found[meaning] = (length, fitted)
+        nearest = sorted(found.values(), key=lambda each: (each[0], structure(each[1].program)))[:MOST_NEIGHBOURS]
+        return [fitted for _, one in nearest for fitted in (one, self._reduced(one))]
+
+    def _is_exhausted(self) -> bool:
+        return self.polisher.evaluations > MOST_EVALUATIONS

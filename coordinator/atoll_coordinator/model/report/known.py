@@ -1,0 +1,40 @@
+"""Known equations, measured on the data: they stand beside what is found. Pure."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from atoll.config import JobConfig
+from atoll.data.dataset import Dataset
+from atoll.search.pareto import FrontEntry
+from atoll_coordinator.data.prior_knowledge import known_programs
+from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.model.regression.errors import errors_on
+from atoll_coordinator.model.regression.gradient import values_of
+
+
+def known_entries(dataset: Dataset, config: JobConfig) -> dict[str, FrontEntry]:
+    """Return each known equation as the only member of its front, in the dataset's order; `config` is resolved.
+
+    Its errors are those on all rows, infinite where it is not finite on all of them; it was found nowhere.
+    """
+    found = {}
+    for name, program in known_programs(dataset, config).items():
+        error, mse = errors_on(dataset.problem(name), program, config.evolution.loss)
+        found[name] = FrontEntry(len(program), error, mse, 0, 0, 0, program.to_bytes())
+    return found
+
+
+def with_remarks(preparation: Preparation, config: JobConfig) -> Preparation:
+    """Return `preparation` with a warning for each known equation without a value on some rows; `config` is resolved.
+
+    Its error is not finite, then, and not known to anybody who looks at the job.
+    """
+    dataset = preparation.dataset
+    remarks = []
+    for name, program in known_programs(dataset, config).items():
+        rows = dataset.inputs.shape[1]
+        failed = rows - int(np.isfinite(values_of(program, dataset.inputs)).sum())
+        if failed:
+            remarks.append(f"The known equation of '{name}' has no finite value on {failed} of {rows} rows.")
+    return replace(preparation, dataset=replace(dataset, warnings=(*dataset.warnings, *remarks)))

@@ -1,0 +1,257 @@
+"""A result for people and for other programs: text, CSV, sympy, LaTeX. Works on the dictionary of ``result.json``."""
+
+import csv
+import io
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.errors import UsageError
+from atoll.expression.text.export import to_latex
+from atoll.expression.text.infix import to_infix
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.model.report import tables
+
+FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
+DIGITS: Final = 6
+"""Significant digits of the constants that people are shown."""
+
+_COLUMNS: Final = (
+    "variable",
+    "lhs",
+    "pick",
+    "selected",
+    "shown",
+    "origin",
+    "complexity",
+    "error",
+    "normalized_error",
+    "r2",
+    "holdout_error",
+    "expression",
+)
+_NUMBER: Final = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[+-]?\d+)?")
+_ENDS: Final = {
+    "target": "the target error was met",
+    "stagnation": "no better equation was found for long",
+    "max-epochs": "the number of epochs was used up",
+    "max-time": "the time was used up",
+    "cancelled": "it was cancelled",
+}
+
+
+def render(result: Mapping[str, Any], how: str) -> str:
+    """Return `result` in one of `FORMATS` but json, which needs nothing from here.
+
+    Raises:
+        UsageError: `how` is no such format.
+    """
+    renderers = {"text": render_text, "csv": render_csv, "sympy": render_sympy, "latex": render_latex}
+    if how not in renderers:
+        raise UsageError(f"{how!r} is no format of a result; choose one of {', '.join(FORMATS)}")
+    return renderers[how](result)
+
+
+def pick(result: Mapping[str, Any], picks: Mapping[str, int]) -> dict[str, Any]:
+    """Return `result` with other members of the fronts selected: by variable, the number that the front table shows.
+
+    What belongs to the selected equation is taken from the front; when and at what cost the search ended stays. What
+    refining found out of the model as a whole does not belong to the one picked, and goes.
+
+    Raises:
+        UsageError: a variable or number does not exist.
+    """
+    known = [equation["variable"] for equation in result["equations"]]
+    for variable in picks:
+        if variable not in known:
+            raise UsageError(f"--pick names the equation {variable!r}, but there are only {', '.join(known)}")
+    equations = [
+        _picked(equation, picks[equation["variable"]]) if equation["variable"] in picks else equation
+        for equation in result["equations"]
+    ]
+    return {**result, "equations": equations, "correlations": [], "simulation": None}
+
+
+def parse_picks(texts: Sequence[str]) -> dict[str, int]:
+    """Return picks from options such as ``x=2``; raises UsageError."""
+    picks: dict[str, int] = {}
+    for text in texts:
+        variable, _, number = text.rpartition("=")
+        if not variable or not number.isdecimal():
+            raise UsageError(f"--pick wants VARIABLE=NUMBER such as x=2, but got {text!r}")
+        if variable in picks:
+            raise UsageError(f"--pick names the equation {variable!r} twice; pick one member of its front")
+        picks[variable] = int(number)
+    return picks
+
+
+def render_text(result: Mapping[str, Any], *, fronts: bool = False) -> str:
+    """Return the equations for people, one after another; with `fronts`, all tables: the fronts, with numbers to pick,
+    constants, contenders, noise and simulations.
+    """
+    names = _names(result)
+    blocks = [_equation_text(equation, names, fronts) for equation in result["equations"]]
+    if fronts:
+        blocks += [*tables.noise_lines(result), *tables.simulation_table(result), *tables.correlation_lines(result)]
+    else:
+        blocks += tables.summary(result)
+    blocks += [f"warning: {warning}" for warning in result.get("warnings", ())]
+    evaluations, seconds = result["point_evaluations"], result["search_seconds"]
+    blocks.append(f"{_count(evaluations)} point evaluations in {_number(seconds)} s of search, seed {result['seed']}")
+    return "\n".join(blocks)
+
+
+def render_csv(result: Mapping[str, Any]) -> str:
+    """Return the equations as CSV with a header: for each the one that is shown, then all members of its front."""
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, _COLUMNS, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    for equation in result["equations"]:
+        its = {"variable": equation["variable"], "lhs": equation["lhs"]}
+        origin = "known" if equation["why"] == "known" else "front"
+        if equation["expression"] is not None:
+            writer.writerow({**equation, "shown": True})
+        for number, member in enumerate(equation["front"]):
+            writer.writerow({**member, **its, "pick": number, "shown": False, "origin": origin})
+    return stream.getvalue().rstrip("\n")
+
+
+def render_sympy(result: Mapping[str, Any]) -> str:
+    """Return Python source that makes the symbols and a dictionary ``equations`` from left-hand side to expression."""
+    names = _names(result)
+    lines = ["import sympy", "", f"names = {names!r}", "symbols = {name: sympy.Symbol(name) for name in names}"]
+    lines += ["equations = {"]
+    for equation in result["equations"]:
+        if equation["expression"] is not None:
+            parsed = f"sympy.parse_expr({equation['expression']!r}, local_dict=symbols)"
+            lines.append(f"    {equation['lhs']!r}: {parsed},")
+    return "\n".join([*lines, "}"])
+
+
+def render_latex(result: Mapping[str, Any]) -> str:
+    """Return an ``align*`` environment with one line for each equation."""
+    names = _names(result)
+    lines = [
+        rf"  {_lhs_latex(equation['lhs'])} &= {to_latex(from_infix(equation['expression'], names), names)}"
+        for equation in result["equations"]
+        if equation["expression"] is not None
+    ]
+    return "\n".join([r"\begin{align*}", *([" \\\\\n".join(lines)] if lines else []), r"\end{align*}"])
+
+
+def display(expression: str, names: Sequence[str]) -> str:
+    """Return an expression of a result with its constants rounded to `DIGITS`."""
+    return to_infix(from_infix(expression, names), names, digits=DIGITS)
+
+
+def _names(result: Mapping[str, Any]) -> list[str]:
+    return list(result["symbols"].values())
+
+
+def _picked(equation: Mapping[str, Any], number: int) -> dict[str, Any]:
+    front = equation["front"]
+    if not 0 <= number < len(front):
+        there = f"from 0 to {len(front) - 1}" if front else "there are none yet"
+        raise UsageError(f"--pick {equation['variable']}={number} is not on the front; choose a number {there}")
+    taken = ("expression", "complexity", "error", "normalized_error", "r2", "constants")
+    members = [{**member, "selected": index == number} for index, member in enumerate(front)]
+    best = {key: front[number][key] for key in taken}
+    best["origin"] = "known" if equation["why"] == "known" else "front"
+    error = best["normalized_error"]
+    converged = error is not None and error <= equation["target_error"]
+    unknown: dict[str, Any] = {"verdict": None, "reason": None, "candidates": []}
+    return {**equation, **best, **unknown, "converged": converged, "front": members}
+
+
+def _equation_text(equation: Mapping[str, Any], names: Sequence[str], with_tables: bool) -> str:
+    if equation["expression"] is None:
+        return f"{equation['lhs']} = ?\n    nothing found yet"
+    lines = [f"{equation['lhs']} = {display(equation['expression'], names)}"]
+    constants = None if with_tables else tables.constants_line(equation["constants"])
+    if with_tables or constants:
+        lines += _written_out(equation, names)
+    lines += [f"    {constants}"] if constants else []
+    if equation.get("verdict") is not None:
+        lines.append(f"    {equation['verdict']}: {equation['reason']}")
+    lines.append(f"    {_standing(equation)}")
+    most = None if with_tables else tables.NEAREST
+    if with_tables:
+        lines += tables.constants_table(equation["constants"])
+    if with_tables or equation.get("verdict") != "exact":
+        lines += tables.contenders_table(equation.get("candidates", ()), lambda text: display(text, names), most)
+    if with_tables:
+        lines += [*_front_lines(equation["front"], names), ""]
+    return "\n".join(lines)
+
+
+def _written_out(equation: Mapping[str, Any], names: Sequence[str]) -> list[str]:
+    """Return the expression with its constants where they are, if the display has other numbers, such as 1/4 for 4."""
+    program = from_infix(equation["expression"], names)
+    rounded = replace(program, constants=np.array([float(f"{value:.{DIGITS}g}") for value in program.constants]))
+    seen = {float(number) for number in _NUMBER.findall(display(equation["expression"], names))}
+    known = {abs(float(f"{each['value']:.{DIGITS}g}")) for each in equation["constants"] if each["value"] is not None}
+    return [] if known <= seen | {1.0} else [f"    written out: {to_infix(rounded, names)}"]
+
+
+def _standing(equation: Mapping[str, Any]) -> str:
+    if equation["why"] == "known":
+        return f"known: error {_number(equation['normalized_error'])} of the target's deviation"
+    found = "converged: " if equation["converged"] else "not converged: "
+    if equation["converged"] and equation.get("verdict") == "no model":  # the derivative is met, the measurements not
+        found = ""
+    text = f"{found}error {_number(equation['normalized_error'])} of the target's deviation"
+    text += f", size {equation['complexity']}, epoch {equation['epoch']}"
+    if not equation["converged"] and equation["why"] not in (None, "target"):  # "target": another member met it
+        text += f"; {_ENDS.get(equation['why'], equation['why'])}"
+    return text
+
+
+def _front_lines(front: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[str]:
+    is_held_out = any(member["holdout_error"] is not None for member in front)
+    beside = f" {'held out':>10}" if is_held_out else ""
+    lines = [f"    {'pick':>4}   {'size':>4} {'error':>10}{beside} {'R2':>9}  expression"]
+    for number, member in enumerate(front):
+        mark = "*" if member["selected"] else " "
+        unseen = f" {_number(_unseen(member)):>10}" if is_held_out else ""
+        figures = f"{member['complexity']:>4} {_number(member['normalized_error']):>10}{unseen}"
+        figures += f" {_rounded(member['r2']):>9}"
+        lines.append(f"    {number:>4} {mark} {figures}  {display(member['expression'], names)}")
+    return lines
+
+
+def _unseen(member: Mapping[str, Any]) -> float | None:
+    """Return the error on held-out rows, over the deviation of the target on the rows of the search."""
+    unseen, error, normalized = member["holdout_error"], member["error"], member["normalized_error"]
+    return unseen * normalized / error if unseen is not None and error and normalized else None
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    return "?" if value is None else f"{value:.{digits}g}"
+
+
+def _rounded(value: float | None) -> str:
+    return "?" if value is None else f"{round(value, 6):.6g}"
+
+
+def _count(value: int) -> str:
+    for size, unit in ((1e9, " G"), (1e6, " M"), (1e3, " k")):
+        if value >= size:
+            return f"{value / size:.3g}{unit}"
+    return str(value)
+
+
+def _lhs_latex(lhs: str) -> str:
+    """Return ``dx/dt`` and ``d2x/dt2`` as fractions, any other left-hand side as a name."""
+    import sympy
+
+    above, slash, below = lhs.rpartition("/")
+    if not slash:
+        return str(sympy.latex(sympy.Symbol(lhs)))
+    second = above.startswith("d2") and below.endswith("2")
+    numerator = str(sympy.latex(sympy.Symbol(above[2:] if second else above[1:])))
+    denominator = str(sympy.latex(sympy.Symbol(below[1:-1] if second else below[1:])))
+    order = "^{2}" if second else ""
+    return rf"\frac{{d{order} {numerator}}}{{d {denominator}{order}}}"

@@ -1,0 +1,272 @@
+"""The result of a job as other programs read it: schema 1 of ``result.json``; README.md says what its keys mean.
+
+Plain dictionaries, lists, texts and numbers only; a number that is not finite becomes null.
+"""
+
+import math
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, Final
+
+import numpy as np
+
+from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll.config import JobConfig, Loss
+from atoll.data.dataset import Dataset, Problem, Target
+from atoll.expression.operators import CONSTANT
+from atoll.expression.program import Program
+from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
+from atoll.search.pareto import FrontEntry
+from atoll.wire.messages.views import JobState
+from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.model.inference.refinement import Constant, Origin, Refined, Refinement
+from atoll_coordinator.model.regression.errors import errors_on
+from atoll_coordinator.model.report.diagnostics import noise, smoothing
+from atoll_coordinator.model.report.digest import result_digest
+from atoll_coordinator.model.report.numbers import finite
+from atoll_coordinator.model.report.trust import candidates, correlations, simulation, verdict
+from atoll_coordinator.model.selection.front import select, threshold
+
+SCHEMA: Final = 1
+KNOWN: Final = "known"
+"""Why there was no search: the equation was given."""
+_PACKAGES: Final = ("eclipse-zenoh", "numpy", "numba", "scipy", "sympy", "msgpack", "pydantic", "polars")
+
+
+@dataclass(frozen=True)
+class VariableOutcome:
+    """How the search for one equation stands or ended.
+
+    `front` is the merged front up to the cut, by rising complexity; `epoch` the number of completely reported epochs up
+    to the cut (0: none yet); `generation` the one that met the target, counted from the search's beginning, or None
+    when none did; `evaluations` the cumulative point evaluations by part, all islands together; `seconds` the time from
+    the first epoch's start to the cut's end; `why` how the search ended (None: it has not), as in
+    `atoll.wire.messages.views.VariableView`; `refined` is the equation made of the front after the search (None: none
+    yet); `runners_up` is what was kept beside the front. A known equation is the only member of its front, and `why` is
+    `KNOWN`.
+    """
+
+    variable: str
+    front: tuple[FrontEntry, ...]
+    epoch: int
+    generation: int | None = None
+    evaluations: Mapping[str, int] = field(default_factory=dict)
+    seconds: float = 0.0
+    why: str | None = None
+    refined: Refined | None = None
+    runners_up: tuple[FrontEntry, ...] = ()
+
+
+@dataclass(frozen=True)
+class Account:
+    """What a result says of the job as a whole.
+
+    `seconds` is the time since the job was submitted, `search_seconds` from the first epoch's start to the last needed
+    epoch's end; `reason` says why a job failed.
+    """
+
+    state: JobState
+    seconds: float
+    search_seconds: float
+    reason: str | None = None
+
+
+def build_result(
+    job: str,
+    config: JobConfig,
+    preparation: Preparation,
+    outcomes: Sequence[VariableOutcome],
+    account: Account,
+    refinement: Refinement | None = None,
+) -> dict[str, Any]:
+    """Return the result of `job` as it is written to ``result.json``; also the best so far while it runs.
+
+    Args:
+        job: the job's id.
+        config: the configuration that was run.
+        preparation: its dataset supplies names, left-hand sides, scales and warnings.
+        outcomes: one for each equation, in the dataset's order.
+        account: state and times.
+        refinement: what belongs to the model as a whole; what belongs to one equation is in its outcome.
+    """
+    dataset, model = preparation.dataset, refinement or Refinement()
+    return {
+        "schema": SCHEMA,
+        "job": job,
+        "seed": config.seed,
+        "preset": config.preset,
+        "state": account.state,
+        "reason": account.reason,
+        "equations": [_equation(config, preparation, outcome, account.state) for outcome in outcomes],
+        "noise": noise(preparation.recording),
+        "smoothing": smoothing(preparation.recording),
+        "correlations": correlations(model.correlations),
+        "simulation": simulation(model.simulation, preparation.recording),
+        "symbols": dict(dataset.symbols),
+        "warnings": [*dataset.warnings, *model.warnings],
+        "point_evaluations": sum(_total(outcome) for outcome in outcomes),
+        "search_seconds": finite(account.search_seconds),
+        "seconds": finite(account.seconds),
+        "digest": result_digest([outcome for outcome in outcomes if outcome.why != KNOWN]),
+        "versions": versions(),
+    }
+
+
+def versions() -> dict[str, str | int]:
+    """Return the versions of everything that can matter to a result."""
+    found: dict[str, str | int] = {
+        "atoll": VERSION,
+        "engine": ENGINE_REVISION,
+        "protocol": PROTOCOL_VERSION,
+        "python": platform.python_version(),
+    }
+    return found | {package: _version(package) for package in _PACKAGES}
+
+
+@cache
+def _version(package: str) -> str:
+    """Return the version of an installed package; it stays as it is while we run."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, state: JobState) -> dict[str, Any]:
+    dataset = given.dataset
+    target = dataset.problem(outcome.variable).target
+    unseen = given.held_out.problem(outcome.variable) if given.held_out is not None else None
+    shown = equation_of(outcome, dataset, config)
+    printable = [(index, entry) for index, entry in enumerate(outcome.front) if _is_printable(entry, dataset)]
+    member = None if shown is None else shown.member
+    return {
+        "variable": target.variable,
+        "lhs": target.lhs,
+        **_best(shown, dataset, target, config),
+        **verdict(shown, target, state, is_known=outcome.why == KNOWN),
+        **_course(None if member is None else outcome.front[member], outcome, config),
+        "derivative_floor": finite(target.floor),
+        "target_error": threshold(target, config.budget.target_error),
+        "candidates": candidates(shown.contenders if shown is not None else (), dataset),
+        "front": [
+            {
+                **_member(entry, dataset, target),
+                "holdout_error": _unseen_error(_program(entry, dataset), unseen, config.evolution.loss),
+                "selected": index == member,
+            }
+            for index, entry in printable
+        ],
+    }
+
+
+def equation_of(outcome: VariableOutcome, dataset: Dataset, config: JobConfig) -> Refined | None:
+    """Return the equation that is shown: the refined one, before that the selected member of the front as it stands.
+
+    None when there is no member that can be printed.
+    """
+    if outcome.refined is not None:
+        return outcome.refined
+    target = dataset.problem(outcome.variable).target
+    printable = [index for index, entry in enumerate(outcome.front) if _is_printable(entry, dataset)]
+    if not printable:
+        return None
+    front = [outcome.front[index] for index in printable]
+    member = printable[select(front, len(target.values), target, config.budget.target_error)]
+    entry = outcome.front[member]
+    origin: Origin = "known" if outcome.why == KNOWN else "front"
+    return Refined(member, _program(entry, dataset), entry.error, entry.mse, origin=origin)
+
+
+def _is_printable(entry: FrontEntry, dataset: Dataset) -> bool:
+    return is_printable(entry.program, len(dataset.names))
+
+
+@lru_cache(maxsize=4096)
+def is_printable(program: bytes, inputs: int) -> bool:
+    """Tell whether an equation, written out, has a length that anybody could read."""
+    return tree_size(Program.from_bytes(program, inputs)) <= PRINTABLE_SIZE
+
+
+def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobConfig) -> dict[str, Any]:
+    """Return what is said of the equation; all null when there is none."""
+    if shown is None:
+        unknown = dict.fromkeys(("expression", "origin", "complexity", "error", "normalized_error", "r2"))
+        return {**unknown, "converged": False, "constants": [], "implied": []}
+    normalized = shown.error / target.deviation if target.deviation else math.inf
+    return {
+        "expression": to_infix(shown.program, dataset.names),
+        "origin": shown.origin,
+        "complexity": len(shown.program),
+        "error": finite(shown.error),
+        "normalized_error": finite(normalized),
+        "r2": _r2(shown.mse, target),
+        "converged": normalized <= threshold(target, config.budget.target_error),
+        "constants": _constants(shown.program, shown.constants),
+        "implied": [{"of": to_infix(each.of, dataset.names), **_constant(each.constant)} for each in shown.implied],
+    }
+
+
+def _course(entry: FrontEntry | None, outcome: VariableOutcome, config: JobConfig) -> dict[str, Any]:
+    """Return when the equation was found and what that took."""
+    generation = outcome.generation
+    if generation is None and entry is not None and outcome.why != KNOWN:
+        generation = entry.epoch * config.migration.generations + entry.generation
+    return {
+        "epoch": outcome.epoch,
+        "generation": generation,
+        "point_evaluations": _total(outcome),
+        "point_evaluations_by_part": {part: int(outcome.evaluations[part]) for part in sorted(outcome.evaluations)},
+        "seconds": finite(outcome.seconds),
+        "why": outcome.why,
+    }
+
+
+def _member(entry: FrontEntry, dataset: Dataset, target: Target) -> dict[str, Any]:
+    program = _program(entry, dataset)
+    return {
+        "expression": to_infix(program, dataset.names),
+        "complexity": entry.complexity,
+        "error": finite(entry.error),
+        "normalized_error": finite(entry.error / target.deviation if target.deviation else math.inf),
+        "r2": _r2(entry.mse, target),
+        "constants": _constants(program),
+    }
+
+
+def _r2(mse: float, target: Target) -> float | None:
+    """Return the share of the target's variance that a mean squared error leaves explained; None if that is unknown."""
+    variance = target.deviation * target.deviation
+    return finite(1.0 - mse / variance if variance else math.nan)
+
+
+def _unseen_error(program: Program, unseen: Problem | None, loss: Loss) -> float | None:
+    """Return the loss on held-out rows; None when there are none, or when it is not finite."""
+    return finite(errors_on(unseen, program, loss)[0]) if unseen is not None else None
+
+
+def _constants(program: Program, known: Sequence[Constant] = ()) -> list[dict[str, Any]]:
+    """Return the constants in node order; `known` is what refinement knows of them, if there was any."""
+    values = program.constants[program.operators == np.int8(CONSTANT)].tolist()
+    pairs = zip(values, known or map(Constant, values), strict=True)
+    return [_constant(replace(each, value=value)) for value, each in pairs]
+
+
+def _constant(its: Constant) -> dict[str, Any]:
+    return {
+        "value": finite(its.value),
+        "std_error": finite(its.std_error),
+        "fitted": finite(its.fitted),
+        "interval": [finite(bound) for bound in its.interval] if its.interval is not None else None,
+        "identifiable": its.identifiable,
+    }
+
+
+def _program(entry: FrontEntry, dataset: Dataset) -> Program:
+    return Program.from_bytes(entry.program, len(dataset.names))
+
+
+def _total(outcome: VariableOutcome) -> int:
+    return int(sum(outcome.evaluations.values()))

@@ -1,0 +1,122 @@
+"""What a result says of how far its model can be trusted: contenders, verdicts, correlations, simulations.
+
+Plain dictionaries, lists, texts and numbers for ``result.json``; a number that is not known or not finite is null.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.data.dataset import Dataset, FloatArray, Target
+from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
+from atoll.wire.messages.views import FINAL_STATES, JobState
+from atoll_coordinator.data.trajectories.recording import Recording
+from atoll_coordinator.model.inference.refinement import (
+    NORMAL_95,
+    Contender,
+    Correlation,
+    Refined,
+    Simulated,
+    Simulation,
+)
+from atoll_coordinator.model.inference.verdict import Evidence, judge
+from atoll_coordinator.model.report.numbers import curve, finite, thinned
+
+MOST_POINTS: Final = 200
+"""Points of one simulated trajectory in a result; a longer one is thinned evenly."""
+MOST_NUMBERS: Final = 100_000
+"""Numbers of all curves together, about 1 MB as text."""
+LEAST_POINTS: Final = 2
+MOST_CANDIDATES: Final = 20
+
+
+def verdict(shown: Refined | None, target: Target, state: JobState, *, is_known: bool = False) -> dict[str, Any]:
+    """Return grade and reason of an equation; null while the job has not ended.
+
+    Where refining did not judge it, for want of trajectories, its error on the target decides.
+    """
+    if state not in FINAL_STATES:
+        return {"verdict": None, "reason": None}
+    if shown is None:
+        return {"verdict": "no model", "reason": "The search has found no equation."}
+    grade, reason = (
+        (shown.grade, shown.reason) if shown.grade is not None else judge(_on_target(shown, target, is_known))
+    )
+    return {"verdict": grade, "reason": reason}
+
+
+def _on_target(shown: Refined, target: Target, is_known: bool) -> Evidence:
+    error = shown.error / target.deviation if target.deviation else math.inf
+    variance = target.deviation * target.deviation
+    r2 = 1.0 - shown.mse / variance if variance else math.nan
+    return Evidence(error, target.floor, finite(r2), constants=shown.constants, is_known=is_known)
+
+
+def candidates(contenders: Sequence[Contender], dataset: Dataset) -> list[dict[str, Any]]:
+    """Return the equations that were compared with the one shown, itself first, then the best."""
+    printable = [each for each in contenders if tree_size(each.program) <= PRINTABLE_SIZE]
+    ordered = sorted(printable, key=lambda each: (not each.is_shown, each.nats))
+    return [
+        {
+            "expression": to_infix(each.program, dataset.names),
+            "complexity": len(each.program),
+            "nats": finite(each.nats),
+            "r2": finite(each.r2),
+            "held_out_r2": finite(each.held_out_r2),
+            "cross_validated": each.is_cross_validated,
+            "origin": each.origin,
+            "selected": each.is_shown,
+        }
+        for each in ordered[:MOST_CANDIDATES]
+    ]
+
+
+def correlations(pairs: Sequence[Correlation]) -> list[dict[str, Any]]:
+    """Return pairs of constants that the data hardly tell apart; ``constant`` counts an equation's ``constants``."""
+    return [
+        {
+            "first": {"variable": pair.first[0], "constant": pair.first[1]},
+            "second": {"variable": pair.second[0], "constant": pair.second[1]},
+            "value": finite(pair.value),
+        }
+        for pair in pairs
+    ]
+
+
+def simulation(its: Simulation | None, recording: Recording | None) -> dict[str, Any] | None:
+    """Return the simulated trajectories, thinned, at the times of the user's file; None when there are none."""
+    if its is None:
+        return None
+    offset = recording.offset if recording is not None else 0.0
+    numbers = len(its.trajectories) * (1 + 3 * len(its.states))
+    most = max(LEAST_POINTS, min(MOST_POINTS, MOST_NUMBERS // max(numbers, 1)))
+    return {"trajectories": [_trajectory(each, its.states, offset, most) for each in its.trajectories]}
+
+
+def _trajectory(its: Simulated, states: Sequence[str], offset: float, most: int) -> dict[str, Any]:
+    rows = thinned(len(its.times), most)
+    return {
+        "name": its.name,
+        "held_out": its.held_out,
+        "r2": dict(zip(states, map(finite, its.r2), strict=True)),
+        "offsets": {state: finite(value) for state, value in its.offsets.items()},
+        "times": curve(its.times[rows] + offset, digits=12),
+        "values": _curves(its.values, states, rows),
+        "lower": _curves(_beside(its, -NORMAL_95), states, rows),
+        "upper": _curves(_beside(its, NORMAL_95), states, rows),
+    }
+
+
+def _beside(its: Simulated, errors: float) -> FloatArray | None:
+    if its.values is None or its.errors is None:
+        return None
+    with np.errstate(all="ignore"):
+        return np.asarray(its.values + errors * its.errors)
+
+
+def _curves(values: FloatArray | None, states: Sequence[str], rows: list[int]) -> dict[str, Any] | None:
+    if values is None:
+        return None
+    return {state: curve(its[rows]) for state, its in zip(states, values, strict=True)}

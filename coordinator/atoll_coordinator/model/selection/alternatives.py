@@ -1,0 +1,149 @@
+"""What comes closest to the chosen equations, and whether one of these foretells better. Pure.
+
+Where two descriptions are nearly as long, trajectories that were left out decide between them: their misfit takes the
+place of the misfit to all trajectories and of the price of constants, which stands for it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.program import Program
+from atoll_coordinator.model.regression.gradient import values_of
+from atoll_coordinator.model.selection.comparison import Contest, Standing
+from atoll_coordinator.model.selection.cross_validation import Validated, Validation
+from atoll_coordinator.model.selection.selection import Chosen
+from atoll_coordinator.model.selection.structure_length import structure_nats
+from atoll_coordinator.model.structure.local_search import LEAST
+from atoll_coordinator.model.structure.rewriting import structure
+
+CONTENDERS: Final = 8
+"""Contenders of a variable that are reported, at most."""
+
+VALIDATED_NATS: Final = 6.0
+"""Contenders that are not more nats behind are validated."""
+
+VALIDATED: Final = 5
+"""Contenders of a variable that are validated, at most."""
+
+DECIDED_NATS: Final = 3.0
+"""Contenders that are not more nats behind take the first place if they foretell better."""
+
+CLEARLY: Final = 3.0
+"""Nats by which they must foretell better: a needless constant gains or loses one or two by chance."""
+
+SAME: Final = 1e-3
+"""Equations whose values differ by less than this share of their deviation, root mean square, are the same function."""
+
+_FITTING: Final = ((12, 3 * CONTENDERS),)
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A system with another equation for one variable, and how well it foretells, if that was looked at."""
+
+    standing: Standing
+    validated: Validated | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Race:
+    """How the race ended: who won, how well that system foretells, and by equation what came closest."""
+
+    choice: Chosen
+    validated: Validated | None
+    rivals: tuple[tuple[Rival, ...], ...]
+
+
+def decided(choice: Chosen, inputs: FloatArray) -> Race:
+    """Return the end of the race.
+
+    Args:
+        choice: the shortest description.
+        inputs: points (V, R) at which equations are compared.
+    """
+    choice, rivals = _shortest(choice, inputs)
+    is_held_out = any(each.held_out for each in choice.field.recording.trajectories)
+    validation = Validation(choice.contest)
+    if is_held_out or not validation.is_possible:
+        return Race(choice, None, tuple(tuple(map(Rival, its)) for its in rivals))
+    own = validation.of(choice.standing)
+    validated = [_validated(validation, its, choice.standing) for its in rivals]
+    winner = _winner(choice.standing, own, validated)
+    if winner is not None:
+        choice = replace(choice, standing=winner.standing)
+        own = winner.validated or own
+        validated = [_validated(validation, its, choice.standing) for its in _all_rivals(choice, inputs)]
+    return Race(choice, own, tuple(map(tuple, validated)))
+
+
+def _shortest(choice: Chosen, inputs: FloatArray) -> tuple[Chosen, list[list[Standing]]]:
+    """Return the choice and its rivals, none of which is shorter: what lost to others once may win beside these."""
+    while True:
+        rivals = _all_rivals(choice, inputs)
+        best = min((each for its in rivals for each in its[:1]), key=lambda its: its.nats, default=choice.standing)
+        if best.nats > choice.standing.nats - LEAST:
+            return choice, rivals
+        choice = replace(choice, standing=best)
+
+
+def _winner(standing: Standing, own: Validated, rivals: Sequence[Sequence[Rival]]) -> Rival | None:
+    """Return the rival that is close behind and foretells best, and clearly better than the one in front, or None.
+
+    Those with more constants are left out: what these gain on few trajectories is chance as often as not.
+    """
+    best, winner = own.misfit + _structures(standing) - CLEARLY, None
+    for each in (rival for its in rivals for rival in its):
+        if each.validated is None or each.standing.nats > standing.nats + DECIDED_NATS:
+            continue
+        if len(each.standing.shot.system.places) > len(standing.shot.system.places):
+            continue
+        nats = each.validated.misfit + _structures(each.standing)
+        if nats < best:
+            best, winner = nats, each
+    return winner
+
+
+def _structures(standing: Standing) -> float:
+    return sum(map(structure_nats, standing.programs))
+
+
+def _validated(validation: Validation, rivals: Sequence[Standing], best: Standing) -> list[Rival]:
+    return [
+        Rival(each, validation.of(each) if rank < VALIDATED and each.nats <= best.nats + VALIDATED_NATS else None)
+        for rank, each in enumerate(rivals)
+    ]
+
+
+def _all_rivals(choice: Chosen, inputs: FloatArray) -> list[list[Standing]]:
+    contest = choice.contest
+    return [
+        [] if index in contest.fixed else _rivals(contest, choice.standing, index, inputs)
+        for index in range(len(choice.standing.programs))
+    ]
+
+
+def _rivals(contest: Contest, best: Standing, index: int, inputs: FloatArray) -> list[Standing]:
+    """Return what came closest with another equation for one variable, distinct in function, the closest first."""
+    tried = sorted(
+        (each for (equation, _), each in contest.tried.items() if equation == index), key=lambda its: its.nats
+    )
+    programs: dict[bytes, Program] = {structure(each.programs[index]): each.programs[index] for each in tried}
+    near = contest.halved(best, index, list(programs.values())[: 4 * CONTENDERS], _FITTING)
+    functions = [values_of(best.programs[index], inputs)]
+    found: list[Standing] = []
+    for each in near:
+        values = values_of(each.programs[index], inputs)
+        if all(_differ(values, other) for other in functions):
+            functions.append(values)
+            found.append(each)
+    return found[:CONTENDERS]
+
+
+def _differ(first: FloatArray, second: FloatArray) -> bool:
+    with np.errstate(all="ignore"):
+        difference = float(np.sqrt(np.mean((first - second) ** 2)))
+        return not difference <= SAME * float(np.std(second))

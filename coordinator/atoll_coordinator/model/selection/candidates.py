@@ -1,0 +1,52 @@
+"""Candidates for one variable's equation, the best first: its trajectories alone, the other states as smoothed."""
+
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import Problem
+from atoll.expression.program import Program
+from atoll_coordinator.model.regression.fit import Polisher
+from atoll_coordinator.model.selection.comparison import Contest, distinct
+from atoll_coordinator.model.structure.rewriting import structure, tidied
+from atoll_coordinator.model.structure.term_libraries import Term, eliminated
+
+KEPT: Final = 60
+"""Candidates of which longer segments are fitted, the best by short ones."""
+
+MOST_WORK: Final = 150_000_000
+"""Work, see `Shooter.work`, after which no other libraries are tried; hundreds of rows take a few tenths of it."""
+
+_POLISH_STEPS: Final = 15
+_SEGMENT: Final = 10
+_LONGER: Final = 30
+
+
+def ranked(
+    contest: Contest, problem: Problem, programs: Sequence[Program], libraries: Iterable[list[Term]]
+) -> list[Program]:
+    """Return what becomes of `programs` and of `libraries` of terms, the most promising first.
+
+    Those that do badly with the other states as smoothed come last, in their old order: with the right equations for
+    these they may do well.
+
+    Args:
+        contest: for this variable alone.
+        problem: by which constants are fitted first.
+        programs: candidates; of equal structures the first counts.
+        libraries: terms that are left out one after another.
+    """
+    polisher = Polisher(problem)
+    unique = {structure(program): program for program in reversed([tidied(each) for each in programs])}
+    polished = [polisher.fit(program, steps=_POLISH_STEPS) for program in reversed(unique.values())]
+    started = [each.program for each in polished if np.isfinite(each.mse)]
+    found = contest.map(lambda program: contest.stand([program], 4, (_SEGMENT,)), started)[:KEPT]
+    for terms in libraries:
+        if contest.shooter.work < MOST_WORK:
+            found += eliminated(contest, problem, terms)
+    chosen = {structure(each.programs[0]): each.programs[0] for each in found}
+    longer = contest.map(lambda program: contest.stand([program], 6, (_LONGER,)), chosen.values())
+    best = [each.programs[0] for each in distinct(longer)]
+    known = {structure(program) for program in best}
+    return [*best, *(program for program in started if structure(program) not in known)]

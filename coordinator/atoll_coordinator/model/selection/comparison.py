@@ -1,0 +1,208 @@
+"""Which equations together describe the measured states in the fewest nats (Rissanen 1978), trajectories simulated.
+
+By derivative error a wrong equation often beats the true one, because smoothing errors are large and coloured; by the
+misfit of simulated trajectories to the raw states hardly ever.
+"""
+
+import math
+from bisect import bisect_left, bisect_right, insort
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Final, TypeVar
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.program import Program
+from atoll_coordinator.model.selection.structure_length import structure_nats
+from atoll_coordinator.model.shooting.multiple_shooting import Shooter, Shot, misfit, staged
+from atoll_coordinator.model.shooting.system import System, split, system_of
+from atoll_coordinator.model.structure.rewriting import constant_places, structure
+
+EXACT: Final = 1e-8
+"""Errors below this share of a state's standard deviation are those of the integration, not of the model."""
+
+FIRST_LENGTHS: Final = (8, 25, None)
+"""Rows of the segments of a fit that nothing is known of yet; None: whole pieces."""
+
+AT_ONCE: Final = 64
+"""Systems that are fitted between two looks at the work that has been done."""
+
+_FLOOR: Final = 1e-11
+"""Eigenvalues of the normal matrix with a unit diagonal that are smaller are those of rounding."""
+
+_LOADING: Final = 1e-6
+"""Squared component of a constant along a direction that is not determined, from which it is not determined itself."""
+
+_CANCELLED: Final = 1e-13
+"""Share of its diagonal that is left of the normal matrix by rounding where initial states stand in for a constant."""
+
+_REPEATED: Final = 1e-6
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """A system fitted to trajectories: its `programs` with fitted constants, the fit, and its nats.
+
+    `nats` are those of the misfit, of the programs, and 1/2 ln N for each fitted constant (Schwarz 1978).
+    """
+
+    programs: tuple[Program, ...]
+    shot: Shot
+    misfit: float
+    nats: float
+
+
+class Contest:
+    """Fits and compares systems over the same measurements.
+
+    `names` are the variables of the programs, `fixed` the equations (by index) whose constants are given; with order 2
+    `leading` are the equations of the positions, which come before those that are sought and are not counted. `tried`
+    has the best standing of each program that was ever fitted for an equation, by (equation, structure).
+    """
+
+    def __init__(
+        self, shooter: Shooter, names: Sequence[str], fixed: Iterable[int] = (), leading: Sequence[Program] = (),
+        threads: int = 1,
+    ) -> None:  # fmt: skip
+        its = shooter.measurements
+        self.shooter: Final = shooter
+        self.names: Final = tuple(names)
+        self.fixed: Final = frozenset(fixed)
+        self.leading: Final = tuple(leading)
+        self.tried: Final[dict[tuple[int, bytes], Standing]] = {}
+        self.counts: Final = its.weights.sum(axis=1)
+        self.floors: Final = EXACT * its.scales[its.observed]
+        self.coherence: Final = its.coherence
+        self.constant_nats: Final = 0.5 * math.log(max(its.rows / its.coherence, 2.0))
+        self._pool = ThreadPoolExecutor(threads)
+
+    def map(self, work: Callable[[Item], Standing | None], items: Iterable[Item]) -> list[Standing]:
+        """Return what `work` makes of the items, the shortest description first; without those that failed."""
+        done = [its for its in self._pool.map(work, items) if its is not None and math.isfinite(its.nats)]
+        return sorted(done, key=lambda its: its.nats)
+
+    def _bounded(self, work: Callable[[Item], Standing | None], items: Sequence[Item], until: float) -> list[Standing]:
+        """Return what `map` does, of the first items as far as the shooter's work is less than `until`."""
+        found: list[Standing] = []
+        for first in range(0, len(items), AT_ONCE):
+            if first and self.shooter.work >= until:
+                break
+            found += self.map(work, items[first : first + AT_ONCE])
+        return sorted(found, key=lambda its: its.nats)
+
+    def system(self, programs: Sequence[Program], held: Sequence[Iterable[int]] = ()) -> System:
+        """Return the system of `programs`; `held` are nodes of each whose constants stay as they are."""
+        fixed = [
+            set(constant_places(program)) if index in self.fixed else set(held[index]) if held else set()
+            for index, program in enumerate(programs)
+        ]
+        none: list[set[int]] = [set() for _ in self.leading]
+        variables = self.shooter.measurements.variables
+        return system_of([*self.leading, *programs], self.names, variables, [*none, *fixed])
+
+    def stand(
+        self, programs: Sequence[Program], steps: int = 20, lengths: Sequence[int | None] = FIRST_LENGTHS
+    ) -> Standing | None:
+        """Return the fitted system of `programs`, None when it cannot be simulated."""
+        shot = staged(self.shooter, self.system(programs), lengths, steps)
+        return None if shot is None else self.measured(programs, shot)
+
+    def beside(self, near: Standing, programs: Sequence[Program], steps: int = 20) -> Standing | None:
+        """Return the fitted system of `programs`, begun with the initial states of `near`."""
+        its = near.shot
+        shot = self.shooter.fit(self.system(programs), None, steps, its.starts, its.sigmas, is_stiff=its.is_stiff)
+        return None if shot is None else self.measured(programs, shot)
+
+    def exchanged(self, near: Standing, equation: int, program: Program, steps: int) -> Standing | None:
+        """Return `near` with another program for one equation."""
+        return self.beside(near, [*near.programs[:equation], program, *near.programs[equation + 1 :]], steps)
+
+    def halved(
+        self, near: Standing, equation: int, programs: Iterable[Program], rounds: Sequence[tuple[int, int]],
+        until: float = math.inf,
+    ) -> list[Standing]:  # fmt: skip
+        """Return standings of the best of `programs` for one equation, fewer of them after each of the `rounds`.
+
+        Each round is a number of steps and how many programs stay. Of programs with the same misfit, which say the same
+        in other words, the one of shortest description stays. Once the shooter's work is `until`, no more are taken
+        in than the next few.
+        """
+        found: list[Standing] = []
+        waiting = list(programs)
+        for steps, kept in rounds:
+
+            def fitted(program: Program, steps: int = steps) -> Standing | None:
+                return self.exchanged(near, equation, program, steps)
+
+            found = distinct(self._bounded(fitted, waiting, until))[:kept]
+            waiting = [its.programs[equation] for its in found]
+        for its in found:
+            self._note(equation, its)
+        return found
+
+    def measured(self, programs: Sequence[Program], shot: Shot) -> Standing:
+        """Return the standing of a fit of `programs`."""
+        its = misfit(shot, self.floors, self.counts / self.coherence)
+        nats = its + sum(map(structure_nats, programs)) + self.constant_nats * len(shot.system.places)
+        fitted = split(shot.system, [*self.leading, *programs])[len(self.leading) :]
+        return Standing(tuple(fitted), shot, its, nats)
+
+    def is_exact(self, standing: Standing) -> bool:
+        """Tell whether all errors are those of the integration."""
+        return bool(np.all(standing.shot.squares <= self.floors * self.floors))
+
+    def _note(self, equation: int, standing: Standing) -> None:
+        key = (equation, structure(standing.programs[equation]))
+        known = self.tried.get(key)
+        if known is None or standing.nats < known.nats:
+            self.tried[key] = standing
+
+
+def distinct(standings: Iterable[Standing]) -> list[Standing]:
+    """Return the standings, sorted by nats, without those whose misfit is that of one before."""
+    kept: list[Standing] = []
+    misfits: list[float] = []
+    for each in standings:
+        its = each.misfit
+        reach = 2.0 * _REPEATED * (1.0 + abs(its))  # no other one can be near enough
+        near = misfits[bisect_left(misfits, its - reach) : bisect_right(misfits, its + reach)]
+        if all(abs(its - other) > _REPEATED * (1.0 + abs(other)) for other in near):
+            kept.append(each)
+            insort(misfits, its)
+    return kept
+
+
+def covariance(shot: Shot) -> FloatArray:
+    """Return the covariance (P, P) of the fitted constants, initial states eliminated.
+
+    The variance is infinite of a constant that the others, or the initial states, can stand in for.
+    """
+    found, is_open = _spread(shot)
+    found[np.diag_indices_from(found)] = np.where(is_open, math.inf, np.diag(found))
+    return found
+
+
+def bounded_covariance(shot: Shot) -> FloatArray:
+    """Return the same with large variances in the place of infinite ones: a positive definite matrix."""
+    return _spread(shot)[0]
+
+
+def _spread(shot: Shot) -> tuple[FloatArray, FloatArray]:
+    """Return the bounded covariance, and which constants load on directions that the data do not determine."""
+    normal, reduced = np.diag(shot.normal), shot.reduced
+    least = np.maximum(_CANCELLED * np.nan_to_num(normal), 1e-100)
+    scale = np.sqrt(np.clip(np.nan_to_num(np.diag(reduced)), least, 1e100))
+    with np.errstate(all="ignore"):
+        unit = np.nan_to_num(reduced / np.outer(scale, scale), posinf=0.0, neginf=0.0)
+    try:
+        values, vectors = np.linalg.eigh(unit)
+    except np.linalg.LinAlgError:
+        values, vectors = np.zeros(len(scale)), np.eye(len(scale))
+    is_open = (vectors[:, values < _FLOOR] ** 2 > _LOADING).any(axis=1)
+    with np.errstate(all="ignore"):
+        found = (vectors / np.maximum(values, _FLOOR)) @ vectors.T / np.outer(scale, scale)
+    return np.asarray(found), np.asarray(is_open)

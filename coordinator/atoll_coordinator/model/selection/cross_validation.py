@@ -1,0 +1,92 @@
+"""How well a system foretells a trajectory that its constants were not fitted to: one left out at a time.
+
+The constants are fitted to the other trajectories, begun where the fit to all ended; along the one left out only the
+initial state is fitted (cross-validation, Stone 1974).
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll_coordinator.model.selection.comparison import Contest, Standing
+from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.multiple_shooting import Shooter, nats_of
+from atoll_coordinator.model.shooting.system import split
+from atoll_coordinator.model.structure.rewriting import constant_places
+
+LEAST_TRAJECTORIES: Final = 3
+"""With fewer, too little is left to fit constants to."""
+
+MOST_FOLDS: Final = 10
+"""More trajectories than this are left out several at a time."""
+
+_STEPS: Final = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Validated:
+    """What is left of the trajectories that were left out: R2 of each measured state, and the misfit in nats.
+
+    The misfit is infinite and R2 minus infinity where they could not be simulated.
+    """
+
+    r2: tuple[float | None, ...]
+    misfit: float
+
+
+class Validation:
+    """Leaves out the trajectories of a contest, one at a time."""
+
+    def __init__(self, contest: Contest) -> None:
+        self._contest = contest
+        its = contest.shooter.measurements
+        owners = sorted(set(its.owners.tolist()))
+        count = min(len(owners), MOST_FOLDS)
+        self._folds = [frozenset(owners[fold::count]) for fold in range(count)]
+        self.is_possible: Final = count >= LEAST_TRAJECTORIES
+        """Whether there are enough trajectories."""
+
+    def of(self, standing: Standing) -> Validated:
+        """Return how well the system of `standing` foretells."""
+        its = self._contest.shooter.measurements
+        squares, spread = np.zeros(len(its.observed)), np.zeros(len(its.observed))
+        for left_out in self._folds:
+            errors = self._left(standing, left_out)
+            if errors is None:
+                return Validated(tuple(-np.inf for _ in its.observed), np.inf)
+            squares += errors
+            spread += _spread(its.part(left_out))
+        r2 = [1.0 - left / whole if whole > 0.0 else None for left, whole in zip(squares, spread, strict=True)]
+        counts = self._contest.counts
+        misfit = nats_of(squares / counts, self._contest.floors, counts / self._contest.coherence)
+        return Validated(tuple(r2), misfit)
+
+    def _left(self, standing: Standing, left_out: frozenset[int]) -> FloatArray | None:
+        """Return the sums of squared errors (O,) along trajectories left out; None where they cannot be simulated."""
+        contest, shot = self._contest, standing.shot
+        its = contest.shooter.measurements
+        is_out = np.isin(its.owners, list(left_out))
+        others = self._shooter(its.part(set(its.owners.tolist()) - left_out))
+        fitted = others.fit(contest.system(standing.programs), None, _STEPS, shot.starts[~is_out], shot.sigmas)
+        if fitted is None:
+            return None
+        programs = split(fitted.system, [*contest.leading, *standing.programs])[len(contest.leading) :]
+        held = contest.system(programs, [constant_places(program) for program in programs])
+        rest = self._shooter(its.part(left_out))
+        foretold = rest.fit(held, None, _STEPS, shot.starts[is_out], shot.sigmas)
+        if foretold is None:
+            return None
+        return np.asarray((rest.measurements.weights * foretold.residuals**2).sum(axis=1))
+
+    def _shooter(self, its: Measurements) -> Shooter:
+        return Shooter(its, self._contest.shooter.precision)
+
+
+def _spread(its: Measurements) -> FloatArray:
+    """Return the sums of squared deviations (O,) from the mean along these trajectories."""
+    known = its.weights > 0.0
+    values = np.where(known, its.measured, 0.0)
+    means = (its.weights * values).sum(axis=1) / np.maximum(its.weights.sum(axis=1), 1.0)
+    return np.asarray((its.weights * np.where(known, values - means[:, None], 0.0) ** 2).sum(axis=1))

@@ -1,0 +1,285 @@
+"""A model of all variables from what the search handed on: chosen, fitted and judged by trajectories (ADR 0021).
+
+Candidates of each variable are ranked alone, then jointly, one variable exchanged at a time; from the best systems the
+descent looks for shorter descriptions nearby; constants are made simple; what remains is assessed. All work is bounded
+by counts, never by the clock.
+"""
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from atoll.config import JobConfig
+from atoll.data.dataset import Dataset
+from atoll.expression.operators import BY_NAME
+from atoll.expression.program import Program
+from atoll_coordinator.data.prior_knowledge import guessed_programs
+from atoll_coordinator.data.trajectories.recording import Recording
+from atoll_coordinator.model.inference.refinement import Pool, Refined
+from atoll_coordinator.model.selection.candidates import ranked
+from atoll_coordinator.model.selection.comparison import Contest, Standing
+from atoll_coordinator.model.selection.front import enough, may_be_shown
+from atoll_coordinator.model.selection.structure_length import is_function
+from atoll_coordinator.model.shooting.measurements import PIECE, Measurements, measurements_of
+from atoll_coordinator.model.shooting.multiple_shooting import Shooter
+from atoll_coordinator.model.shooting.system import variable_program
+from atoll_coordinator.model.structure.extensions import extensions, leaps
+from atoll_coordinator.model.structure.local_search import LEAST, Descent
+from atoll_coordinator.model.structure.neighbours import neighbours
+from atoll_coordinator.model.structure.rewriting import tidied
+from atoll_coordinator.model.structure.term_libraries import Term, fractions, libraries
+
+COMPARED_ROWS: Final = 1_200
+"""Structures are compared on at most about so many rows; constants are then fitted on all."""
+
+WORK: Final = 45_000_000
+"""Work of all comparisons, see `Shooter.work`: some seconds of one core."""
+
+LAST_WORK: Final = 15_000_000
+"""Work that may be spent beyond that on leaving out what an equation can do without."""
+
+MOST_WORK: Final = 250_000_000
+"""Work after which the candidates of a contest are no longer exchanged; some times what systems need that are not
+stiff."""
+
+STARTS: Final = 3
+"""Candidates of each variable that are combined to begin with."""
+
+PRECISION: Final = (1e-10, 1e-4)
+NOISE_SHARE: Final = 0.01
+"""A step of the integration may err by this share of the noise, within `PRECISION` of the standard deviation."""
+
+_EXCHANGING: Final = ((1, 16), (6, 5), (20, 2))
+_RESTARTING: Final = ((1, 16), (6, 16))
+AGAIN: Final = 30
+"""Candidates of a variable that are tried again after another variable's program has changed."""
+
+_SMALL: Final = 9
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """The system that describes the trajectories in the fewest nats: its fit, and the contest where that was found.
+
+    `lists` are the candidates of each variable that there were to begin with.
+    """
+
+    field: "Field"
+    contest: Contest
+    standing: Standing
+    lists: Sequence[Sequence[Program]] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """What is modelled: the `variables` that have an equation, by their states' indices in the recording.
+
+    `known` are their equations as far as they are given; `piece` is how many rows are simulated at a stretch, at most.
+    """
+
+    dataset: Dataset
+    recording: Recording
+    config: JobConfig
+    variables: tuple[str, ...]
+    known: Mapping[str, Program]
+    piece: int = PIECE
+
+    def may_be_shown(self, program: Program) -> bool:
+        """Tell whether the job's equations may be as large as `program`."""
+        return may_be_shown(program, self.config.space.max_size)
+
+    def operators(self, variable: str) -> frozenset[int]:
+        """Return the codes of the operators that the equation of `variable` may be made of."""
+        return frozenset(BY_NAME[name].code for name in self.config.space.operators_for(variable))
+
+    def columns(self, variable: str) -> tuple[int, ...]:
+        """Return the indices of the variables that the equation of `variable` may use."""
+        return self.config.space.columns_for(variable, self.dataset.names)
+
+    def measurements(self, variables: Sequence[str], *, held_out: bool = False) -> Measurements:
+        """Return the measurements of a system for these variables."""
+        states = [self.recording.states.index(name) for name in variables]
+        return measurements_of(self.recording, states, held_out=held_out, piece=self.piece)
+
+    def contest(self, its: Measurements, variables: Sequence[str]) -> Contest:
+        """Return a contest over these measurements."""
+        precision = float(np.clip(NOISE_SHARE * its.relative_noise.min(), *PRECISION))
+        fixed = [index for index, name in enumerate(variables) if name in self.known]
+        return Contest(Shooter(its, precision), self.dataset.names, fixed, self.leading(variables), _threads())
+
+    def leading(self, variables: Sequence[str]) -> list[Program]:
+        """Return the equations of the positions, whose rates are the velocities; none with order 1."""
+        if self.recording.order == 1:
+            return []
+        velocities = [self.recording.velocity_symbols[self.recording.states.index(name)] for name in variables]
+        return [variable_program(self.dataset.names.index(velocity)) for velocity in velocities]
+
+
+def candidates_of(field: Field, pools: Mapping[str, Pool], settled: Mapping[str, Refined]) -> list[list[Program]]:
+    """Return the candidates of each variable, the best first.
+
+    Args:
+        field: what is modelled.
+        pools: what the search handed on.
+        settled: equations by derivatives. Without noise those of converged searches are the only candidates, unless the
+            trajectories show that one of them only comes close, as a cosine of little does to a square.
+    """
+    lists = [_candidates(field, name, pools, settled) for name in field.variables]
+    if any(len(its) != 1 for its in lists) or len(field.known) == len(lists) or _is_exact(field, lists):
+        return lists
+    return [_compared(field, name, pools, settled) for name in field.variables]
+
+
+def selected(
+    field: Field,
+    lists: Sequence[Sequence[Program]],
+    begun: Sequence[Program] | None = None,
+    is_hopeless: Callable[[Chosen], bool] = lambda _: False,
+) -> Chosen | None:
+    """Return the best system of equations, None when none can be simulated.
+
+    Args:
+        field: what is modelled.
+        lists: candidates of each variable, the best first.
+        begun: a system to begin with; the best of a few unless given.
+        is_hopeless: tells of the best of the candidates when its neighbours need not be looked at.
+    """
+    its = field.measurements(field.variables).thinned(COMPARED_ROWS)
+    contest = field.contest(its, field.variables)
+    best = _combined(contest, lists) if begun is None else contest.stand(begun)
+    if best is None:
+        return None
+    best = _exchanged(contest, best, lists)
+    if not contest.is_exact(best) and not is_hopeless(Chosen(field, contest, best)):
+        best = _descended(field, contest, best, lists)
+    best = contest.beside(best, best.programs, 40) or best
+    return Chosen(field, contest, best)
+
+
+def _candidates(field: Field, name: str, pools: Mapping[str, Pool], settled: Mapping[str, Refined]) -> list[Program]:
+    """Return the candidates of one variable, the best first."""
+    if name in field.known:
+        return [field.known[name]]
+    target = field.dataset.problem(name).target
+    if name in settled and not target.is_noisy:
+        its = settled[name]
+        if its.error <= enough(target, field.config.budget.target_error):
+            return [tidied(its.program)]
+    return _compared(field, name, pools, settled)
+
+
+def _compared(field: Field, name: str, pools: Mapping[str, Pool], settled: Mapping[str, Refined]) -> list[Program]:
+    """Return all candidates of one variable, the best first."""
+    if name in field.known:
+        return [field.known[name]]
+    problem = field.dataset.problem(name)
+    programs = [settled[name].program] if name in settled else []
+    pool = pools[name]
+    entries = [*pool.front, *pool.runners_up]
+    programs += [Program.from_bytes(entry.program, len(problem.names)) for entry in entries]
+    programs += guessed_programs(field.dataset, field.config).get(name, ())
+    its = replace(field.measurements([name]).thinned(COMPARED_ROWS), coherence=1.0)
+    contest = field.contest(its, [name])
+    best = ranked(contest, problem, programs, _libraries(field, name, its))
+    return [program for program in best if field.may_be_shown(program)]
+
+
+def _is_exact(field: Field, lists: Sequence[Sequence[Program]]) -> bool:
+    """Tell whether the first candidates give the trajectories up to errors of integration."""
+    contest = field.contest(field.measurements(field.variables).thinned(COMPARED_ROWS), field.variables)
+    found = contest.stand([its[0] for its in lists])
+    return found is not None and contest.is_exact(found)
+
+
+def _libraries(field: Field, name: str, its: Measurements) -> Iterator[list[Term]]:
+    """Yield the libraries of terms for the equation of one variable."""
+    columns, operators = field.columns(name), field.operators(name)
+    yield from libraries(columns, operators)
+    yield from fractions(columns, operators, _scales(field, its))
+
+
+def _combined(contest: Contest, lists: Sequence[Sequence[Program]]) -> Standing | None:
+    """Return the best of a few systems to begin with: the best of each list, one variable's next ones at a time."""
+    first = [its[0] for its in lists]
+    systems = [first] + [
+        [*first[:index], program, *first[index + 1 :]]
+        for index, its in enumerate(lists)
+        for program in its[1 : STARTS + 1]
+    ]
+    systems += [[its[min(rank, len(its) - 1)] for its in lists] for rank in range(1, STARTS + 1)]
+    found = contest.map(contest.stand, systems)
+    return found[0] if found else None
+
+
+def _exchanged(contest: Contest, best: Standing, lists: Sequence[Sequence[Program]]) -> Standing:
+    """Return the best system that comes of exchanging one variable's program at a time; all of them at first."""
+    tried: Sequence[Sequence[Program]] = lists
+    while True:
+        before = best.nats
+        for equation, programs in enumerate(tried):
+            if len(programs) > 1:
+                found = contest.halved(best, equation, programs, _EXCHANGING, MOST_WORK)
+                if found and found[0].nats < best.nats - LEAST:
+                    best = found[0]
+        if best.nats > before - LEAST or contest.shooter.work >= MOST_WORK:
+            return best
+        tried = [programs[:AGAIN] for programs in lists]
+
+
+def _descended(field: Field, contest: Contest, best: Standing, lists: Sequence[Sequence[Program]]) -> Standing:
+    """Return the end of the descent from the best system."""
+    sizes = _scales(field, contest.shooter.measurements)
+
+    def around(equation: int, program: Program) -> Iterator[Program]:
+        name = field.variables[equation]
+        operators, columns = field.operators(name), field.columns(name)
+        scales = [size if column in columns else 0.0 for column, size in enumerate(sizes)]
+        near = (*extensions(program, scales, operators), *neighbours(program, columns, operators))
+        yield from filter(field.may_be_shown, near)
+
+    def beyond(equation: int, program: Program) -> Iterator[Program]:
+        return filter(field.may_be_shown, leaps(program, field.operators(field.variables[equation])))
+
+    descent = Descent(contest, around, contest.shooter.work + WORK, beyond)
+    equations = [index for index, its in enumerate(lists) if index not in contest.fixed]
+    best = descent.down(best, equations)
+    for equation in equations:
+        best = _restarted(contest, descent, best, equation, lists[equation])
+    best = _exchanged(contest, best, lists)
+    last = Descent(contest, around, contest.shooter.work + LAST_WORK)
+    for equation in equations:
+        best = last.reduced(best, equation)
+    return best
+
+
+def _restarted(
+    contest: Contest, descent: Descent, best: Standing, equation: int, programs: Sequence[Program]
+) -> Standing:
+    """Return the best end of descents that begin with other programs for one equation, all others as they are."""
+    others = contest.halved(best, equation, programs, _RESTARTING, MOST_WORK)
+    by_kind = {_kind(other.programs[equation]): other for other in reversed(others)}
+    for other in sorted(by_kind.values(), key=lambda its: its.nats):
+        if descent.is_exhausted:
+            break
+        end = descent.down(other, [equation])
+        if end.nats < best.nats - LEAST:
+            best = descent.down(end, [*(each for each in range(len(best.programs)) if each not in contest.fixed)])
+    return best
+
+
+def _kind(program: Program) -> tuple[bool, bool]:
+    """Return whether a program has functions, and whether it is large: descents from other kinds end elsewhere."""
+    return any(is_function(code) for code in program.operators.tolist()), len(program) > _SMALL
+
+
+def _scales(field: Field, its: Measurements) -> list[float]:
+    """Return the size of each variable of the dataset."""
+    sizes = dict(zip(its.variables, its.sizes.tolist(), strict=True))
+    return [sizes[name] for name in field.dataset.names]
+
+
+def _threads() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

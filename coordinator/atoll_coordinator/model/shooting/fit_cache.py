@@ -1,0 +1,45 @@
+"""What has been fitted before, so that nothing is fitted twice: a descent comes back to the same systems.
+
+What is remembered is equal to the bit to what another fit would give, and counts the same work.
+"""
+
+import threading
+from collections import OrderedDict
+from typing import Final, Generic, TypeVar
+
+from atoll.data.dataset import FloatArray
+from atoll_coordinator.model.shooting.system import System
+
+ROOM_BYTES: Final = 64_000_000
+"""Fits that are remembered take about so much together; beyond, the oldest go."""
+
+Key = tuple[object, ...]
+Fit = TypeVar("Fit")
+
+
+def key_of(system: System, starts: FloatArray | None, sigmas: FloatArray | None, *rest: object) -> Key:
+    """Return what a fit is known by: all that decides what comes of it, to the bit."""
+    arrays = (*system.tape, starts, sigmas)
+    return (*(None if each is None else each.tobytes() for each in arrays), *rest)
+
+
+class Memory(Generic[Fit]):
+    """Remembers fits by their keys. Any thread may use it."""
+
+    def __init__(self, size_bytes: int, room_bytes: int = ROOM_BYTES) -> None:
+        """`size_bytes` is about what one fit takes."""
+        self._most: Final = max(1, room_bytes // size_bytes)
+        self._fits: Final[OrderedDict[Key, Fit]] = OrderedDict()
+        self._lock: Final = threading.Lock()
+
+    def recall(self, key: Key) -> Fit | None:
+        """Return the fit of this key, None when it is not remembered."""
+        with self._lock:
+            return self._fits.get(key)
+
+    def keep(self, key: Key, fit: Fit) -> None:
+        """Remember a fit."""
+        with self._lock:
+            self._fits[key] = fit
+            if len(self._fits) > self._most:
+                self._fits.popitem(last=False)

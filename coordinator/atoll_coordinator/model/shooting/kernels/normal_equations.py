@@ -1,0 +1,135 @@
+"""Sum up what a fit needs of sensitivities and residuals, and solve for its step, block by block.
+
+Letters as in `kernels_integrate`: P fitted constants, D states, G segments, N rows, O measured states; L = D + K
+numbers belong to one segment alone, its initial state and K offsets. The matrix of the normal equations has an arrow's
+shape: the constants' block, and for each segment a block of its own numbers.
+"""
+
+import math
+
+from atoll.compilation.jit import allocating_kernel, kernel
+from atoll.data.dataset import FloatArray
+from atoll.expression.kernels.tape import Ints
+
+SMALLEST = 1e-200
+"""Least curvature that counts: below it a direction is flat."""
+RIDGE = 1e-13
+
+
+@kernel
+def normal_equations(segments: Ints, observed: Ints, residuals: FloatArray, weights: FloatArray,
+                     gradients: FloatArray, fitted: int, normal: FloatArray, coupling: FloatArray, own: FloatArray,
+                     gradient: FloatArray, own_gradient: FloatArray) -> None:  # fmt: skip
+    """Sum up J'WJ and J'Wr by blocks: constants (P, P), (G, P, L), and what each segment has its own (G, L, L).
+
+    `residuals` and `weights` are (O, N) for the `observed` (O,) states; a weight of zero leaves a number out.
+    """
+    local = gradients.shape[2] - fitted
+    for g in range(segments.shape[0]):
+        for row in range(segments[g, 0], segments[g, 1]):
+            for o in range(observed.shape[0]):
+                w = weights[o, row]
+                if w == 0.0:
+                    continue
+                s, r = observed[o], residuals[o, row]
+                for p in range(fitted):
+                    wj = w * gradients[row, s, p]
+                    gradient[p] += wj * r
+                    for q in range(p + 1):
+                        normal[p, q] += wj * gradients[row, s, q]
+                    for d in range(local):
+                        coupling[g, p, d] += wj * gradients[row, s, fitted + d]
+                for d in range(local):
+                    wj = w * gradients[row, s, fitted + d]
+                    own_gradient[g, d] += wj * r
+                    for e in range(local):
+                        own[g, d, e] += wj * gradients[row, s, fitted + e]
+    for p in range(fitted):
+        for q in range(p):
+            normal[q, p] = normal[p, q]
+
+
+@kernel
+def factorize(matrix: FloatArray, size: int, scale: FloatArray, damping: float) -> bool:
+    """Overwrite the lower triangle of a symmetric `matrix` by its Cholesky factor, diagonal scaled to 1 + damping.
+
+    `scale` (size,) takes the square roots of the diagonal. Returns False when it is not positive definite.
+    """
+    for i in range(size):
+        scale[i] = math.sqrt(max(matrix[i, i], SMALLEST))
+    for i in range(size):
+        for j in range(i):
+            matrix[i, j] /= scale[i] * scale[j]
+        matrix[i, i] = 1.0 + damping + RIDGE
+    for i in range(size):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                matrix[i, i] = math.sqrt(total)
+            else:
+                matrix[i, j] = total / matrix[j, j]
+    return True
+
+
+@kernel
+def substitute(factor: FloatArray, size: int, scale: FloatArray, vector: FloatArray) -> None:
+    """Overwrite `vector` (size,) by the solution of the system that `factorize` prepared."""
+    for i in range(size):
+        total = vector[i] / scale[i]
+        for k in range(i):
+            total -= factor[i, k] * vector[k]
+        vector[i] = total / factor[i, i]
+    for i in range(size - 1, -1, -1):
+        total = vector[i]
+        for k in range(i + 1, size):
+            total -= factor[k, i] * vector[k]
+        vector[i] = total / factor[i, i]
+    for i in range(size):
+        vector[i] /= scale[i]
+
+
+@allocating_kernel
+def solve_step(normal: FloatArray, coupling: FloatArray, own: FloatArray, gradient: FloatArray,
+               own_gradient: FloatArray, damping: float, change: FloatArray, moves: FloatArray) -> bool:  # fmt: skip
+    """Write the step of the constants into `change` (P,) and of the segments' own numbers into `moves` (G, L).
+
+    The segments' own numbers are eliminated first (Schur's complement). Returns False when the matrix is singular.
+    """
+    fitted, groups, local = gradient.shape[0], own.shape[0], own.shape[1]
+    reduced, factors = normal.copy(), own.copy()
+    scales = own[:, 0, :].copy()
+    scale, column = gradient.copy(), own_gradient[0].copy()
+    carried = coupling.copy()
+    for p in range(fitted):
+        reduced[p, p] *= 1.0 + damping
+        change[p] = gradient[p]
+    for g in range(groups):
+        if not factorize(factors[g], local, scales[g], damping):
+            return False
+        for p in range(fitted):
+            for d in range(local):
+                column[d] = coupling[g, p, d]
+            substitute(factors[g], local, scales[g], column)
+            for d in range(local):
+                carried[g, p, d] = column[d]
+        for p in range(fitted):
+            for d in range(local):
+                change[p] -= carried[g, p, d] * own_gradient[g, d]
+                for q in range(p + 1):
+                    reduced[p, q] -= carried[g, p, d] * coupling[g, q, d]
+    if not factorize(reduced, fitted, scale, 0.0):
+        return False
+    substitute(reduced, fitted, scale, change)
+    for g in range(groups):
+        for d in range(local):
+            column[d] = own_gradient[g, d]
+            for p in range(fitted):
+                column[d] -= coupling[g, p, d] * change[p]
+        substitute(factors[g], local, scales[g], column)
+        for d in range(local):
+            moves[g, d] = column[d]
+    return True

@@ -1,0 +1,233 @@
+"""The measured trajectories laid out for fits: all rows one after another, and what is simulated of them. Pure.
+
+Letters: N rows of all trajectories, S states, D of them with an equation here, O measured ones, K of these with an
+offset, U inputs, B pieces.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.kernels.tape import Ints
+from atoll_coordinator.data.trajectories.recording import Recording, Trajectory
+
+ROOM: Final = 3.0
+"""A simulated state may leave the measured range by so many times its width before it counts as blown up."""
+
+PIECE: Final = 500
+"""Rows of a trajectory that are simulated at a stretch; the misfit of longer ones has too many minima to be fitted."""
+
+LEAST_PIECE: Final = 100
+"""Where there are many rows, pieces of so many are compared rather than shorter ones of more trajectories."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Rows of trajectories for a system of D equations.
+
+    `bounds` (B, 2) are the half-open row ranges of the pieces that are simulated at a stretch, `owners` (B,) the
+    trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), 0 leaves a number out;
+    `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured, and `offset` (K,) which of these up
+    to an offset. `scales` (D,) are the states' standard deviations, `noise` (O,) the smoother's estimate of that of the
+    measurement errors; `coherence` is along how many rows errors go together, more than one where states without an
+    equation are inputs as smoothed. `precision` (N,) divides the variance of the errors of each row, 1 on average over
+    the recording; it is part of `weights`. `input_slopes` belong to `inputs` (U, N). `variables` names the numbers of a
+    point: D states, then U inputs.
+    """
+
+    bounds: Ints
+    owners: Ints
+    times: FloatArray
+    measured: FloatArray
+    weights: FloatArray
+    smoothed: FloatArray
+    observed: Ints
+    inputs: FloatArray
+    input_slopes: FloatArray
+    scales: FloatArray
+    noise: FloatArray
+    offset: Ints
+    variables: tuple[str, ...]
+    names: tuple[str, ...]
+    coherence: float = 1.0
+    precision: FloatArray | None = None
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of all trajectories."""
+        return len(self.times)
+
+    @property
+    def relative_noise(self) -> FloatArray:
+        """The noise over the states' standard deviations (O,)."""
+        return np.asarray(self.noise / self.scales[self.observed])
+
+    @cached_property
+    def limits(self) -> FloatArray:
+        """Range (D, 2) outside of which a simulated state has blown up."""
+        low, high = self.smoothed.min(axis=1), self.smoothed.max(axis=1)
+        width = np.maximum(high - low, 1e-12 * np.maximum(np.abs(high), np.abs(low)))
+        return np.ascontiguousarray(np.stack([low - ROOM * width, high + ROOM * width], axis=1))
+
+    @cached_property
+    def sizes(self) -> FloatArray:
+        """Mean absolute value (D + U,) of each number of a point."""
+        return np.asarray(np.abs(np.concatenate([self.smoothed, self.inputs])).mean(axis=1))
+
+    def segments(self, length: int | None) -> Ints:
+        """Return row ranges (G, 2) of about `length` rows each that cover all pieces; whole ones for None."""
+        ranges: list[tuple[int, int]] = []
+        for first, end in self.bounds.tolist():
+            count = 1 if length is None else max(1, round((end - first) / length))
+            ranges += _cut(first, end, count)
+        return np.array(ranges, dtype=np.int64)
+
+    def thinned(self, most: int) -> "Measurements":
+        """Return pieces of the trajectories, spread evenly, of at most about `most` rows together."""
+        if self.rows <= most:
+            return self
+        length = min(PIECE // 2, max(LEAST_PIECE, most // len(self.bounds)))
+        pieces = [
+            (first, min(first + length, end), owner)
+            for (first, end), owner in zip(self.bounds.tolist(), self.owners.tolist(), strict=True)
+            for first, end in _cut(first, end, max(1, round((end - first) / length)))
+        ]
+        count = min(max(1, most * len(pieces) // self.rows), len(pieces))
+        kept = [pieces[index * len(pieces) // count] for index in range(count)]
+        return self._of(kept)
+
+    def part(self, owners: Collection[int]) -> "Measurements":
+        """Return the pieces of these trajectories (indices of `names`)."""
+        bounds = zip(self.bounds.tolist(), self.owners.tolist(), strict=True)
+        return self._of([(first, end, owner) for (first, end), owner in bounds if owner in owners])
+
+    def _of(self, kept: Sequence[tuple[int, int, int]]) -> "Measurements":
+        """Return the pieces `kept`: first row, end, owner."""
+        rows = np.concatenate([np.arange(first, end) for first, end, _ in kept])
+        lengths = np.array([end - first for first, end, _ in kept])
+        ends = np.cumsum(lengths)
+        return replace(
+            self,
+            bounds=np.stack([ends - lengths, ends], axis=1).astype(np.int64),
+            owners=np.array([owner for *_, owner in kept], dtype=np.int64),
+            times=np.ascontiguousarray(self.times[rows]),
+            measured=np.ascontiguousarray(self.measured[:, rows]),
+            weights=np.ascontiguousarray(self.weights[:, rows]),
+            precision=None if self.precision is None else self.precision[rows],
+            smoothed=np.ascontiguousarray(self.smoothed[:, rows]),
+            inputs=np.ascontiguousarray(self.inputs[:, rows]),
+            input_slopes=np.ascontiguousarray(self.input_slopes[:, rows]),
+        )
+
+
+def measurements_of(
+    recording: Recording, modelled: Sequence[int], *, held_out: bool = False, piece: int = PIECE
+) -> Measurements:
+    """Return the measurements for a system whose equations are those of the `modelled` states (indices).
+
+    The other states, as smoothed, are inputs behind the recording's own. With order 2 the velocities of the modelled
+    states are states, too, behind the positions, and not measured. At most `piece` rows are simulated at
+    a stretch.
+
+    Raises:
+        ValueError: there are no such trajectories.
+    """
+    parts = [each for each in recording.trajectories if each.held_out == held_out]
+    others = [index for index in range(len(recording.states)) if index not in modelled]
+    chosen = list(modelled)
+    measured = _stacked(part.measured[chosen] for part in parts)
+    positions = _stacked(part.smoothed[chosen] for part in parts)
+    states = [positions]
+    inputs, slopes = [_stacked(part.inputs for part in parts)], [_stacked(part.input_slopes for part in parts)]
+    inputs.append(_stacked(part.smoothed[others] for part in parts))
+    slopes.append(_stacked(part.slopes[others] for part in parts))
+    if recording.order == 2:
+        states.append(_stacked(part.slopes[chosen] for part in parts))
+        inputs.append(_stacked(part.slopes[others] for part in parts))
+        slopes.append(_stacked(_gradients(part, others) for part in parts))
+    smoothed = np.concatenate(states)
+    noise = np.array([recording.smoothing[index].noise for index in chosen])
+    bounds, owners = _pieces([len(part.times) for part in parts], piece)
+    return Measurements(
+        bounds=bounds,
+        owners=owners,
+        times=np.concatenate([part.times for part in parts]),
+        measured=measured,
+        weights=_stacked(_trust(part, chosen) for part in parts),
+        smoothed=np.ascontiguousarray(smoothed),
+        observed=np.arange(len(chosen), dtype=np.int64),
+        inputs=np.ascontiguousarray(np.concatenate(inputs)),
+        input_slopes=np.ascontiguousarray(np.concatenate(slopes)),
+        scales=np.maximum(smoothed.std(axis=1), 1e-300),
+        noise=noise,
+        offset=np.array(
+            [place for place, index in enumerate(chosen) if recording.states[index] in recording.offsets], np.int64
+        ),
+        variables=_variables(recording, chosen, others),
+        names=tuple(part.name for part in parts),
+        coherence=_coherence(recording, others),
+        precision=_precision(parts),
+    )
+
+
+def _coherence(recording: Recording, others: Sequence[int]) -> float:
+    """Return along how many rows the errors of these states as smoothed go together: about half a span."""
+    return max((0.5 * (recording.smoothing[index].span or 2.0) for index in others), default=1.0)
+
+
+def _variables(recording: Recording, chosen: list[int], others: list[int]) -> tuple[str, ...]:
+    def of(symbols: Sequence[str], indices: list[int]) -> list[str]:
+        return [symbols[index] for index in indices] if symbols else []
+
+    return (
+        *of(recording.state_symbols, chosen),
+        *of(recording.velocity_symbols, chosen),
+        *recording.input_symbols,
+        *of(recording.state_symbols, others),
+        *of(recording.velocity_symbols, others),
+    )
+
+
+def _trust(part: Trajectory, chosen: list[int]) -> FloatArray:
+    """Return how much each measurement counts: nothing where it is missing, little where smoothing met an outlier."""
+    measured = np.isfinite(part.measured[chosen]).astype(np.float64)
+    believed = measured if part.trust is None else measured * part.trust[chosen]
+    return believed if part.weights is None else believed * part.weights
+
+
+def _precision(parts: Sequence[Trajectory]) -> FloatArray | None:
+    if all(part.weights is None for part in parts):
+        return None
+    return np.concatenate([np.ones(len(part.times)) if part.weights is None else part.weights for part in parts])
+
+
+def _stacked(arrays: Iterator[FloatArray]) -> FloatArray:
+    return np.ascontiguousarray(np.concatenate(list(arrays), axis=1))
+
+
+def _pieces(lengths: Sequence[int], most: int) -> tuple[Ints, Ints]:
+    """Return bounds and owners of the pieces of trajectories that have so many rows."""
+    ranges: list[tuple[int, int]] = []
+    owners: list[int] = []
+    start = 0
+    for owner, length in enumerate(lengths):
+        its = _cut(start, start + length, -(-length // most))
+        ranges += its
+        owners += [owner] * len(its)
+        start += length
+    return np.array(ranges, dtype=np.int64), np.array(owners, dtype=np.int64)
+
+
+def _cut(first: int, end: int, count: int) -> list[tuple[int, int]]:
+    """Return `count` half-open ranges of nearly equal length that cover one."""
+    cuts = [first + (end - first) * index // count for index in range(count + 1)]
+    return list(pairwise(cuts))
+
+
+def _gradients(part: Trajectory, states: list[int]) -> FloatArray:
+    return np.asarray(np.gradient(part.slopes[states], part.times, axis=1)) if states else part.slopes[states]

@@ -1,0 +1,387 @@
+"""Constants and initial states fitted to the measured states: multiple shooting by Levenberg's and Marquardt's method.
+
+Every segment of rows is integrated from an initial state of its own. Segments grow from a few rows to whole
+trajectories: short ones fit well from anywhere, whole ones use all that the data say (Bock 1983). Errors of different
+states are weighted by their variances, which are fitted as well. Letters as in `kernels_integrate`.
+"""
+
+import math
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.kernels.tape import Ints
+from atoll_coordinator.model.shooting.fit_cache import Memory, key_of
+from atoll_coordinator.model.shooting.kernels.implicit import STIFF
+from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, shoot
+from atoll_coordinator.model.shooting.kernels.normal_equations import normal_equations, solve_step
+from atoll_coordinator.model.shooting.kernels.rates import Table
+from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.system import System
+
+STEPS_PER_ROW: Final = 40
+"""Integration steps that may be taken for each row, on average: what needs more is stiff or blows up."""
+
+QUICK_STEPS_PER_ROW: Final = 8
+"""The same for the quick method: beyond, implicit steps take less time."""
+
+FINEST: Final = 1e-6
+"""Errors of an implicit step, over a state's standard deviation, are not made smaller: its order is low."""
+
+FREE: Final = (4.0, 12.0, 1.0)
+"""Steps for each row that do not count as more work, by the quick, the precise and the implicit method."""
+
+QUICK_ENOUGH: Final = 1e-5
+"""Errors of a step, over a state's standard deviation, above which the quick method takes less time."""
+
+OVERHEAD: Final = 10
+"""Numbers whose carrying along takes as long as everything else about a row."""
+
+BRIEF: Final = 6
+"""Steps of a fit that only tells whether a candidate is worth more of them."""
+
+LEAP: Final = 5
+"""Segments grow at most so many times from one stage of a fit to the next."""
+
+_BESIDE_BYTES: Final = 8_000
+"""What a remembered fit takes beside its states and residuals."""
+
+_SETTLED: Final = 1e-7
+_FIRST_DAMPING: Final = 1e-3
+_LARGEST_DAMPING: Final = 1e9
+_SMALLEST_NOISE: Final = 1e-9
+_STEEPEST: Final = 1e60
+"""Sensitivities beyond this have no squares to compute with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """A system fitted to segments.
+
+    `starts` (G, D) are the fitted initial states of `segments` (G, 2), and behind them, where trajectories are fitted
+    in whole, their K offsets (G, D + K); `simulated` (D, N); `residuals` (O, N) measured minus simulated and offset;
+    `sigmas` (O,) the standard deviations that errors were weighted by; `squares` (O,) their mean squares; `normal`,
+    `coupling` and `own` the blocks of the normal equations at the end, weighted; `shooter` fitted it; `is_stiff` tells
+    whether the system was integrated as a stiff one.
+    """
+
+    system: System
+    segments: Ints
+    starts: FloatArray
+    simulated: FloatArray
+    residuals: FloatArray
+    sigmas: FloatArray
+    squares: FloatArray
+    normal: FloatArray
+    coupling: FloatArray
+    own: FloatArray
+    shooter: "Shooter" = field(repr=False)
+    is_stiff: bool = False
+
+    def integrated_sensitivities(self) -> FloatArray:
+        """Return the sensitivities (N, D, P + D + K) to the constants and to what each segment has its own.
+
+        They are integrated again at each call, since they would make a shot many times as large.
+        """
+        return self.shooter.sensitivities(self)
+
+    @property
+    def reduced(self) -> FloatArray:
+        """The normal matrix (P, P) of the constants, initial states eliminated."""
+        own = _inverses(self.own)
+        return np.asarray(self.normal - np.einsum("gpd,gde,gqe->pq", self.coupling, own, self.coupling))
+
+
+@dataclass(frozen=True, eq=False)
+class _Equations:
+    """The misfit and its normal equations at one point."""
+
+    cost: float
+    simulated: FloatArray
+    residuals: FloatArray
+    normal: FloatArray
+    coupling: FloatArray
+    own: FloatArray
+    gradient: FloatArray
+    own_gradient: FloatArray
+    gradients: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Done:
+    """What a fit came to, None when the system cannot be integrated, and the work that it took."""
+
+    shot: Shot | None
+    work: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Method:
+    """How to integrate: most steps for each row, how many of them are free, the error (D,) allowed in one."""
+
+    table: Table
+    steps: int
+    free: float
+    tolerance: FloatArray
+
+    def work(self, steps: int, rows: int) -> int:
+        """Return what so many steps along so many rows count, one for each row or more."""
+        return max(rows, int(steps / self.free))
+
+
+class Shooter:
+    """Fits systems to `measurements`; `work` counts rows times numbers carried along, of all integrations."""
+
+    def __init__(self, measurements: Measurements, precision: float) -> None:
+        """`precision` is the error of a step over a state's standard deviation."""
+        self.precision: Final = precision
+        quick, precise, implicit = FREE
+        is_quick = precision >= QUICK_ENOUGH
+        explicit = (QUICK, QUICK_STEPS_PER_ROW, quick) if is_quick else (PRECISE, STEPS_PER_ROW, precise)
+        self._methods: Final = (
+            _Method(*explicit, precision * measurements.scales),
+            _Method(STIFF, STEPS_PER_ROW, implicit, max(precision, FINEST) * measurements.scales),
+        )
+        self.measurements: Final = measurements
+        self._measured = np.where(measurements.weights > 0.0, measurements.measured, 0.0)
+        self._smallest = np.maximum(_SMALLEST_NOISE * measurements.scales[measurements.observed], 1e-300)
+        self._totals: Final = measurements.weights.sum(axis=1)
+        self._segments: Final[dict[int | None, Ints]] = {}
+        self.work = 0
+        self._lock = threading.Lock()
+        self._own = threading.local()
+        self._fits: Final = Memory[_Done](_BESIDE_BYTES + 8 * 2 * measurements.smoothed.size)
+
+    def fit(
+        self, system: System, length: int | None, steps: int, starts: FloatArray | None = None,
+        sigmas: FloatArray | None = None, *, is_stiff: bool = False,
+    ) -> Shot | None:  # fmt: skip
+        """Return `system` fitted to segments of about `length` rows, None when it cannot be integrated from `starts`.
+
+        Args:
+            system: where the fit begins.
+            length: rows of a segment; None for whole trajectories.
+            steps: most steps, successful or not.
+            starts: initial states (G, D), or with offsets (G, D + K); the smoothed ones unless given.
+            sigmas: what errors are weighted by (O,); the smoother's noise, or what the residuals are, unless given.
+            is_stiff: whether similar systems are; in a fit of few steps no other is taken for stiff, since most
+                candidates that seem so are bad ones.
+        """
+        key = key_of(system, starts, sigmas, length, steps, is_stiff)
+        done = self._fits.recall(key)
+        if done is None:
+            self._own.work = 0
+            shot = self._fitted(system, length, steps, starts, sigmas, is_stiff=is_stiff)
+            done = _Done(shot, self._own.work)
+            self._fits.keep(key, done)
+        with self._lock:
+            self.work += done.work
+        return done.shot
+
+    def _fitted(
+        self, system: System, length: int | None, steps: int, starts: FloatArray | None, sigmas: FloatArray | None,
+        *, is_stiff: bool,
+    ) -> Shot | None:  # fmt: skip
+        """Return what `fit` does, and add what it takes to the work of this thread."""
+        its = self.measurements
+        segments = self._segments.get(length)
+        if segments is None:
+            segments = self._segments.setdefault(length, its.segments(length))
+        if starts is None:
+            starts = np.ascontiguousarray(its.smoothed[:, segments[:, 0]].T)
+        starts = self._with_offsets(starts, len(system.outputs), in_whole=length is None)
+        if sigmas is None:
+            sigmas = np.maximum(its.noise, 1e-4 * its.scales[its.observed])
+        may_be_stiff = is_stiff or steps > BRIEF
+        here, method = self._begun(system, segments, starts, sigmas, may_be_stiff=may_be_stiff)
+        if here is None:
+            return None
+        damping = _FIRST_DAMPING
+        for _ in range(steps):
+            step = _solved(here, damping)
+            there = None
+            if step is not None:
+                moved, new_starts = system.with_values(system.values + step[0]), starts + step[1]
+                there, _ = self._equations(method, moved, segments, new_starts, sigmas, here.cost)
+            if there is None:
+                damping *= 10.0
+                if damping > _LARGEST_DAMPING:
+                    break
+                continue
+            is_settled = there.cost >= here.cost * (1.0 - _SETTLED)
+            system, starts, here = moved, new_starts, there
+            damping = max(damping * 0.1, 1e-12)
+            sigmas, here = self._reweighted(here, segments, sigmas)
+            if is_settled:
+                break
+        squares = self._squares(here.residuals)
+        return Shot(
+            system, segments, starts, here.simulated, here.residuals, sigmas, squares, here.normal, here.coupling,
+            here.own, self, method is self._methods[1],
+        )  # fmt: skip
+
+    def _with_offsets(self, starts: FloatArray, states: int, *, in_whole: bool) -> FloatArray:
+        """Return initial states with offsets, which whole trajectories alone determine; as zero if they have none."""
+        count = len(self.measurements.offset) if in_whole else 0
+        missing = states + count - starts.shape[1]
+        if missing <= 0:
+            return np.ascontiguousarray(starts[:, : states + count])
+        return np.concatenate([starts, np.zeros((len(starts), missing))], axis=1)
+
+    def _squares(self, residuals: FloatArray) -> FloatArray:
+        return np.asarray((self.measurements.weights * residuals * residuals).sum(axis=1) / self._totals)
+
+    def _reweighted(self, here: _Equations, segments: Ints, sigmas: FloatArray) -> tuple[FloatArray, _Equations]:
+        """Return new variances and the equations under them; the states' errors may be of very different size."""
+        new = np.maximum(np.sqrt(self._squares(here.residuals)), self._smallest)
+        if np.all(np.abs(new / sigmas - 1.0) < 1e-3):
+            return sigmas, here
+        return new, self._weighed(here.simulated, here.gradients, here.residuals, segments, new, len(here.gradient))
+
+    def _begun(
+        self, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray, *, may_be_stiff: bool
+    ) -> tuple[_Equations | None, _Method]:
+        """Return the equations where a fit begins, see `_equations`, and the method to go on with.
+
+        That is the one for stiff systems if the other took too many steps.
+        """
+        explicit, implicit = self._methods
+        found, is_stiff = self._equations(explicit, system, segments, starts, sigmas)
+        if not is_stiff or not may_be_stiff:
+            return found, explicit
+        return self._equations(implicit, system, segments, starts, sigmas)[0], implicit
+
+    def _equations(
+        self, method: _Method, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray,
+        below: float = math.inf,
+    ) -> tuple[_Equations | None, bool]:  # fmt: skip
+        """Return the equations at a point, and whether the method took too many steps.
+
+        None where it cannot be integrated or the cost is not below `below`.
+        """
+        its = self.measurements
+        states, fitted, local = len(system.outputs), len(system.places), starts.shape[1]
+        done, taken, simulated, gradients = self._shot(method, system, segments, starts)
+        self._own.work += method.work(taken, its.rows) * (OVERHEAD + states * (1 + fitted + local))
+        if done < len(segments) or not max(gradients.max(initial=0.0), -gradients.min(initial=0.0)) < _STEEPEST:
+            return None, done < 0
+        residuals = self._measured - simulated[its.observed]
+        for place, state in enumerate(its.offset.tolist() if local > states else []):
+            column = states + place
+            residuals[state] -= np.repeat(starts[:, column], segments[:, 1] - segments[:, 0])
+        cost = float((self.measurements.weights * (residuals / sigmas[:, None]) ** 2).sum())
+        if not cost < below:
+            return None, False
+        return self._weighed(simulated, gradients, residuals, segments, sigmas, fitted), False
+
+    def sensitivities(self, shot: Shot) -> FloatArray:
+        """Return `Shot.integrated_sensitivities` of a fit of this shooter's."""
+        method = self._methods[1 if shot.is_stiff else 0]
+        return self._shot(method, shot.system, shot.segments, shot.starts)[3]
+
+    def _shot(
+        self, method: _Method, system: System, segments: Ints, starts: FloatArray
+    ) -> tuple[int, int, FloatArray, FloatArray]:
+        """Return what `shoot` does, the steps taken, the states (D, N) and their sensitivities (N, D, P + L)."""
+        its = self.measurements
+        states, fitted, local = len(system.outputs), len(system.places), starts.shape[1]
+        simulated = np.full((states, its.rows), np.nan)
+        gradients = np.zeros((its.rows, states, fitted + local))
+        taken = np.zeros(1, dtype=np.int64)
+        done = shoot(
+            method.table, system.tape, system.owners, (its.times, its.inputs, its.input_slopes), segments, starts,
+            method.tolerance, its.limits, 200 + method.steps * its.rows, True, simulated, gradients, taken,
+        )  # fmt: skip
+        for place, state in enumerate(its.offset.tolist() if local > states else []):
+            gradients[:, its.observed[state], fitted + states + place] = 1.0
+        return done, int(taken[0]), simulated, gradients
+
+    def _weighed(
+        self,
+        simulated: FloatArray,
+        gradients: FloatArray,
+        residuals: FloatArray,
+        segments: Ints,
+        sigmas: FloatArray,
+        fitted: int,
+    ) -> _Equations:
+        groups, local = len(segments), gradients.shape[2] - fitted
+        weights = self.measurements.weights / (sigmas * sigmas)[:, None]
+        blocks = (
+            np.zeros((fitted, fitted)), np.zeros((groups, fitted, local)), np.zeros((groups, local, local)),
+            np.zeros(fitted), np.zeros((groups, local)),
+        )  # fmt: skip
+        normal_equations(segments, self.measurements.observed, residuals, weights, gradients, fitted, *blocks)
+        cost = float((weights * residuals * residuals).sum())
+        return _Equations(cost, simulated, residuals, *blocks, gradients)
+
+
+def _solved(here: _Equations, damping: float) -> tuple[FloatArray, FloatArray] | None:
+    """Return the step of the constants (P,) and of the initial states (G, D); None when there is none."""
+    change, moves = np.empty_like(here.gradient), np.empty_like(here.own_gradient)
+    solved = solve_step(
+        here.normal, here.coupling, here.own, here.gradient, here.own_gradient, damping, change, moves
+    )  # fmt: skip
+    return (change, moves) if solved and np.isfinite(change).all() and np.isfinite(moves).all() else None
+
+
+def _inverses(own: FloatArray) -> FloatArray:
+    """Return the inverses (G, D, D) of the blocks of the initial states."""
+    diagonals = np.einsum("gdd->gd", own)
+    scale = np.sqrt(np.maximum(diagonals, 1e-200))
+    unit = own / (scale[:, :, None] * scale[:, None, :])
+    unit = unit + 1e-13 * np.eye(own.shape[1])
+    return np.asarray(np.linalg.inv(unit) / (scale[:, :, None] * scale[:, None, :]))
+
+
+def misfit(shot: Shot, floors: FloatArray, counts: FloatArray) -> float:
+    """Return minus the log-likelihood in nats, up to a constant: each state's variance fitted, never below its floor.
+
+    `floors` (O,) are standard deviations, `counts` (O,) the numbers measured of each state.
+    """
+    return nats_of(shot.squares, floors, counts)
+
+
+def nats_of(squares: FloatArray, floors: FloatArray, counts: FloatArray) -> float:
+    """Return the same of mean squares (O,) of errors."""
+    total = 0.0
+    for square, floor, count in zip(squares.tolist(), floors.tolist(), counts.tolist(), strict=True):
+        variance = max(square, floor * floor)
+        total += 0.5 * count * (math.log(variance) + square / variance - 1.0)
+    return total
+
+
+def staged(shooter: Shooter, system: System, lengths: Sequence[int | None], steps: int) -> Shot | None:
+    """Return `system` fitted to segments of growing `lengths`, each fit begun where the one before ended."""
+    shot: Shot | None = None
+    for length in _gradual(lengths, shooter.measurements):
+        starts = None
+        if shot is not None:
+            starts = np.ascontiguousarray(shot.simulated[:, shooter.measurements.segments(length)[:, 0]].T)
+        following = shooter.fit(
+            system if shot is None else shot.system, length, steps, starts, None if shot is None else shot.sigmas
+        )
+        if following is None:
+            return None
+        shot = following
+    return shot
+
+
+def _gradual(lengths: Sequence[int | None], its: Measurements) -> Iterator[int | None]:
+    """Yield `lengths`, and between any two those that it takes for none to be `LEAP` times as long as the one before.
+
+    Errors may grow so much along a trajectory that a fit of short segments is no beginning for one of long ones.
+    """
+    longest = int((its.bounds[:, 1] - its.bounds[:, 0]).max())
+    before: int | None = None
+    for length in lengths:
+        rows = longest if length is None else length
+        while before is not None and rows > LEAP * before:
+            before *= LEAP
+            yield before
+        yield length
+        before = rows

@@ -1,0 +1,76 @@
+"""Constants of a system made simple numbers, as far as the trajectories cannot tell the difference.
+
+As `atoll_coordinator.model.regression.rounding` does for one equation: near its minimum the misfit is a quadratic form
+of the constants, by which a beam of decisions is built up; the best whole decisions are fitted and measured.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+from atoll.expression.program import Program
+from atoll_coordinator.model.regression.rounding import Decision, decisions
+from atoll_coordinator.model.regression.simple_numbers import fitted_length, simple_numbers
+from atoll_coordinator.model.selection.comparison import Contest, Standing, bounded_covariance
+from atoll_coordinator.model.selection.structure_length import structure_nats
+from atoll_coordinator.model.structure.rewriting import constant_places, tidied, with_constants
+
+MOST_CONSTANTS: Final = 16
+_STEPS: Final = 12
+_REMEASURED: Final = 6
+
+
+def rounded(contest: Contest, standing: Standing) -> tuple[Program, ...]:
+    """Return the programs of the shortest description that comes of `standing` by making constants simple."""
+    shot = standing.shot
+    if not 0 < len(shot.system.places) <= MOST_CONSTANTS:
+        return standing.programs
+    means, spread = shot.system.values, contest.coherence * bounded_covariance(shot)
+    errors = [float(variance) ** 0.5 for variance in spread.diagonal().clip(0.0)]
+    structures = sum(map(structure_nats, standing.programs))
+    best = standing.misfit + structures + sum(map(fitted_length, means.tolist(), errors))
+    shown = standing.programs
+    for decision in decisions(means, spread)[:_REMEASURED]:
+        measured = _measured(contest, standing, decision)
+        if measured is not None and measured[0] <= best:
+            best, shown = measured
+    return shown
+
+
+def _measured(contest: Contest, standing: Standing, decision: Decision) -> tuple[float, tuple[Program, ...]] | None:
+    """Return the nats and the programs of a decision, its open constants fitted; None when it cannot be simulated."""
+    numbers = dict(decision.numbers)
+    programs, held = _decided(contest, standing.programs, numbers)
+    system = contest.system(programs, held)
+    shot = contest.shooter.fit(system, None, _STEPS, standing.shot.starts, standing.shot.sigmas)
+    if shot is None:
+        return None
+    after = contest.measured(programs, shot)
+    open_errors = [
+        float(variance) ** 0.5 for variance in (contest.coherence * bounded_covariance(shot)).diagonal().clip(0.0)
+    ]
+    lengths = sum(map(fitted_length, shot.system.values.tolist(), open_errors))
+    lengths += sum(_price(number) for number in numbers.values())
+    shown = tuple(
+        program if index in contest.fixed else tidied(program) for index, program in enumerate(after.programs)
+    )
+    return after.misfit + sum(map(structure_nats, shown)) + lengths, shown
+
+
+def _price(number: float) -> float:
+    return 0.0 if abs(number) in (0.0, 1.0) else min(simple_numbers(number, 0.0).values(), default=0.0)
+
+
+def _decided(
+    contest: Contest, programs: Sequence[Program], numbers: dict[int, float]
+) -> tuple[list[Program], list[set[int]]]:
+    """Return the programs with decided constants, and the nodes of these."""
+    changed: list[Program] = []
+    held: list[set[int]] = []
+    index = 0
+    for equation, program in enumerate(programs):
+        places = [] if equation in contest.fixed else constant_places(program)
+        chosen = {place: numbers[index + k] for k, place in enumerate(places) if index + k in numbers}
+        changed.append(with_constants(program, chosen))
+        held.append(set(chosen))
+        index += len(places)
+    return changed, held

@@ -1,0 +1,59 @@
+"""Making the kernels of trajectory fits ready before they are needed: compiled once per machine, else loaded."""
+
+import os
+from typing import Final
+
+import numpy as np
+
+from atoll.expression.operators import ADD, CONSTANT, MULTIPLY, VARIABLE
+from atoll.expression.program import Program
+from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.multiple_shooting import Shooter
+from atoll_coordinator.model.shooting.system import System, system_of
+
+PRECISIONS: Final = (1e-8, 1e-3)
+"""One for either table of the integration."""
+
+_ROWS: Final = 6
+
+
+def warm_up() -> None:
+    """Compile or load every kernel that a trajectory fit needs, by a very small one with either table.
+
+    Interpreted kernels (``NUMBA_DISABLE_JIT``) need nothing. Takes about ten seconds the first time on a machine.
+    """
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        return
+    its, system = _small_measurements(), _small_system()
+    for precision in PRECISIONS:
+        Shooter(its, precision).fit(system, 3, 2)
+
+
+def _small_system() -> System:
+    """Return dx/dt = -0.4 x + u."""
+    codes = [VARIABLE, CONSTANT, MULTIPLY, VARIABLE, ADD]
+    columns = np.array([[0, 0, 1, 1, 2], [0, 0, 0, 0, 3]], np.int16)
+    program = Program(np.array(codes, np.int8), columns[0], columns[1], np.array([0.0, -0.4, 0.0, 0.0, 0.0]))
+    return system_of([program], ("x", "u"), ("x", "u"))
+
+
+def _small_measurements() -> Measurements:
+    """Return a few rows of one state and one input."""
+    times = 0.1 * np.arange(float(_ROWS))
+    states, inputs = (1.0 - 0.3 * times)[None], (0.1 + 0.05 * times)[None]
+    return Measurements(
+        bounds=np.array([[0, _ROWS]], dtype=np.int64),
+        owners=np.zeros(1, dtype=np.int64),
+        times=times,
+        measured=states,
+        weights=np.ones_like(states),
+        smoothed=states,
+        observed=np.zeros(1, dtype=np.int64),
+        inputs=inputs,
+        input_slopes=np.full_like(inputs, 0.05),
+        scales=states.std(axis=1),
+        noise=np.array([0.01]),
+        offset=np.zeros(0, dtype=np.int64),
+        variables=("x", "u"),
+        names=("1",),
+    )

@@ -1,0 +1,175 @@
+"""One child process of the coordinator: a fresh interpreter that does errands, sent and answered through two pipes.
+
+Not a fork, since the coordinator's bus has threads, which a fork does not keep. Pickles are written and read here and
+in `child_main` alone, by a process and the one that it started itself.
+"""
+
+import contextlib
+import logging
+import pickle
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any, Final
+
+from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_coordinator.service.background.interface import LostError
+
+END_LIMIT_S: Final = 5.0
+"""How long a process that was killed, or has closed its pipe, may take to be gone."""
+
+OTHER_VERSION: Final = 71
+"""Exit code of a child that was loaded from another version than ours: the program was replaced under us."""
+
+_PROGRAM: Final = """
+import sys
+level, version, *sys.path = sys.argv[1:]
+from atoll_coordinator.service.background.child_main import main
+main(int(level), version)
+"""
+_TOLD: Final = frozenset({signal.SIGKILL})
+
+
+class ChildProcess:
+    """A process that does errands in the order in which they are sent; several may be sent, one be waited for."""
+
+    def __init__(self) -> None:
+        """Start it; raises LostError when the system starts no more processes."""
+        level = logging.getLogger().getEffectiveLevel()
+        command = [sys.executable, "-P", "-c", _PROGRAM, str(level), version(), *sys.path]  # it finds what we found
+        try:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                start_new_session=True,  # a Ctrl-C on the terminal is the coordinator's to handle
+            )
+        except OSError as error:
+            raise LostError(f"no process could be started for it: {error.strerror}") from error
+        self._answers: queue.SimpleQueue[tuple[Any, int] | None] = queue.SimpleQueue()
+        self._why: str | None = None
+        self._expected = 0  # counted by who sends
+        self._expected_done = 0  # counted by who reads
+        self._reader = threading.Thread(target=self._read, name="reading answers", daemon=True)
+        try:
+            self._reader.start()
+        except RuntimeError as error:
+            self._process.kill()
+            self._process.wait(END_LIMIT_S)
+            raise LostError(f"no thread could be started for it: {error}") from error
+        self.done = 0
+        self.memory_bytes = 0
+
+    @property
+    def pid(self) -> int:
+        """The number of the process."""
+        return self._process.pid
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether errands can be sent; it may end at any time."""
+        return self._reader.is_alive() and self._why is None
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether it is still at something that nobody waits for."""
+        return self._expected > self._expected_done
+
+    def send(self, errand: Callable[[], Any], is_awaited: bool = True) -> None:
+        """Send an errand, its function by name; if the process has ended, `answer` tells.
+
+        Raises:
+            pickle.PicklingError, AttributeError, TypeError: its function has no name, or what it is called with cannot
+                be sent; the process is ended.
+        """
+        pipe = self._process.stdin
+        assert pipe is not None
+        self._expected += not is_awaited
+        try:
+            with contextlib.suppress(OSError, ValueError):  # it has ended, and the pipe may be closed already
+                pickle.dump((is_awaited, errand), pipe, pickle.HIGHEST_PROTOCOL)
+                pipe.flush()
+        except BaseException:  # half of it may have been sent
+            self.kill("what it was sent could not be sent whole")
+            raise
+
+    def answer(self, limit_s: float) -> Any:
+        """Wait for what comes of the errand that was sent; raises LostError, after which the process is gone."""
+        try:
+            said = self._answers.get(timeout=limit_s)
+        except queue.Empty:
+            self.kill(f"its process took longer than {limit_s:,.0f} s and was ended")
+            said = None
+        if said is None:
+            self.wait()
+            raise LostError(self._why or cause_of(self._process.returncode))
+        outcome, self.memory_bytes = said
+        self.done += 1
+        return outcome
+
+    def kill(self, why: str) -> None:
+        """End it; whoever waits for an answer is told why."""
+        self._why = self._why or why
+        self._process.kill()
+
+    def wait(self) -> None:
+        """Wait, within a limit, until a process that was killed or has ended is gone without a trace."""
+        self._reader.join(END_LIMIT_S)
+
+    def _read(self) -> None:
+        """Take in what the process says until it ends; then see it off."""
+        pipe = self._process.stdout
+        assert pipe is not None
+        try:
+            while True:
+                kind, what = pickle.load(pipe)
+                if kind == "log":
+                    _log(what)
+                elif kind == "done":
+                    self._expected_done += 1
+                else:
+                    self._answers.put(what)
+        except Exception as error:  # also words that the end of the process cut short, or memory that ran out here
+            if not isinstance(error, EOFError | pickle.UnpicklingError):
+                self._why = self._why or f"its answer could not be read: {type(error).__name__}: {error}"
+        self._see_off()
+        for end in (self._process.stdin, pipe):
+            with contextlib.suppress(OSError):  # what was not sent yet cannot be
+                if end is not None:
+                    end.close()
+        self._answers.put(None)
+
+    def _see_off(self) -> None:
+        """Wait for the end of a process that says no more."""
+        try:
+            self._process.wait(END_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def _log(values: dict[str, Any]) -> None:
+    """Log a record of the child as one of this process."""
+    record = logging.makeLogRecord(values)
+    logging.getLogger(record.name).handle(record)
+
+
+def version() -> str:
+    """Return what must be the same in a coordinator and its children."""
+    return f"{VERSION} {ENGINE_REVISION} {PROTOCOL_VERSION}"
+
+
+def cause_of(code: int | None) -> str:
+    """Return in words how a process ended by itself."""
+    if code is None:
+        return "its process did not end when it was told to"
+    if code == OTHER_VERSION:
+        return "its program is of another version than the coordinator, which must be started again"
+    if code >= 0:
+        return f"its process ended with exit code {code}"
+    name = signal.Signals(-code).name if -code in set(signal.Signals) else "unknown"
+    likely = ", as happens when memory runs out" if -code in _TOLD else ""
+    return f"its process was ended by signal {-code} ({name}){likely}"

@@ -1,0 +1,42 @@
+"""What a conductor says, asks and has done: how it reaches workers, and what takes long."""
+
+from typing import Protocol
+
+from atoll.config import JobConfig
+from atoll.wire.messages.workers import (
+    Close,
+    Commit,
+    Introduce,
+    JobAnnouncement,
+    Placements,
+    PullReports,
+    PullStates,
+    Shutdown,
+)
+from atoll_coordinator.model.inference.refinement import Pools
+from atoll_coordinator.service.jobs.job import Prepared
+from atoll_coordinator.service.search.archipelago import Checkpoint
+
+WorkerWord = JobAnnouncement | Placements | Commit | Close | Introduce | Shutdown
+
+
+class Outlet(Protocol):
+    """How a conductor reaches the others."""
+
+    def tell(self, body: WorkerWord, worker: str | None = None) -> None:
+        """Send to one worker, or to all."""
+
+    def pull(self, worker: str, body: PullReports | PullStates) -> None:
+        """Ask a worker for reports, which come as reports, or states; `Conductor.states_came` follows."""
+
+    def write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> None:
+        """Have a checkpoint written elsewhere; `Conductor.written` follows."""
+
+    def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
+        """Have the table prepared elsewhere; `Conductor.prepared` or `Conductor.job_failed` follows."""
+
+    def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
+        """Have the equations made of the pools elsewhere; `Conductor.refined` follows."""
+
+    def stop(self, job: str) -> None:
+        """End what is prepared or refined for a job; nothing follows."""

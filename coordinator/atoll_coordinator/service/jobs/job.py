@@ -1,0 +1,297 @@
+"""One job: its states, its archipelagos, and what is to be done when something happens to it. Pure; time comes in."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+from atoll.config import JobConfig
+from atoll.data.dataset import Dataset, Target
+from atoll.errors import LocalProtocolError, RemoteProtocolError
+from atoll.expression.program import check_program_bytes
+from atoll.search.commit_order import Course
+from atoll.search.pareto import FrontEntry
+from atoll.wire.messages.limits import chunk_count
+from atoll.wire.messages.views import FINAL_STATES, JobState
+from atoll.wire.messages.workers import Commit, EpochReport, JobAnnouncement
+from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.model.inference.refinement import Pool, Refinement
+from atoll_coordinator.model.selection.front import count_constants, description_length
+from atoll_coordinator.service.jobs.defaults import stagnation_of
+from atoll_coordinator.service.search.archipelago import Archipelago
+from atoll_coordinator.service.search.checkpoints import StoredProgress
+from atoll_coordinator.service.search.collector import DivergedError, Limits, Measure
+from atoll_coordinator.service.search.cut import Cut
+from atoll_coordinator.service.store.jobs import JobRecord
+
+JobStep = Literal["prepare", "prepared", "searched", "refined", "fail", "cancel"]
+Fault = Literal["data", "diverged", "poison", "internal"]
+
+JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
+    "queued": {"prepare": "preparing", "fail": "failed", "cancel": "cancelled"},
+    "preparing": {"prepared": "running", "fail": "failed", "cancel": "cancelled"},
+    "running": {"searched": "refining", "fail": "failed", "cancel": "cancelled"},
+    "refining": {"refined": "done", "fail": "failed", "cancel": "cancelled"},
+    "done": {},
+    "failed": {},
+    "cancelled": {},
+}
+"""State of a job -> what happens -> its next state. Nothing happens to a job that has ended."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeepCuts:
+    """Commit the cuts, all or none of them, then tell the workers that their archipelagos are closed."""
+
+    cuts: tuple[Cut, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class TellCommit:
+    """Tell the workers what they may forget."""
+
+    commit: Commit
+
+
+@dataclass(frozen=True, slots=True)
+class Refine:
+    """All is cut: have the equations made of these pools, by variable; `Job.take_refined` follows."""
+
+    pools: dict[str, Pool]
+
+
+@dataclass(frozen=True, slots=True)
+class Conclude:
+    """The job has ended: commit its result, then close it."""
+
+
+JobAction = KeepCuts | TellCommit | Refine | Conclude
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """What preparing gave, the resolved configuration, and the dataset's bytes by digest and size.
+
+    `known` has the known equations by variable, as members of fronts of their own.
+    """
+
+    preparation: Preparation
+    config: JobConfig
+    blob: str
+    size: int
+    known: Mapping[str, FrontEntry] = field(default_factory=dict)
+
+    @property
+    def sought(self) -> tuple[Target, ...]:
+        """The targets whose equations are searched."""
+        return tuple(target for target in self.dataset.targets if target.variable not in self.known)
+
+    @property
+    def dataset(self) -> Dataset:
+        """What the search sees."""
+        return self.preparation.dataset
+
+
+class Job:
+    """A job from its submission to its end."""
+
+    def __init__(self, record: JobRecord, config: JobConfig, now: float) -> None:
+        """`record` is what the store keeps of it, `config` its specification read, `now` the bus's seconds."""
+        self.id: Final = record.id
+        self.name: Final = record.name
+        self.config: Final = config
+        self.table: Final = record.table_digest
+        self.submitted: Final = record.submitted
+        self.submitted_at: Final = now - record.elapsed
+        self.priority: Final = record.priority
+        self.state: JobState = "queued"
+        self.reason: str | None = None
+        self.fault: Fault | None = None
+        self.prepared: Prepared | None = None
+        self.archipelagos: dict[str, Archipelago] = {}
+        self.started_at: float | None = None
+        self.searched_before = 0.0
+        self.refinement = Refinement()
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether nothing can happen to it any more."""
+        return self.state in FINAL_STATES
+
+    @property
+    def open_archipelagos(self) -> tuple[Archipelago, ...]:
+        """The archipelagos that are still searched."""
+        if self.state != "running":
+            return ()
+        return tuple(each for each in self.archipelagos.values() if each.cut is None)
+
+    def announcement(self) -> JobAnnouncement:
+        """Return what workers need to know; raises LocalProtocolError before the job is prepared."""
+        if self.prepared is None:
+            raise LocalProtocolError(f"job {self.id} cannot be announced before it is prepared")
+        return JobAnnouncement(
+            job=self.id,
+            config=self.prepared.config,
+            variables=tuple(target.variable for target in self.prepared.sought),
+            blob=self.prepared.blob,
+            size=self.prepared.size,
+            chunks=chunk_count(self.prepared.size),
+            priority=self.priority,
+        )
+
+    def prepare(self) -> None:
+        """Note that its data are being prepared."""
+        self._step("prepare")
+
+    def begin(
+        self, prepared: Prepared, cuts: Mapping[str, Cut], resumed: Mapping[str, StoredProgress] | None = None
+    ) -> list[JobAction]:
+        """Set up the archipelagos; those of `cuts` have ended before, those of `resumed` go on from a checkpoint.
+
+        The search has lasted at least as long as any of them says.
+        """
+        self._step("prepared")
+        self.prepared = prepared
+        self.searched_before = max((cut.seconds for cut in cuts.values()), default=0.0)
+        for target in prepared.sought:
+            archipelago = self._archipelago(prepared, target)
+            if target.variable in cuts:
+                archipelago.restore(cuts[target.variable])
+            elif resumed and target.variable in resumed:
+                archipelago.resume(resumed[target.variable].progress())
+                self.searched_before = max(self.searched_before, resumed[target.variable].search_seconds)
+            self.archipelagos[target.variable] = archipelago
+        return self._conclude_if_cut()
+
+    def start(self, now: float) -> None:
+        """Note that islands have been placed: the time of the search begins, once."""
+        if self.started_at is None:
+            self.started_at = now
+
+    def search_seconds(self, now: float) -> float:
+        """Return how long the search has lasted, under earlier incarnations as well."""
+        return self.searched_before + (now - self.started_at if self.started_at is not None else 0.0)
+
+    def receive(self, worker: str, report: EpochReport, now: float) -> list[JobAction]:
+        """Take in a report; raises RemoteProtocolError when it cannot be."""
+        archipelago = self.archipelagos.get(report.variable)
+        if self.state != "running":
+            return []
+        if archipelago is None:
+            raise RemoteProtocolError(f"job {self.id} has no variable {report.variable!r}")
+        try:
+            advanced = archipelago.receive(worker, report, self.search_seconds(now))
+        except DivergedError as error:
+            return self.fail("diverged", str(error))
+        return self._after_epoch(archipelago) if advanced else self._commit_of(archipelago)
+
+    def tick(self, now: float) -> list[JobAction]:
+        """Let time pass: `--max-time` cuts every variable at its last completely reported epoch."""
+        limit = self.config.budget.max_time
+        if self.state != "running" or limit is None or self.search_seconds(now) < limit:
+            return []
+        open_ones = self.open_archipelagos
+        for archipelago in open_ones:
+            archipelago.collector.cut_now("max-time")
+        cuts = tuple(each.cut for each in open_ones if each.cut is not None)
+        return [KeepCuts(cuts), *self._conclude_if_cut()] if cuts else []
+
+    def take_refined(self, refinement: Refinement) -> list[JobAction]:
+        """Take in what refining gave, and end; without effect on a job that does not wait for it."""
+        if self.state != "refining":
+            return []
+        self.refinement = refinement
+        self._step("refined")
+        return [Conclude()]
+
+    def cancel(self) -> list[JobAction]:
+        """End it and keep what has been found; without effect on a job that has ended.
+
+        The result alone is committed: cuts by a cancellation that is then lost would end a job that goes on.
+        """
+        if self.has_ended:
+            return []
+        for archipelago in self.open_archipelagos:
+            archipelago.collector.cut_now("cancelled")
+        self._step("cancel")
+        return [Conclude()]
+
+    def fail(self, fault: Fault, sentence: str) -> list[JobAction]:
+        """End it with a reason; without effect on a job that has ended."""
+        if self.has_ended:
+            return []
+        self._step("fail")
+        self.fault, self.reason = fault, sentence
+        return [Conclude()]
+
+    def validate(self) -> None:
+        """Check the invariants; raises AssertionError."""
+        for archipelago in self.archipelagos.values():
+            archipelago.validate()
+        is_searching = bool(self.open_archipelagos)
+        assert self.state != "running" or is_searching or not self.archipelagos, "a searched job is still running"
+
+    def _step(self, step: JobStep) -> None:
+        following = JOB_TRANSITIONS[self.state].get(step)
+        if following is None:
+            raise LocalProtocolError(f"job {self.id} is {self.state} and cannot {step}")
+        self.state = following
+
+    def _archipelago(self, prepared: Prepared, target: Target) -> Archipelago:
+        config, inputs = prepared.config, len(prepared.dataset.names)
+        budget = config.budget
+        limits = Limits(
+            islands=config.evolution.islands,
+            epochs=budget.max_epochs_of.get(target.variable, budget.max_epochs),
+            stagnation=stagnation_of(config, target),
+            course=course_of(config),
+            runners_up=config.evolution.runners_up or 0,
+        )
+        return Archipelago(
+            self.id, target.variable, limits, measure_of(target), lambda data: check_program(data, inputs)
+        )
+
+    def _after_epoch(self, archipelago: Archipelago) -> list[JobAction]:
+        if archipelago.cut is None:
+            return self._commit_of(archipelago)
+        return [KeepCuts((archipelago.cut,)), *self._conclude_if_cut()]
+
+    def _commit_of(self, archipelago: Archipelago) -> list[JobAction]:
+        commit = archipelago.forget_due()
+        return [TellCommit(commit)] if commit is not None else []
+
+    def _conclude_if_cut(self) -> list[JobAction]:
+        if self.open_archipelagos:
+            return []
+        self._step("searched")
+        cuts = {name: each.cut for name, each in self.archipelagos.items()}
+        return [Refine({name: cut.pool() for name, cut in cuts.items() if cut is not None})]
+
+
+def course_of(config: JobConfig) -> Course:
+    """Return how the slices of this job's archipelagos follow each other."""
+    return Course(
+        generations=config.migration.generations,
+        stride=config.evolution.refit_interval,
+        joining=config.migration.joining or config.evolution.islands,
+    )
+
+
+def measure_of(target: Target) -> Measure:
+    """Return the measure by which a front of this target is better than another: its least description length.
+
+    That of a noisy target knows no floor: many equations lie below it, and the search goes on while they get better.
+    """
+    rows, floor = len(target.values), 0.0 if target.is_noisy else target.floor
+
+    def least(front: tuple[FrontEntry, ...]) -> float:
+        lengths = (
+            description_length(entry, rows, floor, target.deviation, count_constants(entry.program)) for entry in front
+        )
+        return min(lengths, default=float("inf"))
+
+    return least
+
+
+def check_program(data: bytes, inputs: int) -> None:
+    """Raise RemoteProtocolError unless `data` is a program over that many inputs."""
+    check_program_bytes(data, inputs)

@@ -1,0 +1,39 @@
+"""In which order jobs are taken up: by priority, then as they came. Pure."""
+
+from collections.abc import Iterable
+from typing import Final
+
+from atoll_coordinator.service.jobs.job import Job
+
+MAX_RUNNING: Final = 4
+"""Jobs searched at the same time; further ones wait for their turn."""
+
+
+def in_line(jobs: Iterable[Job]) -> list[Job]:
+    """Return the jobs that wait for their turn, the next one first; `jobs` are in the order in which they came."""
+    waiting = [job for job in jobs if job.state == "queued"]
+    return sorted(waiting, key=lambda job: -job.priority)
+
+
+def next_job(jobs: Iterable[Job]) -> Job | None:
+    """Return the job to prepare now: one at a time, while there is room for more; None when there is none."""
+    jobs = tuple(jobs)
+    states = [job.state for job in jobs]
+    if "preparing" in states or states.count("running") >= MAX_RUNNING:
+        return None
+    return next(iter(in_line(jobs)), None)
+
+
+def ahead_of(job: Job, jobs: Iterable[Job]) -> int | None:
+    """Return how many jobs are before this one in the line; None when it does not wait there."""
+    return in_line(jobs).index(job) if job.state == "queued" else None
+
+
+def waits_for_turn(job: Job, jobs: Iterable[Job]) -> str:
+    """Return in words what a queued job waits for."""
+    jobs = tuple(jobs)
+    ahead = in_line(jobs).index(job)
+    if ahead:
+        return f"waits for its turn ({ahead} {'job' if ahead == 1 else 'jobs'} before it)"
+    running = sum(each.state in ("preparing", "running") for each in jobs)
+    return f"waits for its turn (it is next; {running} {'job is' if running == 1 else 'jobs are'} under way)"

@@ -1,0 +1,154 @@
+"""Why an archipelago stands still: a pure function of what the coordinator knows of placement, reports and workers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+from atoll_coordinator.service.search.archipelago import Archipelago
+from atoll_coordinator.service.workers.membership import Member, Membership
+from atoll_coordinator.service.workers.quarantine import Key
+
+Cause = Literal[
+    "silence", "absence", "compiling", "not taken up", "lost report", "standing", "others", "migrants", "slow"
+]
+
+PATIENCE_S: Final[dict[Cause, float]] = {
+    "silence": 5.0, "absence": 3.0, "compiling": 5.0, "not taken up": 5.0, "lost report": 5.0, "standing": 10.0,
+    "others": 30.0, "migrants": 5.0, "slow": 60.0,
+}  # fmt: skip
+"""For how many seconds an archipelago must stand still, and the cause last, before that is told."""
+
+_SILENT_S: Final = 3.0
+_STANDING_S: Final = 5.0
+_MOST_NAMED: Final = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Stall:
+    """An archipelago that waits for `islands` on `worker` to report `epoch`; `seconds` belong to the cause."""
+
+    cause: Cause
+    worker: str
+    islands: tuple[int, ...]
+    epoch: int
+    term: int
+    seconds: float
+    sentence: str
+
+
+def stall_of(archipelago: Archipelago, membership: Membership, still_s: float) -> Stall | None:
+    """Return why no further epoch of an archipelago is complete, or None when there is nothing to tell.
+
+    Args:
+        archipelago: any one; only one that is placed and not cut can stand still.
+        membership: who is there, as of its last look.
+        still_s: seconds since an epoch was completed, or since the archipelago was placed.
+    """
+    placement = archipelago.placement
+    if placement is None or archipelago.cut is not None or still_s < min(PATIENCE_S.values()):
+        return None
+    awaited = archipelago.collector.awaited()
+    workers = sorted({placement.workers[island] for island in awaited if island < len(placement.workers)})
+    found = [
+        _stall(archipelago, worker, tuple(i for i in awaited if placement.workers[i] == worker), membership, still_s)
+        for worker in workers
+    ]
+    told = [each for each in found if min(still_s, each.seconds) >= PATIENCE_S[each.cause]]
+    return min(told, key=_gravity, default=None)
+
+
+def _gravity(stall: Stall) -> tuple[int, str]:
+    """Order causes from those that hold up others to those that are held up."""
+    return (list(PATIENCE_S).index(stall.cause), stall.worker)
+
+
+def _stall(
+    archipelago: Archipelago, worker: str, islands: tuple[int, ...], membership: Membership, still_s: float
+) -> Stall:
+    placement = archipelago.placement
+    assert placement is not None
+    epoch, member = archipelago.collector.progress.epochs, membership.member(worker)
+    stall = Stall("absence", worker, islands, epoch, placement.term, still_s, "")
+    waits = f"waiting for {named(islands)} on worker {worker}"
+    cause, said, seconds = _cause(archipelago, member, membership.looked_at, epoch, still_s)
+    sentence = {
+        "lost report": f"waiting for the report of epoch {epoch} from worker {worker}",
+        "not taken up": f"waiting for worker {worker} to take up {named(islands)} under term {placement.term}",
+        "standing": f"computing slowly: {said} on worker {worker}, {seconds:.0f} s without progress",
+        "slow": f"computing slowly: {named(islands)} on worker {worker}, epoch {epoch}, for {seconds:.0f} s",
+    }.get(cause, f"{waits}, {said}")
+    return replace(stall, cause=cause, seconds=seconds, sentence=sentence)
+
+
+def _cause(
+    archipelago: Archipelago, member: Member | None, now: float, epoch: int, still_s: float
+) -> tuple[Cause, str, float]:
+    """Return the cause, words on it, and its seconds."""
+    if member is None or member.state == "absent":
+        gone = now - (member.gone_at or now) if member is not None else still_s
+        return "absence", f"whose connection has been gone for {gone:.0f} s", gone
+    silent = now - member.heard_at
+    if silent >= _SILENT_S or member.status is None:
+        return "silence", f"silent for {silent:.0f} s", silent
+    status = member.status
+    if status.state == "compiling":
+        return "compiling", "which loads or compiles its kernels", still_s
+    placement, standing = archipelago.placement, now - member.progressed_at
+    held = next((h for h in status.holdings if (h.job, h.variable) == (archipelago.job, archipelago.variable)), None)
+    if held is None or placement is None or held.term != placement.term:
+        return "not taken up", "", still_s
+    if held.reported > epoch:
+        return "lost report", "", still_s
+    doing = status.doing
+    if doing is None:
+        return "migrants", f"which waits for migrants itself ({status.state})", still_s
+    at = f"island {doing.island}, epoch {doing.epoch}"
+    if standing >= _STANDING_S:
+        whose = "" if doing.job == archipelago.job else f" of job {doing.job}"
+        return "standing", f"{at}{whose}", standing
+    if doing.job != archipelago.job:
+        return "others", f"which computes job {doing.job} in turn", still_s
+    return "slow", "", still_s
+
+
+def named(islands: Sequence[int]) -> str:
+    """Return islands by number, as people read them."""
+    shown = ", ".join(str(island) for island in islands[:_MOST_NAMED])
+    more = f" and {len(islands) - _MOST_NAMED} more" if len(islands) > _MOST_NAMED else ""
+    return f"island {shown}" if len(islands) == 1 else f"islands {shown}{more}"
+
+
+class Stillness:
+    """Since when each archipelago stands still, and what was told of it."""
+
+    def __init__(self) -> None:
+        self._seen: dict[Key, tuple[tuple[int, int], float]] = {}
+        self.stalls: dict[Key, Stall] = {}
+
+    def look(self, archipelago: Archipelago, membership: Membership, now: float) -> Stall | None:
+        """Take notice of how an archipelago stands; return its stall."""
+        key = (archipelago.job, archipelago.variable)
+        placement = archipelago.placement
+        mark = (placement.term if placement is not None else 0, archipelago.collector.progress.epochs)
+        seen, since = self._seen.get(key, (None, now))
+        if seen != mark:
+            since = now
+        self._seen[key] = (mark, since)
+        stall = stall_of(archipelago, membership, now - since)
+        if stall is None:
+            self.stalls.pop(key, None)
+        else:
+            self.stalls[key] = stall
+        return stall
+
+    def sentences(self, job: str) -> tuple[str, ...]:
+        """Return what is told of a job, by variable."""
+        return tuple(f"{key[1]}: {stall.sentence}" for key, stall in sorted(self.stalls.items()) if key[0] == job)
+
+    def keep_only(self, keys: set[Key]) -> list[Key]:
+        """Forget all other archipelagos; return those that stood still."""
+        gone = [key for key in self.stalls if key not in keys]
+        for key in gone:
+            del self.stalls[key]
+        self._seen = {key: value for key, value in self._seen.items() if key in keys}
+        return gone

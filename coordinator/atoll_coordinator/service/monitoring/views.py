@@ -1,0 +1,184 @@
+"""What people are shown of a job: its view, and its result, also while it runs. Pure."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Literal, cast
+
+from pydantic import ValidationError
+
+from atoll.config import JobConfig
+from atoll.expression.text.infix import to_infix
+from atoll.wire.messages.views import JobState, JobView, VariableView
+from atoll_coordinator.model.report.numbers import finite
+from atoll_coordinator.model.report.result import KNOWN, Account, VariableOutcome, build_result, equation_of
+from atoll_coordinator.model.report.trust import verdict
+from atoll_coordinator.model.selection.front import threshold
+from atoll_coordinator.service.jobs.job import Job, Prepared
+from atoll_coordinator.service.jobs.queue import ahead_of, waits_for_turn
+from atoll_coordinator.service.search.archipelago import Archipelago
+from atoll_coordinator.service.search.cut import Why
+from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_coordinator.service.workers.membership import Membership
+
+
+def job_result(job: Job, now: float) -> dict[str, Any]:
+    """Return the contents of result.json for a prepared job: final, or the best so far."""
+    prepared = job.prepared
+    if prepared is None:
+        raise ValueError(f"job {job.id} has no dataset yet")
+    outcomes = outcomes_of(job)
+    account = Account(
+        state=job.state,
+        seconds=now - job.submitted_at,
+        search_seconds=max((outcome.seconds for outcome in outcomes), default=0.0),
+        reason=job.reason,
+    )
+    return build_result(job.id, prepared.config, prepared.preparation, outcomes, account, job.refinement)
+
+
+def result_text(result: dict[str, Any]) -> str:
+    """Return a result as JSON text."""
+    return json.dumps(result, ensure_ascii=False, allow_nan=False)
+
+
+def outcomes_of(job: Job) -> list[VariableOutcome]:
+    """Return how the searches of a job stand or ended, with what refinement has made of them; known equations as well.
+
+    They come in the order of the dataset.
+    """
+    if job.prepared is None:
+        return []
+    found = {name: outcome_of(each) for name, each in job.archipelagos.items()}
+    found |= {name: VariableOutcome(name, (entry,), 0, why=KNOWN) for name, entry in job.prepared.known.items()}
+    order = [name for name in job.prepared.dataset.variables if name in found]
+    return [replace(found[name], refined=job.refinement.equations.get(name)) for name in order]
+
+
+def outcome_of(archipelago: Archipelago) -> VariableOutcome:
+    """Return how the search of one equation ended, or how it stands after the epochs that are complete."""
+    cut = archipelago.cut
+    if cut is not None:
+        pool = cut.pool()
+        return VariableOutcome(
+            archipelago.variable, pool.front, cut.epochs, cut.generation, cut.evaluations, cut.seconds, cut.why,
+            runners_up=pool.runners_up,
+        )  # fmt: skip
+    progress = archipelago.collector.progress
+    return VariableOutcome(
+        archipelago.variable, progress.front, progress.epochs, None, progress.evaluations, progress.seconds,
+        runners_up=progress.runners_up,
+    )  # fmt: skip
+
+
+def job_view(job: Job, membership: Membership, now: float, jobs: Sequence[Job]) -> JobView:
+    """Return what `jobs` and `status` show of a live job, or of one that ends now; `jobs` are all live ones."""
+    outcomes = outcomes_of(job)
+    evaluations = sum(sum(outcome.evaluations.values()) for outcome in outcomes)
+    seconds = job.search_seconds(now)
+    variables = tuple(_variable_view(job.prepared, each, job.state) for each in outcomes) if job.prepared else ()
+    return JobView(
+        job=job.id,
+        name=job.name,
+        state=job.state,
+        seed=job.config.seed,
+        preset=job.config.preset,
+        reason=job.reason or _waits_for(job, membership, jobs),
+        fault=job.fault,
+        warnings=job.prepared.dataset.warnings if job.prepared else (),
+        submitted=job.submitted,
+        elapsed=now - job.submitted_at,
+        workers=_workers(job),
+        point_evaluations=evaluations,
+        point_evaluations_per_second=evaluations / seconds if seconds > 0.0 and evaluations else None,
+        variables=variables,
+        priority=job.priority,
+        ahead=ahead_of(job, jobs),
+        target_error=job.config.budget.target_error,
+    )
+
+
+def ended_view(record: JobRecord, result: str | None) -> JobView:
+    """Return the view of a job that ended before this coordinator started, from what was stored."""
+    seed, preset, target_error = _stored_settings(record.spec)
+    contents: dict[str, Any] = {"equations": [], "point_evaluations": 0, "warnings": []}
+    if result is not None:
+        contents = json.loads(result)
+    return JobView(
+        job=record.id,
+        name=record.name,
+        state=cast(JobState, record.state),
+        seed=seed,
+        preset=preset,
+        reason=record.reason,
+        warnings=tuple(contents["warnings"]),
+        submitted=record.submitted,
+        elapsed=record.elapsed,
+        workers=0,
+        point_evaluations=contents["point_evaluations"],
+        variables=tuple(_stored_variable_view(each) for each in contents["equations"]),
+        priority=record.priority,
+        target_error=target_error,
+    )
+
+
+def _stored_settings(spec: str) -> tuple[int, str, float | None]:
+    """Return seed, preset and target error of a stored job; defaults where another version wrote something else."""
+    try:
+        config = JobConfig.model_validate_json(spec)
+    except ValidationError:
+        config = JobConfig()
+    return config.seed, config.preset, config.budget.target_error
+
+
+def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState) -> VariableView:
+    target = prepared.dataset.problem(outcome.variable).target
+    target_error = prepared.config.budget.target_error
+    view = VariableView(
+        variable=outcome.variable,
+        lhs=target.lhs,
+        epoch=outcome.epoch,
+        point_evaluations=sum(outcome.evaluations.values()),
+        finished=outcome.why is not None,
+        why=cast(Why | Literal["known"] | None, outcome.why),
+    )
+    shown = equation_of(outcome, prepared.dataset, prepared.config)
+    grade = verdict(shown, target, state, is_known=outcome.why == KNOWN)["verdict"]
+    view = view.model_copy(update={"verdict": grade})
+    if shown is None:
+        return view
+    normalized = finite(shown.error / target.deviation) if target.deviation else None
+    return view.model_copy(
+        update={
+            "error": finite(shown.error),
+            "normalized_error": normalized,
+            "complexity": len(shown.program),
+            "expression": to_infix(shown.program, prepared.dataset.names),
+            "converged": normalized is not None and normalized <= threshold(target, target_error),
+        }
+    )
+
+
+def _stored_variable_view(equation: dict[str, Any]) -> VariableView:
+    fields = ("variable", "lhs", "epoch", "error", "normalized_error", "complexity", "expression", "converged", "why")
+    known = {name: equation[name] for name in fields} | {"verdict": equation.get("verdict")}
+    return VariableView(**known, point_evaluations=equation["point_evaluations"], finished=True)
+
+
+def _workers(job: Job) -> int:
+    placements = [each.placement for each in job.open_archipelagos]
+    return len({worker for placement in placements if placement is not None for worker in placement.workers})
+
+
+def _waits_for(job: Job, membership: Membership, jobs: Sequence[Job]) -> str | None:
+    """Return what a job waits for, if it cannot get on by itself."""
+    if job.state == "queued":
+        return waits_for_turn(job, jobs)
+    if not any(each.placement is None for each in job.open_archipelagos):
+        return None
+    arriving = membership.arriving()
+    if arriving:
+        return f"waits for {arriving} worker{'s' if arriving > 1 else ''} to load or compile the kernels"
+    if not membership.ready():
+        return "waits for a worker: none has joined, or all are lost or leaving"
+    return "waits for the other workers to join"

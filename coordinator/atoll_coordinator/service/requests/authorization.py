@@ -1,0 +1,70 @@
+"""Who is let in, where certificates prove names: the second look, behind the router's access rules, with a sentence.
+
+The rules drop what they do not allow without a word. So a program whose role does not fit hears it here, as the answer
+to its greeting; and who may cancel which job, which no rule on keys can say, is decided here alone.
+"""
+
+from typing import Final, Protocol
+
+from atoll.wire.messages.clients import Ask, Cancel
+from atoll.wire.messages.handshake import Hello
+from atoll.wire.security.access_control import Role, Roster
+
+_MAY: Final[dict[Role, str]] = {
+    "coordinator": "serve",
+    "router": "pass messages on",
+    "worker": "compute islands",
+    "submitter": "submit jobs and look at them",
+    "admin": "submit jobs, look at them and cancel those of others",
+}
+
+
+class Submitters(Protocol):
+    """The part of the store that remembers whose job a job is."""
+
+    def submitter(self, job: str) -> str | None: ...
+
+
+class Admission:
+    """Answers by a roster; without one (None) everybody may do everything."""
+
+    def __init__(self, roster: Roster | None, submitters: Submitters) -> None:
+        self._roster = roster
+        self._submitters = submitters
+
+    def refuse_role(self, hello: Hello) -> str | None:
+        """Return why a program may not take part as what it says it is; None: it may."""
+        if self._roster is None:
+            return None
+        role = self._roster.role(hello.name)
+        if role is None:
+            return (
+                f"the coordinator's roster has no name for {hello.name!r}; have the name of your certificate written "
+                "there, and the coordinator started again"
+            )
+        fits = role == "worker" if hello.role == "worker" else role != "worker"
+        if fits:
+            return None
+        wanted = "compute islands" if hello.role == "worker" else "submit jobs or look at them"
+        return (
+            f"the certificate of {self._roster.bearer(hello.name)!r} has the role {role}, which may {_MAY[role]}, but "
+            f"not {wanted}; use another certificate"
+        )
+
+    def refuse_ask(self, client: str, ask: Ask) -> str | None:
+        """Return why `client` may not ask this; None: it may."""
+        if self._roster is None:
+            return None
+        role = self._roster.role(client)
+        if role not in ("submitter", "admin"):
+            return f"{client!r} is not the name of somebody who may submit jobs or look at them"
+        if not isinstance(ask.body, Cancel) or role == "admin":
+            return None
+        owner = self._submitters.submitter(ask.body.job)
+        if owner in (None, self._roster.bearer(client)):
+            return None
+        return f"job {ask.body.job} was submitted by {owner}; only {owner} or an admin may cancel it"
+
+    def submitter(self, client: str) -> str | None:
+        """Return as whose job one is kept that `client` submits; None: nobody proves who it is."""
+        return self._roster.bearer(client) if self._roster is not None else None

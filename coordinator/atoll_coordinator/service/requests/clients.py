@@ -1,0 +1,137 @@
+"""Answers clients: uploads, submissions, questions about jobs and workers. Whatever is wrong becomes a Failure."""
+
+import hashlib
+from collections.abc import Callable
+from typing import Final
+
+from atoll.errors import AtollError, RefusedError, RemoteProtocolError, StoreError
+from atoll.wire.messages.clients import (
+    Ask,
+    Cancel,
+    EventList,
+    Failure,
+    FailureKind,
+    GetEvents,
+    GetResult,
+    JobList,
+    Jobs,
+    JobStatus,
+    Result,
+    Status,
+    Submit,
+    Upload,
+    Uploaded,
+    WorkerList,
+    Workers,
+)
+from atoll.wire.messages.views import CoordinatorView, JobView
+from atoll_coordinator.service.controller import Conductor
+from atoll_coordinator.service.ports import StorePort
+
+MAX_STORED_BYTES: Final = 16 * 1024**3
+"""Uploads are refused when all tables and datasets together would take more than this."""
+
+Body = Uploaded | JobList | JobStatus | WorkerList | Result | EventList | Failure
+
+
+class Desk:
+    """One answer for each question."""
+
+    def __init__(
+        self, conductor: Conductor, store: StorePort, now: Callable[[], float],
+        coordinator: Callable[[], CoordinatorView | None] = lambda: None,
+    ) -> None:  # fmt: skip
+        """`coordinator` gives the view of the coordinator itself."""
+        self._conductor = conductor
+        self._store = store
+        self._now = now
+        self._coordinator = coordinator
+
+    def answer(self, ask: Ask, submitter: str | None = None) -> Body:
+        """Return the answer to a client's question; `submitter`: as whose job one is kept that is submitted.
+
+        Raises:
+            StoreError: A job was to be cancelled, and that could not be made durable.
+        """
+        try:
+            return self._answer(ask, submitter)
+        except (RefusedError, RemoteProtocolError) as error:
+            return Failure(failure="refused", sentence=str(error)[:4000])
+        except AtollError as error:
+            # The job has left its search already, and only a coordinator that starts again finds its way back.
+            if isinstance(error, StoreError) and isinstance(ask.body, Cancel):
+                raise
+            return Failure(failure="internal", sentence=str(error)[:4000])
+
+    def _answer(self, ask: Ask, submitter: str | None) -> Body:
+        body = ask.body
+        match body:
+            case Upload():
+                return self._upload(body)
+            case Submit():
+                self._conductor.submit(body, self._now(), submitter)
+                return self._status(body.job)
+            case Jobs():
+                return JobList(jobs=self._views())
+            case Status():
+                return self._status(body.job)
+            case Workers():
+                views = self._conductor.membership.views(self._now())
+                return WorkerList(workers=views, coordinator=self._coordinator())
+            case GetResult():
+                return self._result(body.job)
+            case Cancel():
+                self._conductor.cancel(body.job, self._now())
+                return self._status(body.job)
+            case GetEvents():
+                return self._events(body)
+
+    def _events(self, question: GetEvents) -> EventList | Failure:
+        """Return what happened; as much of it as one answer bears."""
+        if question.job is not None and self._conductor.view(question.job, self._now()) is None:
+            return _unknown(question.job)
+        return EventList(events=self._conductor.watch.chronicle.read(question.job, question.after, question.limit))
+
+    def _upload(self, upload: Upload) -> Uploaded:
+        if upload.data is None:
+            self._check_room(upload)
+        else:
+            if hashlib.sha256(upload.data).hexdigest() != upload.sha256:
+                raise RefusedError(f"part {upload.index + 1} of an upload was damaged on its way; send it again")
+            self._check_room(upload)
+            self._store.put_chunk(upload.blob, upload.size, upload.index, upload.data)
+        return Uploaded(blob=upload.blob, missing=self._store.missing_chunks(upload.blob, upload.size))
+
+    def _check_room(self, upload: Upload) -> None:
+        if not self._store.has_blob(upload.blob) and self._store.blob_bytes() + upload.size > MAX_STORED_BYTES:
+            raise RefusedError(
+                f"the coordinator's store holds {self._store.blob_bytes()} bytes of tables and datasets and takes at "
+                f"most {MAX_STORED_BYTES}; an upload of {upload.size} bytes does not fit: use another --state folder"
+            )
+
+    def _views(self) -> tuple[JobView, ...]:
+        ids = [*self._conductor.ended, *self._conductor.jobs]
+        views = [view for each in ids if (view := self._conductor.view(each, self._now())) is not None]
+        return tuple(sorted(views, key=lambda view: (view.submitted, view.job)))
+
+    def _status(self, job: str) -> JobStatus | Failure:
+        view = self._conductor.view(job, self._now())
+        return JobStatus(job=view) if view is not None else _unknown(job)
+
+    def _result(self, job: str) -> Result | Failure:
+        view = self._conductor.view(job, self._now())
+        if view is None:
+            return _unknown(job)
+        text = self._conductor.result(job, self._now())
+        if text is not None:
+            return Result(json_text=text)
+        if view.state == "failed":
+            kind: FailureKind = "data" if view.fault == "data" else "internal"
+            return Failure(failure=kind, sentence=view.reason or f"job {job} failed")
+        if view.state == "cancelled":
+            return Failure(failure="refused", sentence=f"job {job} was cancelled before its search began")
+        return Failure(failure="too-early", sentence=f"job {job} is {view.state} and has no equations yet; ask again")
+
+
+def _unknown(job: str) -> Failure:
+    return Failure(failure="unknown-job", sentence=f"there is no job {job}; 'coordinator jobs' lists all of them")

@@ -1,0 +1,71 @@
+"""Answers greetings: with a welcome, or with a sentence on why a worker or a client cannot take part."""
+
+import logging
+from collections.abc import Callable
+
+from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll.errors import RemoteProtocolError
+from atoll.logs import fields
+from atoll.wire import topics
+from atoll.wire.codec import decode
+from atoll.wire.messages.handshake import Greeting, Hello, Refusal, Welcome
+from atoll.wire.messages.limits import MAX_MESSAGE
+from atoll.wire.rejects import Rejects
+from atoll_coordinator.service.controller import Conductor
+from atoll_coordinator.service.ports import StorePort
+from atoll_coordinator.service.requests.authorization import Admission
+from atoll_coordinator.service.workers.membership import version_refusal
+
+_LOG = logging.getLogger(__name__)
+
+
+class Greeter:
+    """Says who is welcome."""
+
+    def __init__(
+        self, conductor: Conductor, store: StorePort, admission: Admission, rejects: Rejects,
+        now: Callable[[], float], clock: Callable[[], str],
+    ) -> None:  # fmt: skip
+        """`now` gives the bus's seconds, `clock` the time of day as ISO text. What is not understood is counted."""
+        self._conductor = conductor
+        self._store = store
+        self._admission = admission
+        self._rejects = rejects
+        self._now = now
+        self._clock = clock
+
+    def answer(self, payload: bytes, name: str | None) -> Welcome | Refusal:
+        """Answer a greeting on the key of `name`, or (None) only say how it would be answered there."""
+        try:
+            hello = decode(payload, Greeting, MAX_MESSAGE).body
+        except RemoteProtocolError as error:
+            self._rejects.note(topics.HELLO, error)
+            return _refusal(
+                f"the coordinator is Atoll {VERSION} (protocol {PROTOCOL_VERSION}) and did not understand the "
+                "greeting; install the same version on both sides"
+            )
+        sentence = self._refuse(hello, name)
+        if sentence is not None:
+            if hello.role == "client":
+                _LOG.warning("client refused", extra=fields(client=hello.name, reason=sentence))
+            return _refusal(sentence)
+        return Welcome(
+            realm=self._store.realm,
+            incarnation=self._store.incarnation,
+            protocol=PROTOCOL_VERSION,
+            version=VERSION,
+            engine=ENGINE_REVISION,
+            clock=self._clock(),
+        )
+
+    def _refuse(self, hello: Hello, name: str | None) -> str | None:
+        if name not in (None, hello.name):
+            return f"{hello.name!r} greeted under the name {name!r}; install the same version on both sides"
+        refusal = version_refusal(hello) or self._admission.refuse_role(hello)
+        if refusal is not None or hello.role == "client" or name is None:
+            return refusal
+        return self._conductor.greet(hello, self._now())
+
+
+def _refusal(sentence: str) -> Refusal:
+    return Refusal(protocol=PROTOCOL_VERSION, version=VERSION, engine=ENGINE_REVISION, sentence=sentence[:4000])

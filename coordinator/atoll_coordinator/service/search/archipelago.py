@@ -1,0 +1,279 @@
+"""One archipelago as the coordinator sees it: collector, placement, checkpoints, how far its workers are. Pure.
+
+A checkpoint goes through three hands: its states are gathered from the workers; when all are there and all reports of
+the epochs before it are taken in, it is written; when it is durable, `committed` says what the workers are to be told.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from atoll.errors import RemoteProtocolError
+from atoll.wire.messages.workers import (
+    Commit,
+    EpochReport,
+    Holding,
+    Placement,
+    PullReports,
+    PullStates,
+    Schedule,
+    States,
+)
+from atoll.wire.state_transfer import State
+from atoll_coordinator.service.search.checkpoints import (
+    FIRST_INTERVAL,
+    Gathering,
+    StoredProgress,
+    common_epoch,
+    interval_of,
+    schedule_after,
+)
+from atoll_coordinator.service.search.collector import Collector, Limits, Measure, Progress
+from atoll_coordinator.service.search.cut import Cut
+
+FORGET_EPOCHS: Final = 16
+"""Workers are told in steps of so many epochs what nobody will ask them for any more."""
+
+MOST_PULLED_EPOCHS: Final = 64
+
+PLAN_COMMITS: Final = 10
+"""So many commits lie between two planned changes, unless a worker leaves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """All of a checkpoint, ready to be written."""
+
+    job: str
+    variable: str
+    term: int
+    epoch: int
+    progress: Progress
+    states: dict[int, State]
+
+    @property
+    def size(self) -> int:
+        """Bytes of all states."""
+        return sum(len(state.data) for state in self.states.values())
+
+    def stored_progress(self, search_seconds: float) -> StoredProgress:
+        """Return what is stored beside the states."""
+        return StoredProgress.of(self.progress, search_seconds)
+
+
+class Archipelago:
+    """The islands of one variable of one job."""
+
+    def __init__(
+        self, job: str, variable: str, limits: Limits, measure: Measure, check: Callable[[bytes], None]
+    ) -> None:
+        """`check` raises RemoteProtocolError for bytes that are not a program over this job's inputs."""
+        self.job: Final = job
+        self.variable: Final = variable
+        self.collector: Final = Collector(variable, limits, measure)
+        self.placement: Placement | None = None
+        self.placed_at = 0.0
+        self.interval = FIRST_INTERVAL
+        self.durable = 0
+        self.is_writing = False
+        self._check = check
+        self._kept_cut: Cut | None = None
+        self._schedule = Schedule(next=0, last=0)
+        self._gathering: Gathering | None = None
+        self._snapshots: dict[str, tuple[int, ...]] = {}
+        self._wants_hold = False
+        self._since_plan = PLAN_COMMITS
+        self._durable_at = 0.0
+        self._forget = 0
+        self._latest: list[int] = []
+
+    @property
+    def cut(self) -> Cut | None:
+        """Where the search ended; None while it goes on."""
+        return self._kept_cut or self.collector.cut
+
+    @property
+    def is_held(self) -> bool:
+        """Whether all islands wait, with all that they are durable, for another placement."""
+        return self.placement is not None and self._schedule.holds and self.durable == self._schedule.last
+
+    @property
+    def has_begun_only(self) -> bool:
+        """Whether nothing has become durable since it was placed."""
+        return self.placement is not None and self.durable == self.placement.epoch
+
+    @property
+    def gathered(self) -> int | None:
+        """Bytes that are here of the checkpoint that is being gathered; None: there is none."""
+        return self._gathering.size if self._gathering is not None else None
+
+    @property
+    def is_planned(self) -> bool:
+        """Whether another placement has been asked for already."""
+        return self._wants_hold or self._schedule.holds
+
+    @property
+    def may_plan(self) -> bool:
+        """Whether another placement may be asked for although nobody leaves."""
+        return self._since_plan >= PLAN_COMMITS and not self.is_planned
+
+    def restore(self, cut: Cut) -> None:
+        """Take over a cut that was committed earlier."""
+        self._kept_cut = cut
+
+    def resume(self, progress: Progress) -> None:
+        """Go on from a checkpoint that was committed earlier."""
+        self.collector.resume(progress)
+        self.durable = progress.epochs
+
+    def place(self, placement: Placement, now: float) -> None:
+        """Begin a term, at the last checkpoint that is durable."""
+        self.placement, self.placed_at = placement, now
+        self._schedule, self._gathering = placement.schedule, None
+        self._snapshots.clear()
+        self._wants_hold = False
+        self._durable_at = now
+        self._forget = placement.epoch
+        self._latest = [placement.epoch - 1] * len(placement.workers)
+
+    def unplace(self) -> None:
+        """Nobody computes it any more."""
+        self.placement, self._gathering = None, None
+
+    def request_hold(self) -> None:
+        """Have all islands wait, soon, at a checkpoint; without effect when that has been asked for."""
+        if not self.is_planned:
+            self._wants_hold = True
+            self._since_plan = 0
+
+    # ----------------------------------------------------------------------------------------- reports
+
+    def receive(self, worker: str, report: EpochReport, seconds: float) -> bool:
+        """Take in a report; return True when at least one more epoch is complete.
+
+        Raises:
+            RemoteProtocolError: It is of a term or worker that is not the current one, or holds what cannot be.
+            DivergedError: It contradicts an earlier one.
+        """
+        if self.cut is not None or self.placement is None or report.term < self.placement.term:
+            return False
+        if report.term > self.placement.term:
+            raise RemoteProtocolError(f"worker {worker} reports under term {report.term}, which was never issued")
+        if report.epoch < self.placement.epoch:
+            raise RemoteProtocolError(f"worker {worker} reports epoch {report.epoch}, before its term began")
+        if report.epoch < self.durable:
+            return False
+        self._check_report(worker, report, self.placement)
+        advanced = self.collector.receive(worker, report.epoch, report.islands, seconds)
+        self._note_latest((each.island for each in report.islands), report.epoch)
+        return advanced
+
+    def note_holding(self, worker: str, holding: Holding) -> None:
+        """Take in how far a worker says its islands have come, and of which checkpoints it has snapshots."""
+        if self.placement is not None:
+            self._note_latest(self.placement.islands_of(worker), holding.reported - 1)
+            self._snapshots[worker] = holding.snapshots
+
+    def missing_reports(self, worker: str, holding: Holding) -> PullReports | None:
+        """Return the question for reports that a worker sent and that did not come; None when there are none."""
+        placement = self.placement
+        if placement is None or self.cut is not None or holding.term != placement.term:
+            return None
+        first = self.collector.first_missing(placement.islands_of(worker), holding.reported)
+        if first is None:
+            return None
+        last = min(holding.reported, first + MOST_PULLED_EPOCHS)
+        return PullReports(job=self.job, variable=self.variable, term=placement.term, first=first, last=last)
+
+    def forget_due(self) -> Commit | None:
+        """Return what workers may forget, when all islands have reported that much more; None: not yet."""
+        reached = min(min(self._latest, default=-1), self.collector.progress.epochs - 1)
+        if reached < self._forget + FORGET_EPOCHS or self.cut is not None:
+            return None
+        self._forget = reached
+        return self.commit()
+
+    # ------------------------------------------------------------------------------------- checkpoints
+
+    def asks(self, most: int) -> list[tuple[str, PullStates]]:
+        """Return at most so many questions for states, each with its worker; begins a checkpoint when one is due."""
+        placement = self.placement
+        if placement is None or self.cut is not None or self.is_writing:
+            return []
+        if self._gathering is None:
+            snapshots = (self._snapshots.get(name, ()) for name in dict.fromkeys(placement.workers))
+            epoch = common_epoch(snapshots, self.durable)
+            if epoch is None or epoch not in (self._schedule.next, self._schedule.last):
+                return []
+            self._gathering = Gathering(placement, epoch)
+        return self._gathering.asks(most)
+
+    def take_states(self, worker: str, asked: PullStates, body: States | None) -> None:
+        """Take in a worker's answer; None: there was none.
+
+        Raises:
+            RemoteProtocolError: A state was damaged on its way, and is asked for again.
+        """
+        placement, gathering = self.placement, self._gathering
+        if placement is None or gathering is None:
+            return
+        if (placement.term, gathering.epoch) == (asked.term, asked.epoch):
+            gathering.take(worker, body)
+
+    def checkpoint_due(self) -> Checkpoint | None:
+        """Return the checkpoint that can be written now, once; `committed` or another term follows."""
+        placement, gathering = self.placement, self._gathering
+        if placement is None or gathering is None or self.cut is not None or not gathering.is_complete:
+            return None
+        progress = self.collector.at(gathering.epoch)
+        if progress is None:
+            return None
+        self._gathering, self.is_writing = None, True
+        states = dict(sorted(gathering.states.items()))
+        return Checkpoint(self.job, self.variable, placement.term, gathering.epoch, progress, states)
+
+    def committed(self, checkpoint: Checkpoint, now: float) -> Commit | None:
+        """Take in that a checkpoint is durable; return what the workers are to be told."""
+        self.is_writing = False
+        epochs, seconds = checkpoint.epoch - self.durable, now - self._durable_at
+        self.interval = interval_of(seconds / epochs, checkpoint.size, self.interval)
+        self.durable, self._durable_at = checkpoint.epoch, now
+        self.collector.forget(checkpoint.epoch)
+        if self.placement is None or self.placement.term != checkpoint.term:
+            return None
+        self._since_plan += 1
+        self._schedule = schedule_after(self._schedule, checkpoint.epoch, self.interval, self._wants_hold)
+        self._wants_hold = False
+        return self.commit()
+
+    def commit(self) -> Commit | None:
+        """Return the current commit, for a worker that does not know it yet."""
+        if self.placement is None:
+            return None
+        return Commit(
+            job=self.job,
+            variable=self.variable,
+            term=self.placement.term,
+            epoch=self.durable,
+            schedule=self._schedule,
+            reported=max(self._forget, self.durable),
+        )
+
+    def validate(self) -> None:
+        """Check the invariants; raises AssertionError."""
+        self.collector.validate()
+        assert self.durable <= self.collector.progress.epochs, "a checkpoint is ahead of the reports"
+        assert self.placement is None or self.placement.epoch <= self.durable, "a term begins where nothing is durable"
+        assert not self.is_writing or self._gathering is None, "two checkpoints are made at once"
+
+    def _note_latest(self, islands: Iterable[int], epoch: int) -> None:
+        for island in islands:
+            self._latest[island] = max(self._latest[island], epoch)
+
+    def _check_report(self, worker: str, report: EpochReport, placement: Placement) -> None:
+        islands = [each.island for each in report.islands]
+        if len(set(islands)) < len(islands) or not set(islands) <= set(placement.islands_of(worker)):
+            raise RemoteProtocolError(f"worker {worker} reported islands {islands}, which are not placed there")
+        for each in report.islands:
+            for addition in (*each.additions, *each.runners_up):
+                self._check(addition.program)

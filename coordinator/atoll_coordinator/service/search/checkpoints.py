@@ -1,0 +1,179 @@
+"""Checkpoints as the coordinator sees them: what is stored of one, states on their way here, and how often. Pure."""
+
+import math
+from collections.abc import Iterable
+from typing import Annotated, Final
+
+from pydantic import Field
+
+from atoll import ENGINE_REVISION
+from atoll.config import Model
+from atoll.wire.messages.workers import Placement, PullStates, Schedule, States
+from atoll.wire.state_transfer import Assembly, State
+from atoll_coordinator.service.search.collector import Progress
+from atoll_coordinator.service.search.cut import CutEntry, entries, stored
+
+FIRST_INTERVAL: Final = 8
+"""Epochs before the first checkpoint, when nothing has been measured; a short search ends before."""
+
+LEAST_INTERVAL: Final = 4
+MOST_INTERVAL: Final = 1 << 16
+MOST_GROWTH: Final = 8
+"""An interval is at most so many times the one before: a few epochs say little about many."""
+
+PAUSE_S: Final = 1.0
+"""What is aimed at between two checkpoints, in seconds; about as much is computed again when a worker is lost."""
+
+SHARE: Final = 0.03
+"""What checkpoints may cost of all work."""
+
+COST_S: Final = 0.01
+COST_S_PER_BYTE: Final = 5e-8
+"""Work of one checkpoint, all processes taken together: taken, copied, hashed twice, carried and written."""
+
+
+class Counted(Model):
+    """Cumulative point evaluations of one island by part."""
+
+    island: int
+    evaluations: dict[str, int]
+
+
+class StoredProgress(Model):
+    """A `Progress` as it is stored beside the states; `search_seconds` is how long the job had been searched by then.
+
+    `engine` is the revision under which it came about; under another one the states mean something else.
+    """
+
+    engine: int
+    epochs: Annotated[int, Field(ge=0)]
+    front: tuple[CutEntry, ...]
+    runners_up: tuple[CutEntry, ...]
+    counted: tuple[Counted, ...]
+    evaluations: dict[str, int]
+    best_length: float | None
+    improved_at: int
+    seconds: float
+    search_seconds: float
+
+    @classmethod
+    def of(cls, progress: Progress, search_seconds: float) -> "StoredProgress":
+        """Return what is stored of a progress."""
+        return cls(
+            engine=ENGINE_REVISION,
+            epochs=progress.epochs,
+            front=tuple(stored(entry) for entry in progress.front),
+            runners_up=tuple(stored(entry) for entry in progress.runners_up),
+            counted=tuple(Counted(island=k, evaluations=each) for k, each in progress.counted.items()),
+            evaluations=progress.evaluations,
+            best_length=progress.best_length if math.isfinite(progress.best_length) else None,
+            improved_at=progress.improved_at,
+            seconds=progress.seconds,
+            search_seconds=search_seconds,
+        )
+
+    def progress(self) -> Progress:
+        """Return it as the collector goes on from it."""
+        return Progress(
+            epochs=self.epochs,
+            front=entries(self.front),
+            runners_up=entries(self.runners_up),
+            evaluations=dict(self.evaluations),
+            counted={each.island: dict(each.evaluations) for each in self.counted},
+            best_length=self.best_length if self.best_length is not None else math.inf,
+            improved_at=self.improved_at,
+            seconds=self.seconds,
+        )
+
+
+class Gathering:
+    """The states of one checkpoint on their way from the workers, one question to each at a time."""
+
+    def __init__(self, placement: Placement, epoch: int) -> None:
+        self.epoch: Final = epoch
+        self._placement = placement
+        self._assemblies = {name: Assembly(placement.islands_of(name)) for name in dict.fromkeys(placement.workers)}
+        self._asked: set[str] = set()
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the states of all islands are here."""
+        return all(each.is_complete for each in self._assemblies.values())
+
+    @property
+    def under_way(self) -> int:
+        """How many questions have not been answered yet."""
+        return len(self._asked)
+
+    @property
+    def size(self) -> int:
+        """Bytes that are here."""
+        return sum(each.size for each in self._assemblies.values())
+
+    @property
+    def states(self) -> dict[int, State]:
+        """The states that are here, by island."""
+        return {island: state for each in self._assemblies.values() for island, state in each.states.items()}
+
+    def asks(self, most: int) -> list[tuple[str, PullStates]]:
+        """Return at most so many questions, each with its worker, and note them as under way."""
+        waiting = [name for name, each in self._assemblies.items() if name not in self._asked and not each.is_complete]
+        asks = [(name, self._pull(self._assemblies[name])) for name in waiting[: max(0, most)]]
+        self._asked.update(name for name, _ in asks)
+        return asks
+
+    def take(self, worker: str, body: States | None) -> None:
+        """Take in a worker's answer; None: there was none, and it is asked again.
+
+        Raises:
+            RemoteProtocolError: A state was damaged on its way, and is asked for again.
+        """
+        self._asked.discard(worker)
+        if body is not None and worker in self._assemblies:
+            self._assemblies[worker].take(body.pieces)
+
+    def _pull(self, assembly: Assembly) -> PullStates:
+        placed = self._placement
+        return PullStates(
+            job=placed.job,
+            variable=placed.variable,
+            term=placed.term,
+            epoch=self.epoch,
+            islands=assembly.wanted,
+            offset=assembly.offset,
+        )
+
+
+def interval_of(epoch_s: float, size: int, former: int) -> int:
+    """Return after how many epochs the next checkpoint pays.
+
+    Args:
+        epoch_s: seconds that an epoch of the archipelago takes.
+        size: bytes of all its states.
+        former: the interval before.
+    """
+    pause_s = max(PAUSE_S, (COST_S + COST_S_PER_BYTE * size) / SHARE)
+    most = min(MOST_INTERVAL, MOST_GROWTH * former)
+    return max(LEAST_INTERVAL, min(most, round(pause_s / epoch_s) if epoch_s > 0.0 else most))
+
+
+def schedule_after(schedule: Schedule, epoch: int, interval: int, holds: bool) -> Schedule:
+    """Return the checkpoints that follow when the one for `epoch` is durable.
+
+    The one that has been told already stays; the new one lies `interval` epochs behind it or, when all islands are to
+    wait there, one epoch: no island can have passed an epoch that none has been told of.
+    """
+    if schedule.holds:
+        return Schedule(next=schedule.last, last=schedule.last, holds=True)
+    is_known = epoch < schedule.last
+    if holds:
+        return Schedule(next=schedule.last if is_known else schedule.last + 1, last=schedule.last + 1, holds=True)
+    following = schedule.last if is_known else schedule.last + interval
+    return Schedule(next=following, last=following + interval)
+
+
+def common_epoch(snapshots: Iterable[Iterable[int]], beyond: int) -> int | None:
+    """Return the latest epoch beyond a commit of which every worker has snapshots; None: there is none."""
+    sets = [set(each) for each in snapshots]
+    shared = set.intersection(*sets) if sets else set()
+    return max((epoch for epoch in shared if epoch > beyond), default=None)

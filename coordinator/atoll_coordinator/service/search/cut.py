@@ -1,0 +1,68 @@
+"""A cut: where the search of one equation ended and what it had found there. Durable once it is committed."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from atoll.config import Model
+from atoll.search.pareto import FrontEntry
+from atoll_coordinator.model.inference.refinement import Pool
+
+Why = Literal["target", "stagnation", "max-epochs", "max-time", "cancelled"]
+
+
+class CutEntry(Model):
+    """A `atoll.search.pareto.FrontEntry` as it is stored."""
+
+    complexity: int
+    error: float
+    mse: float
+    epoch: int
+    generation: int
+    island: int
+    program: bytes
+
+
+class Cut(Model):
+    """The end of one archipelago.
+
+    `epochs` are counted, so the last one is `epochs` - 1; `generation`, counted from the start of the search, is the
+    one that met the target (None: it was not met, and the last epoch counts to its end); `evaluations` are point
+    evaluations by part of all islands up to the cut; `seconds` run from the first epoch's start to the end of the last
+    slice that counts; `runners_up` are what was kept beside the front (`atoll.search.pareto.runners_up`).
+    """
+
+    variable: str
+    epochs: Annotated[int, Field(ge=0)]
+    generation: Annotated[int, Field(ge=0)] | None
+    why: Why
+    front: tuple[CutEntry, ...]
+    evaluations: dict[str, int]
+    seconds: float
+    runners_up: tuple[CutEntry, ...] = ()
+
+    def entries(self) -> tuple[FrontEntry, ...]:
+        """Return the front."""
+        return entries(self.front)
+
+    def pool(self) -> Pool:
+        """Return the front and the runners-up."""
+        return Pool(entries(self.front), entries(self.runners_up))
+
+
+def entries(stored: tuple[CutEntry, ...]) -> tuple[FrontEntry, ...]:
+    """Return front members that were stored."""
+    return tuple(FrontEntry(**entry.model_dump()) for entry in stored)
+
+
+def stored(entry: FrontEntry) -> CutEntry:
+    """Return a front member as it is stored."""
+    return CutEntry(
+        complexity=entry.complexity,
+        error=entry.error,
+        mse=entry.mse,
+        epoch=entry.epoch,
+        generation=entry.generation,
+        island=entry.island,
+        program=entry.program,
+    )

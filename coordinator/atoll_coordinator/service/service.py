@@ -1,0 +1,295 @@
+"""The coordinator at work: the only loop. Bus events go to conductor and desk, their words to the bus.
+
+`Service.step` takes one event and never blocks for long; `Service.run` is the thin loop around `Bus.receive`.
+"""
+
+import logging
+import threading
+from dataclasses import dataclass
+from functools import singledispatchmethod
+from typing import Final
+
+from atoll import VERSION
+from atoll.config import JobConfig
+from atoll.errors import RemoteProtocolError, StoreError
+from atoll.logs import fields
+from atoll.machine import usage
+from atoll.wire import topics
+from atoll.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
+from atoll.wire.bus.metered_bus import MeteredBus
+from atoll.wire.codec import decode, encode
+from atoll.wire.messages.limits import MAX_MESSAGE
+from atoll.wire.messages.views import CoordinatorView, Counters
+from atoll.wire.messages.workers import (
+    Control,
+    EpochReport,
+    Pull,
+    PullAnswer,
+    PullReports,
+    PullStates,
+    Reports,
+    Shutdown,
+    States,
+    WorkerStatus,
+)
+from atoll.wire.rejects import Rejects
+from atoll.wire.security.access_control import Roster
+from atoll_coordinator.model.inference.refinement import Pools
+from atoll_coordinator.service.background.preparing import with_children
+from atoll_coordinator.service.background.runner import SlowWork, Written
+from atoll_coordinator.service.background.tasks import Ready, Refined, Unprepared
+from atoll_coordinator.service.controller import Conductor
+from atoll_coordinator.service.effects import WorkerWord
+from atoll_coordinator.service.jobs.job import Prepared
+from atoll_coordinator.service.ports import Ports, StorePort
+from atoll_coordinator.service.requests.authorization import Admission
+from atoll_coordinator.service.requests.clients import Desk
+from atoll_coordinator.service.requests.handshake import Greeter
+from atoll_coordinator.service.requests.router import Answers
+from atoll_coordinator.service.search.archipelago import Checkpoint
+from atoll_coordinator.service.workers.membership import ABSENCE_S
+
+_LOG = logging.getLogger(__name__)
+
+TICK_S: Final = 0.5
+PULL_TIMEOUT_S: Final = 5.0
+_TICK: Final = "tick"
+_ABSENCE: Final = "absence"
+
+
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """Posted by the timer, behind everything that has come before it: silence counts only then."""
+
+
+class Service:
+    """One coordinator on one bus, over one store. Owned by the bus's owner thread."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        store: StorePort,
+        *,
+        expected_workers: int = 1,
+        dismisses_workers: bool = False,
+        ports: Ports | None = None,
+        roster: Roster | None = None,
+    ) -> None:
+        """Set up a coordinator.
+
+        Args:
+            bus: open, with a router that workers and clients reach.
+            store: open; decides realm and incarnation.
+            expected_workers: how many workers the first placement waits for, within limits.
+            dismisses_workers: whether workers are told to end when this ends; otherwise they wait for its return.
+            ports: preparing, background work and time of day; the real ones unless given.
+            roster: names and roles, where certificates prove names; None: every name may be anybody.
+        """
+        self.rejects: Final = Rejects(_LOG)
+        self._bus = MeteredBus(bus)
+        self._began_at = bus.now()
+        self._dropped = 0
+        self._store = store
+        self._dismisses_workers = dismisses_workers
+        self._ports = ports or with_children()
+        self._slow_work = SlowWork(self._ports, store, self._bus.post)
+        self._is_linked = True
+        self._asked: dict[int, tuple[str, PullReports | PullStates]] = {}
+        self.conductor: Final = Conductor(store, self, self._ports.clock, expected_workers)
+        admission = Admission(roster, store)
+        desk = Desk(self.conductor, store, bus.now, self.view)
+        greeter = Greeter(self.conductor, store, admission, self.rejects, bus.now, self._ports.clock)
+        self._answers = Answers(self.conductor, store, greeter, desk, admission, self.rejects)
+
+    # ------------------------------------------------------------------------------------------- life
+
+    def start(self) -> None:
+        """Take over what the store holds, then listen."""
+        realm = self._store.realm
+        self.conductor.recover(self._bus.now())
+        self._bus.subscribe(topics.all_workers(realm, "status"))
+        self._bus.subscribe(topics.all_workers(realm, "report"))
+        self._bus.watch(topics.all_workers(realm, "alive"))
+        for expression in (topics.all_jobs(realm), topics.all_blobs(realm), topics.all_clients(realm)):
+            self._bus.serve(expression)
+        for expression in (topics.HELLO, topics.all_greetings()):
+            self._bus.serve(expression)
+        self._bus.post(_Look())  # jobs that were taken over are prepared at once
+        self._bus.call_later(TICK_S, _TICK)
+        self.conductor.watch.started(realm, self._store.incarnation)
+
+    def run(self, stop: threading.Event) -> None:
+        """Start, and work until `stop` is set."""
+        self.start()
+        self.work(stop)
+
+    def work(self, stop: threading.Event) -> None:
+        """Work until `stop` is set."""
+        try:
+            while not stop.is_set():
+                event = self._bus.receive(0.1)
+                if event is not None:
+                    self.step(event)
+        finally:
+            self._slow_work.close()
+        self.conductor.watch.chronicle.flush()
+        if self._dismisses_workers:
+            self._put(topics.control(self._store.realm), Control(body=Shutdown(sentence="the coordinator ended")))
+
+    def step(self, event: Event) -> None:
+        """Take in one event. What a peer did wrong is counted, logged once and changes nothing."""
+        self._bus.note(event)
+        try:
+            self._on(event)
+        except RemoteProtocolError as error:
+            self.rejects.note(event.key if isinstance(event, Message | Query | Presence) else "answer", error)
+
+    def view(self) -> CoordinatorView:
+        """Return what people are shown of the coordinator itself."""
+        counters = Counters(
+            traffic=self._bus.traffic(),
+            dropped=self._bus.dropped,
+            refused=self.rejects.total,
+            memory_bytes=usage.memory_bytes(),
+            cpu_s=usage.cpu_s(),
+        )
+        return CoordinatorView(
+            version=VERSION,
+            incarnation=self._store.incarnation,
+            seconds=self._bus.now() - self._began_at,
+            counters=counters,
+            store=self._store.timing(),
+        )
+
+    # ------------------------------------------------------------------------------- what others hear
+
+    def tell(self, body: WorkerWord, worker: str | None = None) -> None:
+        """See `Outlet.tell`."""
+        self._put(topics.control(self._store.realm, worker), Control(body=body))
+
+    def pull(self, worker: str, body: PullReports | PullStates) -> None:
+        """See `Outlet.pull`."""
+        key = topics.worker(self._store.realm, worker, "pull")
+        self._asked[self._bus.get(key, encode(Pull(body=body)), PULL_TIMEOUT_S)] = (worker, body)
+
+    def write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> None:
+        """See `Outlet.write`."""
+        self._slow_work.write(checkpoint, progress, elapsed)
+
+    def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
+        """See `Outlet.prepare`."""
+        self._slow_work.prepare(job, table, config)
+
+    def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
+        """See `Outlet.refine`."""
+        self._slow_work.refine(job, prepared, pools)
+
+    def stop(self, job: str) -> None:
+        """See `Outlet.stop`."""
+        self._slow_work.stop(job)
+
+    def _put(self, key: str, message: Control) -> None:
+        self._bus.put(key, encode(message))
+
+    # ----------------------------------------------------------------------------------------- events
+
+    @singledispatchmethod
+    def _on(self, event: Event) -> None:
+        raise RemoteProtocolError(f"events of kind {type(event).__name__} are not expected here")
+
+    @_on.register
+    def _on_timer(self, event: Timer) -> None:
+        if event.name == _TICK:
+            self._bus.post(_Look())
+            self._bus.call_later(TICK_S, _TICK)
+        elif event.name == _ABSENCE:
+            self._bus.post(_Look())
+
+    @_on.register
+    def _on_posted(self, event: Posted) -> None:
+        item, now = event.item, self._bus.now()
+        match item:
+            case _Look():
+                self._look(now)
+            case Ready():
+                self._store.put_blob(item.data)
+                self.conductor.prepared(item.job, item.prepared, now)
+            case Unprepared():
+                self.conductor.job_failed(item.job, item.fault, item.sentence, now)
+            case Refined():
+                self.conductor.refined(item.job, item.refinement, now)
+            case Written(error=None):
+                self.conductor.written(item.checkpoint, now)
+            case Written(error=StoreError() as error):
+                raise error
+
+    def _look(self, now: float) -> None:
+        """Let time pass, now that everything has been taken in that had come before."""
+        if self._bus.dropped > self._dropped:
+            self._dropped = self._bus.dropped
+            _LOG.warning("messages were dropped, since they came too fast", extra=fields(dropped=self._dropped))
+            self.conductor.membership.renew(now)
+        if self._is_linked:  # else nobody can be heard, and nobody's silence says anything
+            self.conductor.tick(now)
+
+    @_on.register
+    def _on_link(self, event: Link) -> None:
+        """The router that this coordinator has joined went away or came back; a router of its own does neither."""
+        _LOG.warning("router link", extra=fields(up=event.up))
+        self._is_linked = event.up
+        if event.up:
+            self.conductor.membership.renew(self._bus.now())
+
+    @_on.register
+    def _on_presence(self, event: Presence) -> None:
+        key = topics.parse(event.key)
+        if isinstance(key, topics.WorkerKey):
+            self.conductor.membership.see(key.worker, event.present, self._bus.now())
+            if not event.present:
+                self._bus.call_later(ABSENCE_S, _ABSENCE)
+
+    @_on.register
+    def _on_message(self, event: Message) -> None:
+        key = topics.parse(event.key)
+        match key:
+            case topics.WorkerKey(part="status"):
+                status = decode(event.payload, WorkerStatus, MAX_MESSAGE)
+                self.conductor.heartbeat(key.worker, status, self._bus.now())
+            case topics.WorkerKey(part="report"):
+                report = decode(event.payload, EpochReport, MAX_MESSAGE)
+                self.conductor.report(key.worker, report, self._bus.now())
+            case _:
+                raise RemoteProtocolError(f"nothing is expected on key {event.key}")
+
+    @_on.register
+    def _on_reply(self, event: Reply) -> None:
+        asked = self._asked.pop(event.token, None)
+        match asked:
+            case (worker, PullStates() as pull):
+                self._states_came(worker, pull, event.payload)
+            case (worker, PullReports()) if event.payload is not None:
+                body = decode(event.payload, PullAnswer, MAX_MESSAGE).body
+                for report in body.reports if isinstance(body, Reports) else ():
+                    self.conductor.report(worker, report, self._bus.now())
+
+    def _states_came(self, worker: str, pull: PullStates, payload: bytes | None) -> None:
+        """Hand on what came, also that nothing came: it is asked for again."""
+        try:
+            body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else None
+        except RemoteProtocolError:
+            self.conductor.states_came(worker, pull, None, self._bus.now())
+            raise
+        self.conductor.states_came(worker, pull, body if isinstance(body, States) else None, self._bus.now())
+
+    # ---------------------------------------------------------------------------------------- queries
+
+    @_on.register
+    def _on_query(self, event: Query) -> None:
+        try:
+            answer = self._answers.answer(event)
+        except RemoteProtocolError:
+            self._bus.reply(event, None)
+            raise
+        self._bus.reply(event, answer)
+        if self._answers.broken is not None:  # whoever asked has been told; now this is the end
+            raise self._answers.broken

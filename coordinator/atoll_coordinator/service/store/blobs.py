@@ -1,0 +1,104 @@
+"""The store's tables of blobs and their chunks, by digest. Every function is part of the caller's transaction."""
+
+import hashlib
+import sqlite3
+from typing import Literal, cast
+
+from atoll.errors import RemoteProtocolError
+from atoll.wire.messages.limits import CHUNK_SIZE, chunk_count
+
+Upload = Literal["partial", "whole", "wrong"]
+"""How an upload stands: chunks are missing; it is there; its bytes did not have its digest, and it is forgotten."""
+
+
+def add(sql: sqlite3.Connection, digest: str, data: bytes) -> None:
+    """Add a blob, whole."""
+    if is_complete(sql, digest):
+        return
+    sql.execute("INSERT OR REPLACE INTO blobs VALUES (?, ?, 1)", (digest, len(data)))
+    pieces = ((digest, n, data[n * CHUNK_SIZE : (n + 1) * CHUNK_SIZE]) for n in range(chunk_count(len(data))))
+    sql.executemany("INSERT INTO chunks VALUES (?, ?, ?)", pieces)
+
+
+def is_complete(sql: sqlite3.Connection, digest: str) -> bool:
+    """Return whether a blob is there, whole."""
+    row = sql.execute("SELECT complete FROM blobs WHERE digest = ?", (digest,)).fetchone()
+    return bool(row and row[0])
+
+
+def size(sql: sqlite3.Connection, digest: str) -> int:
+    """Return the size of a blob in bytes; raises KeyError when it is not there, whole."""
+    row = sql.execute("SELECT size FROM blobs WHERE digest = ? AND complete", (digest,)).fetchone()
+    if row is None:
+        raise KeyError(digest)
+    return cast(int, row[0])
+
+
+def chunk(sql: sqlite3.Connection, digest: str, index: int) -> bytes:
+    """Return a chunk of a blob; raises KeyError when the blob is not there, whole, or has no such chunk."""
+    row = sql.execute(
+        "SELECT data FROM chunks JOIN blobs USING (digest) WHERE digest = ? AND number = ? AND complete",
+        (digest, index),
+    ).fetchone()
+    if row is None:
+        raise KeyError(f"{digest} {index}")
+    return cast(bytes, row[0])
+
+
+def missing(sql: sqlite3.Connection, digest: str, size: int) -> tuple[int, ...]:
+    """Return which chunks of a blob of `size` bytes are still to be put."""
+    if is_complete(sql, digest):
+        return ()
+    rows = sql.execute("SELECT number FROM chunks WHERE digest = ?", (digest,)).fetchall()
+    there = {number for (number,) in rows}
+    return tuple(number for number in range(chunk_count(size)) if number not in there)
+
+
+def require_fitting(size: int, index: int, data: bytes) -> None:
+    """Raise RemoteProtocolError unless `data` can be chunk `index` of an upload of `size` bytes."""
+    expected = min(CHUNK_SIZE, size - index * CHUNK_SIZE)
+    if not 0 <= index < chunk_count(size) or len(data) != expected:
+        raise RemoteProtocolError(f"chunk {index} of {len(data)} bytes does not fit an upload of {size} bytes")
+
+
+def put_chunk(sql: sqlite3.Connection, digest: str, size: int, index: int, data: bytes) -> Upload:
+    """Add a chunk that fits to an upload; return how the upload stands then.
+
+    Raises:
+        RemoteProtocolError: the upload was announced with another size.
+    """
+    if is_complete(sql, digest):
+        return "whole"
+    _begin(sql, digest, size)
+    sql.execute("INSERT OR IGNORE INTO chunks VALUES (?, ?, ?)", (digest, index, data))
+    (count,) = sql.execute("SELECT count(*) FROM chunks WHERE digest = ?", (digest,)).fetchone()
+    return _finish(sql, digest) if count == chunk_count(size) else "partial"
+
+
+def total_bytes(sql: sqlite3.Connection) -> int:
+    """Return how many bytes all blobs have, announced ones included."""
+    (total,) = sql.execute("SELECT coalesce(sum(size), 0) FROM blobs").fetchone()
+    return cast(int, total)
+
+
+def drop(sql: sqlite3.Connection, digest: str) -> None:
+    """Forget a blob or what has come of it; without effect when there is none."""
+    sql.execute("DELETE FROM blobs WHERE digest = ?", (digest,))
+
+
+def _begin(sql: sqlite3.Connection, digest: str, size: int) -> None:
+    sql.execute("INSERT OR IGNORE INTO blobs VALUES (?, ?, 0)", (digest, size))
+    (known,) = sql.execute("SELECT size FROM blobs WHERE digest = ?", (digest,)).fetchone()
+    if known != size:
+        raise RemoteProtocolError(f"an upload of {size} bytes was announced before as one of {known} bytes")
+
+
+def _finish(sql: sqlite3.Connection, digest: str) -> Upload:
+    found = hashlib.sha256()
+    for (data,) in sql.execute("SELECT data FROM chunks WHERE digest = ? ORDER BY number", (digest,)):
+        found.update(data)
+    if found.hexdigest() == digest:
+        sql.execute("UPDATE blobs SET complete = 1 WHERE digest = ?", (digest,))
+        return "whole"
+    drop(sql, digest)
+    return "wrong"

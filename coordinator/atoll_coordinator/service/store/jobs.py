@@ -1,0 +1,103 @@
+"""The store's tables of jobs and of who submitted them. Every function is part of the caller's transaction."""
+
+import sqlite3
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, fields
+from typing import Final, cast
+
+from atoll.errors import LocalProtocolError
+
+
+@dataclass(frozen=True, slots=True)
+class JobRecord:
+    """One job as it is kept. `spec` is JSON; `submitted` and `finished` are ISO times; `elapsed` is seconds of work.
+
+    `table_digest` names the uploaded table and `dataset_digest` the prepared dataset among the blobs. `priority` is
+    from -10 to 10; each step doubles the job's share of the workers.
+    """
+
+    id: str
+    name: str
+    spec: str
+    table_digest: str
+    submitted: str
+    state: str = "queued"
+    reason: str | None = None
+    dataset_digest: str | None = None
+    elapsed: float = 0.0
+    finished: str | None = None
+    priority: int = 0
+
+
+_COLUMNS: Final = tuple(field.name for field in fields(JobRecord))
+_FIXED: Final = ("id", "spec", "table_digest", "submitted", "priority")
+
+
+def add(sql: sqlite3.Connection, job: JobRecord) -> bool:
+    """Add a job; return False, changing nothing, when a job of this id is there already."""
+    values = tuple(getattr(job, name) for name in _COLUMNS)
+    marks = ", ".join("?" * len(_COLUMNS))
+    done = sql.execute(f"INSERT OR IGNORE INTO jobs ({', '.join(_COLUMNS)}) VALUES ({marks})", values)
+    return done.rowcount == 1
+
+
+def find(sql: sqlite3.Connection, job: str) -> JobRecord | None:
+    """Return one job; None for an unknown id."""
+    row = sql.execute(f"SELECT {', '.join(_COLUMNS)} FROM jobs WHERE id = ?", (job,)).fetchone()
+    return JobRecord(*row) if row else None
+
+
+def read_all(sql: sqlite3.Connection) -> tuple[JobRecord, ...]:
+    """Return all jobs, in the order in which they came."""
+    rows = sql.execute(f"SELECT {', '.join(_COLUMNS)} FROM jobs ORDER BY number").fetchall()
+    return tuple(JobRecord(*row) for row in rows)
+
+
+def require(sql: sqlite3.Connection, job: str) -> str:
+    """Return the state of a job; raises LocalProtocolError when there is no such job."""
+    row = sql.execute("SELECT state FROM jobs WHERE id = ?", (job,)).fetchone()
+    if row is None:
+        raise LocalProtocolError(f"job {job} is not in the store")
+    return cast(str, row[0])
+
+
+def require_changeable(job: str, names: Collection[str]) -> None:
+    """Raise LocalProtocolError unless all of these are fields that can change, and there is one."""
+    wrong = [name for name in names if name not in _COLUMNS or name in _FIXED]
+    if wrong or not names:
+        raise LocalProtocolError(f"fields {wrong} of job {job} cannot be changed")
+
+
+def update(sql: sqlite3.Connection, job: str, changes: Mapping[str, str | float | None]) -> None:
+    """Change fields of a job that can change."""
+    assignments = ", ".join(f"{name} = ?" for name in changes)
+    sql.execute(f"UPDATE jobs SET {assignments} WHERE id = ?", (*changes.values(), job))
+
+
+def end(
+    sql: sqlite3.Connection, job: str, state: str, result: str | None, reason: str | None, finished: str | None
+) -> bool:
+    """Give a job its final `state` and `result`; return False, changing nothing, when it had ended before."""
+    done = sql.execute(
+        "UPDATE jobs SET state = ?, result = ?, reason = ?, finished = ? "
+        "WHERE id = ? AND state NOT IN ('done', 'failed', 'cancelled')",
+        (state, result, reason, finished, job),
+    )
+    return done.rowcount == 1
+
+
+def result(sql: sqlite3.Connection, job: str) -> str | None:
+    """Return a job's result as JSON; None while there is none."""
+    row = sql.execute("SELECT result FROM jobs WHERE id = ?", (job,)).fetchone()
+    return cast(str | None, row[0]) if row else None
+
+
+def keep_submitter(sql: sqlite3.Connection, job: str, name: str) -> None:
+    """Keep who submitted a job, when it is added."""
+    sql.execute("INSERT INTO submitters VALUES (?, ?)", (job, name))
+
+
+def submitter(sql: sqlite3.Connection, job: str) -> str | None:
+    """Return who submitted a job; None when nobody proved it."""
+    row = sql.execute("SELECT name FROM submitters WHERE job = ?", (job,)).fetchone()
+    return cast(str, row[0]) if row else None

@@ -1,0 +1,191 @@
+"""The store's file: its tables and versions, opening it, and refusing what is no store of ours. SQLite in WAL mode."""
+
+import contextlib
+import os
+import sqlite3
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from atoll.errors import StoreError
+
+FILE_NAME: Final = "atoll.sqlite3"
+LOCK_NAME: Final = "lock"
+_APPLICATION: Final = 0x41544F4C  # "ATOL"; SQLite keeps it in the file's head
+_CHECKED_BYTES: Final = 256 * 1024 * 1024
+
+_LAYOUT_1: Final = """
+CREATE TABLE realm (id TEXT NOT NULL, incarnation INTEGER NOT NULL);
+CREATE TABLE jobs (
+    number INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT NOT NULL UNIQUE, name TEXT NOT NULL, spec TEXT NOT NULL,
+    table_digest TEXT NOT NULL, submitted TEXT NOT NULL, state TEXT NOT NULL, reason TEXT, dataset_digest TEXT,
+    elapsed REAL NOT NULL, finished TEXT, result TEXT
+);
+CREATE TABLE blobs (digest TEXT PRIMARY KEY, size INTEGER NOT NULL, complete INTEGER NOT NULL);
+CREATE TABLE chunks (
+    digest TEXT NOT NULL REFERENCES blobs ON DELETE CASCADE, number INTEGER NOT NULL, data BLOB NOT NULL,
+    PRIMARY KEY (digest, number)
+);
+CREATE TABLE archipelagos (
+    job TEXT NOT NULL REFERENCES jobs (id), variable TEXT NOT NULL, term INTEGER NOT NULL DEFAULT 0, placement BLOB,
+    cut BLOB, PRIMARY KEY (job, variable)
+);
+"""
+
+_LAYOUT_2_PRIORITIES: Final = "ALTER TABLE jobs ADD COLUMN priority INTEGER NOT NULL DEFAULT 0"
+
+_LAYOUT_2_EVENTS: Final = """
+CREATE TABLE events (
+    number INTEGER PRIMARY KEY AUTOINCREMENT, job TEXT, time TEXT NOT NULL, kind TEXT NOT NULL, contents TEXT NOT NULL
+);
+CREATE INDEX events_of_job ON events (job, number);
+"""
+
+_LAYOUT_2_CHECKPOINTS: Final = """
+CREATE TABLE checkpoints (
+    job TEXT NOT NULL, variable TEXT NOT NULL, epoch INTEGER NOT NULL, progress BLOB NOT NULL,
+    PRIMARY KEY (job, variable, epoch), FOREIGN KEY (job, variable) REFERENCES archipelagos
+);
+CREATE TABLE states (
+    job TEXT NOT NULL, variable TEXT NOT NULL, epoch INTEGER NOT NULL, island INTEGER NOT NULL, digest TEXT NOT NULL,
+    data BLOB NOT NULL, PRIMARY KEY (job, variable, epoch, island),
+    FOREIGN KEY (job, variable, epoch) REFERENCES checkpoints ON DELETE CASCADE
+);
+"""
+
+_LAYOUT_2_SUBMITTERS: Final = "CREATE TABLE submitters (job TEXT PRIMARY KEY, name TEXT NOT NULL)"
+
+_LAYOUT_3_DEATHS: Final = """
+CREATE TABLE deaths (
+    job TEXT NOT NULL, variable TEXT NOT NULL, term INTEGER NOT NULL, worker TEXT NOT NULL, instance TEXT NOT NULL,
+    PRIMARY KEY (job, variable, term, worker, instance)
+)
+"""
+
+_LAYOUTS: Final = (
+    _LAYOUT_1,
+    ";".join((_LAYOUT_2_PRIORITIES, _LAYOUT_2_EVENTS, _LAYOUT_2_CHECKPOINTS, _LAYOUT_2_SUBMITTERS)),
+    _LAYOUT_3_DEATHS,
+)
+"""What each version of the layout adds to the one before. A new store goes through all of them, an old one through
+those that it lacks."""
+
+SCHEMA_VERSION: Final = len(_LAYOUTS)
+
+
+def connect(directory: Path | None) -> sqlite3.Connection:
+    """Open the store's file in `directory` (None: in memory), making it if there is none; raise its incarnation.
+
+    Raises:
+        StoreError: the file is damaged, foreign or of a newer version, or cannot be written.
+    """
+    file = directory / FILE_NAME if directory else None
+    with translated(file):
+        connection = sqlite3.connect(file or ":memory:", isolation_level=None, check_same_thread=False, timeout=1.0)
+    try:
+        with translated(file):
+            _prepare(connection, file)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+class Lock:
+    """A lock on the store's directory, so that no second coordinator serves from it. Gone with its process."""
+
+    def __init__(self, directory: Path) -> None:
+        """Take the lock; raises StoreError when another process has it or the directory cannot be written."""
+        import fcntl
+
+        path = directory / LOCK_NAME
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            reason = (error.strerror or "").lower()
+            raise StoreError(
+                f"the store {directory} cannot be written: {reason}; choose another directory with --state"
+            ) from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            holder = os.read(self._file, 32).decode("ascii", "replace").strip() or "unknown"
+            os.close(self._file)
+            raise StoreError(
+                f"the store {directory} is in use by another coordinator (process {holder}); "
+                "stop that one, or choose another directory with --state"
+            ) from error
+        try:
+            os.ftruncate(self._file, 0)
+            os.write(self._file, f"{os.getpid()}\n".encode())
+        except OSError as error:
+            os.close(self._file)
+            reason = (error.strerror or "").lower()
+            raise StoreError(f"the store {directory} cannot be written: {reason}; see that there is room") from error
+
+    def release(self) -> None:
+        """Give the lock back."""
+        os.close(self._file)
+
+
+@contextlib.contextmanager
+def translated(place: Path | None) -> Iterator[None]:
+    """Turn what SQLite raises about the store at `place` into a StoreError."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise StoreError(f"the store {place or 'in memory'} fails: {error}; {_advice(error)}") from error
+
+
+def _advice(error: sqlite3.Error) -> str:
+    if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT):
+        return "restore it from a copy, or choose another directory with --state"
+    return "check that its directory can be written and that there is room"
+
+
+def _prepare(connection: sqlite3.Connection, file: Path | None) -> None:
+    (application,) = connection.execute("PRAGMA application_id").fetchone()
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    if application != _APPLICATION and (tables or application):
+        raise StoreError(f"{file} is a database, but not a store of this program; choose another directory")
+    if version > SCHEMA_VERSION:
+        raise StoreError(
+            f"the store {file} was written by a newer version (layout {version}, this version knows {SCHEMA_VERSION}); "
+            "use that version, or choose another directory with --state"
+        )
+    for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
+        connection.execute(f"PRAGMA {pragma}")
+    _check(connection, file)
+    connection.execute("BEGIN IMMEDIATE")
+    _migrate(connection, version)
+    if not tables:
+        _baptize(connection)
+    if connection.execute("UPDATE realm SET incarnation = incarnation + 1").rowcount != 1:
+        raise StoreError(f"the store {file} is damaged (it has no name); restore it from a copy")
+    connection.execute("COMMIT")
+
+
+def _check(connection: sqlite3.Connection, file: Path | None) -> None:
+    """Look for damage; in a large file only later, when it is met."""
+    if file is None or file.stat().st_size > _CHECKED_BYTES:
+        return
+    (finding,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+    if finding != "ok":
+        raise StoreError(f"the store {file} is damaged ({finding.splitlines()[-1]}); restore it from a copy")
+
+
+def _migrate(connection: sqlite3.Connection, version: int) -> None:
+    """Add what is missing in a file of an older version (0: nothing is there); part of the opening transaction."""
+    for layout in _LAYOUTS[version:]:
+        for statement in filter(str.strip, layout.split(";")):
+            connection.execute(statement)
+    connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+
+
+def _baptize(connection: sqlite3.Connection) -> None:
+    """Mark a new file as ours and give it a name."""
+    connection.execute(f"PRAGMA application_id = {_APPLICATION}")
+    connection.execute("INSERT INTO realm VALUES (?, 0)", (uuid.uuid4().hex[:12],))

@@ -1,0 +1,352 @@
+"""The coordinator's memory: what it must still know after its own end. SQLite; every method is one transaction.
+
+Any thread may call. When a method returns, what it wrote is on the disk (``synchronous=FULL``): what is announced
+afterwards is never taken back. Contents are opaque here: JSON text and bytes whose meaning others know.
+"""
+
+import contextlib
+import hashlib
+import sqlite3
+import threading
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+from atoll.errors import RemoteProtocolError, StoreError
+from atoll.wire.messages.limits import chunk_count
+from atoll.wire.messages.views import StoreView
+from atoll.wire.state_transfer import State
+from atoll_coordinator.service.store import archipelagos as archipelago_table
+from atoll_coordinator.service.store import blobs as blob_table
+from atoll_coordinator.service.store import checkpoints as checkpoint_table
+from atoll_coordinator.service.store import deaths as death_table
+from atoll_coordinator.service.store import jobs as job_table
+from atoll_coordinator.service.store.deaths import Death
+from atoll_coordinator.service.store.events import EventRecord, append_events, read_events
+from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_coordinator.service.store.schema import Lock, connect, translated
+
+
+class Store:
+    """An open store; a context manager. `realm` is its random name, `incarnation` counts how often it was opened."""
+
+    realm: Final[str]
+    incarnation: Final[int]
+
+    def __init__(self, connection: sqlite3.Connection, lock: Lock | None, directory: Path | None) -> None:
+        self._connection = connection
+        self._lock_on_directory = lock
+        self._directory = directory
+        self._lock = threading.RLock()
+        self._timing = StoreView()
+        self.realm, self.incarnation = connection.execute("SELECT id, incarnation FROM realm").fetchone()
+
+    @classmethod
+    def open(cls, directory: Path | None) -> Self:
+        """Open the store in `directory`, making it if need be; None: in memory, gone when closed.
+
+        Raises:
+            StoreError: another coordinator serves from it, it is damaged, of a newer version, or cannot be written.
+        """
+        if directory is None:
+            return cls(connect(None), None, None)
+        lock = Lock(directory)
+        try:
+            return cls(connect(directory), lock, directory)
+        except BaseException:
+            lock.release()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the store and let others open it. Repeatable."""
+        with self._lock:
+            self._connection.close()
+            if self._lock_on_directory is not None:
+                self._lock_on_directory.release()
+                self._lock_on_directory = None
+
+    def check(self) -> None:
+        """Raise StoreError when another coordinator has opened the store since."""
+        with self._transaction():
+            pass
+
+    def timing(self) -> StoreView:
+        """Return how many transactions there were since the store was opened, and how long they took."""
+        with self._lock:
+            return self._timing
+
+    # jobs
+
+    def add_job(self, job: JobRecord, submitter: str | None = None) -> bool:
+        """Keep a new job; return False, changing nothing, when a job of this id is kept already.
+
+        `submitter` is who submitted it, by the name in the certificate; None: nobody proved it.
+        """
+        with self._transaction() as sql:
+            is_new = job_table.add(sql, job)
+            if is_new and submitter is not None:
+                job_table.keep_submitter(sql, job.id, submitter)
+            return is_new
+
+    def job(self, job: str) -> JobRecord | None:
+        """Return one job; None for an unknown id."""
+        with self._transaction() as sql:
+            return job_table.find(sql, job)
+
+    def jobs(self) -> tuple[JobRecord, ...]:
+        """Return all jobs, in the order in which they came."""
+        with self._transaction() as sql:
+            return job_table.read_all(sql)
+
+    def submitter(self, job: str) -> str | None:
+        """Return who submitted a job; None when nobody proved it."""
+        with self._transaction() as sql:
+            return job_table.submitter(sql, job)
+
+    def update_job(self, job: str, only_in: Collection[str] | None = None, **changes: str | float | None) -> bool:
+        """Change fields of a job; return False, changing nothing, when its state is not in `only_in` (if given).
+
+        Raises:
+            LocalProtocolError: there is no such job or field, or the field cannot change.
+        """
+        job_table.require_changeable(job, changes)
+        with self._transaction() as sql:
+            state = job_table.require(sql, job)
+            if only_in is not None and state not in only_in:
+                return False
+            job_table.update(sql, job, changes)
+            return True
+
+    def commit_result(
+        self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None,
+        *, keeps_checkpoints: bool = False,
+    ) -> bool:  # fmt: skip
+        """Make a job's final `state` and `result` (JSON) durable and forget its checkpoints, or all but the last.
+
+        With `keeps_checkpoints` the last of each archipelago stays, until `checkpoint_table.MAX_FAILED` more jobs have
+        failed so. Return False, changing nothing, when it had ended before: the first end wins.
+        """
+        with self._transaction() as sql:
+            job_table.require(sql, job)
+            if not job_table.end(sql, job, state, result, reason, finished):
+                return False
+            if keeps_checkpoints:
+                checkpoint_table.keep_last(sql, job)
+            else:
+                checkpoint_table.forget(sql, job)
+            death_table.forget(sql, job)
+            return True
+
+    def result(self, job: str) -> str | None:
+        """Return a job's result as JSON; None while there is none."""
+        with self._transaction() as sql:
+            return job_table.result(sql, job)
+
+    # archipelagos
+
+    def raise_term(self, job: str, variable: str) -> int:
+        """Return the next term of an archipelago, 1 at first; no term is ever issued twice."""
+        with self._transaction() as sql:
+            return archipelago_table.raise_term(sql, job, variable)
+
+    def begin_terms(self, archipelagos: Sequence[tuple[str, str]], place: Callable[[int, int], bytes]) -> None:
+        """Raise the terms of archipelagos and make their placements durable, all or none of them, at the cost of one.
+
+        Args:
+            archipelagos: by job and variable.
+            place: returns the placement of number `index` of them under its new `term`.
+        """
+        with self._transaction() as sql:
+            for index, (job, variable) in enumerate(archipelagos):
+                term = archipelago_table.raise_term(sql, job, variable)
+                archipelago_table.place(sql, job, variable, place(index, term))
+
+    def commit_placement(self, job: str, variable: str, placement: bytes) -> None:
+        """Make the placement of the archipelago's current term durable."""
+        with self._transaction() as sql:
+            archipelago_table.ensure(sql, job, variable)
+            archipelago_table.place(sql, job, variable, placement)
+
+    def placements(self, job: str) -> dict[str, tuple[int, bytes | None]]:
+        """Return term and placement by variable."""
+        with self._transaction() as sql:
+            return archipelago_table.placements(sql, job)
+
+    def commit_cuts(self, job: str, cuts: Mapping[str, bytes]) -> bool:
+        """Make the ends of archipelagos durable, by variable, in one transaction.
+
+        Return False when one of them had ended before: its first end stays, the others are made durable all the same.
+        """
+        with self._transaction() as sql:
+            are_first = [archipelago_table.cut(sql, job, variable, cut) for variable, cut in cuts.items()]
+            for variable in cuts:
+                checkpoint_table.forget(sql, job, variable)
+                death_table.forget(sql, job, variable)
+            return all(are_first)
+
+    def cuts(self, job: str) -> dict[str, bytes]:
+        """Return the committed cuts by variable."""
+        with self._transaction() as sql:
+            return archipelago_table.cuts(sql, job)
+
+    # deaths
+
+    def add_deaths(self, deaths: Sequence[Death]) -> None:
+        """Keep deaths that count for archipelagos until they have a newer commit, or end."""
+        with self._transaction() as sql:
+            death_table.add(sql, deaths)
+
+    def deaths(self, job: str) -> tuple[Death, ...]:
+        """Return the deaths that count for archipelagos of a job, by variable, then by term."""
+        with self._transaction() as sql:
+            return death_table.read(sql, job)
+
+    def take_back_deaths(self, worker: str, instance: str) -> None:
+        """Forget the death of a process, which lives after all."""
+        with self._transaction() as sql:
+            death_table.take_back(sql, worker, instance)
+
+    # events
+
+    def add_events(self, events: Iterable[EventRecord]) -> None:
+        """Keep what has happened; of each job, and of no job in particular, `MAX_EVENTS` are kept: commits go first."""
+        with self._transaction() as sql:
+            append_events(sql, tuple(events))
+
+    def events(self, job: str | None, after: int, limit: int) -> tuple[EventRecord, ...]:
+        """Return what happened to a job, or at all (None), after the event of that number; `limit` of it at most.
+
+        With `after` 0 these are the last ones, otherwise those that come next.
+        """
+        with self._transaction() as sql:
+            return read_events(sql, job, after, limit)
+
+    # checkpoints
+
+    def commit_checkpoint(
+        self, job: str, variable: str, epoch: int, progress: bytes, states: Mapping[int, State], elapsed: float
+    ) -> bool:
+        """Make a checkpoint of an archipelago durable, and `elapsed` of its job; keep the one before, but no older one.
+
+        Deaths that counted until now count no more. Return False, changing nothing, when the archipelago or its job has
+        ended.
+        """
+        with self._transaction() as sql:
+            if archipelago_table.has_ended(sql, job, variable):
+                return False
+            checkpoint_table.add(sql, job, variable, epoch, progress, states)
+            death_table.forget(sql, job, variable)
+            job_table.update(sql, job, {"elapsed": elapsed})
+            return True
+
+    def checkpoints(self, job: str) -> dict[str, tuple[int, bytes]]:
+        """Return epoch and progress of the last checkpoint by variable."""
+        with self._transaction() as sql:
+            return checkpoint_table.last(sql, job)
+
+    def state(self, job: str, variable: str, epoch: int, island: int) -> State:
+        """Return the state of an island at a checkpoint; raises KeyError when it is not there."""
+        with self._transaction() as sql:
+            return checkpoint_table.state(sql, job, variable, epoch, island)
+
+    # blobs
+
+    def put_blob(self, data: bytes) -> str:
+        """Keep `data`; return its digest (SHA-256, hex) under which it is found again."""
+        digest = hashlib.sha256(data).hexdigest()
+        with self._transaction() as sql:
+            blob_table.add(sql, digest, data)
+        return digest
+
+    def has_blob(self, digest: str) -> bool:
+        """Return whether the blob is there, whole."""
+        with self._transaction() as sql:
+            return blob_table.is_complete(sql, digest)
+
+    def blob_size(self, digest: str) -> int:
+        """Return the size of a blob in bytes; raises KeyError when it is not there, whole."""
+        with self._transaction() as sql:
+            return blob_table.size(sql, digest)
+
+    def get_blob(self, digest: str) -> bytes:
+        """Return a blob; raises KeyError when it is not there, whole."""
+        size = self.blob_size(digest)
+        return b"".join(self.get_chunk(digest, index) for index in range(chunk_count(size)))
+
+    def get_chunk(self, digest: str, index: int) -> bytes:
+        """Return chunk `index` (of `CHUNK_SIZE` bytes, the last one shorter) of a blob; raises KeyError."""
+        with self._transaction() as sql:
+            return blob_table.chunk(sql, digest, index)
+
+    def missing_chunks(self, digest: str, size: int) -> tuple[int, ...]:
+        """Return which chunks of a blob of `size` bytes are still to be put; none when it is there, whole."""
+        with self._transaction() as sql:
+            return blob_table.missing(sql, digest, size)
+
+    def put_chunk(self, digest: str, size: int, index: int, data: bytes) -> bool:
+        """Keep one chunk of an upload; return whether the blob is whole now. Putting it again changes nothing.
+
+        Raises:
+            RemoteProtocolError: index, sizes or, with the last chunk, the digest do not fit; a blob whose digest is
+                wrong is forgotten.
+        """
+        blob_table.require_fitting(size, index, data)
+        with self._transaction() as sql:
+            upload = blob_table.put_chunk(sql, digest, size, index, data)
+        if upload == "wrong":
+            raise RemoteProtocolError(
+                f"an upload of {size} bytes does not have the digest {digest} it was announced with"
+            )
+        return upload == "whole"
+
+    def blob_bytes(self) -> int:
+        """Return how many bytes all blobs have, announced ones included."""
+        with self._transaction() as sql:
+            return blob_table.total_bytes(sql)
+
+    def drop_blob(self, digest: str) -> None:
+        """Forget a blob or what has come of it; without effect when there is none."""
+        with self._transaction() as sql:
+            blob_table.drop(sql, digest)
+
+    @contextlib.contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        with self._lock, translated(self._directory):
+            began = time.perf_counter()
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                self._check_incarnation()
+                yield self._connection
+                self._connection.execute("COMMIT")
+                self._count(time.perf_counter() - began)
+            except BaseException:
+                if self._connection.in_transaction:  # SQLite rolls back by itself when the disk is full
+                    self._connection.execute("ROLLBACK")
+                raise
+
+    def _check_incarnation(self) -> None:
+        """Raise StoreError when somebody else has opened the store since: nothing is written over another's work."""
+        (incarnation,) = self._connection.execute("SELECT incarnation FROM realm").fetchone()
+        if incarnation != self.incarnation:
+            raise StoreError(
+                f"another coordinator (incarnation {incarnation}) has taken over the store {self._directory}; "
+                f"this one (incarnation {self.incarnation}) ends"
+            )
+
+    def _count(self, seconds: float) -> None:
+        before = self._timing
+        self._timing = StoreView(
+            transactions=before.transactions + 1,
+            total_s=before.total_s + seconds,
+            worst_s=max(before.worst_s, seconds),
+        )

@@ -1,0 +1,262 @@
+"""The workers that the coordinator knows: who is there, in which state, and who is lost. Pure; time comes in."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll.wire.messages.handshake import Hello
+from atoll.wire.messages.views import Counters, WorkerState, WorkerView
+from atoll.wire.messages.workers import WorkerStatus
+
+LEASE_S: Final = 15.0
+"""Silence after which a worker is lost although its presence is still shown: a process that hangs."""
+
+ABSENCE_S: Final = 0.5
+"""How long a worker's presence may be gone (its connection may come back) before it is lost. To take a worker for lost
+that is not costs what lies between two checkpoints; to wait costs the wait."""
+
+STANDING_S: Final = 60.0
+"""How long a worker may compute without getting on before it is taken for hung; loading and compiling do not count."""
+
+GAP_S: Final = 3.0
+"""If the coordinator itself has not looked for this long, silence is its own fault: everybody gets a fresh lease."""
+
+FORGET_S: Final = 3600.0
+"""How long lost workers stay in the list."""
+
+MemberState = Literal["here", "absent", "hung", "lost"]
+MemberStep = Literal["heard", "gone", "back", "expired", "stands", "moves"]
+
+MEMBER_TRANSITIONS: Final[Mapping[MemberState, Mapping[MemberStep, MemberState]]] = {
+    "here": {"heard": "here", "gone": "absent", "back": "here", "expired": "lost", "stands": "hung", "moves": "here"},
+    "absent": {
+        "heard": "absent", "gone": "absent", "back": "here", "expired": "lost", "stands": "absent", "moves": "absent",
+    },
+    "hung": {"heard": "hung", "gone": "absent", "back": "hung", "expired": "lost", "stands": "hung", "moves": "here"},
+    "lost": {"heard": "here", "gone": "lost", "back": "lost", "expired": "lost", "stands": "lost", "moves": "here"},
+}  # fmt: skip
+"""Whether a worker is there -> what happens -> whether it is there then. `stands`: it has computed for too long without
+getting on; `moves`: it gets on."""
+
+Patience = Callable[[str], float]
+"""The factor on a worker's leases."""
+
+
+def _usual(worker: str) -> float:
+    """Be as patient with every worker as the constants say."""
+    del worker
+    return 1.0
+
+
+@dataclass(slots=True)
+class Member:
+    """One worker process."""
+
+    hello: Hello
+    state: MemberState
+    heard_at: float
+    gone_at: float | None = None
+    status: WorkerStatus | None = None
+    progressed_at: float = 0.0
+    lost_by: str = ""
+
+    def step(self, step: MemberStep) -> None:
+        """Go to the next state by the table."""
+        self.state = MEMBER_TRANSITIONS[self.state][step]
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether islands can be placed there now."""
+        return self.state == "here" and self.status is not None and self.status.state not in ("compiling", "leaving")
+
+    @property
+    def is_leaving(self) -> bool:
+        """Whether it has said that it will end soon."""
+        return self.status is not None and self.status.state == "leaving"
+
+
+class Membership:
+    """All workers by name."""
+
+    def __init__(self) -> None:
+        self._members: dict[str, Member] = {}
+        self._looked_at: float | None = None
+
+    @property
+    def looked_at(self) -> float:
+        """When it was last looked who is there."""
+        return self._looked_at or 0.0
+
+    def member(self, worker: str) -> Member | None:
+        """Return what is known of a worker."""
+        return self._members.get(worker)
+
+    def greet(self, hello: Hello, now: float) -> str | None:
+        """Take in a worker; return a sentence instead when it must be refused."""
+        refusal = version_refusal(hello) or self._name_refusal(hello) or self._fingerprint_refusal(hello)
+        if refusal is not None:
+            return refusal
+        if self.is_new(hello):
+            self._members[hello.name] = Member(hello, "here", now, progressed_at=now)
+        else:
+            known = self._members[hello.name]
+            known.hello, known.heard_at = hello, now
+        return None
+
+    def hear(self, worker: str, status: WorkerStatus, now: float) -> bool:
+        """Take in a heartbeat; return False when this process is not known."""
+        member = self._members.get(worker)
+        if member is None or member.hello.instance != status.instance:
+            return False
+        before, member.status, member.heard_at = member.status, status, now
+        gets_on = before is None or status.progress != before.progress
+        if gets_on or member.state == "lost" or not _is_computing(member):
+            member.progressed_at = now
+        member.step("moves" if gets_on and member.state == "hung" else "heard")
+        return True
+
+    def see(self, worker: str, present: bool, now: float) -> None:
+        """Take in that a worker's presence came or went."""
+        member = self._members.get(worker)
+        if member is None:
+            return
+        if present:
+            member.step("back")
+        elif member.state in ("here", "hung"):
+            member.step("gone")
+            member.gone_at = now
+
+    def renew(self, now: float) -> None:
+        """Give everybody a fresh lease: their words may have been lost on our side."""
+        for member in self._members.values():
+            member.heard_at = member.progressed_at = now
+            if member.gone_at is not None:
+                member.gone_at = now
+
+    def expire(self, now: float, patience: Patience = _usual) -> list[str]:
+        """Return the workers that are lost, or taken for hung, since the last look; `Member.lost_by` says why."""
+        if self._looked_at is not None and now - self._looked_at > GAP_S:
+            self.renew(now)
+        self._looked_at = now
+        lost = [name for name, member in self._members.items() if self._is_overdue(member, now, patience(name))]
+        for name in [
+            name for name, each in self._members.items() if each.state == "lost" and now - each.heard_at > FORGET_S
+        ]:
+            del self._members[name]
+        return lost
+
+    def ready(self) -> tuple[str, ...]:
+        """Return the workers that can compute islands, sorted."""
+        return tuple(sorted(name for name, member in self._members.items() if member.is_ready))
+
+    def is_ready(self, worker: str) -> bool:
+        """Tell whether islands can be placed on this worker."""
+        member = self._members.get(worker)
+        return member is not None and member.is_ready
+
+    def arriving(self) -> int:
+        """Return how many workers are there but not ready yet."""
+        return sum(
+            member.state == "here" and not member.is_ready and not member.is_leaving
+            for member in self._members.values()
+        )
+
+    def is_lost(self, worker: str) -> bool:
+        """Tell whether islands placed on this worker have nobody to compute them."""
+        member = self._members.get(worker)
+        return member is None or member.state in ("lost", "hung")
+
+    def is_leaving(self, worker: str) -> bool:
+        """Tell whether this worker has said that it will end soon."""
+        member = self._members.get(worker)
+        return member is not None and member.is_leaving
+
+    def is_new(self, hello: Hello) -> bool:
+        """Tell whether this process has not borne its name before."""
+        member = self._members.get(hello.name)
+        return member is None or member.hello.instance != hello.instance
+
+    def views(self, now: float) -> tuple[WorkerView, ...]:
+        """Return what people are shown, sorted by name."""
+        return tuple(_view(name, self._members[name], now) for name in sorted(self._members))
+
+    def _is_overdue(self, member: Member, now: float, patience: float) -> bool:
+        """Give a worker up whose time is over."""
+        if member.state == "absent":
+            is_over = member.is_leaving or now - (member.gone_at or 0.0) >= ABSENCE_S
+            return is_over and self._give_up(member, "its connection has gone")
+        silent, standing = now - member.heard_at, now - member.progressed_at
+        if member.state in ("here", "hung") and silent >= LEASE_S * patience:
+            return self._give_up(member, f"silent for {silent:.0f} s")
+        if member.state == "here" and _is_computing(member) and standing >= STANDING_S * patience:
+            member.step("stands")
+            member.lost_by = f"it has computed for {standing:.0f} s without getting on"
+            return True
+        return False
+
+    def _give_up(self, member: Member, why: str) -> bool:
+        """Count a worker as lost; return whether that is new to the islands it had."""
+        was_hung = member.state == "hung"
+        member.step("expired")
+        member.lost_by = why
+        return not was_hung
+
+    def _name_refusal(self, hello: Hello) -> str | None:
+        known = self._members.get(hello.name)
+        if known is None or known.hello.instance == hello.instance or known.state != "here":
+            return None
+        return (
+            f"a worker named {hello.name!r} is already connected from {known.hello.host} (process {known.hello.pid}); "
+            "give this one another name with --name"
+        )
+
+    def _fingerprint_refusal(self, hello: Hello) -> str | None:
+        """Refuse kernels other than those of the workers that are here: they might give other bits."""
+        for name, member in self._members.items():
+            other = member.hello.fingerprint
+            if member.state == "lost" or name == hello.name or not (other and hello.fingerprint):
+                continue
+            if other != hello.fingerprint:
+                return (
+                    f"worker {hello.name!r} computes with kernels {hello.fingerprint}, but the other workers with "
+                    f"{other}; install the same version {VERSION} of Atoll on all of them"
+                )
+        return None
+
+
+def _is_computing(member: Member) -> bool:
+    return member.status is not None and member.status.state == "computing"
+
+
+def version_refusal(hello: Hello) -> str | None:
+    """Return a sentence naming both sides' versions when they do not fit; clients need the same protocol only."""
+    ours = f"Atoll {VERSION} (protocol {PROTOCOL_VERSION}, engine {ENGINE_REVISION})"
+    theirs = f"Atoll {hello.version} (protocol {hello.protocol}, engine {hello.engine})"
+    fits = hello.protocol == PROTOCOL_VERSION
+    if hello.role == "worker":
+        fits = fits and hello.version == VERSION and hello.engine == ENGINE_REVISION
+    if fits:
+        return None
+    return f"this {hello.role} is {theirs}, but the coordinator is {ours}; install the same version on both sides"
+
+
+def _view(name: str, member: Member, now: float) -> WorkerView:
+    status = member.status
+    state: WorkerState = status.state if status else "compiling"
+    if member.state in ("lost", "hung"):
+        state = "lost" if member.state == "lost" else "hung"
+    doing = status.doing if status is not None else None
+    return WorkerView(
+        worker=name,
+        host=member.hello.host,
+        pid=member.hello.pid,
+        state=state,
+        islands=sum(each.islands for each in status.holdings) if status and state != "lost" else 0,
+        doing=f"{doing.job}/{doing.variable} island {doing.island} epoch {doing.epoch}" if doing is not None else "",
+        standing=max(0.0, now - member.progressed_at) if _is_computing(member) else 0.0,
+        counters=status.counters if status is not None else Counters(),
+        silent=max(0.0, now - member.heard_at),
+        version=member.hello.version,
+        detail=status.detail if status else "",
+    )

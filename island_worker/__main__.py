@@ -1,8 +1,0 @@
-"""``python -m island_worker``: the same program as the console script."""
-
-import sys
-
-from island_worker.cli import main
-
-if __name__ == "__main__":
-    sys.exit(main())

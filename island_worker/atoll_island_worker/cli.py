@@ -1,0 +1,226 @@
+"""The entry of the ``island-worker`` program: options, help, exit codes. Light, because ``--help`` must be instant.
+
+One process is one worker. With more than one, this process loads what workers need, forks them, starts again those that
+die, and ends with them; it has no bus itself, since that would not survive a fork.
+"""
+
+import argparse
+import os
+import re
+import sys
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Final, NoReturn
+
+from atoll.command_line import seconds
+from atoll_island_worker.launch import guarded, work, work_together
+
+if TYPE_CHECKING:
+    from atoll.wire.addresses import Destination
+    from atoll.wire.security.credentials import Credentials
+
+_WAIT_S: Final = 10.0
+_GRACE_S: Final = 30.0
+_UNITS: Final = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+_NAME: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
+_MOST_PROCESSES: Final = 1024
+
+_EPILOG: Final = """\
+exit codes: 0 the coordinator ended or the worker was told to end, 1 failed, 2 bad usage or refused by the coordinator,
+3 coordinator not reachable, 130 interrupted; of several processes the worst. One of several that dies is started again
+after 1 s, then 2 s and so on up to 30 s; one that dies five times within a minute is not, and counts as failed
+
+examples:
+  island-worker --connect tcp/192.168.1.5:7447               one process per core, until the coordinator ends
+  ATOLL_CONNECT=tcp/lab1:7447 island-worker --processes 4    the address from the environment
+  island-worker --connect tcp/lab1:7447 --wait 3600          wait up to an hour for a coordinator to come (back)
+  island-worker --connect tls/lab1:7447 --tls-ca authority.pem --tls-cert certificate.pem --tls-key key.pem
+  island-worker --connect tcp/lab1:7447 --lifetime 55m       hand over and end before the hour that was reserved is over
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command line and return its exit code; as a program (`argv` None) end the process with it.
+
+    A process that works may have a thread in the middle of compiling machine code, which cannot be stopped; what must
+    be closed has been closed by then, so the process ends without waiting for anything.
+    """
+    if argv is None:
+        from atoll.machine.garbage import collect_rarely
+
+        collect_rarely()
+    words = sys.argv[1:] if argv is None else argv
+    code = guarded(lambda: _dispatch(_parse(words)))
+    if argv is None:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    return code
+
+
+class _Parser(argparse.ArgumentParser):
+    """Raises UsageError where argparse would print its usage and exit."""
+
+    def error(self, message: str) -> NoReturn:
+        from atoll.errors import UsageError
+
+        sentence = message.replace("unrecognized arguments:", "unknown option").removeprefix("argument ")
+        raise UsageError(f"{sentence}; see {self.prog} --help")
+
+
+def _parse(argv: Sequence[str]) -> argparse.Namespace:
+    from atoll import VERSION
+    from atoll.command_line import TLS_OPTIONS, add_log_options
+
+    parser = _Parser(
+        prog="island-worker",
+        description="Evolve islands for a coordinator: connects to it, computes what it places here, ends with it.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "--connect",
+        metavar="tcp/HOST:PORT",
+        help="address of the coordinator (default: the environment variable ATOLL_CONNECT)",
+    )
+    parser.add_argument(
+        "--connect-file",
+        metavar="FILE",
+        help="read the address from the file that coordinator serve --connect-file writes, waiting for it up to --wait",
+    )
+    parser.add_argument(
+        "--processes",
+        metavar="auto|N",
+        type=_processes,
+        default=None,
+        help="worker processes; auto (default): one per core that may be used",
+    )
+    for option, (variable, text) in TLS_OPTIONS.items():
+        parser.add_argument(option, metavar="FILE", help=f"{text}, for tls/HOST:PORT (default: ${variable})")
+    parser.add_argument(
+        "--name", type=_name, help="name in lists and logs (default: host and process id, behind the certificate's)"
+    )
+    parser.add_argument(
+        "--wait",
+        metavar="SECONDS",
+        type=seconds,
+        default=_WAIT_S,
+        help="how long the coordinator may be away, at the start or later (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--lifetime",
+        metavar="TIME",
+        type=_duration,
+        help="leave after this time, such as 90s, 30m or 12h: what is computed here is handed over, nothing is lost",
+    )
+    parser.add_argument(
+        "--grace",
+        metavar="TIME",
+        type=_duration,
+        default=_GRACE_S,
+        help="how long handing over may take, then and after SIGTERM; a second SIGTERM ends at once (default: 30s)",
+    )
+    add_log_options(parser)
+    parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # end with this process
+    parser.add_argument("--sentences", type=int, help=argparse.SUPPRESS)  # why we end is written there
+    parser.add_argument("--leave", action="store_true", help=argparse.SUPPRESS)  # the workers to the parent, and end
+    parser.add_argument("--version", action="version", version=f"atoll {VERSION}")
+    return parser.parse_args(argv)
+
+
+def _dispatch(options: argparse.Namespace) -> int:
+    from atoll.wire.security.credentials import credentials_of
+    from atoll_island_worker.processes.exit_reasons import hand_over
+    from atoll_island_worker.processes.signals import choose_number
+
+    credentials = credentials_of(vars(options), os.environ, "connect")
+    connect = _destination(options, credentials)
+    name = _name_for(credentials.name if credentials is not None else None, options.name)
+    number = options.processes
+    if number is None:
+        number, reason = choose_number(os.environ)
+        sys.stderr.write(f"island-worker: {number} {'process' if number == 1 else 'processes'}: {reason}\n")
+    if number == 1 and not options.leave:
+        say = partial(hand_over, options.sentences) if options.sentences is not None else None
+        return guarded(partial(work, connect, name, options, options.parent), say)
+    names = [f"{name[:58]}-{index}" for index in range(number)]
+    return work_together(connect, names, options)
+
+
+def _destination(options: argparse.Namespace, credentials: "Credentials | None") -> "Destination":
+    """Return where the coordinator is, from the options or ``ATOLL_CONNECT``, once that is known.
+
+    Raises:
+        UsageError: none was given, or two, or it is none.
+        UnreachableError: the file did not come in time, or nothing accepts connections at the addresses in it.
+    """
+    from atoll.errors import UsageError
+    from atoll.wire.addresses import destination
+
+    if options.connect_file:
+        if options.connect:
+            raise UsageError("both --connect and --connect-file were given; give one of them")
+        from pathlib import Path
+
+        from atoll.wire.connect_file import address_in
+
+        return destination(address_in(Path(options.connect_file), options.wait), credentials)
+    connect = options.connect or os.environ.get("ATOLL_CONNECT")
+    if not connect:
+        raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
+    return destination(connect, credentials)
+
+
+def _name_for(bearer: str | None, wanted: str | None) -> str:
+    """Return the worker's name; it is that of our certificate, if we have one, or that and a hyphen and more.
+
+    Raises:
+        UsageError: the name that is wanted is not.
+    """
+    from atoll.errors import UsageError
+
+    if bearer is None:
+        return wanted or _default_name()
+    if wanted is None:
+        name = _default_name()
+        return name if name.startswith(f"{bearer}-") else f"{bearer}-{name[-(57 - len(bearer)) :].lstrip('-')}"
+    if wanted != bearer and not wanted.startswith(f"{bearer}-"):
+        raise UsageError(
+            f"--name must be {bearer} or begin with {bearer}-, as the certificate says, but {wanted!r} was given"
+        )
+    return wanted
+
+
+def _default_name() -> str:
+    import socket
+
+    host = re.sub(r"[^A-Za-z0-9_-]", "-", socket.gethostname().split(".")[0])[:40] or "worker"
+    return f"{host}-{os.getpid()}"
+
+
+def _processes(text: str) -> int | None:
+    if text == "auto":
+        return None
+    if text.isascii() and text.isdigit() and 1 <= int(text) <= _MOST_PROCESSES:
+        return int(text)
+    raise argparse.ArgumentTypeError(
+        f"auto or a number from 1 to {_MOST_PROCESSES} was expected, but {text!r} was given"
+    )
+
+
+def _name(text: str) -> str:
+    if _NAME.fullmatch(text):
+        return text
+    raise argparse.ArgumentTypeError(f"up to 64 letters, digits, - and _ were expected, but {text!r} was given")
+
+
+def _duration(text: str) -> float:
+    """Return seconds: a number of them, or a number with one of the units s, m, h and d."""
+    number, factor = (text[:-1], _UNITS[text[-1]]) if text[-1:] in _UNITS else (text, 1.0)
+    try:
+        return seconds(number) * factor
+    except argparse.ArgumentTypeError:
+        raise argparse.ArgumentTypeError(
+            f"a time such as 90s, 30m or 12h was expected, but {text!r} was given"
+        ) from None

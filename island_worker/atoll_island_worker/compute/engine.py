@@ -1,0 +1,135 @@
+"""Islands of `atoll_island_worker.evolution`, computed on the caller's thread."""
+
+from typing import TYPE_CHECKING, Final
+
+from atoll.config import JobConfig
+from atoll.errors import RemoteProtocolError
+from atoll.wire.messages.workers import Addition, HitStatement, IslandReport, Tally
+from atoll_island_worker.session.events import Computed, JobReady, Unloadable
+from atoll_island_worker.session.tasks import ShareKey, Task
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from atoll.data.dataset import Dataset, Problem
+    from atoll.search.pareto import FrontEntry
+    from atoll_island_worker.evolution.island import EpochOutcome, Island
+
+_MOST: Final = 10
+"""Generations at a time, however long a slice is: in between it is asked what else there is to do."""
+
+
+class Engine:
+    """The islands and datasets of one worker."""
+
+    def __init__(self) -> None:
+        self._jobs: dict[str, tuple[JobConfig, Dataset]] = {}
+        self._islands: dict[ShareKey, dict[int, Island]] = {}
+
+    def load(self, job: str, config: JobConfig, dataset: bytes) -> JobReady | Unloadable:
+        """Take in a job's configuration and encoded dataset."""
+        from atoll.wire.codec import dataset_from_bytes
+
+        try:
+            self._jobs[job] = (config, dataset_from_bytes(dataset))
+        except RemoteProtocolError as error:
+            return Unloadable(job, str(error))
+        return JobReady(job)
+
+    def begin(self, task: Task) -> "Epoch":
+        """Begin an island's epoch; raises RemoteProtocolError when its immigrants or its state are malformed."""
+        from atoll_island_worker.evolution.island import Island
+
+        key = task.key
+        config, dataset = self._jobs[key.job]
+        islands = self._islands.setdefault(key.share, {})
+        if task.state is not None:
+            islands[key.island] = _restored(task, dataset.problem(key.variable), config)
+        elif task.blocks is None:
+            islands[key.island] = Island(dataset.problem(key.variable), config, key.island)
+        else:
+            islands[key.island].immigrate(task.blocks)
+        return Epoch(task, islands[key.island], config)
+
+    def forget(self, share: ShareKey) -> None:
+        """Forget the islands of an archipelago's term."""
+        self._islands.pop(share, None)
+
+    def forget_job(self, job: str) -> None:
+        """Forget a job's dataset."""
+        self._jobs.pop(job, None)
+
+
+class Epoch:
+    """One epoch of one island under way; see `atoll_island_worker.compute.run_queue.Work`."""
+
+    def __init__(self, task: Task, island: "Island", config: JobConfig) -> None:
+        self._task = task
+        self._island = island
+        self._config = config
+        self._is_over = False
+        self.snapshot: Final = island.to_bytes() if task.takes_snapshot else None
+
+    @property
+    def generation(self) -> int:
+        """See `Work.generation`."""
+        return self._island.generation
+
+    def advance(self) -> bool:
+        """See `Work.advance`."""
+        stride = self._task.course.stride
+        left = stride - self._island.generation % stride
+        self._is_over = self._island.advance(min(_MOST, left))
+        return self._is_over
+
+    def computed(self) -> Computed:
+        """See `Work.computed`. There are emigrants after a whole epoch that is not the last."""
+        from atoll_island_worker.evolution.island import senders
+
+        key, outcome = self._task.key, self._island.outcome()
+        report = report_of(key.island, outcome)
+        if not self._is_over or outcome.hit is not None or self._task.is_last:
+            return Computed(key, report, {}, frozenset())
+        awaited = senders(self._config, key.variable, key.epoch, key.island)
+        return Computed(key, report, self._island.emigrants(), awaited)
+
+
+def _restored(task: Task, problem: "Problem", config: JobConfig) -> "Island":
+    """Return the island as it was at the checkpoint at which its term begins."""
+    from atoll_island_worker.evolution.island import Island
+
+    island = Island.from_bytes(task.state or b"", problem, config, task.key.island)
+    if island.epoch != task.key.epoch:
+        raise RemoteProtocolError(f"a state of epoch {island.epoch} came for epoch {task.key.epoch}")
+    return island
+
+
+def report_of(island: int, outcome: "EpochOutcome") -> IslandReport:
+    """Return what is reported of an island's epoch."""
+    hit = outcome.hit
+    return IslandReport(
+        island=island,
+        generations=outcome.generations,
+        hit=None if hit is None else HitStatement(generation=hit.generation, error=hit.error),
+        additions=_stated(outcome.additions),
+        runners_up=_stated(outcome.runners_up),
+        tallies=tuple(
+            Tally(generation=generation, evaluations=dict(evaluations))
+            for generation, evaluations in outcome.tallies.items()
+        ),
+        best_error=outcome.best_error,
+        digest=outcome.digest,
+    )
+
+
+def _stated(entries: "Iterable[FrontEntry]") -> tuple[Addition, ...]:
+    return tuple(
+        Addition(
+            complexity=entry.complexity,
+            error=entry.error,
+            mse=entry.mse,
+            generation=entry.generation,
+            program=entry.program,
+        )
+        for entry in entries
+    )

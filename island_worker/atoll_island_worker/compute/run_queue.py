@@ -1,0 +1,166 @@
+"""What is under way on a worker, slice by slice: the compute thread's order of work. Pure; time comes from a clock.
+
+Islands take turns of one slice: first the job charged least by its weight, then the slice that counts first
+(`atoll.search.commit_order`). When the target is met, what is no longer needed is given up at once, and what has come
+far enough is reported.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Protocol
+
+from atoll.errors import RemoteProtocolError
+from atoll.search.commit_order import Course, Position
+from atoll_island_worker.session.events import Abandoned, Broken, Computed, Outcome, Rejected, Snapshot
+from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
+
+
+class Work(Protocol):
+    """One island's epoch under way."""
+
+    @property
+    def generation(self) -> int:
+        """Generations of the epoch that have passed."""
+
+    @property
+    def snapshot(self) -> bytes | None:
+        """The island's state before generation 0, if the task wants it."""
+
+    def advance(self) -> bool:
+        """Compute one slice, or part of a long one; return True when the epoch is over or the target was met.
+
+        Nothing was met before the end of a slice.
+        """
+
+    def computed(self) -> Computed:
+        """Return what came of it so far."""
+
+
+Begin = Callable[[Task], Work]
+"""Begins an island's epoch; raises RemoteProtocolError when the immigrants are malformed."""
+
+
+@dataclass(slots=True)
+class _Open:
+    """A task; `work` is None before its first turn."""
+
+    task: Task
+    work: Work | None = None
+
+    @property
+    def generation(self) -> int:
+        return self.work.generation if self.work is not None else 0
+
+
+class Agenda:
+    """The tasks of one worker that are not done yet."""
+
+    def __init__(self, begin: Begin, clock: Callable[[], float]) -> None:
+        """`clock` gives seconds, by which jobs are charged for their turns; `doing` is the task of the last turn."""
+        self._begin = begin
+        self._clock = clock
+        self._open: dict[TaskKey, _Open] = {}
+        self._hits: dict[ShareKey, Position] = {}
+        self._charged: dict[str, float] = {}
+        self._weights: dict[str, float] = {}
+        self.doing: TaskKey | None = None
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether there is nothing to compute."""
+        return not self._open
+
+    def weigh(self, job: str, weight: float) -> None:
+        """Charge a job's turns by 1/`weight` of their time, so that it gets that many times the share of others."""
+        self._weights[job] = weight
+
+    def add(self, task: Task) -> list[Outcome]:
+        """Take in a task; return that it is given up when it is not needed."""
+        job = task.key.job
+        if job not in self._charged:
+            self._charged[job] = min(self._charged.values(), default=0.0)
+        self._open[task.key] = _Open(task)
+        return self._settle([task.key])
+
+    def stop_at(self, share: ShareKey, hit: Position, course: Course) -> list[Outcome]:
+        """Note that the target was met; return what came of the tasks of which no more is needed."""
+        self._hits[share] = min(hit, self._hits.get(share, hit), key=course.rank)
+        return self._settle([key for key in self._open if key.share == share])
+
+    def turn(self) -> list[Snapshot | Outcome]:
+        """Compute one slice of the task whose turn it is; return its snapshot and what came of tasks done by it."""
+        key = min(self._open, key=self._rank)
+        opened = self._open[key]
+        self.doing = key
+        began = self._clock()
+        snapshots: list[Snapshot | Outcome] = []
+        outcome: Outcome | None = None
+        try:
+            snapshots += self._begin_if_new(opened)
+            outcome = None if opened.task.is_held else self._advance(opened)
+        except RemoteProtocolError as error:
+            outcome = Rejected(key, str(error))
+        except Exception as error:  # it is the job that fails, not the worker
+            outcome = Broken(key, f"island {key.island} of {key.variable} broke in epoch {key.epoch}: {brief(error)}")
+        self._charged[key.job] += (self._clock() - began) / self._weights.get(key.job, 1.0)
+        if outcome is None and not opened.task.is_held:
+            return snapshots + self._settle([key])
+        del self._open[key]
+        return snapshots + ([outcome, *self._stop_others(outcome, opened.task.course)] if outcome is not None else [])
+
+    def discard(self, share: ShareKey) -> None:
+        """Forget the tasks of an archipelago's term."""
+        self._hits.pop(share, None)
+        for key in [key for key in self._open if key.share == share]:
+            del self._open[key]
+
+    def discard_job(self, job: str) -> None:
+        """Forget what a job was charged."""
+        self._charged.pop(job, None)
+        self._weights.pop(job, None)
+
+    def _rank(self, key: TaskKey) -> tuple[float, int, int, int, str, str, int]:
+        opened = self._open[key]
+        at = Position(key.epoch, opened.generation, key.island)
+        epoch, group, generation, island = opened.task.course.rank(at)
+        return (self._charged.get(key.job, 0.0), epoch, group, generation, key.job, key.variable, island)
+
+    def _begin_if_new(self, opened: _Open) -> list[Snapshot]:
+        """Begin a task that has not begun, and return the snapshot that it wants."""
+        if opened.work is not None:
+            return []
+        opened.work = self._begin(opened.task)
+        data = opened.work.snapshot
+        return [Snapshot(opened.task.key, data, opened.task.is_held)] if data is not None else []
+
+    def _advance(self, opened: _Open) -> Outcome | None:
+        return opened.work.computed() if opened.work is not None and opened.work.advance() else None
+
+    def _stop_others(self, outcome: Outcome, course: Course) -> list[Outcome]:
+        if not isinstance(outcome, Computed) or outcome.report.hit is None:
+            return []
+        key = outcome.key
+        return self.stop_at(key.share, Position(key.epoch, outcome.report.hit.generation, key.island), course)
+
+    def _settle(self, keys: Iterable[TaskKey]) -> list[Outcome]:
+        """Close those of these tasks of which no more is needed, and return what came of them."""
+        outcomes: list[Outcome] = []
+        for key in keys:
+            opened, hit = self._open[key], self._hits.get(key.share)
+            if hit is None or self._is_needed(opened, hit):
+                continue
+            del self._open[key]
+            has_begun = opened.work is not None and key.epoch == hit.epoch
+            outcomes.append(opened.work.computed() if has_begun and opened.work else Abandoned(key))
+        return outcomes
+
+    def _is_needed(self, opened: _Open, hit: Position) -> bool:
+        key = opened.task.key
+        if key.epoch != hit.epoch:
+            return key.epoch < hit.epoch
+        return opened.generation < opened.task.course.needed(hit, key.island)
+
+
+def brief(error: BaseException) -> str:
+    """Return an error's kind and words, of a length that can be shown."""
+    return f"{type(error).__name__}: {error}"[:500]

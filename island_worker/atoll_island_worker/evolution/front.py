@@ -1,0 +1,292 @@
+"""An island's front: the least error on all rows for each complexity, and how individuals get there.
+
+Only what was measured on every row enters. The best individual of each size is refitted there, its linear scaling
+worked into the program in several ways, and each way that improves the front is kept as an addition.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll.expression.program import Program
+from atoll.expression.text.infix import PRINTABLE_SIZE, tree_size
+from atoll.search.pareto import FrontEntry, merge
+from atoll_island_worker.evolution.formula import (
+    Formula,
+    combined,
+    from_book,
+    from_program,
+    from_tape,
+    onto_tape,
+    reductions,
+    to_program,
+)
+from atoll_island_worker.evolution.kernels.offers import (
+    SIMPLE,
+    choose_near,
+    choose_offers,
+    refit,
+    refit_chosen,
+    structure_hash,
+)
+from atoll_island_worker.evolution.kernels.rows import padded_rows
+from atoll_island_worker.evolution.kernels.tape import canonical_tape
+from atoll_island_worker.evolution.runners_up import RunnersUp
+from atoll_island_worker.evolution.setting import Setting
+from atoll_island_worker.evolution.structures import MOST_FITTED, MOST_TERMS, Fit, Lists, Rows, empty_book
+
+REFIT_STEPS = 10
+POLISH_STEPS = 4
+PRUNE_STEPS = 15
+PRUNE_SAMPLE = 64
+MOST_NODES = 200
+_NEAR = 2.0
+_NEAR_EXACT = 1e-6
+_PROMISING = 10.0
+_POLISHED = 0.95
+"""Share of its loss that a program may have left when its constants are refined once more."""
+
+_SLACK = 1.2
+"""Where runners-up are kept: how far above the useful loss an individual may be that steps are spent on."""
+
+Counters = npt.NDArray[np.int64]
+Tag = tuple[int, int, int]
+Additions = tuple[list[FrontEntry], list[FrontEntry]]
+"""What improved the front, and what the runners-up, each in the order found."""
+
+
+class Front:
+    """Non-dominated entries by complexity. Ties go to the earlier one."""
+
+    def __init__(self) -> None:
+        self._entries: tuple[FrontEntry, ...] = ()
+
+    def entries(self) -> tuple[FrontEntry, ...]:
+        """Return the entries by rising complexity and falling error."""
+        return self._entries
+
+    def replace(self, entries: Iterable[FrontEntry]) -> None:
+        """Take over a front that was saved."""
+        self._entries = merge((), entries)
+
+    def least_error(self) -> float | None:
+        """Return the least error, None while the front is empty."""
+        return self._entries[-1].error if self._entries else None
+
+    def error_at(self, complexity: int) -> float:
+        """Return the least error of entries no more complex than that; inf when there is none."""
+        return min((e.error for e in self._entries if e.complexity <= complexity), default=math.inf)
+
+    def least_by_size(self, sizes: int) -> npt.NDArray[np.float64]:
+        """Return `error_at` each complexity below `sizes`."""
+        least = np.full(sizes, math.inf)
+        for entry in self._entries:
+            least[entry.complexity :] = entry.error
+        return least
+
+    def add(self, entry: FrontEntry) -> bool:
+        """Add `entry` unless an entry as simple is as good; return whether it was added."""
+        if not entry.error < self.error_at(entry.complexity):
+            return False
+        self._entries = merge(self._entries, (entry,))
+        return True
+
+
+class Offering:
+    """Offers individuals to a front, and to the runners-up beside it where these are kept.
+
+    `offered` and `offered_loss` (by size) remember the last structure offered to the front; `sample` are rows spread
+    evenly over all.
+    """
+
+    def __init__(self, setting: Setting, front: Front, runners_up: RunnersUp) -> None:
+        self._setting = setting
+        self._front = front
+        self._runners_up = runners_up
+        sizes, nodes = setting.scratch.best_of_size.shape[0], setting.scratch.book.code.shape[1]
+        population = setting.config.evolution.population
+        self._book = empty_book(sizes + population, nodes) if runners_up.most else setting.scratch.book
+        self._chosen = np.zeros(len(self._book.size), np.int64)
+        self._candidates: list[FrontEntry] = []
+        self._measured_loss: dict[int, float] = {}
+        self.offered = np.zeros(sizes, np.uint64)
+        self.offered_loss = np.full(sizes, math.inf)
+        self._scale = np.zeros(1 + MOST_TERMS)
+        self._result = np.zeros(2)
+        self._unscaled = Fit(setting.fit.steps, 0, MOST_FITTED, setting.fit.loss, math.inf)
+        self._largest = setting.config.space.max_size or MOST_NODES
+        self.sample = _spread(setting.every)
+
+    def offer(
+        self,
+        lists: Lists,
+        fitness: npt.NDArray[np.float64],
+        counters: Counters,
+        tag: Tag,
+        looks_beside: bool = False,
+    ) -> Additions:
+        """Measure the best of each size on all rows and offer it; return what improved front and runners-up.
+
+        With `looks_beside`, the next best of each size are offered as well where runners-up are kept.
+        """
+        setting = self._setting
+        looks_beside = looks_beside and self._runners_up.most > 0
+        number, least = self._choose(lists, fitness, looks_beside)
+        count = refit_chosen(
+            lists, self._chosen, number, setting.every, setting.fit, REFIT_STEPS if setting.fit.steps else 0,
+            setting.scratch, least, _SLACK if looks_beside else math.inf, self._book, counters,
+        )  # fmt: skip
+        before, found = self._front.entries(), list[FrontEntry]()
+        for k in range(count):
+            found += self._offer_one(k, counters, tag)
+        if not self._candidates:
+            return found, []
+        candidates, self._candidates = self._candidates, []
+        return found, self._runners_up.take(self._front.entries(), (*before, *candidates), (*before, *found))
+
+    def _choose(
+        self, lists: Lists, fitness: npt.NDArray[np.float64], looks_beside: bool
+    ) -> tuple[int, npt.NDArray[np.float64]]:
+        """Choose individuals; return their number and, by size, the loss below which one is worth offering."""
+        scratch, chosen, runners_up = self._setting.scratch, self._chosen, self._runners_up
+        number = int(choose_offers(lists, fitness, scratch, self.offered, self.offered_loss, chosen))
+        if not looks_beside:
+            return number, self._front.least_by_size(len(self.offered))
+        order = np.argsort(fitness, kind="stable")
+        number = int(choose_near(lists, fitness, order, runners_up.most, scratch, runners_up.known, chosen, number))
+        return number, runners_up.limits(len(self.offered))
+
+    def _offer_one(self, k: int, counters: Counters, tag: Tag) -> Iterator[FrontEntry]:
+        """Offer every way to write a program down; what does not improve the front may be a runner-up."""
+        book, keeps = self._book, self._runners_up.most > 0
+        loss = float(book.loss[k])
+        if not (keeps or loss < self._front.error_at(int(book.size[k]))):
+            return
+        limit = _NEAR * loss + _NEAR_EXACT * self._setting.deviation
+        for variant, expected in self._variants(from_book(book, k), k, limit).items():
+            entry = self._measured(variant, expected, counters, tag)
+            if entry is None:
+                continue
+            if keeps:
+                self._candidates.append(entry)
+            if self._front.add(entry):
+                yield entry
+
+    def _error(self) -> float:
+        """Return the loss of the last measurement, in the target's units."""
+        return float(self._result[0]) if self._setting.fit.loss == 0 else math.sqrt(float(self._result[1]))
+
+    def _variants(self, formula: Formula, k: int, limit: float) -> dict[Formula, float]:
+        """Return the ways to write down the coefficients just fitted that leave the loss within `limit`, and that loss.
+
+        With the shift or without it, those near 1 and -1 as they are or exact. Where sizes are limited all of these may
+        be too large, so that the formula as it stands is among them.
+        """
+        book = self._book
+        number = int(book.number[k])
+        if not self._setting.fit.terms:
+            return {formula: float(book.loss[k])}
+        terms = book.terms[k, :number].tolist()
+        shift, *coefficients = book.scale[k, : 1 + number].tolist()
+        plain = [math.copysign(1.0, a) if abs(abs(a) - 1.0) < SIMPLE else a for a in coefficients]
+        variants: dict[Formula, float] = {}
+        for index, loss in enumerate(book.variants[k].tolist()):
+            if index & 2 and plain == coefficients:
+                break
+            if loss <= limit:
+                written = plain if index & 2 else coefficients
+                variants.setdefault(combined(formula, terms, written, 0.0 if index & 1 else shift), loss)
+        if self._setting.config.space.max_size is not None:
+            variants.setdefault(formula, float(book.loss[k]))
+        return variants
+
+    def _is_wanted(self, size: int, loss: float) -> bool:
+        """Return whether the program on the canonical tape, of about that loss, is worth measuring.
+
+        Where runners-up are kept many are offered that are none: no better than what is there, or a structure that was
+        measured in this epoch.
+        """
+        if not self._runners_up.most:
+            return True
+        loss *= _POLISHED
+        structure = int(structure_hash(self._setting.scratch.canonical, size))
+        if not loss < min(self._runners_up.limit(size), self._measured_loss.get(structure, math.inf)):
+            return loss < self._front.error_at(size)
+        self._measured_loss[structure] = loss
+        return True
+
+    def begin_epoch(self) -> None:
+        """Forget what need not outlast an epoch."""
+        self._measured_loss.clear()
+
+    def _measured(self, formula: Formula, expected: float, counters: Counters, tag: Tag) -> FrontEntry | None:
+        """Return an entry for `formula`, its constants refined, or None when it is too large or not finite."""
+        setting, scratch = self._setting, self._setting.scratch
+        size = self._canonical(formula)
+        if size > self._largest or not self._is_wanted(size, expected):
+            return None
+        self._refit(size, setting.every, POLISH_STEPS if setting.fit.steps else 0, counters)
+        program = to_program(from_tape(scratch.canonical, size))
+        if not math.isfinite(self._error()) or tree_size(program) > PRINTABLE_SIZE:
+            return None
+        return self._entry(program, tag)
+
+    def _refit(self, size: int, rows: Rows, steps: int, counters: Counters) -> None:
+        scratch = self._setting.scratch
+        refit(size, rows, self._unscaled, steps, scratch.canonical, scratch.work, self._scale, self._result, counters)
+
+    def _canonical(self, formula: Formula) -> int:
+        """Put the canonical form of `formula` on the canonical tape; return its size."""
+        scratch = self._setting.scratch
+        return int(canonical_tape(scratch.tape, onto_tape(formula, scratch.tape), scratch.work, scratch.canonical))
+
+    def _entry(self, program: Program, tag: Tag) -> FrontEntry:
+        return FrontEntry(len(program), self._error(), float(self._result[1]), *tag, program.to_bytes())
+
+    def prune(self, target: float, counters: Counters, tag: Tag) -> list[FrontEntry]:
+        """Leave out of the best program whatever it can do without: all that keeps the error at most `target`.
+
+        One operator at a time gives way to one of its arguments or to a constant, the constants are fitted anew, and
+        the first reduction that still meets the target is taken, until there is none. Returns the additions.
+        """
+        found: list[FrontEntry] = []
+        if not self._setting.fit.steps:
+            return found
+        formula: Formula | None = self._best(target)
+        while formula is not None:
+            formula = self._reduced(formula, target, counters)
+            if formula is not None:
+                entry = self._entry(to_program(formula), tag)
+                if self._front.add(entry):
+                    found.append(entry)
+        return found
+
+    def _best(self, target: float) -> Formula:
+        """Return the simplest formula on the front that meets `target`."""
+        entry = next(e for e in self._front.entries() if e.error <= target)
+        return from_program(Program.from_bytes(entry.program, self._setting.space.variables))
+
+    def _reduced(self, formula: Formula, target: float, counters: Counters) -> Formula | None:
+        """Return the first smaller formula that meets `target`; its measurement stands in the scratch arrays."""
+        scratch = self._setting.scratch
+        for candidate in reductions(formula):
+            size = self._canonical(candidate)
+            if size >= len(formula) or not self._promising(size, target, counters):
+                continue
+            self._refit(size, self._setting.every, PRUNE_STEPS, counters)
+            if self._error() <= target:
+                return from_tape(scratch.canonical, size)
+        return None
+
+    def _promising(self, size: int, target: float, counters: Counters) -> bool:
+        """Return whether the program on the canonical tape comes near `target` on a sample of the rows."""
+        self._refit(size, self.sample, PRUNE_STEPS, counters)
+        return self._error() <= _PROMISING * target
+
+
+def _spread(every: Rows) -> Rows:
+    """Return rows evenly spread over `every`."""
+    index = np.arange(min(every.length, PRUNE_SAMPLE)) * every.length // min(every.length, PRUNE_SAMPLE)
+    return padded_rows(every.inputs[:, index], every.target[0, index])

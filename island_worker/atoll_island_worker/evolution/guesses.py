@@ -1,0 +1,83 @@
+"""How a first population takes in the guesses: each becomes one individual of every island, its constants fitted.
+
+The constants of a guess are starting values. The first island begins from them as they are, the others from values
+around them, so that an archipelago begins with as many attempts to fit a guess as it has islands (ADR 0019).
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from atoll.expression.operation_list import PlacedNode, placed_text
+from atoll.expression.operators import ARITY, CONSTANT
+from atoll.search.seeding import Stream, stream_key
+from atoll_island_worker.evolution.kernels.generation import OFFSPRING, measure_all
+from atoll_island_worker.evolution.setting import Setting
+from atoll_island_worker.evolution.structures import Ints, Lists, Rows
+
+GUESS_STEPS: Final = 25
+"""Levenberg-Marquardt steps at most by which the constants of a guess are fitted before the first generation."""
+
+OCTAVES: Final = 3
+"""A varied constant is at least 2^-OCTAVES and less than 2^OCTAVES times the one given."""
+
+Guess = Sequence[PlacedNode]
+
+
+def begin_with_guesses(lists: Lists, setting: Setting, rows: Rows, counters: Ints) -> None:
+    """Write the guesses for this equation over the first individuals, one each, and fit their constants to `rows`.
+
+    The fit is counted as that of offspring. Where nothing is fitted, all islands take the guesses as they are. Pure but
+    for `lists`, scratch and `counters`.
+    """
+    guesses = guessed(setting)
+    if not guesses:
+        return
+    is_fitted = setting.fit.steps > 0
+    key = stream_key(setting.config.seed, setting.variable, setting.island, 0, "guesses")
+    stream = Stream(key) if is_fitted and setting.island > 0 else None
+    for p, guess in enumerate(guesses):
+        place(lists, p, guess, stream)
+    if is_fitted:
+        number = len(guesses)
+        first = Lists(
+            lists.code[:number], lists.left[:number], lists.right[:number], lists.constants[:number],
+            lists.scale[:number],
+        )  # fmt: skip
+        options, scratch = setting.fit._replace(steps=GUESS_STEPS), setting.scratch
+        measure_all(first, np.zeros(number), rows, options, scratch._replace(near=scratch.work), counters, OFFSPRING)
+
+
+def guessed(setting: Setting) -> tuple[Guess, ...]:
+    """Return the nodes of the guesses for the equation of `setting`.
+
+    Raises:
+        UsageError: a guess does not fit its lists; a coordinator refuses such jobs.
+    """
+    space = setting.space
+    operators, inner = space.operators.tolist(), space.nodes - space.terminals
+    texts = setting.config.prior.guesses.get(setting.variable, ())
+    return tuple(placed_text(text, setting.names, operators, space.terminals, inner) for text in texts)
+
+
+def place(lists: Lists, p: int, guess: Guess, stream: Stream | None) -> None:
+    """Write a guess over individual `p`; constants are varied with `stream`, if there is one.
+
+    Nodes that the guess leaves free, and second arguments of unary operators, stay as they were drawn.
+    """
+    for node in guess:
+        lists.code[p, node.index] = node.code
+        lists.left[p, node.index] = node.left
+        lists.constants[p, node.index] = node.constant
+        if ARITY[node.code] != 1:
+            lists.right[p, node.index] = node.right
+        if stream is not None and node.code == CONSTANT:
+            lists.constants[p, node.index] = node.constant * _factor(stream)
+
+
+def _factor(stream: Stream) -> float:
+    """Return a power of two times a number from 1 to 2: nearly log-uniform, without a logarithm."""
+    octave = stream.below(2 * OCTAVES) - OCTAVES
+    return math.ldexp(1.0 + stream.uniform(), octave)

@@ -1,0 +1,290 @@
+"""An island: one population and all that coevolves with it. Its epoch is a pure function.
+
+(state at epoch e, problem, configuration, seed) -> (state after the generations, additions to the front, counters).
+No clock, no I/O, no global random state, no thread order in it: one seed, one answer.
+"""
+
+import hashlib
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from atoll.config import JobConfig
+from atoll.data.dataset import Problem
+from atoll.errors import LocalProtocolError, RemoteProtocolError
+from atoll.search.pareto import FrontEntry
+from atoll.search.seeding import stream_key
+from atoll.wire.codec import decode_arrays, encode_arrays
+from atoll_island_worker.evolution import migration
+from atoll_island_worker.evolution.coevolution import begin_coevolution, evolve, use_best_predictor
+from atoll_island_worker.evolution.front import Front, Offering
+from atoll_island_worker.evolution.guesses import begin_with_guesses
+from atoll_island_worker.evolution.kernels.coevolution import train
+from atoll_island_worker.evolution.kernels.generation import OFFSPRING, PARTS, measure_all, random_population
+from atoll_island_worker.evolution.runners_up import RunnersUp
+from atoll_island_worker.evolution.setting import Setting
+from atoll_island_worker.evolution.structures import Lists, empty_lists
+
+LOOKS_BESIDE = 5
+"""Slices from one look at the next best of each size to the next; the last one of an epoch looks as well."""
+
+
+@dataclass(frozen=True)
+class Hit:
+    """The target error was met: at this generation (1-based within the epoch), with this normalized error."""
+
+    generation: int
+    error: float
+
+
+@dataclass(frozen=True)
+class EpochOutcome:
+    """What one island has to say of one epoch, as far as it has come with it.
+
+    `additions` are the entries that improved the island's own front in this epoch, in the order found, `runners_up`
+    those that came to be its runners-up without ever having been on its front; `evaluations`
+    are *cumulative* point evaluations by part since epoch 0, `tallies` the same at the end of each slice of this epoch,
+    by generation; `best_error` is the smallest normalized error on all rows so far (None: none finite yet); `digest` is
+    the hex digest of the state.
+    """
+
+    epoch: int
+    generations: int
+    hit: Hit | None
+    additions: tuple[FrontEntry, ...]
+    runners_up: tuple[FrontEntry, ...]
+    evaluations: Mapping[str, int]
+    tallies: Mapping[int, Mapping[str, int]]
+    best_error: float | None
+    digest: str
+
+
+class Island:
+    """One island of one variable between epochs. Mutable, but only through `advance` and `immigrate`, in turn.
+
+    The life of an island: ``Island(...)`` (epoch 0, random population), then for every epoch: `advance` until it
+    returns True or no more is needed, `outcome`, and, unless the archipelago ended, `emigrants` to send and `immigrate`
+    with all that is due here (own ones included), which begins the next epoch.
+
+    Raises:
+        LocalProtocolError: a field of `config` that must be resolved is not, or a method is called out of turn.
+    """
+
+    def __init__(self, problem: Problem, config: JobConfig, island: int) -> None:
+        self._setting = Setting(problem, config, island)
+        self._lists = empty_lists(config.evolution.population, self._setting.space.nodes)
+        self._fitness = np.full(config.evolution.population, math.inf)
+        self._coevolution = self._setting.empty_coevolution()
+        self._counters = np.zeros(len(PARTS), np.int64)
+        self._front = Front()
+        self._runners_up = RunnersUp(self._setting.runners_up)
+        self._offering = Offering(self._setting, self._front, self._runners_up)
+        self.epoch = 0
+        self._start_epoch()
+
+    @property
+    def generation(self) -> int:
+        """Generations of the current epoch that have passed."""
+        return self._generation
+
+    def _start_epoch(self) -> None:
+        self._generation = 0
+        self._hit: Hit | None = None
+        self._begun = False
+        self._additions: list[FrontEntry] = []
+        self._near: list[FrontEntry] = []
+        self._tallies: dict[int, dict[str, int]] = {}
+        self._offering.begin_epoch()
+        setting = self._setting
+        key = stream_key(setting.config.seed, setting.variable, setting.island, self.epoch, "generations")
+        self._stream = np.array([key], np.uint64)
+
+    def advance(self, generations: int = 10) -> bool:
+        """Advance at most `generations` generations; return True when the epoch is finished or the target was hit."""
+        if not self._begun:
+            self._begin()
+        interval, last = self._setting.config.evolution.refit_interval, self._setting.config.migration.generations
+        end = min(last, self._generation + generations)
+        while self._generation < end and self._hit is None:
+            step = min(end - self._generation, interval - self._generation % interval)
+            self._evolve(step)
+            if self._generation % interval == 0 or self._generation == last:
+                self._offer()
+                self._tallies[self._generation] = self._evaluations()
+        return self._hit is not None or self._generation == last
+
+    def _begin(self) -> None:
+        """Draw the first population and its predictors at epoch 0; measure what immigrated later on."""
+        setting, scratch = self._setting, self._setting.scratch
+        if self.epoch == 0:
+            random_population(self._lists, setting.space, self._stream)
+            begin_with_guesses(self._lists, setting, self._offering.sample, self._counters)
+            if setting.coevolving.enabled:
+                begin_coevolution(
+                    self._lists, self._coevolution, setting.every, setting.fit, scratch, self._stream, self._counters
+                )
+            setting.gather(self._coevolution)
+            measure_all(self._lists, self._fitness, setting.rows, setting.fit, scratch, self._counters, OFFSPRING)
+        else:
+            use_best_predictor(
+                self._lists, self._fitness, self._coevolution, setting.every, setting.rows, setting.fit, scratch,
+                self._counters,
+            )  # fmt: skip
+        self._begun = True
+
+    def _evolve(self, generations: int) -> None:
+        setting = self._setting
+        evolve(
+            generations, self._lists, self._fitness, self._coevolution, setting.space, setting.fit, setting.coevolving,
+            setting.every, setting.rows, setting.scratch, self._stream, self._counters,
+        )  # fmt: skip
+        self._generation += generations
+
+    def _offer(self) -> None:
+        config = self._setting.config
+        every, last = LOOKS_BESIDE * config.evolution.refit_interval, config.migration.generations
+        looks_beside = self._generation % every == 0 or self._generation == last
+        found, near = self._offering.offer(self._lists, self._fitness, self._counters, self._tag(), looks_beside)
+        self._additions += found
+        self._near += near
+        least = self._front.least_error()
+        target = self._setting.target
+        if least is not None and least <= target:
+            self._additions += self._offering.prune(target, self._counters, self._tag())
+            self._hit = Hit(self._generation, self._normalized(self._front.least_error()))
+
+    def _tag(self) -> tuple[int, int, int]:
+        return (self.epoch, self._generation, self._setting.island)
+
+    def _normalized(self, error: float | None) -> float:
+        return math.inf if error is None else error / self._setting.deviation
+
+    def outcome(self) -> EpochOutcome:
+        """Return the report of the epoch, finished or not."""
+        best = self._normalized(self._front.least_error())
+        return EpochOutcome(
+            self.epoch,
+            self._generation,
+            self._hit,
+            tuple(self._setting.outward(entry) for entry in self._additions),
+            tuple(self._setting.outward(entry) for entry in self._near),
+            self._evaluations(),
+            dict(self._tallies),
+            best if math.isfinite(best) else None,
+            self._digest(),
+        )
+
+    def _evaluations(self) -> dict[str, int]:
+        return dict(zip(PARTS, self._counters.tolist(), strict=True))
+
+    def _digest(self) -> str:
+        digest = hashlib.blake2b(digest_size=16)
+        for array in self._state_arrays().values():
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+    def emigrants(self) -> dict[int, bytes]:
+        """Return, by destination island (this one included), a block of solutions with their destination slots."""
+        setting = self._setting
+        places = migration.destinations(setting.config, setting.variable, self.epoch)[setting.island]
+        return migration.pack(self._lists, places)
+
+    def immigrate(self, blocks: Mapping[int, bytes]) -> None:
+        """Rebuild the population by slot from the blocks of exactly `senders(...)`, keyed by source island.
+
+        Raises RemoteProtocolError when a block is malformed or the slots do not add up; the island is then unchanged.
+        """
+        if not self._begun:
+            raise LocalProtocolError(f"island {self._setting.island} cannot take immigrants before its epoch has run")
+        lists = migration.unpack(blocks, len(self._fitness), self._setting.space, self._setting.allowed)
+        self._replace_population(lists)
+        self.epoch += 1
+        self._start_epoch()
+
+    def _replace_population(self, lists: Lists) -> None:
+        for mine, theirs in zip(self._lists._asdict().values(), lists, strict=True):
+            mine[...] = theirs
+
+    def _state_arrays(self) -> dict[str, Any]:
+        coevolution = self._coevolution
+        arrays = {f"list {name}": a for name, a in zip(Lists._fields, self._lists, strict=True)}
+        arrays |= {f"trainer {name}": a for name, a in zip(Lists._fields, coevolution.trainers, strict=True)}
+        arrays |= {
+            name: getattr(coevolution, name) for name in ("predictors", "quality", "exact", "born", "best", "clock")
+        }
+        return arrays | {
+            "fitness": self._fitness,
+            "counters": self._counters,
+            "offered": self._offering.offered,
+            "offered loss": self._offering.offered_loss,
+            "known": self._runners_up.known,
+        }
+
+    def to_bytes(self) -> bytes:
+        """Return everything that can influence later bits or counters, between epochs: a checkpoint is made of it."""
+        if self._begun:
+            raise LocalProtocolError("an island is written between epochs only, before generation 0")
+        arrays = {k: a.astype(np.int32) if a.dtype == np.int16 else a for k, a in self._state_arrays().items()}
+        front, near = _listed(self._front.entries()), _listed(self._runners_up.entries())
+        return encode_arrays({"epoch": self.epoch, "front": front, "runners up": near}, arrays)
+
+    @classmethod
+    def from_bytes(cls, data: bytes, problem: Problem, config: JobConfig, island: int) -> Self:
+        """Rebuild an island from `to_bytes`; raises RemoteProtocolError."""
+        header, arrays = decode_arrays(data)
+        made = cls(problem, config, island)
+        try:
+            for name, mine in made._state_arrays().items():
+                if (arrays[name].shape, arrays[name].dtype.kind) != (mine.shape, mine.dtype.kind):
+                    raise ValueError(f"{name} has shape {arrays[name].shape}, expected {mine.shape}")
+                mine[...] = arrays[name]
+            made.epoch = int(header["epoch"])
+            made._front.replace(FrontEntry(*entry) for entry in header["front"])
+            made._runners_up.replace(FrontEntry(*entry) for entry in header["runners up"])
+        except (KeyError, ValueError, TypeError) as error:
+            raise RemoteProtocolError(f"the state of an island does not fit its job: {error}") from error
+        made._check()
+        made._retrain()
+        made._start_epoch()
+        return made
+
+    def _check(self) -> None:
+        """Raise RemoteProtocolError unless all nodes and rows that kernels will follow exist; at epoch 0 none are."""
+        setting, its = self._setting, self._coevolution
+        if self.epoch == 0:
+            return
+        migration.check_nodes(self._lists, setting.space, setting.allowed)
+        if not setting.coevolving.enabled:
+            return
+        migration.check_nodes(its.trainers, setting.space, setting.allowed)
+        rows_exist = ((its.predictors >= 0) & (its.predictors < setting.every.length)).all()
+        if not (rows_exist and 0 <= its.best[0] < len(its.quality)):
+            raise RemoteProtocolError("the predictors in the state of an island name rows that do not exist")
+
+    def _retrain(self) -> None:
+        """Bring back the trainers' losses by row, which follow from the trainers; not counted again."""
+        setting = self._setting
+        if setting.coevolving.enabled and self.epoch > 0:
+            for t in range(self._coevolution.exact.shape[0]):
+                uncounted = np.zeros(len(PARTS), np.int64)
+                train(
+                    self._coevolution,
+                    t,
+                    setting.every,
+                    setting.fit,
+                    setting.scratch.tape,
+                    setting.scratch.work,
+                    uncounted,
+                )
+
+
+def _listed(entries: Iterable[FrontEntry]) -> list[list[object]]:
+    return [[e.complexity, e.error, e.mse, e.epoch, e.generation, e.island, e.program] for e in entries]
+
+
+senders = migration.senders
+receivers = migration.receivers
+__all__ = ["EpochOutcome", "Hit", "Island", "receivers", "senders"]

@@ -1,0 +1,353 @@
+"""Fit a program to rows: its top-level terms in closed form, the constants inside them by Levenberg and Marquardt.
+
+An individual's output is b + a_1 t_1 + ... + a_m t_m, where the t_j are the terms that its list adds and subtracts at
+the top. With one term this is linear scaling (Keijzer 2003). The a_j and b always minimise the squared error for the
+terms at hand, so that only the inner constants need steps: variable projection (Golub & Pereyra 1973) with Kaufman's
+(1975) Jacobian, which holds the a_j and takes out of each column what 1 and the terms can express. Damping is
+Marquardt's (1963): a multiple of the diagonal of the normal equations. Sums run over rows in order; nothing is
+allocated.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from atoll.compilation.jit import inlined
+from atoll.expression.kernels.lanes import LANES, add_scaled, copy, fill, place, total_magnitude
+from atoll.expression.kernels.tape import Int, forward, reverse_block
+from atoll.expression.operators import ADD, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SUBTRACT, VARIABLE
+from atoll_island_worker.evolution.kernels.rows import centre_into, product
+from atoll_island_worker.evolution.kernels.tape import ARITY_OF
+from atoll_island_worker.evolution.kernels.variation import reset_scale
+from atoll_island_worker.evolution.structures import MOST_FITTED, Fit, Floats, Ints, Rows, Tape, Work
+
+INFINITY: Final = np.inf
+_FIRST_DAMPING: Final = 1e-3
+_STALLED: Final = 1e-3
+_EXACT: Final = 1e-30
+_COLLINEAR: Final = 1e-10
+_NEGLIGIBLE: Final = 1e-28
+_SUPERFLUOUS: Final = 1e-20
+_ZERO: Final = np.int64(0)
+_ONE: Final = np.int64(1)
+
+
+@inlined
+def _add_term(terms: Ints, number: Int, node: Int, code: Ints) -> Int:
+    """Append `node` unless it is there already or a constant, which b stands for; return the number of terms."""
+    if code[node] == CONSTANT:
+        return number
+    for j in range(number):
+        if terms[j] == node:
+            return number
+    terms[number] = node
+    return number + 1
+
+
+@inlined
+def collect_terms(tape: Tape, count: Int, most: Int, terms: Ints) -> Int:
+    """List in `terms` the tape indices of at most `most` terms; return their number, 0 for a constant program.
+
+    From the output down, a sum or difference gives way to its arguments, and a negation or a product with a constant
+    to the other argument, as long as there is room. `most` 0: the output itself, unscaled.
+    """
+    terms[0] = count - 1
+    if most == 0:
+        return _ONE
+    code = tape.code
+    number: Int = _ZERO if code[count - 1] == CONSTANT else _ONE
+    j = _ZERO
+    while j < number:
+        node = terms[j]
+        op = code[node]
+        left = tape.left[node]
+        right = tape.right[node]
+        splits = (op == ADD or op == SUBTRACT) and number < most
+        scaled = (op == MULTIPLY and (code[left] == CONSTANT or code[right] == CONSTANT)) or (
+            op == DIVIDE and code[right] == CONSTANT
+        )
+        if not (splits or scaled or op == NEGATE):
+            j += 1
+            continue
+        for k in range(j, number - 1):
+            terms[k] = terms[k + 1]
+        number -= 1
+        number = _add_term(terms, number, left, code)
+        if op != NEGATE:
+            number = _add_term(terms, number, right, code)
+        j = _ZERO
+    return number
+
+
+@inlined
+def choose_fitted(tape: Tape, count: Int, number: Int, most: Int, work: Work) -> Int:
+    """List the first `most` constants inside the terms in `work.fitted`; mark what depends on them; return how many."""
+    feeds = tape.wanted
+    for i in range(count):
+        feeds[i] = False
+    for j in range(number):
+        feeds[work.terms[j]] = True
+    for i in range(count - 1, -1, -1):
+        if feeds[i]:
+            arity = ARITY_OF[tape.code[i]]
+            if arity > 0:
+                feeds[tape.left[i]] = True
+            if arity > 1:
+                feeds[tape.right[i]] = True
+    fitted = _ZERO
+    for i in range(count):
+        op = tape.code[i]
+        depends: bool | np.bool_ = False
+        if feeds[i]:
+            if op == CONSTANT:
+                depends = fitted < most and fitted < MOST_FITTED
+                if depends:
+                    work.fitted[fitted] = i
+                    fitted += 1
+            elif op != VARIABLE:
+                depends = tape.depends[tape.left[i]] or (ARITY_OF[op] > 1 and tape.depends[tape.right[i]])
+        tape.depends[i] = depends
+    return fitted
+
+
+@inlined
+def fit_terms(number: Int, rows: Rows, work: Work, scale: Floats) -> None:
+    """Set `scale` to the b, a_1, ... that minimise the squared error, and `work.residual` to what they leave.
+
+    By modified Gram-Schmidt on the centred terms. A term that is constant, or a combination of earlier ones, gets 0.
+    """
+    n = rows.length
+    basis = work.basis
+    for start in range(_ZERO, n, LANES):
+        copy(place(work.residual, _ZERO, start), place(rows.centred, _ZERO, start))
+    for j in range(number):
+        term = work.terms[j]
+        mean = product(work.values, term, rows.mask, _ZERO, n) / n
+        work.means[j] = mean
+        centre_into(basis, j, work.values, term, mean, rows)
+        power = product(basis, j, basis, j, n)
+        length = power
+        for i in range(j):
+            ratio = product(basis, i, basis, j, n) * work.inverse[i]
+            work.ratio[i, j] = ratio
+            _subtract_multiple(basis, j, ratio, basis, i, n)
+        if j > 0:
+            length = product(basis, j, basis, j, n)
+        usable = length > _COLLINEAR * power and power > _NEGLIGIBLE * mean * mean * n
+        inverse = 1.0 / length if usable else 0.0
+        work.inverse[j] = inverse
+        amount = product(basis, j, work.residual, _ZERO, n) * inverse if usable else 0.0 * power  # NaN stays NaN
+        scale[1 + j] = amount
+        _subtract_multiple(work.residual, _ZERO, amount, basis, j, n)
+    scale[0] = rows.facts[0]
+    for j in range(number - 1, -1, -1):
+        if work.inverse[j] == 0.0:
+            scale[1 + j] = 0.0
+            continue
+        for k in range(j + 1, number):
+            scale[1 + j] -= work.ratio[j, k] * scale[1 + k]
+        scale[0] -= scale[1 + j] * work.means[j]
+
+
+@inlined
+def _subtract_multiple(out: Floats, i: Int, factor: float, source: Floats, j: Int, length: Int) -> None:
+    """Subtract `factor` times source[j] from out[i]."""
+    for start in range(_ZERO, length, LANES):
+        add_scaled(place(out, i, start), -factor, place(source, j, start))
+
+
+@inlined
+def residual_of(number: Int, rows: Rows, work: Work, scale: Floats) -> None:
+    """Set `work.residual` to the target less b + a_1 t_1 + ... with the coefficients in `scale`."""
+    residual = work.residual
+    for start in range(_ZERO, rows.length, LANES):
+        out = place(residual, _ZERO, start)
+        fill(out, -scale[0])
+        add_scaled(out, 1.0, place(rows.target, _ZERO, start))
+        for j in range(number):
+            add_scaled(out, -scale[1 + j], place(work.values, work.terms[j], start))
+    centre_into(residual, _ZERO, residual, _ZERO, 0.0, rows)
+
+
+@inlined
+def errors(rows: Rows, work: Work, result: Floats) -> None:
+    """Set result[0] to the mean absolute and result[1] to the mean squared `work.residual`; inf when not finite."""
+    n = rows.length
+    sum_ = 0.0
+    for start in range(_ZERO, n, LANES):
+        sum_ += total_magnitude(place(work.residual, _ZERO, start), place(rows.mask, _ZERO, start))
+    square = product(work.residual, _ZERO, work.residual, _ZERO, n)
+    finite = np.isfinite(square) and np.isfinite(sum_)
+    result[0] = sum_ / n if finite else INFINITY
+    result[1] = square / n if finite else INFINITY
+
+
+@inlined
+def measure_tape(
+    tape: Tape, count: Int, rows: Rows, is_linear: bool, partly: bool, work: Work, scale: Floats, result: Floats
+) -> None:
+    """Evaluate the tape on `rows`, with `work.terms` as they are, and set the errors; one value at each row.
+
+    `is_linear`: b, a_1, ... are fitted first; `partly`: only what depends on fitted constants has changed.
+    """
+    wanted = tape.depends if partly else tape.wanted
+    forward(
+        count, tape.code, tape.left, tape.right, tape.constants, wanted, rows.inputs, rows.waves, rows.length,
+        work.values, work.functions,
+    )  # fmt: skip
+    if is_linear:
+        fit_terms(work.number[0], rows, work, scale)
+    else:
+        residual_of(work.number[0], rows, work, scale)
+    errors(rows, work, result)
+
+
+@inlined
+def _jacobian(tape: Tape, count: Int, fitted: Int, is_linear: bool, rows: Rows, scale: Floats, work: Work) -> None:
+    """Fill `work.columns` with the derivatives of the output by the fitted constants, the a_j held."""
+    adjoints = work.adjoints
+    for start in range(_ZERO, rows.length, LANES):
+        for i in range(count):
+            if tape.depends[i]:
+                fill(place(adjoints, i, _ZERO), 0.0)
+        for j in range(work.number[0]):
+            fill(place(adjoints, work.terms[j], _ZERO), scale[1 + j])
+        reverse_block(
+            count, tape.code, tape.left, tape.right, tape.depends, work.values, start, adjoints, work.functions
+        )
+        for i in range(fitted):
+            copy(place(work.columns, i, start), place(adjoints, work.fitted[i], _ZERO))
+
+
+@inlined
+def _project(i: Int, rows: Rows, work: Work) -> None:
+    """Take out of column `i` what 1 and the terms can express; all of it where only rounding errors would be left.
+
+    Such a column belongs to a constant that the coefficients make superfluous, as c in a exp(x + c). A step along
+    rounding errors would be enormous, and would spoil the step of every other constant.
+    """
+    n = rows.length
+    columns = work.columns
+    mean = product(columns, i, rows.mask, _ZERO, n) / n
+    centre_into(columns, i, columns, i, mean, rows)
+    whole = product(columns, i, columns, i, n) + n * mean * mean
+    for j in range(work.number[0]):
+        if work.inverse[j] > 0.0:
+            ratio = product(work.basis, j, columns, i, n) * work.inverse[j]
+            _subtract_multiple(columns, i, ratio, work.basis, j, n)
+    if product(columns, i, columns, i, n) <= _SUPERFLUOUS * whole:
+        for start in range(_ZERO, n, LANES):
+            fill(place(columns, i, start), 0.0)
+
+
+@inlined
+def _normal_equations(
+    tape: Tape, count: Int, fitted: Int, is_linear: bool, rows: Rows, scale: Floats, work: Work
+) -> None:
+    """Fill matrix and gradient at the values standing in `work`; what terms can express is taken out of the columns."""
+    _jacobian(tape, count, fitted, is_linear, rows, scale, work)
+    n = rows.length
+    columns = work.columns
+    for i in range(fitted):
+        if is_linear:
+            _project(i, rows, work)
+        else:
+            centre_into(columns, i, columns, i, 0.0, rows)
+        work.gradient[i] = -product(columns, i, work.residual, _ZERO, n)
+        for j in range(i + 1):
+            work.matrix[i, j] = product(columns, i, columns, j, n)
+
+
+@inlined
+def _solve(size: Int, damping: float, work: Work) -> bool:
+    """Solve (A + damping diag A) step = -gradient by Cholesky; return False when that is not possible."""
+    damped = work.damped
+    for i in range(size):
+        for j in range(i):
+            s = work.matrix[i, j]
+            for k in range(j):
+                s -= damped[i, k] * damped[j, k]
+            damped[i, j] = s * damped[j, j]
+        s = work.matrix[i, i] * (1.0 + damping) + 1e-300
+        for k in range(i):
+            s -= damped[i, k] * damped[i, k]
+        if not s > 1e-15 * work.matrix[i, i] or not np.isfinite(s):
+            return False
+        damped[i, i] = 1.0 / np.sqrt(s)
+    for i in range(size):
+        s = -work.gradient[i]
+        for k in range(i):
+            s -= damped[i, k] * work.step[k]
+        work.step[i] = s * damped[i, i]
+    for i in range(size - 1, -1, -1):
+        s = work.step[i]
+        for k in range(i + 1, size):
+            s -= damped[k, i] * work.step[k]
+        work.step[i] = s * damped[i, i]
+        if not np.isfinite(work.step[i]):
+            return False
+    return True
+
+
+@inlined
+def fit(
+    tape: Tape, count: Int, rows: Rows, options: Fit, most: Int, steps: Int, ceiling: float, work: Work,
+    scale: Floats, result: Floats,
+) -> Int:  # fmt: skip
+    """Fit terms and inner constants of the tape to `rows`, in place; set the errors; return point evaluations.
+
+    A value at a row counts 1; the reverse sweep that makes it a gradient counts 2 more.
+
+    Args:
+        most: constants fitted at most, the terms' included.
+        steps: Levenberg-Marquardt steps at most; ends earlier when exact or stalled.
+        ceiling: loss above which, terms fitted, no step is taken.
+        scale: out: b, a_1, ...  result: (2,) out: mean absolute and mean squared error on `rows`.
+    """
+    number = collect_terms(tape, count, options.terms, work.terms)
+    work.number[0] = number
+    is_linear = options.terms > 0
+    reset_scale(scale)
+    room = max(most - (number if is_linear else _ZERO) - 1, options.least)
+    fitted = choose_fitted(tape, count, number, room if steps > 0 else _ZERO, work)
+    evaluations = _ZERO
+    damping = _FIRST_DAMPING
+    left = steps
+    partly = False
+    while True:
+        measure_tape(tape, count, rows, is_linear, partly, work, scale, work.trial)
+        evaluations += rows.length
+        if not partly or work.trial[1] < result[1]:
+            is_stalled = partly and 1.0 - work.trial[1] / result[1] < _STALLED
+            result[0] = work.trial[0]
+            result[1] = work.trial[1]
+            _keep_into(work.kept_scale, scale)
+            is_exact = result[1] <= _EXACT * rows.facts[1]
+            work.settled[0] = fitted == 0 or is_exact or is_stalled or not np.isfinite(result[1])
+            if work.settled[0] or left == 0 or (not partly and result[options.loss] > ceiling):
+                break
+            _normal_equations(tape, count, fitted, is_linear, rows, scale, work)
+            evaluations += 2 * rows.length
+            damping *= 0.1 if partly else 1.0
+        else:
+            _keep_into(scale, work.kept_scale)
+            for j in range(fitted):
+                tape.constants[work.fitted[j]] = work.kept[j]
+            damping *= 10.0
+        while left > 0 and not _solve(fitted, damping, work):
+            damping *= 10.0
+            left -= 1
+        if left == 0:
+            break
+        left -= 1
+        partly = True
+        for j in range(fitted):
+            work.kept[j] = tape.constants[work.fitted[j]]
+            tape.constants[work.fitted[j]] += work.step[j]
+    return evaluations
+
+
+@inlined
+def _keep_into(target: Floats, source: Floats) -> None:
+    for j in range(source.shape[0]):
+        target[j] = source[j]

@@ -1,0 +1,226 @@
+"""Generations of one island: pair, cross, mutate, fit, and let each child replace its more similar parent if no worse.
+
+Deterministic crowding (Mahfoud 1995) as the paper has it, measured on the best fitness predictor's rows, with the
+coevolution of predictors and trainers (paper, section 2.3) in between. Point evaluations are counted by part.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from atoll.compilation.jit import inlined, kernel
+from atoll.expression.kernels.tape import Int, forward
+from atoll.expression.operators import CONSTANT
+from atoll_island_worker.evolution.kernels.fit import collect_terms, fit, residual_of
+from atoll_island_worker.evolution.kernels.predictors import predictor_generation
+from atoll_island_worker.evolution.kernels.random import Stream, below
+from atoll_island_worker.evolution.kernels.tape import compile_tape, sign
+from atoll_island_worker.evolution.kernels.variation import copy_list, cross, distance, mutate, random_list
+from atoll_island_worker.evolution.structures import (
+    Coevolution,
+    Coevolving,
+    Fit,
+    Floats,
+    Hashes,
+    Ints,
+    Lists,
+    Rows,
+    Scratch,
+    Space,
+    Tape,
+    Work,
+)
+
+OFFSPRING: Final = np.int64(0)  # a plain integer would be a type of its own to the compiler, as an argument
+REEVALUATION: Final = np.int64(1)
+FITTING: Final = 2
+REFITTING: Final = 3
+COEVOLUTION: Final = 4
+PARTS: Final = ("offspring", "reevaluation", "constant_fitting", "refitting", "coevolution")
+"""Names of the counters, in the order of their array."""
+
+INFINITY = np.inf
+_ZERO: Final = np.int64(0)
+_ONE: Final = np.int64(1)
+
+
+@inlined
+def residual_of_list(lists: Lists, p: Int, rows: Rows, options: Fit, tape: Tape, work: Work) -> None:
+    """Write the target less the output of individual `p`, as it stands, on `rows` into `work.residual`."""
+    count = compile_tape(lists, p, tape)
+    number = collect_terms(tape, count, options.terms, work.terms)
+    for i in range(count):
+        tape.wanted[i] = True
+    forward(
+        count, tape.code, tape.left, tape.right, tape.constants, tape.wanted, rows.inputs, rows.waves, rows.length,
+        work.values, work.functions,
+    )  # fmt: skip
+    residual_of(number, rows, work, lists.scale[p])
+
+
+@inlined
+def develop(
+    lists: Lists, p: Int, rows: Rows, options: Fit, ceiling: float, tape: Tape, work: Work, result: Floats,
+    counters: Ints, part: Int,
+) -> float:  # fmt: skip
+    """Fit the constants of individual `p` to `rows`, write them back, count; return its loss there.
+
+    The first value at each row is counted under `part`, the rest as constant fitting. `work.settled` tells whether
+    further steps would be of no use; see `fit` for `ceiling`.
+    """
+    count = compile_tape(lists, p, tape)
+    used = fit(tape, count, rows, options, rows.length // 4, options.steps, ceiling, work, lists.scale[p], result)
+    counters[part] += rows.length
+    counters[FITTING] += used - rows.length
+    for i in range(count if used > rows.length else 0):
+        if tape.code[i] == CONSTANT:
+            lists.constants[p, tape.origin[i]] = tape.constants[i]
+    return result[options.loss]
+
+
+@kernel
+def measure_all(
+    lists: Lists, fitness: Floats, rows: Rows, options: Fit, scratch: Scratch, counters: Ints, part: Int
+) -> None:
+    """Measure the whole population on `rows`, constants fitted there as a child's are, and count it.
+
+    After a change of predictor a child whose constants suit the new rows would otherwise displace a better parent
+    whose constants suit the old ones: a change would be a purge.
+    """
+    for p in range(fitness.shape[0]):
+        fitness[p] = develop(
+            lists, p, rows, options, INFINITY, scratch.tape, scratch.near, scratch.result, counters, part
+        )
+        scratch.settled[p] = scratch.near.settled[0]
+
+
+@kernel
+def draw_coevolution(lists: Lists, coevolution: Coevolution, length: Int, stream: Stream) -> None:
+    """Draw random predictors of `length` rows and take random individuals as trainers, not yet measured."""
+    for k in range(coevolution.predictors.shape[0]):
+        for i in range(coevolution.predictors.shape[1]):
+            coevolution.predictors[k, i] = below(stream, length)
+    for t in range(coevolution.exact.shape[0]):
+        copy_list(coevolution.trainers, t, lists, below(stream, lists.code.shape[0]))
+        coevolution.born[t] = t - coevolution.exact.shape[0]
+
+
+@kernel
+def random_population(lists: Lists, space: Space, stream: Stream) -> None:
+    """Draw every list at random."""
+    for p in range(lists.code.shape[0]):
+        random_list(lists, p, space, stream)
+
+
+@inlined
+def _shuffle(order: Ints, stream: Stream) -> None:
+    for last in range(order.shape[0] - 1, 0, -1):
+        other = below(stream, last + 1)
+        kept = order[last]
+        order[last] = order[other]
+        order[other] = kept
+
+
+@inlined
+def _sign_families(parents: Lists, first: Int, second: Int, children: Lists, signature: Ints, bits: Hashes) -> bool:
+    """Sign two parents and the two children; return whether the children face the parents they began as.
+
+    Parents and children are matched by their distances; a tie goes uncrossed.
+    """
+    sign(parents, first, bits, signature, 0)
+    sign(parents, second, bits, signature, 1)
+    sign(children, 0, bits, signature, 2)
+    sign(children, 1, bits, signature, 3)
+    straight = distance(signature, 0, 2) + distance(signature, 1, 3)
+    return straight <= distance(signature, 0, 3) + distance(signature, 1, 2)
+
+
+@inlined
+def _is_same(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints, i: Int) -> bool:
+    """Return whether child `q` computes just what individual `p` does, whose signature is in row `i`."""
+    if distance(signature, i, 2 + q) > 0:
+        return False
+    for k in range(signature.shape[1]):
+        if signature[i, k] == CONSTANT + 1 and lists.constants[p, k] != children.constants[q, k]:
+            return False
+    return True
+
+
+@inlined
+def _inherits(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints, i: Int) -> bool:
+    """Return whether child `q` computes just what parent `p` does; its scaling is then the parent's."""
+    if not _is_same(lists, p, children, q, signature, i):
+        return False
+    for j in range(lists.scale.shape[1]):
+        children.scale[q, j] = lists.scale[p, j]
+    return True
+
+
+@kernel
+def advance(
+    generations: Int,
+    lists: Lists,
+    fitness: Floats,
+    coevolution: Coevolution,
+    space: Space,
+    options: Fit,
+    coevolving: Coevolving,
+    length: Int,
+    rows: Rows,
+    scratch: Scratch,
+    stream: Stream,
+    counters: Ints,
+) -> int:
+    """Advance the population on the current predictor's `rows`, and the predictors of the `length` rows in all.
+
+    A child that computes what one of its parents does is not measured again (and not counted), unless its constants
+    can still be fitted better; in preset `paper`, which fits nothing, every child is measured. Steps for constants are
+    spent on the few children that are much better than their worse parent already without them (ADR 0014). Return after
+    so many generations, or sooner when a trainer is to be renewed or the best predictor has changed: `coevolution.due`
+    tells which.
+
+    Returns:
+        The generations done.
+    """
+    order, due = scratch.order, coevolution.due
+    children, tape, near, result = scratch.children, scratch.tape, scratch.near, scratch.result
+    signature, loss = scratch.signature, scratch.child_loss
+    child_settled, settled = scratch.child_settled, scratch.settled
+    due[0] = due[1] = False
+    inherits = options.terms > 0 or options.steps > 0
+    for done in range(generations):
+        for p in range(order.shape[0]):
+            order[p] = p
+        _shuffle(order, stream)
+        for pair in range(0, order.shape[0], 2):
+            first, second = order[pair], order[pair + 1]
+            cross(children, lists, first, second, space, stream)
+            for q in range(2):
+                mutate(children, q, space, stream)
+            is_straight = _sign_families(lists, first, second, children, signature, tape.bits)
+            ceiling = options.gate * max(fitness[first], fitness[second])
+            for q in range(2):
+                child_settled[q] = True
+                if inherits and settled[first] and _inherits(lists, first, children, q, signature, _ZERO):
+                    loss[q] = fitness[first]
+                elif inherits and settled[second] and _inherits(lists, second, children, q, signature, _ONE):
+                    loss[q] = fitness[second]
+                else:
+                    loss[q] = develop(children, q, rows, options, ceiling, tape, near, result, counters, OFFSPRING)
+                    child_settled[q] = near.settled[0]
+            for q in range(2):
+                p = first if (q == 0) == is_straight else second
+                if loss[q] <= fitness[p]:
+                    copy_list(lists, p, children, q)
+                    fitness[p] = loss[q]
+                    settled[p] = child_settled[q]
+        total = 0
+        for count in counters:
+            total += count
+        if coevolving.enabled == 0 or counters[COEVOLUTION] >= coevolving.effort * total:
+            continue
+        due[1] = predictor_generation(coevolution, length, scratch.predictor_children, stream)
+        due[0] = coevolution.clock[0] % coevolving.renewal == 0
+        if due[0] or due[1]:
+            return done + 1
+    return int(generations)

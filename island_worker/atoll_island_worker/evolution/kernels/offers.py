@@ -1,0 +1,209 @@
+"""Which individuals deserve to be measured on all rows, and what their constants are there."""
+
+from typing import Final
+
+import numpy as np
+
+from atoll.compilation.jit import inlined, kernel
+from atoll.expression.kernels.tape import forward
+from atoll_island_worker.evolution.kernels.fit import errors, fit, residual_of
+from atoll_island_worker.evolution.kernels.generation import INFINITY, REFITTING
+from atoll_island_worker.evolution.kernels.tape import canonical_tape, compile_tape
+from atoll_island_worker.evolution.structures import Book, Fit, Floats, Hashes, Ints, Lists, Rows, Scratch, Tape, Work
+
+SIMPLE = 1e-4
+"""A coefficient as near to 1 or -1 as that is also tried as 1 or -1."""
+
+_SAME: Final = 1e-6
+"""Predicted fitnesses that differ by no more than this share count as those of one function."""
+
+_PRIME = np.uint64(0x100000001B3)
+_BASIS = np.uint64(0xCBF29CE484222325)
+
+
+@inlined
+def _mixed(h: np.uint64, value: int) -> np.uint64:
+    return (h ^ np.uint64(value + 1)) * _PRIME
+
+
+@kernel
+def structure_hash(tape: Tape, count: int) -> np.uint64:
+    """Return a hash of the program without its constants (FNV-1a over nodes)."""
+    h = _BASIS
+    for i in range(count):
+        h = _mixed(_mixed(_mixed(h, tape.code[i]), tape.left[i]), tape.right[i])
+    return h
+
+
+@kernel
+def canonical(lists: Lists, p: int, scratch: Scratch) -> int:
+    """Write individual `p` as a canonical program to `scratch.canonical`; return its size, scaling left out."""
+    count = compile_tape(lists, p, scratch.tape)
+    return canonical_tape(scratch.tape, count, scratch.work, scratch.canonical)
+
+
+@kernel
+def choose_offers(
+    lists: Lists, fitness: Floats, scratch: Scratch, offered: Hashes, offered_loss: Floats, chosen: Ints
+) -> int:
+    """List in `chosen` the best individual of each size that no smaller one equals; return their number.
+
+    Those are left out whose structure was the last one offered at that size, unless the predicted loss has halved.
+    `offered` (sizes,) uint64 and `offered_loss` (sizes,) are brought up to date.
+    """
+    best = scratch.best_of_size
+    for n in range(best.shape[0]):
+        best[n] = -1
+    for p in range(fitness.shape[0]):
+        if not np.isfinite(fitness[p]):
+            continue
+        n = canonical(lists, p, scratch)
+        scratch.hashes[p] = structure_hash(scratch.canonical, n)
+        if best[n] < 0 or fitness[p] < fitness[best[n]]:
+            best[n] = p
+    count = 0
+    least = INFINITY
+    for n in range(best.shape[0]):
+        p = best[n]
+        if p < 0 or not fitness[p] < least:
+            continue
+        least = fitness[p]
+        if offered[n] == scratch.hashes[p] and not fitness[p] < 0.5 * offered_loss[n]:
+            continue
+        offered[n] = scratch.hashes[p]
+        offered_loss[n] = fitness[p]
+        chosen[count] = p
+        count += 1
+    return count
+
+
+@kernel
+def choose_near(
+    lists: Lists, fitness: Floats, order: Ints, most: int, scratch: Scratch, known: Hashes, chosen: Ints, count: int
+) -> int:
+    """Add to the `count` individuals in `chosen` the next best of each size; return the number of all.
+
+    So many are taken of a size that `most` are chosen of it, `chosen` ones that were not there counted; none has the
+    fitness of one before it, nor a structure in the table `known`, which all that are chosen enter: (a power of two,)
+    uint64, a structure's place is given by its last bits and the next one there displaces it.
+
+    Args:
+        order: (P,) individuals by rising fitness.
+    """
+    taken, last = scratch.chosen, scratch.best_of_size
+    mask = np.uint64(known.shape[0] - 1)
+    for n in range(taken.shape[0]):
+        taken[n] = 0
+        last[n] = -1
+    for c in range(count):
+        hashed = scratch.hashes[chosen[c]]
+        known[np.int64(hashed & mask)] = hashed
+    for k in range(order.shape[0]):
+        p = order[k]
+        if not np.isfinite(fitness[p]):
+            break
+        n = canonical(lists, p, scratch)
+        place = np.int64(scratch.hashes[p] & mask)
+        if taken[n] >= most or (last[n] >= 0 and fitness[p] <= fitness[last[n]] * (1.0 + _SAME)):
+            continue
+        last[n] = p
+        taken[n] += 1
+        if known[place] != scratch.hashes[p]:
+            known[place] = scratch.hashes[p]
+            chosen[count] = p
+            count += 1
+    return count
+
+
+@kernel
+def refit(
+    count: int,
+    rows: Rows,
+    options: Fit,
+    steps: int,
+    tape: Tape,
+    work: Work,
+    scale: Floats,
+    result: Floats,
+    counters: Ints,
+) -> None:
+    """Fit the program on `tape` to `rows`, in place; its terms are left in `work`; counted."""
+    counters[REFITTING] += fit(tape, count, rows, options, rows.length // 4, steps, INFINITY, work, scale, result)
+
+
+@inlined
+def loss_of(result: Floats, options: Fit) -> float:
+    """Return the loss in the target's units."""
+    return result[0] if options.loss == 0 else np.sqrt(result[1])
+
+
+@inlined
+def _measure_variants(count: int, rows: Rows, options: Fit, tape: Tape, work: Work, book: Book, k: int) -> None:
+    """Write to `book.variants` the loss of each way to write down the coefficients in `book.scale`."""
+    for i in range(count):
+        tape.wanted[i] = True
+    forward(
+        count, tape.code, tape.left, tape.right, tape.constants, tape.wanted, rows.inputs, rows.waves, rows.length,
+        work.values, work.functions,
+    )  # fmt: skip
+    number = book.number[k]
+    trial = work.kept_scale
+    for variant in range(book.variants.shape[1]):
+        for j in range(1, 1 + number):
+            a = book.scale[k, j]
+            is_simple = variant & 2 > 0 and abs(abs(a) - 1.0) < SIMPLE
+            trial[j] = (1.0 if a > 0.0 else -1.0) if is_simple else a
+        trial[0] = book.scale[k, 0] if variant & 1 == 0 else 0.0
+        residual_of(number, rows, work, trial)
+        errors(rows, work, work.trial)
+        book.variants[k, variant] = loss_of(work.trial, options)
+
+
+@kernel
+def refit_chosen(
+    lists: Lists,
+    chosen: Ints,
+    number: int,
+    rows: Rows,
+    options: Fit,
+    steps: int,
+    scratch: Scratch,
+    least: Floats,
+    slack: float,
+    book: Book,
+    counters: Ints,
+) -> int:
+    """Fit the first `number` individuals in `chosen` to all `rows`; book those that improve; return how many do.
+
+    Improving is a loss below `least` (sizes,), for example the least so far of programs no larger. Those take no steps
+    whose loss, terms fitted, is more than `slack` times that: steps rarely gain as much.
+    """
+    work, tape = scratch.work, scratch.canonical
+    count = 0
+    for c in range(number):
+        size = canonical(lists, chosen[c], scratch)
+        scale = book.scale[count]
+        ceiling = slack * least[size] if slack < INFINITY else INFINITY
+        if options.loss > 0:
+            ceiling *= ceiling
+        counters[REFITTING] += fit(
+            tape, size, rows, options, rows.length // 4, steps, ceiling, work, scale, scratch.result
+        )
+        loss = loss_of(scratch.result, options)
+        if not loss < least[size]:
+            continue
+        book.size[count] = size
+        book.loss[count] = loss
+        book.number[count] = work.number[0] if options.terms > 0 else 0
+        for j in range(book.number[count]):
+            book.terms[count, j] = work.terms[j]
+        for i in range(size):
+            book.code[count, i] = tape.code[i]
+            book.left[count, i] = tape.left[i]
+            book.right[count, i] = tape.right[i]
+            book.constants[count, i] = tape.constants[i]
+        if options.terms > 0:
+            _measure_variants(size, rows, options, tape, work, book, count)
+            counters[REFITTING] += rows.length
+        count += 1
+    return count

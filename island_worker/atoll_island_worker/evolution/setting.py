@@ -1,0 +1,172 @@
+"""What does not change during an island's life: the problem's rows, the space, and how fits and measures are made."""
+
+import math
+import threading
+from functools import lru_cache
+
+import numpy as np
+
+from atoll.config import JobConfig
+from atoll.data.dataset import FloatArray, Problem, Target
+from atoll.errors import LocalProtocolError
+from atoll.expression.kernels.tape import functions_address
+from atoll.expression.operators import COS, SIN
+from atoll.search.pareto import FrontEntry
+from atoll_island_worker.evolution.kernels.rows import gather, padded_rows
+from atoll_island_worker.evolution.migration import operator_codes
+from atoll_island_worker.evolution.narrowing import narrowed, widened
+from atoll_island_worker.evolution.structures import (
+    Coevolution,
+    Coevolving,
+    Fit,
+    Scratch,
+    Space,
+    empty_lists,
+    empty_rows,
+    empty_scratch,
+)
+
+LEAST_INNER = 2
+"""Constants inside terms that may be fitted on few rows all the same, beyond a quarter of their number (ADR 0005)."""
+
+EXACT_TARGET = 1e-9
+"""Normalized error below which an equation counts as found when nothing else is asked for."""
+
+LEAST_SHARE = 2
+"""Runners-up of each complexity that an island keeps at least, if so many are wanted."""
+
+UNREACHABLE_TARGET = -1.0
+"""Stands for a target that nothing meets."""
+
+
+class Setting:
+    """Everything about one island that follows from problem and configuration, as kernels want it."""
+
+    def __init__(self, problem: Problem, config: JobConfig, island: int) -> None:
+        self.config = config
+        self.variable = problem.target.variable
+        self.columns = config.space.columns_for(self.variable, problem.names)
+        self.is_narrowed = len(self.columns) < len(problem.names)
+        if self.is_narrowed:
+            problem = narrowed(problem, self.columns)
+        self.names = problem.names
+        self.island = island
+        self.deviation = problem.target.deviation
+        self.target = target_error(config, problem.target) * self.deviation
+        self.space = _space(problem, config)
+        self.allowed = frozenset(int(code) for code in self.space.operators)
+        keeps_waves = bool(self.allowed & {SIN, COS})
+        self.every = padded_rows(problem.inputs, problem.target.values, keeps_waves)
+        evolution, predictors = config.evolution, config.predictors
+        sample = predictors.rows
+        if sample is None:
+            raise LocalProtocolError("predictors.rows is not resolved")
+        rows = self.every.length
+        self.coevolving = Coevolving(
+            int(predictors.enabled and rows > 2 * sample), predictors.effort, predictors.renewal
+        )
+        self.sample = sample if self.coevolving.enabled else rows
+        self.fit = Fit(
+            evolution.constant_fit_steps, evolution.linear_terms, LEAST_INNER, int(evolution.loss != "mae"),
+            evolution.constant_fit_gate,
+        )  # fmt: skip
+        self.runners_up = island_share(evolution.runners_up or 0, evolution.islands)
+        variables = problem.inputs.shape[0]
+        self.rows = self.every
+        if self.coevolving.enabled:
+            self.rows = empty_rows(variables, sample, 2 * variables if keeps_waves else 0)
+        shared = _shared_scratch(
+            threading.get_ident(), evolution.population, self.space.nodes, variables, self.sample, rows
+        )
+        # What stays known of the population from one call to the next is the island's own: islands take turns.
+        self.scratch = shared._replace(settled=np.zeros(evolution.population, np.bool_))
+
+    def outward(self, entry: FrontEntry) -> FrontEntry:
+        """Return a front member as all others know it: its program over all variables, not over those allowed here."""
+        return widened(entry, self.columns) if self.is_narrowed else entry
+
+    def gather(self, coevolution: Coevolution) -> None:
+        """Fill `rows` with those of the best predictor; nothing to do while predictors are off."""
+        if self.coevolving.enabled:
+            gather(self.rows, self.every, coevolution.predictors[coevolution.best[0]], functions_address())
+
+    def empty_coevolution(self) -> Coevolution:
+        """Return predictors and trainers not yet drawn; a single unused one of each when predictors are off."""
+        predictors = self.config.predictors
+        on = bool(self.coevolving.enabled)
+        number, trainers = (predictors.predictors, predictors.trainers) if on else (1, 1)
+        return Coevolution(
+            predictors=np.zeros((number, self.sample if on else 1), np.int64),
+            quality=np.zeros(number),
+            trainers=empty_lists(trainers, self.space.nodes),
+            exact=np.zeros(trainers),
+            losses=np.zeros((trainers, self.every.length if on else 1)),
+            born=np.zeros(trainers, np.int64),
+            best=np.zeros(1, np.int64),
+            clock=np.zeros(1, np.int64),
+            due=np.zeros(2, np.bool_),
+        )
+
+
+@lru_cache(maxsize=4)
+def _shared_scratch(thread: int, population: int, nodes: int, variables: int, sample: int, rows: int) -> Scratch:
+    """Return the scratch arrays of all islands of one shape that a thread advances, one at a time.
+
+    They hold nothing between two calls of a kernel, and with 100,000 rows they weigh 40 MB.
+    """
+    del thread  # only tells scratch arrays of different threads apart
+    return empty_scratch(population, nodes, variables, sample, rows)
+
+
+def island_share(runners_up: int, islands: int) -> int:
+    """Return how many runners-up an island keeps of each complexity so that all islands find that many.
+
+    Solutions are reshuffled, so that islands see much the same: together they keep twice as many as are wanted.
+    """
+    return min(runners_up, max(LEAST_SHARE, -(-2 * runners_up // islands)))
+
+
+def target_error(config: JobConfig, target: Target) -> float:
+    """Return the normalized error at which the search for an equation ends.
+
+    Where nothing is asked for and the target has no noise, that is where an equation has converged. A noisy
+    target is met within its noise by many an equation, most of them wrong: no error ends that search (ADR 0018), and
+    the number returned is less than any error.
+    """
+    asked = config.budget.target_error
+    if asked is not None:
+        return asked
+    return UNREACHABLE_TARGET if target.is_noisy else max(EXACT_TARGET, 2.0 * target.floor)
+
+
+def _space(problem: Problem, config: JobConfig) -> Space:
+    terminals = config.space.terminals
+    if terminals is None:
+        raise LocalProtocolError("space.terminals is not resolved")
+    return Space(
+        terminals=terminals,
+        nodes=terminals + config.space.operator_nodes,
+        variables=problem.inputs.shape[0],
+        operators=np.array(operator_codes(config.space.operators_for(problem.target.variable)), np.int64),
+        scales=_scales(problem) if config.evolution.scaled_constants else np.zeros(0),
+        crossover=config.evolution.crossover,
+        mutation=config.evolution.mutation,
+    )
+
+
+def _scales(problem: Problem) -> FloatArray:
+    """Return the powers of two nearest to the mean size of each column and the target; those of order one left at 1.
+
+    At least one number is returned, since none would mean constants in [-10, 10].
+    """
+    scales = [_power_of_two(column) for column in (*problem.inputs, problem.target.values)]
+    unusual = [scale for scale in scales if not 1 / 64 <= scale <= 64]
+    return np.array(unusual or [1.0])
+
+
+def _power_of_two(column: FloatArray) -> float:
+    total = 0.0
+    for value in column.tolist():
+        total += abs(value)
+    mean = total / len(column)
+    return math.ldexp(1.0, math.frexp(mean)[1]) if mean > 0.0 else 1.0

@@ -1,0 +1,112 @@
+"""What the program does once its command line is understood: one worker in this process, or several that it watches."""
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from atoll.wire.addresses import Destination
+    from atoll_island_worker.processes.exit_reasons import Sentences
+    from atoll_island_worker.processes.supervisor import Child
+
+INTERRUPTED: Final = 130
+
+
+def guarded(work: Callable[[], int], say: Callable[[str], None] | None = None) -> int:
+    """Do `work`; return its exit code, or the one of the error that it raised, which is said in one sentence."""
+    from atoll.errors import AtollError
+
+    try:
+        return work()
+    except AtollError as error:
+        if say is not None:
+            say(str(error))
+        else:
+            sys.stderr.write(f"island-worker: {error}\n")
+        return error.exit_code
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except SystemExit as error:
+        return error.code if isinstance(error.code, int) else 0
+
+
+def work_together(connect: "Destination", names: Sequence[str], options: argparse.Namespace) -> int:
+    """Have one process for each name work, as often as it dies; forked, where that can be, after all is loaded once."""
+    from atoll_island_worker.processes.exit_reasons import Sentences
+    from atoll_island_worker.processes.fork_server import Forked, can_fork, leave, load_ahead
+    from atoll_island_worker.processes.signals import ending_on_signals, hear_of_death
+    from atoll_island_worker.processes.supervisor import Start, supervise
+
+    remaining = _remaining(options.lifetime)
+    with Sentences() as sentences:
+        starts: dict[str, Start] = {}
+        if not can_fork():
+            starts = {each: partial(_start, connect, each, options, sentences, remaining) for each in names}
+            return supervise(starts, sentences, options.parent, options.grace)
+        with ending_on_signals():
+            if options.parent is not None:
+                hear_of_death()
+            load_ahead()
+            if options.parent not in (None, os.getppid()):
+                return 0
+        parent = options.parent if options.leave else os.getpid()
+        works = {each: partial(_work_as_fork, connect, each, options, parent, remaining) for each in names}
+        if options.leave:
+            leave(works)
+            return 0
+        starts = {each: partial(Forked, partial(act, sentences)) for each, act in works.items()}
+        return supervise(starts, sentences, options.parent, options.grace)
+
+
+def _remaining(lifetime_s: float | None) -> Callable[[], float | None]:
+    """Return what tells how many seconds are left of a lifetime; None: it has no end."""
+    end = time.monotonic() + lifetime_s if lifetime_s is not None else None
+    return lambda: max(0.0, end - time.monotonic()) if end is not None else None
+
+
+def _start(
+    connect: "Destination", name: str, options: argparse.Namespace, sentences: "Sentences",
+    remaining: Callable[[], float | None],
+) -> "Child":  # fmt: skip
+    """Start a process that works, for what is left of its lifetime."""
+    from atoll_island_worker.processes.signals import worker_command
+    from atoll_island_worker.processes.supervisor import started
+
+    further = [*_log_options(options), "--sentences", str(sentences.writing_end)]
+    return started(worker_command(connect, name, options.wait, options.grace, remaining(), further), sentences)
+
+
+def _log_options(options: argparse.Namespace) -> list[str]:
+    return ["--log-format", options.log_format, "--log-level", options.log_level]
+
+
+def _work_as_fork(
+    connect: "Destination", name: str, options: argparse.Namespace, parent: int, remaining: Callable[[], float | None],
+    sentences: "Sentences | None" = None,
+) -> int:  # fmt: skip
+    """Work as a fork, for what is left of the lifetime."""
+    options.lifetime = remaining()
+    say = sentences.hand_over if sentences is not None else None
+    return guarded(partial(work, connect, name, options, parent), say)
+
+
+def work(connect: "Destination", name: str, options: argparse.Namespace, parent: int | None) -> int:
+    """Be one worker until there is nothing more to do; `parent`: the process with which this one ends."""
+    from atoll.logs import configure
+    from atoll_island_worker.processes.signals import end_with_parent, ending_on_signals, leaving_on_signals
+
+    with ending_on_signals():
+        if parent is not None:
+            end_with_parent(parent)
+        configure(options.log_format, options.log_level, worker=name)
+        from atoll_island_worker.connection.drain import Leaving
+        from atoll_island_worker.worker import run_worker
+
+        leaving = Leaving(options.lifetime, options.grace)
+        on_signal = partial(leaving_on_signals, parent) if options.grace > 0.0 else lambda leave: nullcontext()
+        return run_worker(connect, name, options.wait, leaving, on_signal)

@@ -1,0 +1,151 @@
+"""Workers by fork: one process loads libraries and kernels, then forks the workers, which so need not load them.
+
+Neither a bus nor a thread survives a fork. So the process that loads opens no bus and starts no thread before the last
+worker is forked, and every worker opens a bus of its own. Only where a fork is safe: not on macOS, nor on Windows.
+"""
+
+import contextlib
+import gc
+import importlib
+import os
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from typing import Final
+
+from atoll.errors import AtollError
+
+Work = Callable[[], int]
+"""What a forked worker does; returns its exit code."""
+
+_ADOPTION_LIMIT_S: Final = 5.0
+_LOOK_S: Final = 0.001
+_STDIN: Final = 0
+_STDOUT: Final = 1
+_STDERR: Final = 2
+_ASKING: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+def can_fork() -> bool:
+    """Say whether workers may be forked on this system."""
+    return sys.platform == "linux"
+
+
+def load_ahead() -> None:
+    """Load libraries, and kernels if they have been compiled; a trouble is not told, since every worker meets it too.
+
+    Compiling is left to the workers: it takes a minute, in which they show the coordinator what they are at.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # else numpy's library starts threads, though we never use it
+    with contextlib.suppress(Exception):
+        importlib.import_module("atoll.wire.bus.zenoh_bus")
+        importlib.import_module("atoll_island_worker.worker")
+        from atoll_island_worker.compute.warmup import is_compiled, run_small_epochs
+
+        if is_compiled():
+            run_small_epochs()
+    gc.freeze()  # what is loaded is shared by all workers, as long as the search for garbage does not write to it
+
+
+class Forked:
+    """A worker forked from this process, with as much of `subprocess.Popen` as is needed to end it."""
+
+    def __init__(self, work: Work) -> None:
+        """Fork; the child does `work` in a session of its own and ends with the code that it returns."""
+        self._code: int | None = None
+        self.pid: int = _fork(work)
+
+    def poll(self) -> int | None:
+        """Return the exit code, negative for a signal; None while it lives."""
+        if self._code is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            self._code = os.waitstatus_to_exitcode(status) if pid else None
+        return self._code
+
+    def terminate(self) -> None:
+        """Tell it to end."""
+        self._send(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """End it."""
+        self._send(signal.SIGKILL)
+
+    def _send(self, number: int) -> None:
+        if self._code is None:  # else the number may be another process's
+            os.kill(self.pid, number)
+
+
+def leave(works: Mapping[str, Work]) -> None:
+    """Fork a worker for each name and return at once: they are left to whom the system gives them as children.
+
+    Each of them writes its name and process id in a line on stdout, before anything else; stdout is closed when all
+    have done so and this process has ended.
+
+    Raises:
+        AtollError: the system starts no more processes; the workers before have been left.
+    """
+    mother = os.getpid()
+    for name, work in works.items():
+        _fork(partial(_announced, name, work, mother))
+
+
+def _announced(name: str, work: Work, mother: int) -> int:
+    """Do `work` once this process belongs to another than `mother`, who is about to end."""
+    os.write(_STDOUT, f"{name} {os.getpid()}\n".encode())
+    os.dup2(_STDERR, _STDOUT)
+    end = time.monotonic() + _ADOPTION_LIMIT_S
+    while os.getppid() == mother and time.monotonic() < end:
+        time.sleep(_LOOK_S)
+    return work()
+
+
+def _fork(work: Work) -> int:
+    """Fork a child that does `work` and never returns; return its process id."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    with _signals_held_back():
+        try:
+            pid = os.fork()
+        except OSError as error:
+            raise AtollError(f"the system starts no more processes ({error.strerror}); ask for fewer") from error
+        if pid == 0:
+            _forget_handlers()
+    if pid == 0:
+        _live(work)
+    return pid
+
+
+def _live(work: Work) -> None:
+    code = 1
+    try:
+        os.setsid()  # a Ctrl-C on the terminal is the parent's to handle
+        nothing = os.open(os.devnull, os.O_RDONLY)
+        os.dup2(nothing, _STDIN)
+        os.close(nothing)
+        code = work()
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except BaseException:  # nothing may pass: what follows in this process is the parent's business
+        traceback.print_exc()
+    finally:
+        os._exit(code)
+
+
+@contextlib.contextmanager
+def _signals_held_back() -> Iterator[None]:
+    """Have no signal arrive inside, so that a child never takes one for its parent."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ASKING)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _forget_handlers() -> None:
+    """Meet signals as a fresh process does; one that is ignored (``nohup``) stays ignored."""
+    for number in _ASKING:
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)

@@ -1,0 +1,202 @@
+"""Watches over the processes of several workers: starts again those that die, and ends them all when it is told to.
+
+One thread does all of it, since a child may be a fork of this process at any time. What happens is looked for, not
+waited for: children are few, and a look is short.
+"""
+
+import contextlib
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import FrameType
+from typing import Any, Final, Protocol
+
+from atoll.errors import AtollError
+from atoll_island_worker.processes.exit_reasons import Sentences, say
+from atoll_island_worker.processes.restart_policy import Lives
+
+INTERRUPTED: Final = 130
+_STOP_LIMIT_S: Final = 5.0
+_LOOK_S: Final = 0.1
+
+Command = Sequence[str]
+
+
+class Child(Protocol):
+    """A process that was started here."""
+
+    pid: int
+
+    def poll(self) -> int | None:
+        """Return its exit code, negative for a signal; None while it lives."""
+
+    def terminate(self) -> None:
+        """Tell it to end."""
+
+    def kill(self) -> None:
+        """End it."""
+
+
+Start = Callable[[], Child]
+
+
+def started(command: Command, sentences: Sentences) -> Child:
+    """Start a command whose process may write to `sentences`; raises AtollError when the system does not."""
+    try:
+        return subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, start_new_session=True, pass_fds=(sentences.writing_end,)
+        )
+    except OSError as error:
+        raise AtollError(f"the system starts no more processes ({error.strerror}); ask for fewer") from error
+
+
+def worst(codes: Sequence[int]) -> int:
+    """Return the worst of some exit codes; death by a signal is failure."""
+    return max((1 if code < 0 else code for code in codes), default=0)
+
+
+@dataclass(slots=True)
+class _Watched:
+    """One worker's process, as often as it is started."""
+
+    name: str
+    start: Start
+    child: Child | None = None
+    lives: Lives = field(default_factory=Lives)
+
+
+class Supervisor:
+    """Children of this process by the names of their workers."""
+
+    def __init__(
+        self, starts: Mapping[str, Start], sentences: Sentences, grace_s: float = 0.0,
+        clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep,
+    ) -> None:  # fmt: skip
+        """Set up; nothing is started yet.
+
+        Args:
+            starts: starts each worker's process, as often as it is called.
+            sentences: what they say of their ends.
+            grace_s: seconds for children to hand over what they compute, after a SIGTERM.
+            clock: seconds; `sleep` lets some pass.
+        """
+        self._watched = [_Watched(name, start) for name, start in starts.items()]
+        self._sentences = sentences
+        self._grace_s = grace_s
+        self._clock = clock
+        self._sleep = sleep
+        self._deadline: float | None = None
+        self._signals: list[int] = []
+        self._served = 0
+
+    def run(self, parent: int | None = None) -> int:
+        """Watch over them until all have ended for good; return the worst exit code, or 130 after a Ctrl-C.
+
+        SIGTERM and Ctrl-C are passed on as SIGTERM; who has not ended `_STOP_LIMIT_S` later (after a SIGTERM `grace_s`
+        more), or at a second signal, is killed. The death of the process `parent` counts as such a signal.
+        """
+        asked = dict.fromkeys((signal.SIGINT, *ending_signals()), self._on_signal)
+        with handlers(asked):
+            try:
+                while not all(each.lives.state == "over" for each in self._watched):
+                    self._look(parent)
+                    self._sleep(_LOOK_S)
+            finally:
+                self._kill()
+                self._sentences.pass_on(self._clock())
+        codes = [each.lives.code for each in self._watched]
+        if self._deadline is not None:  # who was told before it could listen has ended as it was told
+            codes = [0 if code == -signal.SIGTERM else code for code in codes]
+        return INTERRUPTED if signal.SIGINT in self._signals else worst(codes)
+
+    def _look(self, parent: int | None) -> None:
+        """See what has happened since the last look, and do what is due."""
+        now = self._clock()
+        if parent not in (None, os.getppid()) and not self._signals:
+            self._signals.append(signal.SIGTERM)
+        while self._served < len(self._signals):
+            self._served += 1
+            self._tell(now) if self._deadline is None else self._kill()
+        if self._deadline is not None and now > self._deadline:
+            self._kill()
+        for each in self._watched:
+            if each.lives.state == "paused" and now >= each.lives.due_at:
+                self._begin(each, now)
+        ended = [(each, code) for each in self._watched if (code := _ended(each)) is not None]
+        self._sentences.pass_on(now)
+        for each, code in ended:
+            self._note_end(each, code, now)
+
+    def _begin(self, watched: _Watched, now: float) -> None:
+        """Start a process; that there is room for no more of them fails all at first, and is a death later."""
+        watched.lives.begin(now)
+        try:
+            watched.child = watched.start()
+        except AtollError as error:
+            if watched.lives.number == 1:
+                raise
+            say(str(error))
+            self._note_end(watched, error.exit_code, now)
+
+    def _note_end(self, watched: _Watched, code: int, now: float) -> None:
+        who = f"process {watched.child.pid} ({watched.name})" if watched.child is not None else watched.name
+        watched.child = None
+        pause_s = watched.lives.end(code, now)
+        how = f"was ended by signal {-code}" if code < 0 else f"has ended with exit code {code}"
+        if pause_s is not None:
+            say(f"{who} {how}; it is started again in {pause_s:g} s")
+        elif watched.lives.is_given_up:
+            others = sum(each.lives.state != "over" for each in self._watched)
+            left = f"{others} {'other goes' if others == 1 else 'others go'} on" if others else "no other is left"
+            say(
+                f"{who} {how}, as it did {watched.lives.deaths} times within a minute, and is "
+                f"not started again ({left}); see what was said before, and whether this machine has enough memory"
+            )
+
+    def _tell(self, now: float) -> None:
+        grace_s = 0.0 if signal.SIGINT in self._signals else self._grace_s
+        self._deadline = now + _STOP_LIMIT_S + grace_s
+        for each in self._watched:
+            each.lives.tell()
+            if each.child is not None:
+                each.child.terminate()
+
+    def _kill(self) -> None:
+        for each in self._watched:
+            if each.child is not None:
+                each.child.kill()
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self._signals.append(number)
+
+
+def supervise(
+    starts: Mapping[str, Start], sentences: Sentences, parent: int | None = None, grace_s: float = 0.0
+) -> int:
+    """Start workers' processes, by name, and watch over them; see `Supervisor.run`."""
+    return Supervisor(starts, sentences, grace_s).run(parent)
+
+
+def _ended(watched: _Watched) -> int | None:
+    return watched.child.poll() if watched.child is not None and watched.lives.state == "alive" else None
+
+
+def ending_signals() -> list[signal.Signals]:
+    """Return the signals that end us; one that is ignored (``nohup``) stays ignored."""
+    names = ("SIGTERM", "SIGHUP")
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    return [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
+
+
+@contextlib.contextmanager
+def handlers(handlers: Mapping[signal.Signals, Any]) -> Iterator[None]:
+    """Handle signals so inside."""
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)

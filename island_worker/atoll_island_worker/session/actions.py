@@ -1,0 +1,112 @@
+"""What a worker's session wants done. Plain data, no behaviour."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from atoll.search.commit_order import Course, Position
+from atoll.wire.messages.workers import (
+    EpochReport,
+    Finished,
+    Migrants,
+    NewerTerm,
+    NotYet,
+    PullMigrants,
+    PullStates,
+    Reports,
+    Sent,
+    States,
+)
+from atoll_island_worker.session.tasks import ShareKey, Task
+
+
+@dataclass(frozen=True, slots=True)
+class FetchJob:
+    """Load the job's configuration and dataset; JobReady follows."""
+
+    job: str
+
+
+@dataclass(frozen=True, slots=True)
+class FetchPlacements:
+    """Ask the coordinator for the job's current placements; Placed follows."""
+
+    job: str
+
+
+@dataclass(frozen=True, slots=True)
+class FetchStates:
+    """Ask the coordinator for states of a checkpoint; StatesCame follows."""
+
+    body: PullStates
+
+
+@dataclass(frozen=True, slots=True)
+class Beat:
+    """Tell the coordinator at once what is held."""
+
+
+@dataclass(frozen=True, slots=True)
+class Compute:
+    """Give the task to the compute thread; a Snapshot, Computed, Rejected, Broken or Abandoned follows."""
+
+    task: Task
+
+
+@dataclass(frozen=True, slots=True)
+class StopAt:
+    """Compute nothing of the share that is not needed when the target was met at `hit`."""
+
+    share: ShareKey
+    hit: Position
+    course: Course
+
+
+@dataclass(frozen=True, slots=True)
+class Discard:
+    """Forget the islands of one archipelago under one term, also those that are being computed."""
+
+    share: ShareKey
+
+
+@dataclass(frozen=True, slots=True)
+class DiscardJob:
+    """Forget the job's dataset."""
+
+    job: str
+
+
+@dataclass(frozen=True, slots=True)
+class Send:
+    """Send mail to worker `peer`."""
+
+    peer: str
+    body: Migrants | Finished
+
+
+@dataclass(frozen=True, slots=True)
+class SendReport:
+    """Report to the coordinator."""
+
+    report: EpochReport
+
+
+@dataclass(frozen=True, slots=True)
+class AskPeer:
+    """Pull from worker `peer`; PullAnswered may follow."""
+
+    peer: str
+    body: PullMigrants
+
+
+@dataclass(frozen=True, slots=True)
+class Respond:
+    """Answer the pull that came under `handle`."""
+
+    handle: Any
+    body: Sent | Reports | States | NotYet | NewerTerm
+
+
+Saying = Send | SendReport | AskPeer | Respond | FetchJob | FetchPlacements | FetchStates | Beat
+"""What goes out on the bus."""
+
+Action = Compute | StopAt | Discard | DiscardJob | Saying

@@ -1,0 +1,55 @@
+"""One island of a share: its states, and when it asks for what it waits for. Pure."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from atoll.errors import LocalProtocolError
+
+IslandState = Literal["restoring", "ready", "computing", "waiting", "held", "stopped"]
+IslandStep = Literal["restore", "begin", "emigrate", "complete", "end", "reject", "hold"]
+
+ISLAND_TRANSITIONS: Final[Mapping[IslandState, Mapping[IslandStep, IslandState]]] = {
+    "restoring": {"restore": "ready", "end": "stopped"},
+    "ready": {"begin": "computing", "end": "stopped"},
+    "computing": {"emigrate": "waiting", "end": "stopped", "reject": "waiting", "hold": "held"},
+    "waiting": {"complete": "ready", "end": "stopped"},
+    "held": {"end": "stopped"},
+    "stopped": {},
+}
+"""State of one island -> what happens -> its next state. `restoring`: its state is on its way; `computing`: it is on
+the agenda; `held`: it waits at a checkpoint for a placement. `end`: a hit here or elsewhere, or the last epoch."""
+
+PULL_AFTER_S: Final = 1.0
+"""An island that has waited this long asks the senders; the pause doubles with every question."""
+
+PULL_PAUSE_MAX_S: Final = 8.0
+
+
+@dataclass(slots=True)
+class LocalIsland:
+    """One island computed here. `epoch` is the one it computes, or will begin; `needs` its sources once it waits."""
+
+    index: int
+    state: IslandState = "ready"
+    epoch: int = 0
+    needs: frozenset[int] = frozenset()
+    pause_s: float = PULL_AFTER_S
+    ask_at: float | None = None
+
+    def step(self, step: IslandStep) -> None:
+        """Go to the next state by the table; raises LocalProtocolError for a pair that is not in it."""
+        following = ISLAND_TRANSITIONS[self.state].get(step)
+        if following is None:
+            raise LocalProtocolError(f"island {self.index} in epoch {self.epoch} cannot {step} while {self.state}")
+        self.state = following
+
+    def is_due(self, now: float) -> bool:
+        """Tell whether an island that waits is to ask now, and note when to ask next."""
+        if self.ask_at is None:
+            self.ask_at = now + self.pause_s
+        if now < self.ask_at:
+            return False
+        self.pause_s = min(2 * self.pause_s, PULL_PAUSE_MAX_S)
+        self.ask_at = now + self.pause_s
+        return True

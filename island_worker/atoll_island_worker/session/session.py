@@ -1,0 +1,378 @@
+"""A worker's session: what it computes next, what it sends, keeps, asks and answers. A pure state machine.
+
+Events in (`atoll_island_worker.session.events`), actions out (`atoll_island_worker.session.actions`); no clock, no I/O,
+no thread. `Session.handle` is called by the runtime, by the simulation and by tests alike. The rules it keeps are those
+of docs/protocol.md.
+"""
+
+from collections.abc import Mapping
+from functools import singledispatchmethod
+from typing import Final, Literal
+
+from atoll.errors import LocalProtocolError, RemoteProtocolError
+from atoll.search.commit_order import Position
+from atoll.wire.messages.views import WorkerState
+from atoll.wire.messages.workers import Finished, Holding, Migrants, NewerTerm, PullReports, PullStates, Sent, Trouble
+from atoll_island_worker.session.actions import (
+    Action,
+    AskPeer,
+    Beat,
+    Compute,
+    Discard,
+    DiscardJob,
+    FetchJob,
+    FetchPlacements,
+    FetchStates,
+    Respond,
+    StopAt,
+)
+from atoll_island_worker.session.events import (
+    Abandoned,
+    Broken,
+    Closed,
+    Committed,
+    Computed,
+    JobReady,
+    Mailed,
+    Placed,
+    PullAnswered,
+    PullAsked,
+    Rejected,
+    Reset,
+    SessionEvent,
+    Snapshot,
+    StatesCame,
+    Tick,
+    Unloadable,
+)
+from atoll_island_worker.session.pending_messages import EarlyMail
+from atoll_island_worker.session.share import Share
+from atoll_island_worker.session.tasks import TaskKey
+
+JobState = Literal["unknown", "loading", "loaded"]
+JobStep = Literal["placed", "ready", "close"]
+
+JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
+    "unknown": {"placed": "loading", "ready": "loaded", "close": "unknown"},
+    "loading": {"placed": "loading", "ready": "loaded", "close": "unknown"},
+    "loaded": {"placed": "loaded", "ready": "loaded", "close": "unknown"},
+}
+"""What this worker has of a job's configuration and dataset -> what happens -> what it has then."""
+
+MAX_TERMS: Final = 1024
+"""Of so many archipelagos that are not computed here, the last ones, the newest term is remembered."""
+
+Archipelago = tuple[str, str]
+
+
+class Session:
+    """All shares of one worker. Not thread-safe; owned by the runtime's loop."""
+
+    def __init__(self, worker: str) -> None:
+        self.worker = worker
+        self._shares: dict[Archipelago, Share] = {}
+        self._jobs: dict[str, JobState] = {}
+        self._terms: dict[Archipelago, int] = {}
+        self._early = EarlyMail()
+        self._troubles: list[Trouble] = []
+        self._waited_before_s = 0.0
+        self._duplicates_before = 0
+
+    @property
+    def waited_s(self) -> float:
+        """Seconds that islands here have waited for migrants, summed over islands."""
+        return self._waited_before_s + sum(share.waited_s for share in self._shares.values())
+
+    @property
+    def duplicates(self) -> int:
+        """Blocks of migrants that came again, or too late, and changed nothing."""
+        return self._duplicates_before + sum(share.duplicates for share in self._shares.values())
+
+    def elapse(self, seconds: float) -> None:
+        """Let time pass, before an event that came after it."""
+        for share in self._shares.values():
+            share.elapse(seconds)
+
+    def handle(self, event: SessionEvent) -> list[Action]:
+        """Take in one event and return what is to be done, computations first.
+
+        Raises:
+            RemoteProtocolError: A peer's message cannot be; nothing has changed.
+            LocalProtocolError: This side broke its own rules.
+        """
+        actions = self._on(event)
+        return self._computations() + actions
+
+    def state(self) -> WorkerState:
+        """Return what the heartbeat says of this worker once its kernels are ready."""
+        if any(share.is_computing() for share in self._shares.values()):
+            return "computing"
+        return "waiting" if any(share.is_waiting() for share in self._shares.values()) else "ready"
+
+    def holdings(self) -> tuple[Holding, ...]:
+        """Return what the heartbeat says of every share."""
+        return tuple(share.holding() for share in self._shares.values())
+
+    def troubles(self) -> tuple[Trouble, ...]:
+        """Return what broke and has not been closed yet."""
+        return tuple(self._troubles)
+
+    def jobs(self) -> tuple[str, ...]:
+        """Return the jobs of which configuration and dataset are here or on their way."""
+        return tuple(job for job, state in self._jobs.items() if state != "unknown")
+
+    def wants(self, job: str) -> bool:
+        """Tell whether the job's dataset is still wanted."""
+        return any(name == job for name, _ in self._shares)
+
+    def forget_early(self, job: str) -> None:
+        """Forget a job's mail whose placement was asked for and did not come with the answer: it can be pulled."""
+        self._early.forget(job)
+
+    def validate(self) -> None:
+        """Check the invariants; raises LocalProtocolError."""
+        for (job, variable), share in self._shares.items():
+            share.validate()
+            if self._terms[job, variable] != share.placement.term:
+                raise LocalProtocolError(f"the share of {job}/{variable} is not of the newest term")
+
+    # ------------------------------------------------------------------------------------ coordinator
+
+    @singledispatchmethod
+    def _on(self, event: SessionEvent) -> list[Action]:
+        raise LocalProtocolError(f"the session does not know events of kind {type(event).__name__}")
+
+    @_on.register
+    def _placed(self, event: Placed) -> list[Action]:
+        placement = event.placement
+        key = (placement.job, placement.variable)
+        if placement.term <= self._terms.get(key, 0):
+            return []
+        actions = self._drop(key)
+        self._note_term(key, placement.term)
+        if self.worker not in placement.workers:
+            return actions
+        self._shares[key] = Share(placement, self.worker)
+        if self._jobs.get(placement.job, "unknown") == "unknown":
+            actions.append(FetchJob(placement.job))
+        self._step_job(placement.job, "placed")
+        self._deliver_early(key)
+        return actions + self._fetches(self._shares[key]) + self._stop_from(self._shares[key], None)
+
+    @_on.register
+    def _job_ready(self, event: JobReady) -> list[Action]:
+        self._step_job(event.job, "ready")
+        return []
+
+    @_on.register
+    def _unloadable(self, event: Unloadable) -> list[Action]:
+        for (job, variable), share in self._shares.items():
+            if job == event.job:
+                island = next(iter(share.islands))
+                key = TaskKey(job, variable, share.placement.term, island, 0)
+                self._note_trouble(share, key, f"the dataset of job {job} cannot be read: {event.sentence}")
+        return []
+
+    @_on.register
+    def _committed(self, event: Committed) -> list[Action]:
+        commit = event.commit
+        share = self._shares.get((commit.job, commit.variable))
+        if share is not None and share.placement.term == commit.term:
+            share.commit_at(commit)
+        return []
+
+    @_on.register
+    def _closed(self, event: Closed) -> list[Action]:
+        job, variable = event.close.job, event.close.variable
+        keys = [key for key in self._shares if key[0] == job and variable in (None, key[1])]
+        actions: list[Action] = [action for key in keys for action in self._drop(key)]
+        self._early.forget(job, variable)
+        if variable is None and self._jobs.get(job, "unknown") != "unknown":
+            self._step_job(job, "close")
+            del self._jobs[job]
+            actions.append(DiscardJob(job))
+        return actions
+
+    @_on.register
+    def _reset(self, event: Reset) -> list[Action]:
+        void = [key for key, each in self._shares.items() if each.placement.incarnation != event.incarnation]
+        actions: list[Action] = [action for key in void for action in self._drop(key)]
+        actions += [DiscardJob(job) for job in self.jobs() if not self.wants(job)]
+        self._jobs = {job: state for job, state in self._jobs.items() if self.wants(job)}
+        self._terms = {key: share.placement.term for key, share in self._shares.items()}
+        self._early.clear()
+        return actions
+
+    # ------------------------------------------------------------------------------------------ peers
+
+    @_on.register
+    def _mailed(self, event: Mailed) -> list[Action]:
+        key = (event.body.job, event.body.variable)
+        term = self._terms.get(key, 0)
+        if event.body.term > term:
+            is_first = self._early.keep(event)
+            return [FetchPlacements(event.body.job)] if is_first else []
+        share = self._shares.get(key)
+        if share is None or event.body.term < term:
+            return []
+        before = share.stop
+        share.receive(event.sender, event.body)
+        return self._stop_from(share, before) + list(share.due_reports())
+
+    @_on.register
+    def _pull_asked(self, event: PullAsked) -> list[Action]:
+        pull = event.body
+        key = (pull.job, pull.variable)
+        share = self._shares.get(key)
+        if share is None or pull.term != share.placement.term:
+            term = self._terms.get(key, 0)
+            return [Respond(event.handle, NewerTerm(job=pull.job, variable=pull.variable, term=term))]
+        if isinstance(pull, PullReports):
+            return [Respond(event.handle, share.answer_reports(pull))]
+        if isinstance(pull, PullStates):
+            return [Respond(event.handle, share.answer_states(pull))]
+        return [Respond(event.handle, share.answer_migrants(pull))]
+
+    @_on.register
+    def _pull_answered(self, event: PullAnswered) -> list[Action]:
+        body = event.body
+        if isinstance(body, NewerTerm) and body.term > self._terms.get((body.job, body.variable), 0):
+            return [FetchPlacements(body.job)]
+        actions: list[Action] = []
+        if isinstance(body, Sent):
+            mail: list[Migrants | Finished] = [*([body.migrants] if body.migrants else []), *body.finished]
+            for each in mail:
+                actions += self._mailed(Mailed(event.peer, each))
+        return actions
+
+    @_on.register
+    def _tick(self, event: Tick) -> list[Action]:
+        actions: list[Action] = []
+        for share in self._shares.values():
+            actions += [AskPeer(peer, pull) for peer, pull in share.due_pulls(event.now)]
+            actions += self._fetches(share)
+        return actions
+
+    @_on.register
+    def _states_came(self, event: StatesCame) -> list[Action]:
+        asked = event.asked
+        share = self._shares.get((asked.job, asked.variable))
+        if share is None or share.placement.term != asked.term or not share.fetched(event.body):
+            return []  # asked again at the next tick
+        return self._fetches(share)
+
+    # ---------------------------------------------------------------------------------------- compute
+
+    @_on.register
+    def _computed(self, event: Computed) -> list[Action]:
+        share = self._share_computing(event.key)
+        return [*share.computed(event), *share.due_reports()] if share else []
+
+    @_on.register
+    def _snapshot(self, event: Snapshot) -> list[Action]:
+        share = self._share_computing(event.key)
+        return [Beat()] if share is not None and share.file_snapshot(event) else []
+
+    @_on.register
+    def _rejected(self, event: Rejected) -> list[Action]:
+        share = self._share_computing(event.key)
+        if share is not None and not share.rejected(event.key.island):
+            self._note_trouble(share, event.key, event.sentence)
+        return list(share.due_reports()) if share else []
+
+    @_on.register
+    def _broken(self, event: Broken) -> list[Action]:
+        share = self._share_computing(event.key)
+        if share is not None:
+            self._note_trouble(share, event.key, event.sentence)
+        return []
+
+    @_on.register
+    def _abandoned(self, event: Abandoned) -> list[Action]:
+        share = self._share_computing(event.key)
+        if share is None:
+            return []
+        share.abandoned(event.key.island)
+        return list(share.due_reports())
+
+    # ----------------------------------------------------------------------------------------- private
+
+    def _computations(self) -> list[Action]:
+        """Begin every island that can begin; in what order they take turns is for the compute thread to say."""
+        runnable = [
+            (share, local.index)
+            for (job, _), share in self._shares.items()
+            if self._jobs.get(job) == "loaded"
+            for local in share.runnable()
+        ]
+        return [Compute(share.begin(island)) for share, island in runnable]
+
+    def _fetches(self, share: Share) -> list[Action]:
+        """Ask for the states with which the term begins, one message at a time."""
+        pull = share.due_fetch()
+        return [FetchStates(pull)] if pull is not None else []
+
+    def _stop_from(self, share: Share, before: Position | None) -> list[Action]:
+        """Have the compute thread stop where the target was met, when that is not where it was before."""
+        return (
+            []
+            if share.stop is None or share.stop == before
+            else [StopAt(share.key, share.stop, share.placement.course)]
+        )
+
+    def _share_computing(self, key: TaskKey) -> Share | None:
+        """Return the share of a task that the compute thread is done with, unless the share is gone.
+
+        Raises LocalProtocolError when it was not computed for that share.
+        """
+        share = self._share_of(key)
+        if share is not None:
+            local = share.islands.get(key.island)
+            if local is None or (local.state, local.epoch) != ("computing", key.epoch):
+                raise LocalProtocolError(f"{key} was computed, but nobody asked for it")
+        return share
+
+    def _share_of(self, key: TaskKey) -> Share | None:
+        share = self._shares.get((key.job, key.variable))
+        return share if share is not None and share.placement.term == key.term else None
+
+    def _note_trouble(self, share: Share, key: TaskKey, sentence: str) -> None:
+        local = share.islands[key.island]
+        if local.state != "stopped":
+            local.step("end")
+        trouble = Trouble(
+            job=key.job, variable=key.variable, term=key.term, island=key.island, sentence=sentence[:1000]
+        )
+        self._troubles.append(trouble)
+
+    def _drop(self, key: Archipelago) -> list[Action]:
+        share = self._shares.pop(key, None)
+        if share is not None:
+            self._waited_before_s += share.waited_s
+            self._duplicates_before += share.duplicates
+        self._troubles = [each for each in self._troubles if (each.job, each.variable) != key]
+        return [Discard(share.key)] if share is not None else []
+
+    def _note_term(self, key: Archipelago, term: int) -> None:
+        """Remember the newest term of an archipelago; of those that are not computed here no more than `MAX_TERMS`.
+
+        Words of a term before one that was forgotten can do no harm: the answer to the next heartbeat sets them right.
+        """
+        self._terms.pop(key, None)
+        self._terms[key] = term
+        elsewhere = [each for each in self._terms if each not in self._shares and each != key]
+        for each in elsewhere[:-MAX_TERMS]:
+            del self._terms[each]
+
+    def _step_job(self, job: str, step: JobStep) -> None:
+        self._jobs[job] = JOB_TRANSITIONS[self._jobs.get(job, "unknown")][step]
+
+    def _deliver_early(self, key: Archipelago) -> None:
+        """File the mail that came before its placement; what does not fit is dropped, it can be pulled."""
+        share = self._shares[key]
+        for each in self._early.take(*key):
+            if each.body.term == share.placement.term:
+                try:
+                    share.receive(each.sender, each.body)
+                except RemoteProtocolError:
+                    continue

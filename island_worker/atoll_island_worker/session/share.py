@@ -1,0 +1,362 @@
+"""A worker's share of one archipelago under one term: its islands, their mail, and what is kept for pulls. Pure.
+
+An island waits for exactly the senders that the reshuffle names, blocks are filed by (epoch, destination, source), and
+the immigrants are handed over together: so the order in which mail arrives cannot matter. A term that begins at a
+checkpoint begins with the states of its islands, which are pulled from the coordinator.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+from atoll.errors import LocalProtocolError, RemoteProtocolError
+from atoll.search.commit_order import Position
+from atoll.wire.messages.workers import (
+    Block,
+    Commit,
+    Finished,
+    Holding,
+    Migrants,
+    NotYet,
+    Placement,
+    PullMigrants,
+    PullReports,
+    PullStates,
+    Reports,
+    Sent,
+    States,
+)
+from atoll_island_worker.session.actions import Send, SendReport
+from atoll_island_worker.session.events import Computed, Snapshot
+from atoll_island_worker.session.local_island import PULL_AFTER_S, LocalIsland
+from atoll_island_worker.session.retransmit_buffer import Kept
+from atoll_island_worker.session.state_transfer import Restoring
+from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
+
+MOST_AHEAD: Final = 1024
+"""Mail is filed of epochs at most so far beyond the last one that may begin here."""
+
+
+class Share:
+    """The islands of one archipelago that this worker computes under one term."""
+
+    def __init__(self, placement: Placement, worker: str) -> None:
+        self.placement = placement
+        self.worker = worker
+        self.schedule = placement.schedule
+        first, mine = placement.epoch, placement.islands_of(worker)
+        self.islands = {island: LocalIsland(island, "restoring" if first else "ready", first) for island in mine}
+        self.hits: dict[int, Finished] = {}
+        self.commit = self.reported = first
+        self.waited_s = 0.0
+        self.duplicates = 0
+        self._restoring = Restoring(placement, mine if first else ())
+        self._inbox: dict[tuple[int, int], dict[int, bytes]] = {}
+        self._kept = Kept(placement, self.islands)
+        self._others = tuple(dict.fromkeys(name for name in placement.workers if name != worker))
+
+    @property
+    def key(self) -> ShareKey:
+        """Archipelago and term."""
+        return ShareKey(self.placement.job, self.placement.variable, self.placement.term)
+
+    @property
+    def stop(self) -> Position | None:
+        """Where the target was met, as far as known here; nothing after it is needed."""
+        hits = (Position(hit.epoch, hit.generation, hit.island) for hit in self.hits.values())
+        return min(hits, key=self.placement.course.rank, default=None)
+
+    @property
+    def stop_epoch(self) -> int:
+        """The last epoch of which anything is needed, as far as known here."""
+        return self.placement.epochs - 1 if self.stop is None else self.stop.epoch
+
+    def holding(self) -> Holding:
+        """Return what the heartbeat says of this share."""
+        placed = self.placement
+        return Holding(
+            job=placed.job,
+            variable=placed.variable,
+            term=placed.term,
+            islands=len(self.islands),
+            reported=self.reported,
+            commit=self.commit,
+            snapshots=self._kept.snapshots(),
+            waited_s=self.waited_s,
+        )
+
+    def elapse(self, seconds: float) -> None:
+        """Let time pass: it counts for every island here that waits for migrants."""
+        waiting = sum(local.state == "waiting" for local in self.islands.values())
+        self.waited_s += seconds * waiting
+
+    def runnable(self) -> Iterator[LocalIsland]:
+        """Yield the islands that may begin an epoch now, or take a snapshot: ready, and within the schedule."""
+        return (each for each in self.islands.values() if each.state == "ready" and each.epoch <= self.schedule.last)
+
+    def begin(self, island: int) -> Task:
+        """Return the task of an island that is ready."""
+        local = self.islands[island]
+        local.step("begin")
+        blocks = state = None
+        if local.epoch > self.placement.epoch:
+            filed = self._inbox[local.epoch - 1, island]
+            blocks = {source: filed[source] for source in sorted(local.needs)}
+        elif local.epoch > 0:
+            state = self._restoring.hand_over(island)
+        return Task(
+            self._key(local),
+            blocks,
+            local.epoch + 1 >= self.placement.epochs,
+            self.placement.course,
+            state,
+            takes_snapshot=local.epoch in (self.schedule.next, self.schedule.last),
+            is_held=local.epoch > self.schedule.limit,
+        )
+
+    def file_snapshot(self, taken: Snapshot) -> bool:
+        """File the snapshot of an island; return whether those of all islands here are there now."""
+        local = self.islands[taken.key.island]
+        if taken.is_held:
+            local.step("hold")
+            self._inbox.pop((local.epoch - 1, local.index), None)
+            self._end_late_islands()
+        if taken.key.epoch <= self.commit:
+            return False
+        self._kept.keep_snapshot(taken.key.epoch, local.index, taken.data)
+        return taken.key.epoch in self._kept.snapshots()
+
+    def due_fetch(self) -> PullStates | None:
+        """Return the question for the states that are still missing, if there are any and none is under way."""
+        return self._restoring.due_fetch() if self.stop_epoch >= self.placement.epoch else None
+
+    def fetched(self, body: States | None) -> bool:
+        """Take in the answer to `due_fetch`; return whether it brought anything.
+
+        Raises:
+            RemoteProtocolError: A state was damaged on its way.
+        """
+        got_on, whole = self._restoring.take(body)
+        for island in whole:
+            if self.islands[island].state == "restoring":
+                self.islands[island].step("restore")
+        return got_on
+
+    def computed(self, done: Computed) -> list[Send | SendReport]:
+        """File what an island computed: report it, and send emigrants or the statement of a hit."""
+        local = self.islands[done.key.island]
+        self._inbox.pop((done.key.epoch - 1, local.index), None)
+        actions = self._depart(local, done)
+        self._end_late_islands()
+        if done.key.epoch <= self.stop_epoch:
+            self._kept.keep_report(done.key.epoch, done.report)
+        return actions
+
+    def abandoned(self, island: int) -> None:
+        """File that nothing of an island's epoch is needed."""
+        self.islands[island].step("end")
+
+    def due_reports(self) -> list[SendReport]:
+        """Return the reports of the epochs of which no island here has any more to say, in order, each once."""
+        due = []
+        while self._kept.reporters(self.reported) and self._is_settled(self.reported):
+            due.append(SendReport(self._kept.report(self.reported)))
+            self.reported += 1
+        return due
+
+    def rejected(self, island: int) -> bool:
+        """File that an island refused its immigrants: forget the foreign blocks, so that they are pulled again.
+
+        Returns False when all of them are our own, which no pull can mend.
+        """
+        local = self.islands[island]
+        if local.epoch == self.placement.epoch or local.needs <= self.islands.keys():
+            return False
+        filed = self._inbox[local.epoch - 1, island]
+        self._inbox[local.epoch - 1, island] = {k: v for k, v in filed.items() if k in self.islands}
+        local.step("reject")
+        local.ask_at = None
+        self._end_late_islands()
+        return True
+
+    def receive(self, sender: str, body: Migrants | Finished) -> None:
+        """File mail of this share's term.
+
+        Raises:
+            RemoteProtocolError: The placement does not give the sender that island, or ours that destination, or the
+                epoch cannot be.
+        """
+        if body.epoch > self.schedule.last + MOST_AHEAD or body.epoch >= self.placement.epochs:
+            raise RemoteProtocolError(f"mail of epoch {body.epoch} came, far beyond commit {self.commit}")
+        if isinstance(body, Finished):
+            self._check_owner(sender, body.island)
+            self.hits.setdefault(body.island, body)
+            self._end_late_islands()
+            return
+        for block in body.blocks:
+            self._check_owner(sender, block.source)
+            if block.destination not in self.islands:
+                raise RemoteProtocolError(f"mail came for island {block.destination}, which is not computed here")
+        for block in body.blocks:
+            self._deliver(body.epoch, block)
+
+    def commit_at(self, commit: Commit) -> None:
+        """Take in how far the archipelago is durable and reported, and forget what nobody can ask for any more.
+
+        Raises:
+            RemoteProtocolError: The epoch is beyond what has been reported from here.
+        """
+        if max(commit.epoch, commit.reported) > self.reported:
+            raise RemoteProtocolError(
+                f"commit {commit.epoch} came, but only {self.reported} epochs were reported from here"
+            )
+        if commit.epoch >= self.commit:
+            self.commit, self.schedule = commit.epoch, commit.schedule
+        self._kept.forget(commit.reported, self.commit)
+
+    def answer_migrants(self, pull: PullMigrants) -> Sent | NotYet:
+        """Return what islands of ours have sent to one destination in one epoch."""
+        migrants = self._kept.sent(pull)
+        finished = tuple(hit for hit in self.hits.values() if hit.island in self.islands and hit.epoch <= pull.epoch)
+        return Sent(migrants=migrants, finished=finished) if migrants or finished else NotYet()
+
+    def answer_reports(self, pull: PullReports) -> Reports | NotYet:
+        """Return the complete reports of the epochs asked for that are still kept, as many as one message bears."""
+        return self._kept.answer_reports(pull, self.reported)
+
+    def answer_states(self, pull: PullStates) -> States | NotYet:
+        """Return states of islands of ours at a checkpoint, as many as one message bears."""
+        return self._kept.answer_states(pull)
+
+    def due_pulls(self, now: float) -> list[tuple[str, PullMigrants]]:
+        """Return (worker, question) for islands that have waited too long, and note when to ask next."""
+        pulls = []
+        for local in self.islands.values():
+            if local.state == "waiting" and local.is_due(now):
+                pulls += self._pulls_of(local)
+        return pulls
+
+    def is_waiting(self) -> bool:
+        """Tell whether any island here still has something to do or to wait for."""
+        return any(local.state != "stopped" for local in self.islands.values())
+
+    def is_computing(self) -> bool:
+        """Tell whether any island here is on the agenda."""
+        return any(local.state == "computing" for local in self.islands.values())
+
+    def validate(self) -> None:
+        """Check the invariants; raises LocalProtocolError."""
+        for local in self.islands.values():
+            have = self._inbox.get((local.epoch - 1, local.index), {}).keys()
+            complete = local.epoch == self.placement.epoch or local.needs <= have
+            _require(local.state != "ready" or complete, f"island {local.index} is ready without its immigrants")
+            _require(local.state != "waiting" or not complete, f"island {local.index} waits for nothing")
+            _require(local.epoch < self.placement.epochs, f"island {local.index} is beyond the last epoch")
+        _require(all(epoch >= self.placement.epoch for epoch in self._kept.epochs_sent()), "emigrants are too old")
+        _require(all(epoch > self.commit for epoch in self._kept.snapshots()), "snapshots of a commit are kept")
+        _require(
+            all(epoch >= self.islands[island].epoch - 1 for epoch, island in self._inbox), "old immigrants are kept"
+        )
+
+    def _key(self, local: LocalIsland) -> TaskKey:
+        return TaskKey(self.placement.job, self.placement.variable, self.placement.term, local.index, local.epoch)
+
+    def _depart(self, local: LocalIsland, done: Computed) -> list[Send | SendReport]:
+        """Take an island out of `computing`."""
+        if done.report.hit is not None:
+            return self._state_hit(local, done.report.hit.generation)
+        if local.epoch >= self.stop_epoch:
+            local.step("end")
+            return []
+        local.step("emigrate")
+        local.epoch += 1
+        local.needs = done.senders | (frozenset({local.index}) & frozenset(done.emigrants))
+        local.pause_s, local.ask_at = PULL_AFTER_S, None
+        self._complete(local)
+        return self._emigrate(done.key, done.emigrants)
+
+    def _state_hit(self, local: LocalIsland, generation: int) -> list[Send | SendReport]:
+        local.step("end")
+        placed = self.placement
+        hit = Finished(
+            job=placed.job,
+            variable=placed.variable,
+            term=placed.term,
+            epoch=local.epoch,
+            generation=generation,
+            island=local.index,
+        )
+        self.hits[local.index] = hit
+        return [Send(peer, hit) for peer in self._others]
+
+    def _emigrate(self, key: TaskKey, emigrants: Mapping[int, bytes]) -> list[Send | SendReport]:
+        """Keep, deliver and send an island's emigrants: one message for each other worker."""
+        self._kept.keep_emigrants(key.epoch, key.island, emigrants)
+        leaving: dict[str, list[Block]] = {}
+        for destination in sorted(emigrants):
+            block = Block(source=key.island, destination=destination, data=emigrants[destination])
+            if destination in self.islands:
+                self._deliver(key.epoch, block)
+            else:
+                leaving.setdefault(self.placement.workers[destination], []).append(block)
+        return [Send(peer, self._kept.migrants(key.epoch, blocks)) for peer, blocks in leaving.items()]
+
+    def _deliver(self, epoch: int, block: Block) -> None:
+        """File one block, once; one that is no longer needed is dropped."""
+        local = self.islands[block.destination]
+        was_handed_over = local.state in ("restoring", "computing", "held") or local.epoch == self.placement.epoch
+        is_late = epoch < local.epoch - 1 or (epoch == local.epoch - 1 and was_handed_over)
+        if is_late or local.state == "stopped":
+            self.duplicates += 1
+            return
+        filed = self._inbox.setdefault((epoch, block.destination), {})
+        self.duplicates += block.source in filed
+        filed.setdefault(block.source, block.data)
+        self._complete(local)
+
+    def _complete(self, local: LocalIsland) -> None:
+        if local.state == "waiting" and local.needs <= self._inbox.get((local.epoch - 1, local.index), {}).keys():
+            local.step("complete")
+
+    def _end_late_islands(self) -> None:
+        """Stop the islands of whose next epoch nothing is needed."""
+        for local in self.islands.values():
+            if local.state in ("restoring", "ready", "waiting", "held") and not self._is_needed(local):
+                local.step("end")
+
+    def _is_needed(self, local: LocalIsland) -> bool:
+        stop = self.stop
+        if stop is None or local.epoch < stop.epoch:
+            return True
+        return local.epoch == stop.epoch and self.placement.course.needed(stop, local.index) > 0
+
+    def _is_settled(self, epoch: int) -> bool:
+        there = self._kept.reporters(epoch)
+        return all(each.index in there or each.state == "stopped" for each in self.islands.values())
+
+    def _check_owner(self, sender: str, island: int) -> None:
+        workers = self.placement.workers
+        if island >= len(workers) or workers[island] != sender:
+            raise RemoteProtocolError(f"worker {sender} spoke for island {island}, which is placed elsewhere")
+
+    def _pulls_of(self, local: LocalIsland) -> list[tuple[str, PullMigrants]]:
+        have = self._inbox.get((local.epoch - 1, local.index), {})
+        missing: dict[str, list[int]] = {}
+        for source in sorted(local.needs - have.keys() - self.islands.keys()):
+            missing.setdefault(self.placement.workers[source], []).append(source)
+        return [(peer, self._pull(local, sources)) for peer, sources in missing.items()]
+
+    def _pull(self, local: LocalIsland, sources: list[int]) -> PullMigrants:
+        placed = self.placement
+        return PullMigrants(
+            job=placed.job,
+            variable=placed.variable,
+            term=placed.term,
+            epoch=local.epoch - 1,
+            destination=local.index,
+            sources=tuple(sources),
+        )
+
+
+def _require(condition: bool, sentence: str) -> None:
+    if not condition:
+        raise LocalProtocolError(f"a share of an archipelago is inconsistent: {sentence}")

@@ -1,0 +1,49 @@
+"""What an island is to compute, under which term: what session and compute thread call each other's work by."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from atoll.search.commit_order import Course
+
+
+class ShareKey(NamedTuple):
+    """One archipelago under one term."""
+
+    job: str
+    variable: str
+    term: int
+
+
+@dataclass(frozen=True, slots=True)
+class TaskKey:
+    """One island's one epoch, under one term."""
+
+    job: str
+    variable: str
+    term: int
+    island: int
+    epoch: int
+
+    @property
+    def share(self) -> ShareKey:
+        """The archipelago and its term."""
+        return ShareKey(self.job, self.variable, self.term)
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """Begin epoch `key.epoch` (with the immigrants `blocks` by source island; None at the term's first) and finish it.
+
+    Emigrants are wanted unless the epoch `is_last`; by the `course` its slices count before or after others. `state` is
+    what the island goes on from when its term begins at a checkpoint. A snapshot is wanted at a checkpoint; an epoch
+    that `is_held` is begun for its sake alone.
+    """
+
+    key: TaskKey
+    blocks: Mapping[int, bytes] | None
+    is_last: bool
+    course: Course
+    state: bytes | None = None
+    takes_snapshot: bool = False
+    is_held: bool = False

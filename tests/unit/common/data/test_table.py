@@ -1,0 +1,128 @@
+"""Tables: their bytes, their digest, and how they say where a row stands."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from atoll.data.table import Table
+from atoll.errors import DataError, RemoteProtocolError
+from atoll.wire.codec import encode_arrays
+
+
+def table_of(columns, starts=(0,), files=("a.csv",), file_of_row=None, line_of_row=None, **other):
+    columns = np.asarray(columns, dtype=np.float64)
+    count, rows = columns.shape
+    return Table(
+        names=tuple(f"c{index}" for index in range(count)),
+        units=("",) * count,
+        columns=columns,
+        starts=starts,
+        files=files,
+        file_of_row=np.zeros(rows, dtype=np.int64) if file_of_row is None else np.asarray(file_of_row, dtype=np.int64),
+        line_of_row=np.arange(2, rows + 2) if line_of_row is None else np.asarray(line_of_row, dtype=np.int64),
+        **other,
+    )
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    columns=arrays.arrays(np.float64, st.tuples(st.integers(1, 4), st.integers(1, 6))),
+    unit=st.text(max_size=5),
+    file=st.text(min_size=1, max_size=8),
+)
+def test_bytes_give_the_same_table_back(columns, unit, file):
+    """NaN, infinity and signed zero included: compared by bits."""
+    table = Table(
+        tuple(f"θ{index}" for index in range(len(columns))),
+        (unit,) * len(columns),
+        columns,
+        (0,),
+        (file,),
+        np.zeros(columns.shape[1], dtype=np.int64),
+        np.arange(columns.shape[1], dtype=np.int64),
+        ("label",),
+    )
+    again = Table.from_bytes(table.to_bytes())
+    assert again.columns.tobytes() == table.columns.tobytes()
+    assert (again.names, again.units, again.starts, again.files) == (
+        table.names,
+        table.units,
+        table.starts,
+        table.files,
+    )
+    assert again.skipped == ("label",)
+    assert again.digest == table.digest
+
+
+def test_the_digest_covers_values_and_breaks():
+    table = table_of([[1.0, 2.0, 3.0]])
+    assert table.digest == table_of([[1.0, 2.0, 3.0]]).digest
+    assert table.digest != table_of([[1.0, 2.0, 4.0]]).digest
+    assert table.digest != table_of([[1.0, 2.0, 3.0]], starts=(0, 1)).digest
+
+
+def test_columns_are_found_by_name():
+    table = table_of([[1.0, 2.0], [3.0, 4.0]])
+    assert table.column("c1").tolist() == [3.0, 4.0]
+    assert table.rows == 2
+    with pytest.raises(KeyError):
+        table.column("c2")
+
+
+@pytest.mark.parametrize(
+    ("rows", "text"),
+    [
+        ([11], "row 12 (line 13 of a.csv)"),
+        ([11, 39], "rows 12, 40 (lines 13, 41 of a.csv), 2 in all"),
+        ([0, 1, 2, 3, 4, 5], "rows 1, 2, 3, 4, 5, … (lines 2, 3, 4, 5, 6 of a.csv), 6 in all"),
+    ],
+)
+def test_rows_are_named_with_their_lines(rows, text):
+    assert table_of(np.zeros((1, 50))).places(rows) == text
+
+
+def test_rows_of_several_files_are_named_with_each_file():
+    table = table_of(np.zeros((1, 4)), (0, 2), ("a.csv", "b.csv"), [0, 0, 1, 1], [2, 3, 2, 3])
+    assert table.places([1, 3]) == "rows 2, 4 (line 3 of a.csv; line 3 of b.csv), 2 in all"
+
+
+def test_rows_of_a_file_without_lines_are_named_by_number():
+    assert table_of(np.zeros((1, 4)), line_of_row=[0, 0, 0, 0]).places([2]) == "row 3"
+
+
+@pytest.mark.parametrize("starts", [(), (1,), (0, 0), (0, 2, 1), (0, 9)])
+def test_starts_that_do_not_fit_are_refused(starts):
+    with pytest.raises(DataError, match="trajectories that start at rows"):
+        table_of(np.zeros((1, 4)), starts)
+
+
+def test_names_must_be_unique():
+    with pytest.raises(DataError):
+        Table(("x", "x"), ("", ""), np.zeros((2, 1)), (0,), ("a",), np.zeros(1, np.int64), np.zeros(1, np.int64))
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"nothing of ours",
+        encode_arrays({}, {}),
+        encode_arrays(
+            {"names": ["x"], "units": [""], "starts": [0], "files": ["a"], "skipped": []},
+            {"columns": np.zeros(3), "file_of_row": np.zeros(3, np.int64), "line_of_row": np.zeros(3, np.int64)},
+        ),
+        encode_arrays(
+            {"names": ["x"], "units": [""], "starts": [0], "files": ["a"], "skipped": "none"},
+            {"columns": np.zeros((1, 3)), "file_of_row": np.zeros(3, np.int64), "line_of_row": np.zeros(3, np.int64)},
+        ),
+        encode_arrays(
+            {"names": ["x"], "units": [""], "starts": [0], "files": ["a"], "skipped": []},
+            {"columns": np.zeros((1, 3)), "file_of_row": np.full(3, 7), "line_of_row": np.zeros(3, np.int64)},
+        ),
+    ],
+)
+def test_foreign_bytes_are_refused(data):
+    with pytest.raises(RemoteProtocolError):
+        Table.from_bytes(data)

@@ -1,0 +1,243 @@
+"""Each operation on a block of rows, against numpy on every lane: compiled and interpreted, the same bits."""
+
+import inspect
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from atoll.compilation.jit import kernel
+from atoll.expression.kernels import lanes as kernels_lanes
+from atoll.expression.kernels.lanes import (
+    LANES,
+    add,
+    add_product,
+    add_quotient,
+    add_scaled,
+    centre,
+    copy,
+    divide,
+    fill,
+    get,
+    highest_bit,
+    invert,
+    lowest_bit,
+    magnitude,
+    move,
+    multiply,
+    negate,
+    place,
+    place_in,
+    put,
+    root,
+    subtract,
+    subtract_product,
+    subtract_quotient,
+    total,
+    total_magnitude,
+)
+
+QUICK = settings(max_examples=100, deadline=None, derandomize=True, database=None)
+AWKWARD = np.array([0.0, -0.0, 1.0, -1.0, 0.1, -3.7, 5e-324, -1e-310, 1e-200, 1e200, -1e200, 1e308])
+AWKWARD = np.append(AWKWARD, [np.inf, -np.inf, np.nan, 2.0**53])
+ROW, START, X = 1, 16, 0.3
+
+BINARY = ("add", "subtract", "multiply", "divide")
+UNARY = ("negate", "invert", "root", "magnitude", "copy")
+ONTO = ("add_product", "subtract_product", "add_quotient")
+OTHERS = ("fill", "add_scaled", "subtract_quotient", "centre")
+OPERATIONS = (*BINARY, *UNARY, *ONTO, *OTHERS)
+
+EXPECTED = {
+    "add": lambda out, a, b, c: a + b,
+    "subtract": lambda out, a, b, c: a - b,
+    "multiply": lambda out, a, b, c: a * b,
+    "divide": lambda out, a, b, c: a / b,
+    "negate": lambda out, a, b, c: -a,
+    "invert": lambda out, a, b, c: 1.0 / a,
+    "root": lambda out, a, b, c: np.sqrt(a),
+    "magnitude": lambda out, a, b, c: np.abs(a),
+    "copy": lambda out, a, b, c: a,
+    "add_product": lambda out, a, b, c: out + a * b,
+    "subtract_product": lambda out, a, b, c: out - a * b,
+    "add_quotient": lambda out, a, b, c: out + a / b,
+    "fill": lambda out, a, b, c: np.full(LANES, X),
+    "add_scaled": lambda out, a, b, c: out + X * a,
+    "subtract_quotient": lambda out, a, b, c: out - a * b / c,
+    "centre": lambda out, a, b, c: (a - X) * b,
+}
+
+
+@pytest.fixture(autouse=True)
+def _quiet():
+    """Infinities and NaN are values here."""
+    with np.errstate(all="ignore"):
+        yield
+
+
+@kernel
+def operate(which: int, arrays, row: int, start: int, x: float) -> None:
+    """Do operation `which` of OPERATIONS on the places of `arrays` (4, rows, columns) at `row` and `start`."""
+    out, a = place(arrays[0], row, start), place(arrays[1], row, start)
+    b, c = place(arrays[2], row, start), place(arrays[3], row, start)
+    if which == 0:
+        add(out, a, b)
+    elif which == 1:
+        subtract(out, a, b)
+    elif which == 2:
+        multiply(out, a, b)
+    elif which == 3:
+        divide(out, a, b)
+    elif which == 4:
+        negate(out, a)
+    elif which == 5:
+        invert(out, a)
+    elif which == 6:
+        root(out, a)
+    elif which == 7:
+        magnitude(out, a)
+    elif which == 8:
+        copy(out, a)
+    elif which == 9:
+        add_product(out, a, b)
+    elif which == 10:
+        subtract_product(out, a, b)
+    elif which == 11:
+        add_quotient(out, a, b)
+    elif which == 12:
+        fill(out, x)
+    elif which == 13:
+        add_scaled(out, x, a)
+    elif which == 14:
+        subtract_quotient(out, a, b, c)
+    elif which == 15:
+        centre(out, a, x, b)
+
+
+@kernel
+def totals(a, b, row: int, start: int) -> tuple[float, float]:
+    """Return the sums of a b and of |a| b at that place."""
+    one, two = place(a, row, start), place(b, row, start)
+    return total(one, two), total_magnitude(one, two)
+
+
+@kernel
+def moved(out, p: int, source, q: int, first: int, last: int) -> None:
+    move(out, p, source, q, first, last)
+
+
+@kernel
+def exchanged(numbers, start: int, i: int, j: int) -> None:
+    """Exchange two lanes of one-dimensional `numbers`."""
+    block = place_in(numbers, start)
+    kept = get(block, i)
+    put(block, i, get(block, j))
+    put(block, j, kept)
+
+
+@kernel
+def ends(words, lowest, highest) -> None:
+    for i in range(words.shape[0]):
+        lowest[i], highest[i] = lowest_bit(words[i]), highest_bit(words[i])
+
+
+def assert_same_bits(found, expected):
+    np.testing.assert_array_equal(found, expected)
+    numbers = ~np.isnan(expected)
+    np.testing.assert_array_equal(np.signbit(found)[numbers], np.signbit(expected)[numbers])
+
+
+def interpreted(name, out, a, b, c):
+    """Return what the interpreted operation `name` leaves in `out`."""
+    out = out.copy()
+    values = {"out": out, "g": a, "a": a, "b": b, "factor": X, "mean": X, "x": X, "mask": b}
+    if name == "subtract_quotient":
+        values |= {"a": b, "b": c}
+    function = getattr(kernels_lanes, f"_{name}")
+    function(*(values[parameter] for parameter in inspect.signature(function).parameters))
+    return out
+
+
+def cases():
+    """Yield four blocks at a time: awkward numbers against each other, and numbers of all sizes."""
+    for turn in range(LANES):
+        yield AWKWARD[::-1], AWKWARD, np.roll(AWKWARD, turn), np.roll(AWKWARD, 3 * turn + 1)
+    random = np.random.default_rng(0)
+    for _ in range(20):
+        yield tuple(random.normal(size=(4, LANES)) * 10.0 ** random.integers(-9, 9, (4, LANES)))
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_every_operation_is_numpy_s_on_its_own_lanes_and_touches_no_other_number(name):
+    for out, a, b, c in cases():
+        arrays = np.full((4, 3, 48), 7.5)
+        for array, block in zip(arrays, (out, a, b, c), strict=True):
+            array[ROW, START : START + LANES] = block
+        before = arrays.copy()
+        operate(OPERATIONS.index(name), arrays, ROW, START, X)
+        found = arrays[0, ROW, START : START + LANES].copy()
+        assert_same_bits(found, EXPECTED[name](out, a, b, c))
+        assert_same_bits(found, interpreted(name, out, a, b, c))
+        arrays[0, ROW, START : START + LANES] = out
+        np.testing.assert_array_equal(arrays, before)
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_the_result_may_stand_where_an_argument_stood(name):
+    """As in adding up adjoints: everything is read before anything is written."""
+    random = np.random.default_rng(1)
+    block = random.normal(size=LANES)
+    if name == "root":
+        block = np.abs(block)
+    expected = EXPECTED[name](block, block, block, block)
+    array = block.reshape(1, LANES).copy()
+    operate(OPERATIONS.index(name), (array, array, array, array), 0, 0, X)
+    assert_same_bits(array[0], expected)
+
+
+def by_halves(numbers):
+    """Return the sum of 16 numbers as it is defined: the upper half onto the lower, until one is left."""
+    numbers = list(numbers)
+    while len(numbers) > 1:
+        middle = len(numbers) // 2
+        numbers = [a + b for a, b in zip(numbers[:middle], numbers[middle:], strict=True)]
+    return numbers[0]
+
+
+@QUICK
+@given(*(st.lists(st.floats(-1e100, 1e100), min_size=16, max_size=16) for _ in range(2)))
+def test_lanes_are_summed_by_halves(one, two):
+    a, b = np.full((2, 32), np.nan), np.full((2, 32), np.nan)
+    a[1, 16:], b[1, 16:] = one, two
+    found = totals(a, b, 1, 16)
+    expected = by_halves(a[1, 16:] * b[1, 16:]), by_halves(abs(a[1, 16:]) * b[1, 16:])
+    assert found == expected
+    assert found == (kernels_lanes._total(a[1, 16:], b[1, 16:]), kernels_lanes._total_magnitude(a[1, 16:], b[1, 16:]))
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.int16, np.int64, np.float64])
+@pytest.mark.parametrize(("first", "last"), [(0, 40), (0, 0), (40, 40), (7, 8), (3, 39)])
+def test_a_move_copies_that_part_of_the_row_and_nothing_else(kind, first, last):
+    out, source = np.full((3, 40), -1, kind), np.arange(80).reshape(2, 40).astype(kind)
+    expected = out.copy()
+    expected[2, first:last] = source[1, first:last]
+    moved(out, 2, source, 1, first, last)
+    np.testing.assert_array_equal(out, expected)
+
+
+def test_single_lanes_are_read_and_written_where_they_are():
+    numbers = np.arange(40.0)
+    exchanged(numbers, 10, 0, 15)
+    expected = np.arange(40.0)
+    expected[[10, 25]] = expected[[25, 10]]
+    np.testing.assert_array_equal(numbers, expected)
+
+
+def test_the_lowest_and_the_highest_bit_of_a_word_are_found():
+    words = [1 << low | 1 << high for low in range(64) for high in range(low, 64)]
+    words += [low | (low << 40) for low in range(1, 1 << 20, 12345)]
+    lowest, highest = np.zeros((2, len(words)), np.int64)
+    ends(np.array(words, np.uint64), lowest, highest)
+    assert lowest.tolist() == [(word & -word).bit_length() - 1 for word in words]
+    assert highest.tolist() == [word.bit_length() - 1 for word in words]

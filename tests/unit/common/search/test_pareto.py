@@ -1,0 +1,118 @@
+"""Fronts and runners-up: what is kept, what counts as the same function, and that order does not matter."""
+
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from atoll.expression.text.parsing import from_infix
+from atoll.search.pareto import AGREEMENT, FrontEntry, merge, runners_up, structure_of
+
+QUICK = settings(max_examples=200, deadline=None, derandomize=True, database=None)
+ERRORS = st.one_of(st.sampled_from([1.0, 1.0 + 0.5 * AGREEMENT, 2.0, math.inf]), st.floats(0.5, 3.0))
+PROGRAMS = st.sampled_from([bytes([1, code, *bytes(4), value]) for code in range(6) for value in range(2)])
+ENTRIES = st.lists(
+    st.builds(
+        lambda complexity, error, tag, program: FrontEntry(
+            complexity, error, error * (1.0 + program[1] % 2), *tag, program
+        ),
+        st.integers(1, 5),
+        ERRORS,
+        st.tuples(st.integers(0, 1), st.integers(0, 3), st.integers(0, 1)),
+        PROGRAMS,
+    ),
+    max_size=30,
+)
+
+
+def entry(complexity=3, error=1.0, mse=None, program=b"", epoch=0):
+    return FrontEntry(complexity, error, error * error if mse is None else mse, epoch, 0, 0, program)
+
+
+def program(text):
+    return from_infix(text, ("x", "y")).to_bytes()
+
+
+def by_definition(front, candidates, most):
+    """Return the runners-up as they are defined, pair by pair."""
+    kept = []
+    for each in sorted({*front, *candidates}, key=lambda one: one.key):
+        if each in front:
+            kept.append(each)
+            continue
+        alike = [
+            one
+            for one in kept
+            if structure_of(one.program) == structure_of(each.program)
+            or (abs(one.error - each.error) <= AGREEMENT * each.error
+                and abs(one.mse - each.mse) <= AGREEMENT * min(one.mse, each.mse))
+        ]  # fmt: skip
+        beside = sum(one.complexity == each.complexity and one not in front for one in kept)
+        if math.isfinite(each.error) and not alike and beside < most:
+            kept.append(each)
+    return tuple(one for one in kept if one not in front)
+
+
+@QUICK
+@given(ENTRIES, st.integers(0, 4))
+def test_runners_up_are_those_of_the_definition(entries, most):
+    front = merge((), entries)
+    assert runners_up(front, entries, most) == (by_definition(front, entries, most) if most else ())
+
+
+@QUICK
+@given(ENTRIES, st.integers(1, 3), st.randoms(use_true_random=False))
+def test_neither_order_nor_repetition_matters(entries, most, random):
+    front = merge((), entries)
+    shuffled = [*entries, *entries[:3]]
+    random.shuffle(shuffled)
+    assert runners_up(front, shuffled, most) == runners_up(front, entries, most)
+    assert runners_up(front, (*front, *entries), most) == runners_up(front, entries, most)
+
+
+@QUICK
+@given(ENTRIES, st.integers(1, 3))
+def test_what_was_kept_stays_when_nothing_new_comes(entries, most):
+    front = merge((), entries)
+    kept = runners_up(front, entries, most)
+    assert runners_up(front, kept, most) == kept
+
+
+@QUICK
+@given(ENTRIES, ENTRIES)
+def test_a_front_is_the_same_however_its_entries_are_merged(some, others):
+    assert merge(merge((), some), others) == merge((), (*others, *some))
+
+
+def test_the_next_best_of_each_complexity_come_after_the_front():
+    front = (entry(3, 1.0, program=b"a"),)
+    others = [entry(3, 1.0 + 0.1 * k, program=bytes([1, k, 0, 0, 0, 0])) for k in range(1, 5)]
+    worse_but_larger = entry(5, 1.25, program=bytes([1, 9, 0, 0, 0, 0]))
+    found = runners_up(front, (*others, worse_but_larger), 2)
+    assert found == (*others[:2], worse_but_larger)
+
+
+def test_a_structure_counts_once_however_far_its_constants_were_fitted():
+    best = entry(3, 1.0, program=program("2.0*x"))
+    less_far = entry(3, 1.2, program=program("1.5*x"))
+    other = entry(3, 1.3, program=program("1.5*y"))
+    assert runners_up((best,), (less_far, other), 3) == (other,)
+    assert runners_up((), (less_far, best), 3) == (best,)
+
+
+def test_a_function_written_differently_counts_once_and_as_the_simpler():
+    simple = entry(5, 1.0, program=program("x*(1.0 - y)"))
+    longer = entry(7, 1.0 + 1e-9, program=program("x - x*y + 0.0"))
+    assert runners_up((), (longer, simple), 3) == (simple,)
+
+
+def test_one_error_that_agrees_is_not_enough():
+    first = entry(3, 1.0, mse=1.5, program=program("x + 1.0"))
+    second = entry(3, 1.0, mse=1.6, program=program("y + 1.0"))
+    assert runners_up((), (first, second), 3) == (first, second)
+
+
+def test_a_structure_is_a_program_without_its_constants():
+    assert structure_of(program("2.0*x + 1.0")) == structure_of(program("7.0*x + 3.0"))
+    assert structure_of(program("2.0*x + 1.0")) != structure_of(program("2.0*y + 1.0"))
+    assert structure_of(b"") == b""

@@ -1,0 +1,59 @@
+"""Whatever goes through a metered bus is counted by its kind."""
+
+from typing import get_args
+
+from atoll.wire import topics
+from atoll.wire.bus.interface import Message, Query, Reply
+from atoll.wire.bus.metered_bus import _KINDS, OTHER, MeteredBus, kind_of
+from atoll.wire.bus.simulated_bus import SimulatedNetwork
+from atoll.wire.messages.views import Traffic
+
+REALM = "r"
+
+
+def counted(bus: MeteredBus) -> dict[str, tuple[int, int, int, int]]:
+    def numbers(each: Traffic) -> tuple[int, int, int, int]:
+        return each.messages_in, each.bytes_in, each.messages_out, each.bytes_out
+
+    return {each.kind: numbers(each) for each in bus.traffic()}
+
+
+def test_every_key_has_a_kind() -> None:
+    keys = [
+        topics.HELLO, topics.control(REALM), topics.control(REALM, "w"), topics.job(REALM, "j"),
+        topics.placement(REALM, "j"), topics.blob(REALM, "0" * 64, 3), topics.worker(REALM, "w", "report"),
+        topics.mail(REALM, "w", "v"), topics.client(REALM, "c"), "atoll/r/nonsense", "x" * 1000,
+    ]  # fmt: skip
+    kinds = ["hello", "control", "control", "job", "placement", "blob", "report", "mail", "ask", OTHER, OTHER]
+    assert [kind_of(key) for key in keys] == kinds
+
+
+def test_no_kind_of_key_is_forgotten() -> None:
+    assert {topics.WorkerKey, *_KINDS} == set(get_args(topics.Key))
+
+
+def test_puts_questions_and_answers_are_counted_on_both_sides() -> None:
+    network = SimulatedNetwork()
+    server, asker = MeteredBus(network.bus("server", is_router=True)), MeteredBus(network.bus("asker"))
+    server.serve(topics.all_clients(REALM))
+    server.subscribe(topics.all_workers(REALM, "report"))
+    asker.put(topics.worker(REALM, "w", "report"), b"12345")
+    token = asker.get(topics.client(REALM, "c"), b"123")
+    for _ in range(2):
+        event = server.receive(1.0)
+        assert isinstance(event, Message | Query)
+        server.note(event)
+        if isinstance(event, Query):
+            server.reply(event, b"1234567")
+    reply = asker.receive(1.0)
+    assert reply == Reply(token, b"1234567")
+    asker.note(reply)
+    assert counted(asker) == {"report": (0, 0, 1, 5), "ask": (1, 7, 1, 3)}
+    assert counted(server) == {"report": (1, 5, 0, 0), "ask": (1, 3, 1, 7)}
+
+
+def test_a_question_without_answer_counts_as_sent_only() -> None:
+    asker = MeteredBus(SimulatedNetwork().bus("asker", is_router=True))
+    token = asker.get(topics.HELLO, b"1", timeout_s=0.5)
+    asker.note(Reply(token, None))
+    assert counted(asker) == {"hello": (0, 0, 1, 1)}

@@ -1,0 +1,216 @@
+"""What only a real network can show: opening, refusing, waiting, ending. A bus's promises are in tests/contract."""
+
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from atoll.errors import UnreachableError, UsageError
+from atoll.wire.addresses import bindable, parse_address
+from atoll.wire.bus import zenoh_bus
+from atoll.wire.bus.interface import MAX_PAYLOAD, Event, Message, Presence, Reply
+from atoll.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
+
+LIMIT_S = 30.0
+
+
+@pytest.fixture
+def router() -> Iterator[ZenohBus]:
+    with open_router("tcp/127.0.0.1:0") as bus:
+        yield bus
+
+
+def first(bus: ZenohBus, kind: type[Event]) -> Event:
+    end = bus.now() + LIMIT_S
+    while bus.now() < end:
+        event = bus.receive(0.1)
+        if isinstance(event, kind):
+            return event
+    raise AssertionError(f"no {kind.__name__} came")
+
+
+def test_an_absent_coordinator_is_said_with_address_time_and_reason() -> None:
+    address = bindable(parse_address("tcp/127.0.0.1:0"))
+    with pytest.raises(UnreachableError) as caught:
+        open_client(str(address), wait_s=0.3)
+    assert str(caught.value) == (
+        f"no coordinator answers at {address} within 0.3 s: connection refused; "
+        "check the address, or start one with `coordinator serve`"
+    )
+
+
+def test_what_listens_but_is_no_coordinator_is_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(zenoh_bus, "_ATTEMPT_MS", 300)
+    with socket.create_server(("127.0.0.1", 0)) as stranger:
+        address = f"tcp/127.0.0.1:{stranger.getsockname()[1]}"
+        with pytest.raises(UnreachableError, match="did not answer as a coordinator does"):
+            open_client(address)
+
+
+def test_a_client_waits_for_a_coordinator_that_comes_later() -> None:
+    address = str(bindable(parse_address("tcp/127.0.0.1:0")))
+    buses: list[ZenohBus] = []
+    thread = threading.Thread(target=lambda: buses.append(open_client(address, wait_s=LIMIT_S)))
+    thread.start()
+    with open_router(address):
+        thread.join(LIMIT_S)
+        assert buses
+        with buses[0]:
+            assert buses[0].endpoint == address
+
+
+def test_a_name_is_as_good_as_a_number(router: ZenohBus) -> None:
+    with open_client(router.endpoint.replace("127.0.0.1", "localhost"), wait_s=5.0):
+        pass
+
+
+def test_a_port_in_use_is_a_usage_error_with_advice(router: ZenohBus) -> None:
+    with pytest.raises(UsageError, match=r"in use .* choose another with --listen"):
+        open_router(router.endpoint)
+
+
+@pytest.mark.parametrize(
+    ("path", "value"), [("transport/no_such_thing", 1), ("transport/unicast/max_sessions", "many")]
+)
+def test_a_setting_that_zenoh_does_not_know_is_a_usage_error(path: str, value: object) -> None:
+    with pytest.raises(UsageError, match=path):
+        open_router("tcp/127.0.0.1:0", {path: value})
+
+
+def test_settings_reach_zenoh(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(zenoh_bus, "_ATTEMPT_MS", 500)
+    one_session = {"transport/unicast/max_sessions": 1}
+    with (
+        open_router("tcp/127.0.0.1:0", one_session) as narrow,
+        open_client(narrow.endpoint, wait_s=5.0),
+        pytest.raises(UnreachableError),
+    ):
+        open_client(narrow.endpoint)
+
+
+def test_a_flood_loses_nothing(router: ZenohBus) -> None:
+    router.subscribe("flood/*")
+    number = 4000
+
+    def flood(bus: ZenohBus, key: str) -> None:
+        for each in range(number):
+            bus.put(key, each.to_bytes(1000, "big"))
+
+    with open_client(router.endpoint) as one, open_client(router.endpoint) as two:
+        for bus, key in ((one, "flood/1"), (two, "flood/2")):
+            bus.get("flood/barrier", timeout_s=5.0)  # its end tells that the router has heard of this client
+            first(bus, Reply)
+            threading.Thread(target=flood, args=(bus, key)).start()
+        heard: dict[str, list[int]] = {"flood/1": [], "flood/2": []}
+        for _ in range(2 * number):
+            event = first(router, Message)
+            assert isinstance(event, Message)
+            heard[event.key].append(int.from_bytes(event.payload, "big"))
+    assert heard == {"flood/1": list(range(number)), "flood/2": list(range(number))}
+
+
+def test_a_message_larger_than_ours_is_not_read_and_changes_nothing(
+    router: ZenohBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("atoll.wire.bus.keys.MAX_PAYLOAD", 2 * MAX_PAYLOAD)
+    router.subscribe("large")
+    with open_client(router.endpoint) as stranger:
+        stranger.get("barrier", timeout_s=5.0)
+        first(stranger, Reply)
+        stranger.put("large", bytes(MAX_PAYLOAD + 2 * 1024 * 1024))
+        assert repeated_until_read(stranger, router, b"small") == Message("large", b"small")
+
+
+def repeated_until_read(stranger: ZenohBus, router: ZenohBus, payload: bytes) -> Event:
+    """Return the first message read while `payload` is sent again and again: a busy machine may cut a long one off."""
+    end = router.now() + LIMIT_S
+    while router.now() < end:
+        stranger.put("large", payload)
+        event = router.receive(1.0)
+        if isinstance(event, Message):
+            return event
+    raise AssertionError("nothing came")
+
+
+def started(script: str, *arguments: str) -> subprocess.Popen[str]:
+    imports = "import os, sys\nfrom atoll.wire.bus.zenoh_bus import open_client, open_router\n"
+    return subprocess.Popen([sys.executable, "-c", imports + script, *arguments], stdout=subprocess.PIPE, text=True)
+
+
+RECEIVING = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # who runs the tests in the background ignores it
+with open_router("tcp/127.0.0.1:0") as bus:
+    try:
+        bus.subscribe("a/**")
+        bus.serve("b/**")
+        os.write(1, b"ready\\n")
+        while True:
+            bus.receive(1.0)
+    except KeyboardInterrupt:
+        os.write(1, b"interrupted\\n")
+"""
+
+
+def test_ctrl_c_while_receiving_is_served_and_the_process_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RUST_LOG", "debug")
+    with started(RECEIVING) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGINT)
+        assert process.stdout.read() == "interrupted\n"  # and nothing that zenoh has to say
+        assert process.wait(LIMIT_S) == 0
+
+
+@pytest.mark.parametrize("ending", ["raise SystemExit(7)", "sys.exit(7)", "os._exit(7)"])
+def test_a_process_that_forgets_to_close_its_bus_ends_all_the_same(ending: str, router: ZenohBus) -> None:
+    script = f"bus = open_client(sys.argv[1]); bus.subscribe('a/**'); bus.serve('b/**'); bus.watch('c/*'); {ending}"
+    with started(script, router.endpoint) as process:
+        assert process.wait(LIMIT_S) == 7
+
+
+def test_a_participant_that_is_killed_is_seen_to_go(router: ZenohBus) -> None:
+    router.watch("alive/*")
+    script = "bus = open_client(sys.argv[1]); bus.announce('alive/w1'); bus.receive(60.0)"
+    with started(script, router.endpoint) as process:
+        assert first(router, Presence) == Presence("alive/w1", True)
+        process.kill()
+        assert first(router, Presence) == Presence("alive/w1", False)
+
+
+def test_closing_does_not_wait_for_a_session_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(zenoh_bus, "_CLOSE_LIMIT_S", 0.05)
+    over = threading.Event()
+
+    class Hanging:
+        def close(self) -> None:
+            over.wait(LIMIT_S)
+
+    bus = ZenohBus(Hanging(), "tcp/a:1", is_router=True)  # type: ignore[arg-type]
+    bus.close()
+    over.set()
+
+
+def test_a_bus_may_be_closed_while_another_thread_puts(router: ZenohBus) -> None:
+    bus = open_client(router.endpoint)
+    stop = threading.Event()
+    errors: list[BaseException] = []
+
+    def put() -> None:
+        try:
+            while not stop.is_set():
+                bus.put("a", bytes(1000))
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=put)
+    thread.start()
+    bus.close()
+    bus.close()
+    stop.set()
+    thread.join(LIMIT_S)
+    assert errors == []

@@ -1,0 +1,147 @@
+"""Who may say what: rosters that are accepted, and rules that fence each name in."""
+
+import fnmatch
+import itertools
+from pathlib import Path
+
+import pytest
+
+from atoll.errors import UsageError
+from atoll.wire import topics
+from atoll.wire.security.access_control import Flow, Roster, access_control, checked_roster, permissions, read_roster
+
+ROSTER = Roster({"lab1": "worker", "lab2": "worker", "ann": "submitter", "eve": "admin"})
+REALM = "0123456789ab"
+DIGEST = "0" * 64
+
+
+def may(name: str, flow: Flow, message: str, key: str, roster: Roster = ROSTER) -> bool:
+    """Return whether the rules for `name` let this message pass."""
+    rules = permissions(name, roster.roles[name])
+    return any(
+        each.flow == flow and message in each.messages and any(covers(expression, key) for expression in each.keys)
+        for each in rules
+    )
+
+
+def covers(expression: str, key: str) -> bool:
+    """Return whether a key expression, perhaps with ``$*`` within a chunk, covers a key; ``**`` only at its end."""
+    wanted, chunks = expression.split("/"), key.split("/")
+    if wanted[-1] == "**":
+        wanted, chunks = wanted[:-1], chunks[: len(wanted) - 1]
+    if len(wanted) != len(chunks):
+        return False
+    return all(fnmatch.fnmatchcase(each, part.replace("$*", "*")) for part, each in zip(wanted, chunks, strict=True))
+
+
+@pytest.mark.parametrize("process", ["lab1", "lab1-0", "lab1-host-4711-12"])
+def test_a_worker_speaks_under_its_own_names(process: str) -> None:
+    for part in ("status", "report"):
+        assert may("lab1", "ingress", "put", topics.worker(REALM, process, part))  # type: ignore[arg-type]
+    assert may("lab1", "ingress", "put", topics.mail(REALM, process, "lab2-3"))
+    assert may("lab1", "ingress", "liveliness_token", topics.worker(REALM, process, "alive"))
+    assert may("lab1", "ingress", "query", topics.hello(process))
+    for message in ("declare_queryable", "reply"):
+        assert may("lab1", "ingress", message, topics.worker(REALM, process, "pull"))
+    for flow, message in (("ingress", "declare_subscriber"), ("egress", "put")):
+        for key in (topics.control(REALM), topics.control(REALM, process), topics.mail(REALM, "lab2", process)):
+            assert may("lab1", flow, message, key)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("other", ["lab2", "lab2-0", "lab10", "lab", "lab1x"])
+def test_a_worker_does_not_speak_for_others_or_read_their_mail(other: str) -> None:
+    for part in ("status", "report", "alive", "pull"):
+        for message in ("put", "liveliness_token", "declare_queryable", "reply"):
+            assert not may("lab1", "ingress", message, topics.worker(REALM, other, part))  # type: ignore[arg-type]
+    assert not may("lab1", "ingress", "put", topics.mail(REALM, other, "lab1"))
+    assert not may("lab1", "ingress", "query", topics.hello(other))
+    for key in (topics.control(REALM, other), topics.mail(REALM, "lab1", other)):
+        assert not may("lab1", "ingress", "declare_subscriber", key)
+        assert not may("lab1", "egress", "put", key)
+
+
+def test_a_worker_neither_submits_nor_commands() -> None:
+    for client in ("ann-1", "lab1-1", "lab1"):
+        assert not may("lab1", "ingress", "query", topics.client(REALM, client))
+    for key in (topics.control(REALM), topics.control(REALM, "lab1"), topics.control(REALM, "lab2")):
+        assert not may("lab1", "ingress", "put", key)
+    for key in (topics.job(REALM, "j"), topics.blob(REALM, DIGEST, 0), topics.HELLO):
+        assert not may("lab1", "ingress", "declare_queryable", key)
+        assert not may("lab1", "ingress", "reply", key)
+
+
+@pytest.mark.parametrize("name", ["ann", "eve"])
+def test_a_client_asks_under_its_own_name_and_does_nothing_else(name: str) -> None:
+    assert may(name, "ingress", "query", topics.client(REALM, f"{name}-0123456789ab"))
+    assert may(name, "egress", "reply", topics.client(REALM, f"{name}-0123456789ab"))
+    assert not may(name, "ingress", "query", topics.client(REALM, "bob-1"))
+    keys = [
+        topics.control(REALM),
+        topics.control(REALM, "lab1"),
+        topics.job(REALM, "j"),
+        topics.placement(REALM, "j"),
+        topics.blob(REALM, DIGEST, 0),
+        topics.mail(REALM, name, "lab1"),
+        *(topics.worker(REALM, who, part) for who in ("lab1", name) for part in ("status", "report", "alive", "pull")),  # type: ignore[arg-type]
+    ]
+    messages = ("put", "query", "declare_subscriber", "declare_queryable", "liveliness_token", "reply")
+    for key, message, flow in itertools.product(keys, messages, ("ingress", "egress")):
+        assert not may(name, flow, message, key), (flow, message, key)  # type: ignore[arg-type]
+
+
+def test_everything_else_is_denied_and_every_rule_belongs_to_one_name() -> None:
+    setting = access_control(ROSTER)
+    assert setting["enabled"] is True
+    assert setting["default_permission"] == "deny"
+    rules, policies = setting["rules"], setting["policies"]
+    assert isinstance(rules, list)
+    assert isinstance(policies, list)
+    assert len({rule["id"] for rule in rules}) == len(rules)
+    assert sorted(each for policy in policies for each in policy["rules"]) == sorted(rule["id"] for rule in rules)
+    assert [policy["subjects"] for policy in policies] == [["lab1"], ["lab2"], ["ann"], ["eve"], ["(anybody)"]]
+    (anybody,) = [subject for subject in setting["subjects"] if "cert_common_names" not in subject]  # type: ignore[attr-defined]
+    assert anybody["id"] == "(anybody)"
+    keys = {key for rule in rules if rule["id"].startswith("(anybody)") for key in rule["key_exprs"]}
+    assert keys == {topics.HELLO}
+
+
+def test_a_name_is_borne_by_the_certificate_that_it_begins_with() -> None:
+    roster = Roster({"lab1": "worker", "gpu-room": "worker"})
+    bearers = {name: roster.bearer(name) for name in ("lab1", "lab1-0", "lab1-a-b", "lab10", "gpu-room-3", "gpu", "")}
+    assert bearers == {
+        "lab1": "lab1",
+        "lab1-0": "lab1",
+        "lab1-a-b": "lab1",
+        "lab10": None,
+        "gpu-room-3": "gpu-room",
+        "gpu": None,
+        "": None,
+    }
+
+
+@pytest.mark.parametrize(
+    ("entries", "reason"),
+    [
+        ({}, "0 names"),
+        ({"a b": "worker"}, "letters, digits"),
+        ({"x" * 49: "worker"}, "1 to 48"),
+        ({"lab1": "boss"}, "one of coordinator, router, worker, submitter, admin"),
+        ({"lab1": 3}, "role 3"),
+        ({"lab": "worker", "lab-gpu": "submitter"}, "lab and lab-gpu"),
+        ({"lab-gpu-1": "submitter", "lab": "worker"}, "lab and lab-gpu-1"),
+    ],
+)
+def test_a_roster_that_cannot_be_is_refused(entries: dict[str, object], reason: str) -> None:
+    with pytest.raises(UsageError, match=reason):
+        checked_roster(entries, "roster.toml")
+
+
+def test_a_roster_is_read_from_toml(tmp_path: Path) -> None:
+    file = tmp_path / "roster.toml"
+    file.write_text('# who\nlab1 = "worker"\nann = "submitter"\n')
+    assert read_roster(file).roles == {"lab1": "worker", "ann": "submitter"}
+    file.write_text("lab1 worker\n")
+    with pytest.raises(UsageError, match='should be: name = "role"'):
+        read_roster(file)
+    with pytest.raises(UsageError, match="no such file"):
+        read_roster(tmp_path / "other.toml")

@@ -1,0 +1,33 @@
+"""The worker processes of a local run."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from atoll.errors import DataError
+from atoll_coordinator.cli.local import cluster as local
+from atoll_coordinator.cli.local.cluster import Workers
+
+DEAF = """
+import os, signal, sys
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+open(sys.argv[1], "w").close()
+signal.pause()
+"""
+
+
+def test_after_an_error_a_worker_that_hears_nothing_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker that is loading its libraries answers a SIGTERM late; bad data must be refused at once."""
+    command = [sys.executable, "-c", DEAF]
+    monkeypatch.setattr(local, "worker_command", lambda endpoint, name: [*command, str(tmp_path / name)])
+    monkeypatch.setattr(local, "_STOP_LIMIT_S", 1e6)
+    monkeypatch.setattr(local, "adopt_orphans", lambda: False)
+    workers = Workers("tcp/127.0.0.1:1", 2, tmp_path / "log").__enter__()
+    processes = list(workers._processes.values())
+    while not all((tmp_path / name).exists() for name in ("w-0", "w-1")):
+        assert all(process.poll() is None for process in processes)
+    workers.__exit__(DataError, DataError("no data"), None)
+    assert [process.returncode for process in processes] == [-9, -9]

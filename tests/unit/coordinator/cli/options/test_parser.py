@@ -1,0 +1,84 @@
+"""The command line: verbs, options, what is refused and how."""
+
+import subprocess
+import sys
+
+import pytest
+
+from atoll.errors import UsageError
+from atoll_coordinator.cli.main import main
+from atoll_coordinator.cli.options.parser import HANDLERS, LATER_VERBS, build_parser, parse
+
+
+@pytest.mark.parametrize("verb", LATER_VERBS)
+def test_a_verb_of_a_later_version_is_refused_as_such(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([verb, "abc", "--json"]) == 2
+    assert capsys.readouterr().err == f"coordinator: {verb} is not in this version\n"
+
+
+def test_help_lists_the_verbs_of_this_version_and_none_of_later_ones() -> None:
+    text = build_parser().format_help()
+    assert all(f"    {verb}" in text for verb in HANDLERS)
+    assert not any(f"    {verb}" in text for verb in LATER_VERBS)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("run", ["DATA", "required"]),
+        ("result", ["ID", "required"]),
+        ("run a.csv --bogus", ["unknown option --bogus"]),
+        ("run a.csv --seed", ["--seed", "expected one argument"]),
+        ("run a.csv --workers 0", ["--workers", "from 1 to 1024", "'0'"]),
+        ("run a.csv --workers two", ["--workers", "from 1 to 1024", "'two'"]),
+        ("run a.csv --workers 100000", ["--workers", "from 1 to 1024", "'100000'"]),
+        ("result abc --format yaml", ["--format must be one of", "json", "'yaml'"]),
+        ("frobnicate", ["must be one of", "submit", "'frobnicate'"]),
+        ("", ["no command was given"]),
+        ("run a.csv --max", ["unknown option --max"]),
+    ],
+)
+def test_a_wrong_command_line_is_one_sentence_and_exit_code_2(
+    line: str, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(line.split()) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("coordinator: ")
+    assert printed.err.count("\n") == 1
+    assert all(word in printed.err for word in words)
+
+
+@pytest.mark.parametrize("line", ["--operators -,+", "--operators=-,+"])
+def test_a_list_of_operators_may_begin_with_minus(line: str) -> None:
+    assert parse(["run", "a.csv", *line.split()]).operators == ["-,+"]
+
+
+def test_options_and_files_may_come_in_any_order() -> None:
+    options = parse(["run", "--seed", "3", "a.csv", "b.csv", "--json"])
+    assert options.data == ["a.csv", "b.csv"]
+    assert (options.seed, options.json, options.verb) == ("3", True, "run")
+
+
+def test_submit_knows_every_option_of_the_data_the_search_and_the_budget_that_run_knows() -> None:
+    run, submit = vars(parse(["run", "a"])), vars(parse(["submit", "a"]))
+    assert set(run) - set(submit) == {"workers"}
+
+
+def test_abbreviated_options_are_not_guessed() -> None:
+    with pytest.raises(UsageError, match="unknown option"):
+        parse(["run", "a.csv", "--tar", "y"])
+
+
+def test_help_imports_none_of_the_heavy_libraries() -> None:
+    """The promise of an instant ``--help`` is kept by what is not imported, which can be asserted; time cannot."""
+    script = (
+        "import sys, contextlib, io\n"
+        "from atoll_coordinator.cli.main import main\n"
+        "with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):\n"
+        "    main(['run', '--help'])\n"
+        "heavy = {'numpy', 'pydantic', 'zenoh', 'numba', 'sympy', 'polars', 'rich', 'scipy', 'msgpack'}\n"
+        "print(sorted(heavy & set(sys.modules)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,44 @@
+"""Saved results, printed without a coordinator."""
+
+from pathlib import Path
+
+import pytest
+
+from atoll_coordinator.cli.main import main
+from atoll_coordinator.cli.terminal.output import write_result
+from tests.unit.coordinator.model.report.test_known import result
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> str:
+    return str(write_result(tmp_path, result()[0]))
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ("text", "dy/dt = -0.1*x"),
+        ("json", '"expression": "-x/10.0"'),
+        ("csv", "-x/10.0"),
+        ("sympy", "x/10"),
+        ("latex", "align"),
+    ],
+)
+def test_a_saved_result_is_printed_in_every_form(path: str, capsys: pytest.CaptureFixture[str], how: str, said: str):
+    assert main(["result", path, "--format", how]) == 0
+    assert said in capsys.readouterr().out
+
+
+def test_members_of_its_fronts_can_be_picked(path: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["result", path, "--pick", "y=0"]) == 0
+    assert "dy/dt = -0.1*x" in capsys.readouterr().out
+    assert main(["result", path, "--pick", "y=9"]) == 2
+
+
+@pytest.mark.parametrize("text", [None, "{", "[]", '{"schema": 99, "equations": []}'])
+def test_what_is_no_result_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str | None) -> None:
+    path = tmp_path / "result.json"
+    if text is not None:
+        path.write_text(text, "utf-8")
+    assert main(["result", str(path)]) == 2
+    assert "saved result.json" in capsys.readouterr().err

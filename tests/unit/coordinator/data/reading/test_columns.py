@@ -1,0 +1,101 @@
+"""Which column plays which part, and what is said when the options contradict each other or the file."""
+
+import pytest
+
+from atoll.config import Angle, DataConfig
+from atoll.errors import DataError, UsageError
+from atoll_coordinator.data.reading.columns import Roles, resolve, without_units
+from tests.unit.coordinator.data.tables import table_of
+
+
+def roles(names, **options):
+    return resolve(table_of({name: [0.0, 1.0] for name in names.split()}, skipped=("who",)), DataConfig(**options))
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "expected"),
+    [
+        ("t x y", {}, Roles("t", None, ("x", "y"), ())),
+        ("x time y", {}, Roles("time", None, ("x", "y"), ())),
+        ("t time x", {}, Roles("t", None, ("time", "x"), ())),
+        ("year t x", {"time": "year"}, Roles("year", None, ("t", "x"), ())),
+        ("t x y", {"states": ("y",)}, Roles("t", None, ("y",), ())),
+        ("t x u", {"inputs": ("u",)}, Roles("t", None, ("x",), ("u",))),
+        ("t x", {"inputs": ("t",)}, Roles("t", None, ("x",), ("t",))),
+        ("t x", {"time": "t", "inputs": ("t",)}, Roles("t", None, ("x",), ("t",))),
+        ("trajectory t x", {}, Roles("t", "trajectory", ("x",), ())),
+        ("run t x", {"trajectory": "run"}, Roles("t", "run", ("x",), ())),
+        ("trajectory t x", {"states": ("trajectory", "x")}, Roles("t", None, ("trajectory", "x"), ())),
+        ("label x y", {"target": "label"}, Roles(None, None, (), ("x", "y"), target="label")),
+        ("t label x", {"target": "label"}, Roles(None, None, (), ("x",), target="label")),
+        ("t label", {"target": "label"}, Roles(None, None, (), ("t",), target="label")),
+        ("t label x", {"target": "label", "inputs": ("t",)}, Roles(None, None, (), ("t",), target="label")),
+        ("label x y", {"target": "label", "states": ("y",)}, Roles(None, None, (), ("y",), target="label")),
+        ("x dx", {"derivatives": ("dx",)}, Roles(None, None, ("x",), (), derivatives=("dx",))),
+        (
+            "t dy dx x y u",
+            {"states": ("x", "y"), "derivatives": ("dx", "dy"), "inputs": ("u",)},
+            Roles("t", None, ("x", "y"), ("u",), derivatives=("dx", "dy")),
+        ),
+    ],
+)
+def test_every_column_gets_its_part(names, options, expected):
+    assert roles(names, **options) == expected
+
+
+def test_columns_may_be_named_with_their_units():
+    config = DataConfig(
+        time="t [s]", states=("v [m/s]",), inputs=("u [N]",), only=("v [m/s]",), angles=(Angle(column="v [m/s]"),)
+    )
+    numbered = without_units(DataConfig(trajectory="run [1]", holdout="run [1]=4"), ("t", "run"))
+    assert (numbered.trajectory, numbered.holdout) == ("run", "run=4")
+    plain = without_units(config, ("t", "v", "u [N]"))
+    assert plain == DataConfig(time="t", states=("v",), inputs=("u [N]",), only=("v",), angles=(Angle(column="v"),))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"target": "x", "derivatives": ("y",)}, "--target and --derivatives exclude each other"),
+        ({"target": "x", "holdout": 1}, "--holdout and --target exclude each other"),
+        ({"target": "x", "order": 2}, "--order 2 and --target exclude each other"),
+        ({"derivatives": ("x",), "order": 2}, "--order 2 and --derivatives exclude each other"),
+        ({"states": ("x", "y"), "inputs": ("y",)}, "column 'y' cannot be both a state and an input; name it once"),
+        ({"states": ("x", "x")}, "column 'x' is named twice as a state; name it once"),
+        ({"target": "x", "inputs": ("x",)}, "column 'x' cannot be both an input and the target"),
+        ({"time": "x", "states": ("x",)}, "column 'x' cannot be both a state and the time"),
+        ({"trajectory": "x", "inputs": ("x",)}, "column 'x' cannot be both an input and the trajectory column"),
+        ({"states": ("x", "y"), "derivatives": ("z",)}, "2 states and 1 derivatives were named"),
+        ({"derivatives": ("z",)}, "1 derivatives were named for the states x, y"),
+        ({"only": ("z",), "states": ("x",)}, "--only names 'z', but equations are sought for x"),
+        ({"angles": (Angle(column="t"),)}, "--angle names 't', which is neither a state nor an input"),
+        ({"target": "x", "angles": (Angle(column="x"),)}, "--angle names 'x', the target of an explicit regression"),
+    ],
+)
+def test_contradictory_options_are_refused(options, message):
+    with pytest.raises(UsageError) as raised:
+        roles("t x y z", **options)
+    assert message in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "message"),
+    [
+        ("t alpha beta", {"states": ("alfa",)}, "which has t, alpha, beta; did you mean 'alpha'?"),
+        ("t x", {"inputs": ("wind",)}, "there is no column 'wind' in a.csv, which has t, x"),
+        ("t x", {"states": ("who",)}, "column 'who' holds text; a column of numbers is expected"),
+        ("x y", {}, "no time column was found (looked for t or time); name it with --time, or use --target COLUMN"),
+        ("t", {}, "no column is left to be a state; name the states with --states"),
+        ("x", {"target": "x"}, "there is no column besides 'x' from which it could be computed"),
+    ],
+)
+def test_columns_that_are_not_there_are_refused(names, options, message):
+    with pytest.raises(DataError) as raised:
+        roles(names, **options)
+    assert message in str(raised.value)
+
+
+def test_a_time_column_of_text_is_named():
+    table = table_of({"x": [0.0, 1.0]}, skipped=("t",))
+    with pytest.raises(DataError, match=r"column 't' of a\.csv holds text"):
+        resolve(table, DataConfig())

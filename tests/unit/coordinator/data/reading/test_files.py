@@ -1,0 +1,214 @@
+"""Reading files: dialects, units, breaks between trajectories, and one sentence for whatever cannot be read."""
+
+import numpy as np
+import polars
+import pytest
+
+from atoll.config import DataConfig
+from atoll.errors import DataError
+from atoll_coordinator.data.reading.files import read_table
+
+ANYTHING = DataConfig()
+
+
+@pytest.fixture
+def read(tmp_path):
+    def write_and_read(*texts, config=ANYTHING, suffix=".csv"):
+        paths = []
+        for name, text in zip("abc", texts, strict=False):
+            paths.append(tmp_path / f"{name}{suffix}")
+            paths[-1].write_bytes(text if isinstance(text, bytes) else text.encode())
+        return read_table(paths, config)
+
+    return write_and_read
+
+
+def test_a_plain_file_becomes_columns(read):
+    table = read("t,x,y\n0,1,2\n0.1,1.5,2.5\n")
+    assert table.names == ("t", "x", "y")
+    assert table.columns.tolist() == [[0.0, 0.1], [1.0, 1.5], [2.0, 2.5]]
+    assert table.starts == (0,)
+    assert table.files == ("a.csv",)
+    assert table.line_of_row.tolist() == [2, 3]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t;x\n0;1\n1;2\n",
+        "t\tx\n0\t1\n1\t2\n",
+        "t,x\r\n0,1\r\n1,2\r\n",
+        "\ufefft,x\n0,1\n1,2",
+        '"t","x"\n"0","1"\n1,2\n',
+        "t , x\n 0, 1\n1 ,2 \n",
+        "\n\nt,x\n0,1\n1,2\n",
+        "t;x\n0,0;1,0\n1;2\n",
+    ],
+)
+def test_dialects_read_the_same(read, text):
+    table = read(text)
+    assert table.names == ("t", "x")
+    assert table.columns.tolist() == [[0.0, 1.0], [1.0, 2.0]]
+
+
+def test_utf_16_of_spreadsheets_is_read(read):
+    assert read("t,θ\n0,1\n".encode("utf-16")).names == ("t", "θ")
+
+
+def test_units_are_split_from_names(read):
+    table = read('t [s],"v [m/s]",angle[deg],[x]\n0,1,2,3\n')
+    assert table.names == ("t", "v", "angle", "[x]")
+    assert table.units == ("s", "m/s", "deg", "")
+
+
+def test_all_digits_survive(read):
+    values = [0.1 + 0.2, 1e-300, -1.7976931348623157e308, 5e-324]
+    assert read("x\n" + "\n".join(f"{value:.17g}" for value in values)).column("x").tolist() == values
+
+
+def test_blank_rows_separate_trajectories(read):
+    table = read("\nt,x\n0,1\n1,2\n\n\n,\n0,3\n1,4\n\n")
+    assert table.starts == (0, 2)
+    assert table.column("x").tolist() == [1, 2, 3, 4]
+    assert table.line_of_row.tolist() == [3, 4, 8, 9]
+
+
+def test_each_file_is_a_trajectory_of_its_own(read):
+    table = read("t,x\n0,1\n1,2\n", "x,t\n3,0\n\n4,0\n")
+    assert table.column("x").tolist() == [1, 2, 3, 4]
+    assert table.starts == (0, 2, 3)
+    assert table.files == ("a.csv", "b.csv")
+    assert table.places([2]) == "row 3 (line 2 of b.csv)"
+
+
+def test_missing_cells_are_nan_and_infinity_is_kept(read):
+    table = read("t,x,y\n0,,NaN\n1,inf,N/A\n2,-inf,null\n")
+    assert np.isnan(table.column("y")).all()
+    assert np.isnan(table.column("x")[0])
+    assert table.column("x")[1:].tolist() == [np.inf, -np.inf]
+
+
+def test_columns_of_text_are_set_aside(read):
+    table = read("t,who,x\n0,ann,1\n1,,2\n")
+    assert table.names == ("t", "x")
+    assert table.skipped == ("who",)
+
+
+def test_columns_without_a_name_are_set_aside_unless_empty(read):
+    table = read(",t,x,\n0,0,1,\n1,1,2,\n")
+    assert table.names == ("t", "x")
+    assert table.skipped == ("column 1",)
+
+
+@pytest.mark.parametrize("config", [DataConfig(), DataConfig(trajectory="trajectory")])
+def test_the_trajectory_column_may_hold_names(read, config):
+    table = read("trajectory,t,x\nred,0,1\nred,1,2\nblue,0,3\n", config=config)
+    assert table.column("trajectory").tolist() == [1, 1, 2]
+
+
+def test_parquet_is_read_like_text(tmp_path):
+    frame = polars.DataFrame({"t": [0, 1, None, 0], "v [m/s]": [1.5, None, None, 2.5], "who": ["a", "b", None, "c"]})
+    frame.write_parquet(tmp_path / "a.parquet")
+    table = read_table([tmp_path / "a.parquet"], DataConfig())
+    assert table.names == ("t", "v")
+    assert table.units == ("", "m/s")
+    assert table.starts == (0, 2)
+    assert table.column("v")[[0, 2]].tolist() == [1.5, 2.5]
+    assert table.places([1]) == "row 2"
+
+
+def test_parquet_keeps_all_digits(tmp_path):
+    values = np.random.default_rng(0).normal(size=50)
+    polars.DataFrame({"x": values}).write_parquet(tmp_path / "a.parquet")
+    assert read_table([tmp_path / "a.parquet"], DataConfig()).column("x").tolist() == values.tolist()
+
+
+def test_npz_is_read(tmp_path):
+    np.savez(tmp_path / "a.npz", t=np.arange(3), x=np.array([1.0, np.nan, 3.0]))
+    table = read_table([tmp_path / "a.npz"], DataConfig())
+    assert table.names == ("t", "x")
+    assert table.rows == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "a.csv is empty; a header line and rows of numbers are expected"),
+        (" \n\n", "a.csv is empty; a header line and rows of numbers are expected"),
+        ("t,x\n", "a.csv has a header but no rows; rows of numbers are expected below it"),
+        ("t,x\n0,1\n1,two\n", "column 'x' of a.csv holds 'two' in line 3 where a number is expected"),
+        ("t,x,x\n0,1,2\n", "a.csv has 2 columns named 'x'; give each column its own name"),
+        ("t,x [m],x [s]\n0,1,2\n", "a.csv has 2 columns named 'x'; give each column its own name"),
+        ("t,x\n0,1\n1,2,3\n", "line 3 of a.csv has 3 cells where the header has 2; correct it"),
+        ("0,1\n1,2\n", "the first line of a.csv holds numbers only; a header with column names is expected there"),
+        ("t x y\n0 1 2\n", "a.csv has one column, 't x y'; separate columns with commas, semicolons or tabs"),
+        (b"t,x\n0,\xff\n", r"a.csv is not UTF-8 text (byte 7); save it as CSV in UTF-8, or as Parquet"),
+    ],
+)
+def test_what_cannot_be_read_is_said_in_one_sentence(read, text, message):
+    with pytest.raises(DataError) as raised:
+        read(text)
+    assert str(raised.value) == message
+    assert raised.value.exit_code == 2
+
+
+def test_text_in_a_column_that_an_option_names_is_refused(read):
+    with pytest.raises(DataError, match=r"column 'x' of a.csv holds 'one' in line 2 where a number is expected"):
+        read("t,x\n0,one\n1,two\n", config=DataConfig(states=("x",)))
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(DataError, match=r"there is no file .*none\.csv; check its name"):
+        read_table([tmp_path / "none.csv"], DataConfig())
+
+
+def test_a_folder_is_refused(tmp_path):
+    with pytest.raises(DataError, match="is a folder"):
+        read_table([tmp_path], DataConfig())
+
+
+def test_no_file_at_all_is_refused():
+    with pytest.raises(DataError, match="no data file was given"):
+        read_table([], DataConfig())
+
+
+def test_files_with_different_columns_are_refused(read):
+    with pytest.raises(DataError, match=r"a.csv and b.csv differ in the columns x, y; files read together"):
+        read("t,x\n0,1\n", "t,y\n0,1\n")
+
+
+def test_files_with_different_units_are_refused(read):
+    with pytest.raises(DataError, match="differ in the units"):
+        read("t,x [m]\n0,1\n", "t,x [km]\n0,1\n")
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".npz"])
+def test_a_file_that_is_not_what_its_name_says_is_refused(read, suffix):
+    with pytest.raises(DataError, match=rf"a\{suffix} "):
+        read("t,x\n0,1\n", suffix=suffix)
+
+
+def test_dates_in_parquet_are_refused(tmp_path):
+    polars.DataFrame({"t": ["2020-01-01"]}).with_columns(polars.col("t").str.to_date()).write_parquet(tmp_path / "a.pq")
+    with pytest.raises(DataError, match=r"column 't' of a.pq holds dates or times; convert it to numbers first"):
+        read_table([tmp_path / "a.pq"], DataConfig())
+
+
+def test_text_in_numbers_of_parquet_is_named_by_row(tmp_path):
+    polars.DataFrame({"t": ["0", "1", "x"]}).write_parquet(tmp_path / "a.parquet")
+    with pytest.raises(DataError, match=r"column 't' of a.parquet holds 'x' in row 3 where a number is expected"):
+        read_table([tmp_path / "a.parquet"], DataConfig())
+
+
+def test_lists_in_parquet_are_refused(tmp_path):
+    polars.DataFrame({"t": [0.0], "x": [[1.0, 2.0]]}).write_parquet(tmp_path / "a.parquet")
+    with pytest.raises(DataError, match=r"column 'x' of a\.parquet holds lists"):
+        read_table([tmp_path / "a.parquet"], DataConfig())
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"PK\x03\x04 and no more"])
+def test_an_npz_that_is_none_is_refused_without_advice_to_trust_it(tmp_path, content):
+    (tmp_path / "a.npz").write_bytes(content)
+    with pytest.raises(DataError, match=r"a\.npz is not an NPZ file of plain arrays") as caught:
+        read_table([tmp_path / "a.npz"], DataConfig())
+    assert "pickle" not in str(caught.value)

@@ -1,0 +1,156 @@
+"""Checks of measurements: each objection is one sentence that names rows and gives advice."""
+
+import math
+
+import numpy as np
+import pytest
+
+from atoll.config import Angle, DataConfig
+from atoll.errors import DataError
+from atoll_coordinator.data.reading.measured import measured
+from tests.unit.coordinator.data.tables import oscillator, table_of
+
+
+def refusal(columns, starts=(0,), **options):
+    with pytest.raises(DataError) as raised:
+        measured(table_of(columns, starts), DataConfig(**options))
+    assert raised.value.exit_code == 2
+    return str(raised.value)
+
+
+def changed(name, rows, value):
+    columns = oscillator()
+    columns[name] = columns[name].copy()
+    columns[name][rows] = value
+    return columns
+
+
+def test_nan_is_refused_with_its_rows():
+    assert refusal(changed("x", [11, 39], math.nan)) == (
+        "column 'x' holds NaN or an empty cell in rows 12, 40 (lines 13, 41 of a.csv), 2 in all; "
+        "correct them, or add --missing drop to leave such rows out"
+    )
+
+
+def test_infinity_is_refused_and_other_columns_are_mentioned():
+    columns = changed("x", [5], math.inf)
+    columns["y"][7] = math.nan
+    message = refusal(columns)
+    assert "column 'x' holds NaN or infinity in row 6 (line 7 of a.csv), and so do y (2 rows over all)" in message
+
+
+def test_columns_without_a_part_may_hold_anything():
+    columns = changed("y", [5], math.nan)
+    assert len(measured(table_of(columns), DataConfig(states=("x",))).rows) == 60
+
+
+def test_missing_rows_are_dropped_when_told():
+    columns = changed("x", [11, 39], math.nan)
+    its = measured(table_of(columns), DataConfig(missing="drop"))
+    assert len(its.rows) == 58
+    assert 11 not in its.rows
+    assert its.warnings == ("2 of 60 rows hold NaN or infinity and were dropped.",)
+
+
+def test_nothing_left_after_dropping_is_refused():
+    columns = changed("x", slice(None), math.nan)
+    assert refusal(columns, missing="drop").startswith("every row of a.csv holds NaN or infinity")
+
+
+@pytest.mark.parametrize("rows", [1, 4])
+def test_too_few_rows_are_refused(rows):
+    count = "1 row" if rows == 1 else f"{rows} rows"
+    assert refusal(oscillator(rows)) == f"a.csv has {count} of data; at least 5 are needed"
+
+
+def test_a_trajectory_that_is_too_short_is_named():
+    message = refusal(oscillator(60), starts=(0, 30, 33))
+    assert message.startswith("trajectory 2, which begins in row 31 (line 32 of a.csv), has 3 rows; at least 5")
+
+
+def test_a_constant_state_is_refused():
+    message = refusal(changed("y", slice(None), 2.5))
+    assert message.startswith("state 'y' of a.csv is constant (2.5 in every row)")
+
+
+def test_a_constant_target_is_refused():
+    message = refusal(changed("y", slice(None), 2.5), target="y")
+    assert message.startswith("target 'y' of a.csv is constant (2.5 in every row)")
+
+
+def test_a_constant_input_is_only_remarked():
+    its = measured(table_of(changed("y", slice(None), 2.5)), DataConfig(inputs=("y",)))
+    assert its.warnings == ("Column 'y' is constant and of no use to an equation.",)
+
+
+def test_constant_time_is_refused():
+    assert refusal(changed("t", slice(None), 1.0)) == "the time column 't' is constant (1); name another with --time"
+
+
+def test_repeated_times_are_refused():
+    message = refusal(changed("t", [8], 0.1 * 7))
+    assert message.startswith("time 0.7000000000000001 is repeated at row 9 (line 10 of a.csv); keep one row")
+
+
+def test_times_that_go_back_are_refused():
+    message = refusal(changed("t", [8], 0.25))
+    assert message.startswith(
+        "time goes back from 0.7000000000000001 to 0.25 at row 9 (line 10 of a.csv); sort the rows, or mark"
+    )
+
+
+def test_times_may_start_again_where_a_trajectory_does():
+    columns = {name: np.tile(values, 2) for name, values in oscillator(30).items()}
+    assert len(measured(table_of(columns, starts=(0, 30)), DataConfig()).runs) == 2
+    columns["run"] = np.repeat([7.0, 3.0], 30)
+    assert len(measured(table_of(columns), DataConfig(trajectory="run")).runs) == 2
+
+
+@pytest.mark.parametrize(("turn", "name", "option"), [(2 * math.pi, "2 pi", "y"), (360.0, "360", "y:deg")])
+@pytest.mark.parametrize("low", [0.0, -0.5])
+def test_unmarked_turns_of_an_angle_are_refused(turn, name, option, low):
+    columns = oscillator(200)
+    phases = np.linspace(0.3, 3.7, 200) + 0.02 * np.sin(np.arange(200))
+    columns["y"] = turn * ((phases - low) % 1.0 + low)
+    message = refusal(columns)
+    assert f"state 'y' jumps by about {name} " in message
+    assert f"add --angle {option} so that it is unwrapped" in message
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        10 * np.sin(np.linspace(0, 40, 200)),
+        np.where(np.linspace(0, 10, 200) % 2 < 1, -1.5, 1.5) + 0.01 * np.sin(np.arange(200)),
+        3 * np.tanh(8 * np.sin(np.linspace(0, 12, 200))),
+        np.random.default_rng(0).normal(0, 1, 200),
+        180 * np.sin(np.linspace(0, 30, 200)),
+    ],
+)
+def test_other_jumps_are_none_of_an_angle(values):
+    columns = oscillator(200)
+    columns["y"] = values
+    measured(table_of(columns), DataConfig())
+
+
+@pytest.mark.parametrize("degrees", [False, True])
+def test_a_marked_angle_is_unwrapped_into_radians(degrees):
+    columns = oscillator(200)
+    smooth = np.linspace(0.1, 25.0, 200)
+    columns["y"] = np.degrees(smooth) % 360 if degrees else smooth % (2 * math.pi)
+    its = measured(table_of(columns), DataConfig(angles=(Angle(column="y", degrees=degrees),)))
+    assert its.states["y"][0] == pytest.approx(smooth)
+    assert its.warnings == (("Degrees were converted to radians: y.",) if degrees else ())
+
+
+def test_an_angle_that_only_makes_full_turns_is_constant():
+    columns = oscillator(20)
+    columns["y"] = 360.0 * (np.arange(20) // 5)
+    assert "state 'y' of a.csv is constant" in refusal(columns, angles=(Angle(column="y", degrees=True),))
+
+
+def test_columns_of_text_and_unused_time_are_remarked():
+    table = table_of(oscillator(), skipped=("who",))
+    warnings = measured(table, DataConfig(target="y")).warnings
+    assert warnings[0] == "Columns of text or without a name are not used: who."
+    assert warnings[1] == "Column 't' is taken for time and not used; add --inputs t to use it."

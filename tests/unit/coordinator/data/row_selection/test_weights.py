@@ -1,0 +1,157 @@
+"""Rows count by their weights: in smoothing, in what the search is given, in fits of models."""
+
+import numpy as np
+import pytest
+
+from atoll.config import DataConfig, JobConfig
+from atoll.errors import DataError, UsageError
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.data.reading.description import describe
+from atoll_coordinator.data.row_selection.weights import relative_weights, weighty_enough
+from tests.unit.coordinator.data.tables import oscillator, table_of
+
+ROWS = 300
+BAD_NOISE = 0.5
+
+
+def noisy(seed=0):
+    """Return an oscillator whose every third row has ten times the error, with its inverse variances."""
+    columns = oscillator(ROWS)
+    is_bad = np.arange(ROWS) % 3 == 1
+    noise = np.where(is_bad, BAD_NOISE, 0.1 * BAD_NOISE)
+    rng = np.random.default_rng(seed)
+    columns |= {name: columns[name] + noise * rng.standard_normal(ROWS) for name in ("x", "y")}
+    return columns | {"w": 7.0 / noise**2}
+
+
+def prepared(columns, weights="w", **options):
+    return prepare(table_of(columns), JobConfig(data=DataConfig(weights=weights, **options)))
+
+
+def slope_errors(preparation):
+    its = preparation.recording.trajectories[0]
+    return float(np.std(its.slopes[0] - oscillator(ROWS)["y"]))
+
+
+def test_weights_improve_what_is_smoothed():
+    columns = noisy()
+    alike = {name: values for name, values in columns.items() if name != "w"}
+    assert slope_errors(prepared(columns)) < 0.6 * slope_errors(prepared(alike, None))
+
+
+def test_the_noise_is_that_of_a_row_of_mean_weight():
+    its = prepared(noisy()).recording
+    weights = its.trajectories[0].weights
+    assert weights.mean() == pytest.approx(1.0)
+    for smoothing in its.smoothing:
+        assert smoothing.method == "loess"
+        assert smoothing.noise / np.sqrt(weights.max()) == pytest.approx(0.1 * BAD_NOISE, rel=0.15)
+
+
+def test_robust_smoothing_knows_that_a_row_of_little_weight_may_be_far_off():
+    its = prepared(noisy(), robust=True).recording
+    assert sum(smoothing.outliers for smoothing in its.smoothing) <= 6
+    columns = noisy()
+    columns["x"][100] += 1.5 * BAD_NOISE
+    columns["x"][102] += 1.5 * BAD_NOISE
+    (trajectory,) = prepared(columns, robust=True).recording.trajectories
+    assert trajectory.trust[0, 102] == 0.0
+    assert trajectory.trust[0, 100] > 0.0
+
+
+def test_rows_without_weight_are_as_if_they_had_not_been_measured():
+    columns = oscillator(100)
+    columns["w"] = np.where(np.arange(100) % 4 == 2, 0.0, 2.0)
+    columns["x"][2] = np.nan
+    columns["y"][6] = 1e6
+    its = prepared(columns)
+    left = {name: values[columns["w"] > 0.0] for name, values in columns.items() if name != "w"}
+    other = prepared(left, None)
+    assert its.dataset.digest == other.dataset.digest
+    assert its.recording.trajectories[0].weights is None
+    assert its.dataset.warnings[0] == "25 of 100 rows have no weight and are left out."
+
+
+def test_equal_weights_change_nothing():
+    columns = oscillator(100)
+    alike = prepared(columns, None)
+    its = prepared(columns | {"w": np.full(100, 0.3)})
+    assert its.dataset.digest == alike.dataset.digest
+    assert {smoothing.method for smoothing in its.recording.smoothing} == {"interpolation"}
+
+
+def test_the_factor_of_weights_does_not_matter():
+    columns = noisy()
+    one, other = prepared(columns), prepared(columns | {"w": 1e-30 * columns["w"]})
+    assert one.recording.trajectories[0].smoothed == pytest.approx(other.recording.trajectories[0].smoothed, rel=1e-9)
+
+
+def test_many_rows_are_thinned_with_their_weights():
+    rows = 20_000
+    columns = oscillator(rows)
+    noise = np.where(np.arange(rows) % 2 == 0, 0.5, 0.05)
+    drawn = np.random.default_rng(1).standard_normal((2, rows))
+    columns |= {name: columns[name] + noise * each for name, each in zip("xy", drawn, strict=True)}
+    its = prepared(columns | {"w": 1.0 / noise**2}).recording
+    weights = its.trajectories[0].weights
+    assert its.smoothing[0].noise / np.sqrt(weights.max()) == pytest.approx(0.05, rel=0.1)
+
+
+def test_labels_of_little_weight_are_left_out_of_the_search():
+    rng = np.random.default_rng(2)
+    columns = {"x": rng.uniform(1.0, 2.0, 50), "w": np.ones(50)}
+    columns["y"] = 3.0 * columns["x"]
+    columns["w"][:5] = [0.03, 0.05, 0.03, 0.0, 1.0]
+    its = prepared(columns, target="y")
+    assert its.dataset.inputs.shape == (1, 47)
+    assert its.weights.shape == (47,)
+    assert its.dataset.warnings == (
+        "1 of 50 rows have no weight and are left out.",
+        "2 of 49 rows have little weight and are left out of the search.",
+    )
+    assert prepared(columns, None, target="y", states=("x",)).weights is None
+
+
+def test_most_rows_are_kept_whatever_their_weight():
+    weights = np.array([1.0] * 60 + [1e-3] * 40)
+    assert len(weighty_enough(weights, [*range(100)])) == 100
+    weights[60:70] = 1e-4
+    assert weighty_enough(weights, [*range(100)]) == [*range(60), *range(70, 100)]
+
+
+def test_relative_weights_are_one_on_average():
+    assert relative_weights(np.array([1e300, 3e300])) == pytest.approx([0.5, 1.5])
+    assert relative_weights(np.full(5, 0.1)) is None
+
+
+@pytest.mark.parametrize(("value", "found"), [(-1.0, "-1"), (np.nan, "an empty cell or NaN"), (np.inf, "inf")])
+def test_wrong_weights_are_refused_in_one_sentence(value, found):
+    columns = noisy()
+    columns["w"][2] = value
+    with pytest.raises(DataError) as refusal:
+        prepared(columns)
+    assert str(refusal.value) == (
+        f"the weights 'w' hold {found} in row 3 (line 4 of a.csv); a weight is a number from 0 (a row that is not "
+        "used) up, such as 1/variance"
+    )
+
+
+def test_weights_that_leave_hardly_a_row_are_refused():
+    columns = noisy()
+    columns["w"][4:] = 0.0
+    with pytest.raises(DataError, match=r"only 4 rows of .* have a weight above zero in 'w'; at least 5 are needed"):
+        prepared(columns)
+    columns["w"][:] = 0.0
+    with pytest.raises(DataError, match="only 0 rows"):
+        prepared(columns)
+
+
+def test_the_column_of_weights_is_no_state_and_has_no_other_part():
+    columns = noisy()
+    assert prepared(columns).recording.states == ("x", "y")
+    config = JobConfig(data=DataConfig(weights="w"))
+    assert "weights: w" in describe(table_of(columns), config)
+    with pytest.raises(UsageError, match="column 'w' cannot be both a state and the weights"):
+        prepared(columns, states=("x", "w"))
+    with pytest.raises(DataError, match="there is no column 'v'"):
+        prepared(columns, "v")

@@ -1,0 +1,131 @@
+"""What is known beforehand, in terms of the data."""
+
+import pytest
+
+from atoll.config import DataConfig, EvolutionConfig, JobConfig, PriorConfig, SpaceConfig
+from atoll.errors import UsageError
+from atoll.expression.text.infix import to_infix
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs, resolve_prior
+from atoll_coordinator.data.reading.description import describe
+from atoll_coordinator.service.jobs.defaults import resolve
+from tests.unit.coordinator.data.tables import oscillator, table_of
+
+SYMBOLS = {"x": "x", "y-1": "y_1", "u": "u"}
+VARIABLES = ("x", "y-1")
+
+
+def config_of(guesses=(), known=(), operators_of=(), variables_of=(), **others):
+    space = SpaceConfig(operators_of=dict(operators_of), variables_of=dict(variables_of), **others.pop("space", {}))
+    return JobConfig(prior=PriorConfig(guesses=dict(guesses), known=dict(known)), space=space, **others)
+
+
+def resolved(variables=VARIABLES, **given):
+    return resolve_prior(config_of(**given), variables, SYMBOLS)
+
+
+def test_without_prior_knowledge_a_configuration_stays_as_it_is():
+    assert resolve_prior(JobConfig(), VARIABLES, SYMBOLS) == JobConfig()
+
+
+def test_left_hand_sides_become_variables_and_allowed_columns_symbols():
+    its = resolved(
+        guesses={"dx/dt": ("2*x",), "x": ("y_1",)},
+        known={"dy_1": "-x/10"},
+        operators_of={"x'": ("+", "*")},
+        variables_of={"dx": ("y-1", "x")},
+    )
+    assert its.prior == PriorConfig(guesses={"x": ("2*x", "y_1")}, known={"y-1": "-x/10"})
+    assert its.space.operators_of == {"x": ("+", "*")}
+    assert its.space.variables_of == {"x": ("y_1", "x")}
+    assert resolve_prior(its, VARIABLES, SYMBOLS) == its
+
+
+def test_an_equation_has_its_own_operators_and_variables_the_others_the_general_ones():
+    space = resolved(operators_of={"x": ("+",)}, variables_of={"x": ("u", "x")}).space
+    names = tuple(SYMBOLS.values())
+    assert (space.operators_for("x"), space.operators_for("y-1")) == (("+",), SpaceConfig().operators)
+    assert (space.columns_for("x", names), space.columns_for("y-1", names)) == ((0, 2), (0, 1, 2))
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"known": {"z": "x"}}, ["--known", "'z'", "x, y-1"]),
+        ({"known": {"x": "1", "dx": "2"}}, ["--known", "'x'", "twice"]),
+        ({"known": {"x": "3*w"}}, ["--known for 'x'", "'w'", "known: x, y_1, u"]),
+        ({"known": {"x": "3*"}}, ["--known for 'x'"]),
+        ({"guesses": {"x": ("x +",)}}, ["--guess for 'x'"]),
+        ({"guesses": {"x": ("foo(x)",)}}, ["--guess for 'x'", "'foo'"]),
+        ({"guesses": {"x": ("exp(x)",)}}, ["guess 'exp(x)' for 'x'", "'exp'", "+,-,*,/,sin,cos"]),
+        ({"guesses": {"x": ("x*u",)}, "variables_of": {"x": ("x", "y-1")}}, ["uses u", "x, y_1 only"]),
+        ({"guesses": {"x": ("x/u",)}, "operators_of": {"x": ("+", "*")}}, ["'/'", "+,*"]),
+        ({"guesses": {"x": ("+".join(f"{n}*x" for n in range(3, 12)),)}}, ["10 different variables", "room for 8"]),
+        ({"guesses": {"x": ("x*x+u",)}, "space": {"max_size": 3}}, ["size 4", "--max-size is 3"]),
+        ({"guesses": {"x": ("x",) * 5}, "evolution": EvolutionConfig(population=16)}, ["5 guesses", "at most 4"]),
+        ({"guesses": {"x": ("x",)}, "known": {"dx": "1"}}, ["--guess", "'x'", "known"]),
+        ({"operators_of": {"x": ("+",)}, "known": {"x": "1"}}, ["--operators", "'x'", "known"]),
+        ({"variables_of": {"x": ("x",)}, "known": {"x": "1"}}, ["--allow", "'x'", "known"]),
+        ({"variables_of": {"x": ("w",)}}, ["--allow", "'w'", "x, y-1, u"]),
+        ({"variables_of": {"x": ()}}, ["--allow", "no variable"]),
+    ],
+)
+def test_what_cannot_be_used_is_one_sentence(given, words):
+    with pytest.raises(UsageError) as caught:
+        resolved(**given)
+    assert "\n" not in str(caught.value)
+    assert [word for word in words if word not in str(caught.value)] == []
+
+
+def test_an_equation_too_long_to_print_is_refused():
+    text = "x*y_1"
+    for _ in range(12):
+        text = f"({text} + u)*({text})"
+    with pytest.raises(UsageError, match="--known for 'x'"):
+        resolved(known={"x": text})
+
+
+def test_a_known_equation_is_prepared_beside_the_only_one_sought():
+    config = config_of(known={"dy/dt": "-x"}, data=DataConfig(only=("x",)))
+    dataset = prepare(table_of(oscillator()), config).dataset
+    assert dataset.variables == ("x", "y")
+    programs = known_programs(dataset, resolve(config, dataset))
+    assert [(name, to_infix(program, dataset.names)) for name, program in programs.items()] == [("y", "-x")]
+
+
+def test_guesses_are_programs_as_well():
+    config = config_of(guesses={"dy": ("2*3*x", "x/y")})
+    dataset = prepare(table_of(oscillator()), config).dataset
+    programs = guessed_programs(dataset, resolve(config, dataset))
+    assert [to_infix(program, dataset.names) for program in programs.pop("y")] == ["6.0*x", "x/y"]
+    assert programs == {}
+
+
+def test_a_guess_for_an_equation_that_is_not_sought_is_refused():
+    config = config_of(guesses={"y": ("x",)}, data=DataConfig(only=("x",)))
+    with pytest.raises(UsageError, match="--guess names 'y', but equations are sought for x"):
+        prepare(table_of(oscillator()), config)
+
+
+def test_velocities_are_variables_of_second_order():
+    config = config_of(
+        guesses={"d2x": ("-x - 0.1*x_dot",)}, variables_of={"x": ("x", "x_dot")}, data=DataConfig(order=2)
+    )
+    dataset = prepare(table_of(oscillator()), config).dataset
+    assert resolve(config, dataset).space.columns_for("x", dataset.names) == (0, 2)
+
+
+def test_an_explicit_regression_has_no_derivatives():
+    config = config_of(known={"y": "2*x"}, data=DataConfig(target="y"))
+    assert prepare(table_of(oscillator()), config).dataset.variables == ("y",)
+    with pytest.raises(UsageError, match="as it stands"):
+        prepare(table_of(oscillator()), config_of(known={"dy": "2*x"}, data=DataConfig(target="y")))
+
+
+def test_a_person_is_told_how_it_was_understood():
+    config = config_of(guesses={"x": ("y", "2*y")}, known={"y'": "-x"})
+    assert describe(table_of(oscillator()), config).split("\n")[-3:] == [
+        "known: dy/dt = -x",
+        "guess: dx/dt = y",
+        "guess: dx/dt = 2*y",
+    ]

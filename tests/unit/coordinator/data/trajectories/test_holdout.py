@@ -1,0 +1,165 @@
+"""Held-out trajectories: chosen as told, seen by nobody, recorded all the same."""
+
+import math
+
+import numpy as np
+import pytest
+
+from atoll.config import DataConfig, JobConfig
+from atoll.errors import DataError, UsageError
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.data.reading.measured import measured
+from tests.unit.coordinator.data.tables import oscillator, table_of
+
+
+def three(noise=0.05, numbers=(4.0, 7.0, 2.5), rows=60):
+    """Return three trajectories, told apart by the column `run`."""
+    rng = np.random.default_rng(0)
+    columns = {name: np.tile(values, 3) for name, values in oscillator(rows).items()}
+    columns |= {name: columns[name] + noise * rng.standard_normal(3 * rows) for name in "xy"}
+    columns["run"] = np.repeat(numbers, rows)
+    return columns
+
+
+def prepared(columns, preset="default", **options):
+    return prepare(table_of(columns), JobConfig(preset=preset, data=DataConfig(trajectory="run", **options)))
+
+
+@pytest.mark.parametrize(
+    ("holdout", "expected"),
+    [
+        (None, (False, False, False)),
+        (1, (False, False, True)),
+        (2, (False, True, True)),
+        ("run=4", (True, False, False)),
+        ("run=2.5", (False, False, True)),
+        ("run= 7.0", (False, True, False)),
+    ],
+)
+def test_trajectories_are_chosen_by_number_or_by_value(holdout, expected):
+    its = measured(table_of(three()), DataConfig(trajectory="run", holdout=holdout))
+    assert its.held_out == expected
+
+
+@pytest.mark.parametrize(
+    ("holdout", "kind", "message"),
+    [
+        (
+            3,
+            DataError,
+            "--holdout 3 would keep everything from the search: there are 3 trajectories; leave at least one",
+        ),
+        (
+            9,
+            DataError,
+            "--holdout 9 would keep everything from the search: there are 3 trajectories; leave at least one",
+        ),
+        ("run=5", DataError, "--holdout run=5: no trajectory has this value; there are 4, 7, 2.5"),
+        ("run=a", UsageError, "--holdout must be a whole number or COLUMN=NUMBER, but 'run=a' was given"),
+        (
+            "x=1",
+            UsageError,
+            "--holdout names column 'x', but trajectories are told apart by column 'run'; "
+            "add --trajectory x, or give the number of trajectories to hold out",
+        ),
+        ("rum=4", DataError, "there is no column 'rum' in a.csv, which has t, x, y, run; did you mean 'run'?"),
+    ],
+)
+def test_what_cannot_be_held_out_is_refused(holdout, kind, message):
+    with pytest.raises(kind) as raised:
+        prepared(three(), holdout=holdout)
+    assert str(raised.value) == message
+    assert raised.value.exit_code == 2
+
+
+def test_one_trajectory_cannot_be_held_out():
+    with pytest.raises(DataError, match="there is only one trajectory; leave at least one"):
+        prepare(table_of(oscillator(60)), JobConfig(data=DataConfig(holdout=1)))
+
+
+def test_without_a_trajectory_column_a_value_means_nothing():
+    with pytest.raises(UsageError, match="are told apart by blank rows or files; add --trajectory x"):
+        prepare(table_of(oscillator(60), (0, 30)), JobConfig(data=DataConfig(holdout="x=1")))
+
+
+def test_explicit_regression_has_nothing_to_hold_out():
+    with pytest.raises(UsageError, match="--holdout and --target exclude each other"):
+        prepared(three(), target="x", holdout=1)
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+@pytest.mark.parametrize("robust", [False, True])
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_what_is_held_out_changes_nothing_for_the_search(noise, robust, preset):
+    """As if the trajectory had not been measured at all, even if it is wild."""
+    columns = three(noise)
+    columns["x"][150:] *= 40.0
+    both = prepared(columns, preset, holdout=1, robust=robust).dataset
+    alone = prepared({name: values[:120] for name, values in columns.items()}, preset, robust=robust).dataset
+    assert np.abs(both.inputs - alone.inputs).max() < 1e-9
+    for its, other in zip(both.targets, alone.targets, strict=True):
+        assert its.values == pytest.approx(other.values, abs=1e-9)
+        assert its.floor == pytest.approx(other.floor, rel=1e-6, abs=1e-14)
+
+
+def test_held_out_trajectories_are_smoothed_and_recorded():
+    its = prepared(three(), holdout="run=7")
+    assert its.recording is not None
+    assert [(each.name, each.held_out) for each in its.recording.trajectories] == [
+        ("4", False),
+        ("7", True),
+        ("2.5", False),
+    ]
+    held_out = its.recording.trajectories[1]
+    assert np.std(held_out.smoothed[0] - oscillator(60)["x"]) < 0.04
+    assert np.std(held_out.slopes[0] - oscillator(60)["y"]) < 0.2
+
+
+def test_held_out_rows_have_the_same_targets():
+    its = prepared(three(), holdout="run=7", only=("y",))
+    assert its.held_out is not None
+    assert its.held_out.names == its.dataset.names
+    (target,), (seen,) = its.held_out.targets, its.dataset.targets
+    assert (target.variable, target.lhs) == ("y", "dy/dt")
+    assert (target.floor, target.deviation, target.noise) == (seen.floor, seen.deviation, seen.noise)
+    assert 50 <= its.held_out.inputs.shape[1] == len(target.values) <= 60
+    assert np.abs(target.values + its.held_out.inputs[0]).mean() < 0.2
+
+
+def test_held_out_rows_of_clean_data_are_as_certain_as_the_others():
+    columns = three(0.0)
+    columns["x"][60:120] += np.tanh(1e4 * (columns["t"][60:120] - 3.03))
+    its = prepared(columns, holdout="run=7")
+    assert its.held_out is not None
+    assert 20 < its.held_out.inputs.shape[1] < 50
+    slopes = its.held_out.targets[0].values
+    assert np.abs(slopes - its.held_out.inputs[1]).max() < 0.01
+
+
+def test_given_derivatives_may_be_held_out():
+    columns = three() | {"dx": three()["y"], "dy": -three()["x"]}
+    its = prepared(columns, states=("x", "y"), derivatives=("dx", "dy"), holdout=1)
+    assert its.recording is None
+    assert its.held_out is not None
+    assert (its.dataset.inputs.shape, its.held_out.inputs.shape) == ((2, 120), (2, 60))
+    assert its.held_out.targets[0].values.tolist() == columns["dx"][120:].tolist()
+    assert its.held_out.targets[0].deviation == its.dataset.targets[0].deviation
+
+
+def test_nothing_is_held_out_unless_told():
+    assert prepared(three()).held_out is None
+
+
+def test_a_state_that_varies_only_where_it_is_held_out_is_constant():
+    columns = three()
+    columns["y"][:120] = 1.0
+    with pytest.raises(DataError, match=r"state 'y' of a\.csv is constant"):
+        prepared(columns, holdout=1)
+
+
+def test_missing_rows_of_a_held_out_trajectory_are_dropped_too():
+    columns = three()
+    columns["x"][125] = math.nan
+    its = prepared(columns, holdout=1, missing="drop")
+    assert its.recording is not None
+    assert [len(each.times) for each in its.recording.trajectories] == [60, 60, 59]

@@ -1,0 +1,260 @@
+"""From pools to the refinement that a job shows: chosen, fitted, rounded, assessed and judged by trajectories."""
+
+import math
+
+import numpy as np
+import pytest
+
+from atoll.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
+from atoll.data.dataset import Dataset, Target
+from atoll.expression.operators import BY_NAME
+from atoll.expression.text.parsing import from_infix
+from atoll.search.pareto import FrontEntry
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.inference import conclusion as conclude
+from atoll_coordinator.model.inference.conclusion import _deviation, _no_elaborations
+from atoll_coordinator.model.inference.refinement import Contender, Pool
+from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
+from atoll_coordinator.model.selection import origins
+from atoll_coordinator.model.selection import selection as model
+from atoll_coordinator.model.structure.rewriting import constant_places
+from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, pools, table
+
+TIMES = 0.1 * np.arange(40.0)
+ARITHMETIC = SpaceConfig(operators=("+", "-", "*"))
+NO_LIBRARIES = SpaceConfig(operators=("-", "*"))
+"""Without sums there are none, which would take longer than all the rest."""
+
+LOTKA_STARTS = ([1.0, 3.0], [4.0, 1.0], [8.0, 2.0], [3.0, 3.0])
+LOTKA_POOL = {
+    "x": ("x", "1.2*x - x*x", "2.5*x - 1.5*x*y - 0.8*x*x"),
+    "y": ("y", "1.2*y - y*y", "1.5*y - 0.5*x*y - 0.8*y*y"),
+}
+
+
+@pytest.fixture(autouse=True)
+def _little_work(monkeypatch):
+    """Few neighbours are looked at, so that a test takes a second or two."""
+    monkeypatch.setattr(model, "WORK", 2_000_000)
+
+
+def refined(known, starts, pool, *, times=TIMES, noise=0.0, seed=0, config=None):
+    config = config or JobConfig(space=ARITHMETIC)
+    preparation = prepare(table(known, starts, times, noise, seed), config)
+    return refine_all(preparation, config, pools(preparation, **pool))
+
+
+def is_same(known, refinement, **truths):
+    """Tell whether equations have the truths' functions, with simple constants."""
+    draw = np.random.default_rng(5).uniform(0.5, 2.0, (len(known.names), 20))
+    from atoll_coordinator.model.regression.gradient import values_of
+
+    return all(
+        np.allclose(values_of(refinement.equations[name].program, draw), values_of(known.parsed(text), draw), rtol=1e-9)
+        for name, text in truths.items()
+    )
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """Five percent of noise; one trajectory is held out."""
+    with pytest.MonkeyPatch.context() as patch, np.errstate(all="raise", under="ignore"):
+        patch.setattr(model, "WORK", 2_000_000)
+        config = JobConfig(space=ARITHMETIC, data=DataConfig(holdout=1))
+        return refined(LOTKA, LOTKA_STARTS, LOTKA_POOL, noise=0.05, seed=101, config=config)
+
+
+def test_noisy_equations_come_out_in_form_with_simple_constants(noisy):
+    assert is_same(LOTKA, noisy, x="3*x - 2*x*y - x**2", y="2*y - x*y - y**2")
+
+
+def test_their_verdict_is_good(noisy):
+    for its in noisy.equations.values():
+        assert its.grade == "good"
+        assert "like the noise" in its.reason
+
+
+def test_the_deviation_is_that_of_what_was_measured_and_counts():
+    its = measurements(DECAY, [[2.0]], TIMES, noise=0.3)
+    its.weights[0, :5] = 0.0
+    its.measured[0, :5] = np.nan
+    assert _deviation(its, 0) == pytest.approx(its.measured[0, 5:].std())
+    assert _deviation(its, 0) != pytest.approx(float(its.scales[0]))
+
+
+def test_an_elaboration_of_the_equation_is_no_rival():
+    programs = [DECAY.parsed(text) for text in ("-0.5*x", "-0.5*x + 0.1", "-0.4*sin(x)", "-0.5*x")]
+    shown, *others = (Contender(each, 1.0, 0.9, is_shown=not rank) for rank, each in enumerate(programs))
+    assert _no_elaborations(shown.program, [shown, *others]) == others[1:]
+
+
+def test_fitted_constants_have_intervals_around_them(noisy):
+    for its in noisy.equations.values():
+        assert len(its.constants) == len(constant_places(its.program))
+        for constant in its.constants:
+            low, high = constant.interval
+            assert low < constant.value < high
+            assert low < constant.fitted < high
+            assert constant.identifiable
+
+
+def test_the_equation_shown_is_the_first_contender_and_the_others_are_longer(noisy):
+    for its in noisy.equations.values():
+        first, *others = its.contenders
+        assert (first.program, first.nats, first.is_shown) == (its.program, 0.0, True)
+        assert others
+        assert [each.nats for each in others] == sorted(each.nats for each in others)
+        assert not any(each.is_shown for each in others)
+        assert all(each.r2 <= 1.0 for each in its.contenders)
+
+
+def test_held_out_trajectories_are_simulated_and_judged(noisy):
+    assert [each.held_out for each in noisy.simulation.trajectories] == [False, False, False, True]
+    assert all(r2 > 0.8 for each in noisy.simulation.trajectories for r2 in each.r2)
+    assert all(each.is_cross_validated is False for its in noisy.equations.values() for each in its.contenders)
+    for index, its in enumerate(noisy.equations.values()):
+        assert its.contenders[0].held_out_r2 == noisy.simulation.trajectories[-1].r2[index]
+
+
+def test_simulations_have_bands_that_hold_the_true_curve(noisy):
+    assert noisy.simulation.states == ("x", "y")
+    for start, its in zip(LOTKA_STARTS, noisy.simulation.trajectories, strict=True):
+        assert its.errors.shape == its.values.shape == (2, 40)
+        truth = LOTKA.values(start, TIMES)
+        assert (np.abs(its.values - truth) <= 4.5 * its.errors).mean() > 0.95
+
+
+def test_two_refinements_are_the_same_to_the_bit():
+    def programs():
+        pool = {"x": ("y",), "y": ("-x", "-1.9*x - 0.35*y")}
+        config = JobConfig(space=NO_LIBRARIES)
+        its = refined(SWING, ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0]), pool, noise=0.03, seed=102, config=config)
+        return [(each.program, each.constants, each.contenders) for each in its.equations.values()]
+
+    assert programs() == programs()
+
+
+def test_clean_equations_are_exact():
+    pool = {"x": ("y",), "y": ("-x", "-1.9*x - 0.35*y")}
+    its = refined(SWING, ([1.0, 2.0], [0.5, -1.0]), pool, config=JobConfig(space=NO_LIBRARIES))
+    assert is_same(SWING, its, x="y", y="-2.0*x - 0.3*y")
+    assert [each.grade for each in its.equations.values()] == ["exact", "exact"]
+    assert its.warnings == ()
+    assert all(r2 == pytest.approx(1.0, abs=1e-9) for each in its.simulation.trajectories for r2 in each.r2)
+
+
+def test_constants_stay_as_fitted_where_simple_ones_cannot_be_simulated(monkeypatch):
+    monkeypatch.setattr(conclude, "rounded", lambda *_: (DECAY.parsed("exp(900.0*x*x)"),))
+    its = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
+    (constant,) = its.equations["x"].constants
+    assert constant.value == pytest.approx(constant.fitted)
+    assert its.simulation is not None
+
+
+@pytest.mark.parametrize("text", ["-0.4*x", "x/(-2.5)"])
+def test_the_member_of_the_front_it_was_made_of_is_told_however_it_was_written(text):
+    its = refined(DECAY, ([1.0], [-2.0]), {"x": ("x", text)}, noise=0.02, seed=108)
+    assert is_same(DECAY, its, x="-0.5*x")
+    assert its.equations["x"].member == 1
+
+
+def test_what_the_pool_lacks_is_found_nearby():
+    """The damping is missing from all that was handed on, and there are no libraries without sums."""
+    starts = ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0])
+    its = refined(SWING, starts, {"x": ("y",), "y": ("-1.9*x",)}, noise=0.02, seed=103)
+    assert is_same(SWING, its, x="y", y="-2.0*x - 0.3*y")
+    assert its.equations["y"].member is None
+
+
+def test_where_nothing_can_be_simulated_the_fit_to_derivatives_stays():
+    """Only functions that explode are handed on, and nothing may be added to them."""
+    config = JobConfig(space=SpaceConfig(operators=("exp", "*")))
+    pool = {"x": ("exp(9.0*x*x)",), "y": ("exp(9.0*y*y)*exp(3.0*x)",)}
+    its = refined(LOTKA, LOTKA_STARTS[:2], pool, noise=0.05, config=config)
+    assert its.warnings == (NOT_SIMULATED,)
+    assert its.simulation is None
+    assert all(each.contenders == () and each.grade is None for each in its.equations.values())
+    assert all(math.isfinite(each.error) for each in its.equations.values())
+
+
+def test_a_known_equation_stays_as_it_is_given():
+    config = JobConfig(space=ARITHMETIC, prior=PriorConfig(known={"y": "2.0013*y - x*y - 0.9991*y*y"}))
+    pool = {"x": LOTKA_POOL["x"]}
+    its = refined(LOTKA, LOTKA_STARTS[:3], pool, noise=0.02, seed=104, config=config)
+    known = its.equations["y"]
+    assert sorted(np.abs(known.program.constants[constant_places(known.program)]).tolist()) == [0.9991, 2.0013]
+    assert all(each.fitted is None and each.interval is None for each in known.constants)
+    assert len(known.contenders) == 1
+    assert is_same(LOTKA, its, x="3*x - 2*x*y - x**2")
+
+
+def test_only_allowed_operators_and_variables_come_in():
+    all_of_them = ("+", "-", "*", "sin", "cos")
+    space = SpaceConfig(operators=all_of_them, operators_of={"x": ("+", "-")}, variables_of={"y": ("y",)})
+    its = refined(LOTKA, LOTKA_STARTS[:2], {"x": ("x",), "y": ("y",)}, noise=0.05, config=JobConfig(space=space))
+    codes = set(its.equations["x"].program.operators.tolist())
+    assert codes <= {0, 1, *(BY_NAME[name].code for name in ("+", "-", "neg"))}
+    y = its.equations["y"].program
+    assert set(y.left[y.operators == 0].tolist()) <= {1}
+
+
+def test_no_equation_is_larger_than_allowed():
+    """Neither candidates nor libraries nor what the descent makes of them."""
+    config = JobConfig(space=SpaceConfig(max_size=5))
+    its = refined(LOTKA, LOTKA_STARTS[:2], LOTKA_POOL, noise=0.05, seed=106, config=config)
+    assert its.simulation is not None
+    assert all(len(each.program) <= 5 for each in its.equations.values())
+
+
+def test_a_measured_input_is_part_of_the_model():
+    config = JobConfig(space=NO_LIBRARIES, data=DataConfig(inputs=("u",)))
+    its = refined(DRIVEN, ([2.0], [-1.0]), {"x": ("-0.5*x", "1.2*u - 0.5*x")}, noise=0.03, seed=105, config=config)
+    assert is_same(DRIVEN, its, x="1.5*u - 0.8*x")
+
+
+def test_with_order_2_positions_alone_are_measured():
+    """x'' = -2 x - 0.3 x': what is simulated are positions."""
+    whole = table(SWING, ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0]), TIMES, 0.01, 106)
+    config = JobConfig(space=NO_LIBRARIES, data=DataConfig(order=2, states=("x",)))
+    preparation = prepare(whole, config)
+    its = refine_all(preparation, config, pools(preparation, x=("-1.5*x", "-1.5*x - 0.1*x_dot")))
+    positions = Known(("x", "x_dot"), SWING.rates)
+    assert is_same(positions, its, x="-2.0*x - 0.3*x_dot")
+    assert its.simulation.states == ("x",)
+    assert all(each.values.shape == (1, 40) for each in its.simulation.trajectories)
+
+
+def test_data_without_a_law_get_no_good_verdict():
+    draw = np.random.default_rng(107)
+    noise = table(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES)
+    noise.columns[1:] = draw.standard_normal(noise.columns[1:].shape)
+    preparation = prepare(noise, JobConfig(space=ARITHMETIC))
+    its = refine_all(preparation, JobConfig(space=ARITHMETIC), pools(preparation, x=("y",), y=("x",)))
+    assert {each.grade for each in its.equations.values()} <= {"no model", "doubtful", None}
+
+
+def test_every_equation_says_where_it_comes_from(noisy):
+    for its in noisy.equations.values():
+        assert its.origin == its.contenders[0].origin
+        assert {each.origin for each in its.contenders} <= {"front", "runner-up", "library", "descent"}
+
+
+def test_origins_are_told_by_structure():
+    config = JobConfig(space=ARITHMETIC, prior=PriorConfig(guesses={"y": ("3.5*y*y",)}, known={"z": "x*z"}))
+    targets = tuple(Target(name, f"d{name}/dt", np.arange(9.0), 0.0, 1.0) for name in "xyz")
+    dataset = Dataset(("x", "y", "z"), np.ones((3, 9)), targets, {name: name for name in "xyz"})
+    field = model.Field(dataset, None, config, ("x", "y", "z"), {"z": from_infix("x*z", "xyz")})
+
+    def programs(*texts):
+        return [from_infix(text, ("x", "y", "z")) for text in texts]
+
+    def entries(*texts):
+        return tuple(FrontEntry(1, 0.1, 0.1, 0, 0, 0, program.to_bytes()) for program in programs(*texts))
+
+    found = {"x": Pool(entries("2.5*x"), entries("x + y")), "y": Pool(entries("y", "3*y"))}
+    lists = [programs("2.5*x", "1.5*x + 0.5*x*y"), programs("3.0*y", "x*y"), programs("x*z")]
+    its = origins.Origins(field, found, lists)
+    of = {text: its.of("x", *programs(text)) for text in ("7.0*x", "x + y", "2.0*x + 0.25*x*y", "x - y")}
+    assert of == {"7.0*x": "front", "x + y": "runner-up", "2.0*x + 0.25*x*y": "library", "x - y": "descent"}
+    assert [its.of("y", *programs(text)) for text in ("2.0*y*y", "y", "x*y")] == ["guess", "front", "library"]
+    assert its.of("z", *programs("x*z")) == "known"

@@ -1,0 +1,74 @@
+"""Residuals: noise passes, too much of it and patterns do not, and what was fitted is allowed for."""
+
+import numpy as np
+import pytest
+
+from atoll.data.dataset import FloatArray
+from atoll_coordinator.model.inference.residuals import check
+
+
+def noise(seed: int, rows: int = 100, trajectories: int = 4) -> list[FloatArray]:
+    draw = np.random.default_rng(seed)
+    return [draw.normal(size=rows) for _ in range(trajectories)]
+
+
+def coloured(seed: int, share: float) -> list[FloatArray]:
+    """Noise of variance 1, of which a share is a slow oscillation."""
+    slow = np.sqrt(2.0 * share) * np.sin(np.linspace(0.0, 12.0, 100))
+    return [np.sqrt(1.0 - share) * each + slow for each in noise(seed)]
+
+
+def without_polynomial(errors: FloatArray, parameters: int) -> FloatArray:
+    base = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, len(errors)), parameters))[0]
+    return errors - base @ (base.T @ errors)
+
+
+def test_noise_is_seldom_taken_for_anything_else() -> None:
+    found = [check(noise(seed), 1.0) for seed in range(300)]
+    assert sum(each.patterned < 0.05 for each in found) in range(5, 27)
+    assert sum(each.too_large < 0.05 for each in found) < 15
+    assert np.mean([each.deviation for each in found]) == pytest.approx(1.0, abs=0.01)
+    assert np.mean([each.correlation for each in found]) == pytest.approx(0.0, abs=0.01)
+
+
+def test_what_fitting_takes_away_is_allowed_for() -> None:
+    fitted = [[without_polynomial(each, 6) for each in noise(seed)] for seed in range(300)]
+    found = [check(each, 1.0, parameters=24) for each in fitted]
+    assert np.mean([each.deviation for each in found]) == pytest.approx(1.0, abs=0.01)
+    assert np.mean([each.correlation for each in found]) == pytest.approx(0.0, abs=0.015)
+    assert np.mean([check(each, 1.0).correlation for each in fitted]) < -0.04
+    assert sum(each.patterned < 0.05 for each in found) in range(5, 30)
+
+
+def test_a_pattern_is_found_with_its_share() -> None:
+    found = check(coloured(0, 0.4), 1.0)
+    assert found.correlation == pytest.approx(0.4, abs=0.12)
+    assert found.patterned < 1e-6
+    assert 0.8 < found.ratio < 1.2
+
+
+def test_residuals_larger_than_the_noise_are_found() -> None:
+    found = check([1.5 * each for each in noise(1)], 1.0)
+    assert found.ratio == pytest.approx(1.5, rel=0.1)
+    assert found.too_large < 1e-6
+    assert found.patterned > 0.01
+
+
+def test_trajectories_are_not_joined_end_to_end() -> None:
+    """A jump from one trajectory to the next is no pair of neighbours; a trajectory of one row has none at all."""
+    found = check([np.array([1.0]), np.array([1.0]), np.array([-1.0])], 1.0)
+    assert (found.correlation, found.patterned) == (0.0, 0.5)
+
+
+def test_outliers_do_not_decide_a_robust_check() -> None:
+    wild = noise(2)
+    wild[0][10] = wild[2][50] = 40.0
+    assert check(wild, 1.0).ratio > 2.0
+    assert check(wild, 1.0, is_robust=True).ratio == pytest.approx(1.0, abs=0.15)
+
+
+def test_no_residuals_and_no_noise_are_borne() -> None:
+    nothing = [np.zeros(10)]
+    assert check(nothing, 1.0).deviation == 0.0
+    assert check(nothing, 0.0).too_large == 1.0
+    assert check(noise(3), 0.0).ratio == np.inf

@@ -1,0 +1,245 @@
+"""Errors of constants and of simulations, by simulation."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from atoll_coordinator.model.inference import uncertainty as assess
+from atoll_coordinator.model.inference.uncertainty import (
+    bands,
+    errors_of,
+    held,
+    not_simulated,
+    r2_of,
+    simulated,
+    spread_of,
+)
+from atoll_coordinator.model.shooting.measurements import measurements_of
+from atoll_coordinator.model.shooting.multiple_shooting import Shooter
+from atoll_coordinator.model.structure.rewriting import constant_places
+from atoll_coordinator.model.structure.unit_coefficients import as_it_is
+from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, Known, contest, recording
+
+TIMES = 0.2 * np.arange(20.0)
+DRAWS = 200
+NOISE = 0.1
+STARTS = ([2.0], [1.0], [-1.5])
+TRUTH = DECAY.parsed("-0.5*x")
+
+
+def constants_of(its, shown, errors):
+    """Return the written constants of each program, errors being those of the programs as they are written."""
+    return [each.written for each in assess.constants_of(its, tuple(map(as_it_is, shown)), shown, errors)]
+
+
+def correlations_of(its, variables, shown, errors):
+    return assess.correlations_of(its, variables, tuple(map(as_it_is, shown)), errors)
+
+
+def banded(its, rows, standing):
+    return bands(rows, standing.shot, *spread_of(its, standing.shot, errors_of(its, standing)))
+
+
+def drawn(seed, noise=NOISE):
+    """Return contest and standing of x' = -a x, fitted to fresh noise."""
+    its = contest(DECAY, measurements_of(recording(DECAY, STARTS, TIMES, noise, seed), [0]), 1e-5)
+    standing = its.stand([TRUTH], lengths=(None,))
+    assert standing is not None
+    return its, standing
+
+
+@pytest.fixture(scope="module")
+def draws():
+    with np.errstate(under="ignore"):
+        return [drawn(seed) for seed in range(DRAWS)]
+
+
+def rate_of(standing):
+    return abs(float(standing.shot.system.values[0]))
+
+
+def test_intervals_cover_the_truth_as_often_as_they_say(draws):
+    """95 % of 200 is 190, with a standard deviation of 3."""
+    covered, errors = 0, []
+    for its, standing in draws:
+        ((constant,),) = constants_of(its, standing.programs, errors_of(its, standing))
+        low, high = constant.interval
+        covered += low <= -0.5 <= high or low <= 0.5 <= high
+        errors.append(constant.std_error)
+    assert 181 <= covered <= 199
+    assert np.mean(errors) == pytest.approx(np.std([rate_of(standing) for _, standing in draws]), rel=0.15)
+
+
+def test_intervals_are_those_of_students_t():
+    from scipy import stats
+
+    its, standing = drawn(0)
+    ((constant,),) = constants_of(its, standing.programs, errors_of(its, standing))
+    assert errors_of(its, standing).freedom == 60 - 1 - 3
+    reach = stats.t.ppf(0.975, 56)
+    assert constant.interval == pytest.approx(
+        (constant.fitted - reach * constant.std_error, constant.fitted + reach * constant.std_error)
+    )
+
+
+def test_bands_are_the_spread_of_the_simulations(draws):
+    spread = np.std([standing.shot.simulated[0] for _, standing in draws], axis=0)
+    errors = [banded(its, its.shooter.measurements, standing)[0] for its, standing in draws]
+    found = np.mean(errors, axis=0)
+    assert found == pytest.approx(spread, rel=0.25)
+    assert found.mean() == pytest.approx(spread.mean(), rel=0.05)
+
+
+def test_bands_of_a_coupled_system_are_those_of_its_linearisation():
+    """Directly: variances of the rows by the dense covariance of all that was fitted."""
+    rows = measurements_of(recording(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES, 0.01), [0, 1])
+    its = contest(LOTKA, rows, 1e-8)
+    standing = its.stand([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
+    shot, fitted = standing.shot, len(standing.shot.system.places)
+    whole = np.zeros((len(TIMES) * 2, 2, fitted + 4))
+    sensitivities = shot.integrated_sensitivities()
+    for group, (first, end) in enumerate(shot.segments.tolist()):
+        whole[first:end, :, :fitted] = sensitivities[first:end, :, :fitted]
+        whole[first:end, :, fitted + 2 * group : fitted + 2 * group + 2] = sensitivities[first:end, :, fitted:]
+    weighed = (whole / shot.sigmas[None, :, None]).reshape(-1, fitted + 4)
+    errors = errors_of(its, standing)
+    covariance = np.linalg.inv(weighed.T @ weighed) * (80.0 / errors.freedom)
+    expected = np.sqrt(np.einsum("nop,pq,noq->on", whole, covariance, whole))
+    assert banded(its, rows, standing) == pytest.approx(expected, rel=1e-4)
+
+
+def test_bands_integrate_once_however_many_pieces_there_are(monkeypatch):
+    rows = measurements_of(recording(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES, 0.01), [0, 1])
+    its = contest(LOTKA, rows, 1e-8)
+    standing = its.stand([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
+    integrate, times = Shooter.sensitivities, []
+    monkeypatch.setattr(Shooter, "sensitivities", lambda self, shot: times.append(1) or integrate(self, shot))
+    spread, scale = spread_of(its, standing.shot, errors_of(its, standing))
+    times.clear()
+    bands(rows, standing.shot, spread, scale)
+    assert len(times) == 1
+
+
+def test_bands_of_a_system_without_constants_are_those_of_its_initial_states():
+    """x' = -x along one trajectory: the error of the start decays."""
+    bare = Known(("x",), lambda _, z: [-z[0]])
+    rows = measurements_of(recording(bare, ([2.0],), TIMES, NOISE), [0])
+    its = contest(bare, rows, 1e-8)
+    standing = its.stand([bare.parsed("-x")], lengths=(None,))
+    decay = np.exp(-TIMES)
+    error = standing.shot.sigmas[0] * np.sqrt(20.0 / 19.0) / np.sqrt(decay @ decay)
+    assert banded(its, rows, standing)[0] == pytest.approx(error * decay, rel=1e-4)
+    assert constants_of(its, standing.programs, errors_of(its, standing)) == [()]
+
+
+def test_a_constant_that_the_data_do_not_determine_is_said_to_be_none():
+    """x stays near 1, so that x and x^2 say nearly the same: neither is known, and they are correlated."""
+    still = Known(("x",), lambda _, z: [0.5 - 0.5 * z[0]])
+    rows = measurements_of(recording(still, ([1.05], [0.95], [1.02]), TIMES, 0.02), [0])
+    its = contest(still, rows, 1e-6)
+    standing = its.stand([still.parsed("0.5 - 0.3*x - 0.2*x*x")])
+    errors = errors_of(its, standing)
+    (constants,) = constants_of(its, standing.programs, errors)
+    assert not any(each.identifiable for each in constants)
+    found = correlations_of(its, ("x",), standing.programs, errors)
+    assert len(found) >= 1
+    assert all(0.95 <= abs(each.value) <= 1.0 + 1e-6 for each in found)
+    assert [abs(each.value) for each in found] == sorted((abs(each.value) for each in found), reverse=True)
+    assert {each.first[0] for each in found} == {"x"}
+
+
+def test_well_determined_constants_are_not_correlated():
+    its, standing = drawn(0)
+    errors = errors_of(its, standing)
+    assert constants_of(its, standing.programs, errors)[0][0].identifiable
+    assert correlations_of(its, ("x",), standing.programs, errors) == ()
+
+
+def test_constants_of_a_fixed_equation_have_a_value_alone():
+    rows = measurements_of(recording(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES, 0.01), [0, 1])
+    its = contest(LOTKA, rows, 1e-8, fixed=[0])
+    programs = [LOTKA.parsed(LOTKA_TEXT[0]), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")]
+    standing = its.stand(programs)
+    first, second = constants_of(its, standing.programs, errors_of(its, standing))
+    assert [each.value for each in first] == programs[0].constants[constant_places(programs[0])].tolist()
+    assert all(each.fitted is None and each.std_error is None and each.interval is None for each in first)
+    assert all(each.std_error > 0.0 for each in second)
+    found = correlations_of(its, ("x", "y"), standing.programs, errors_of(its, standing))
+    assert {name for each in found for name in (each.first[0], each.second[0])} <= {"y"}
+
+
+def test_shown_values_stand_beside_fitted_ones():
+    its, standing = drawn(0)
+    ((constant,),) = constants_of(its, [TRUTH], errors_of(its, standing))
+    assert abs(constant.value) == 0.5
+    assert constant.fitted == float(standing.shot.system.values[0])
+
+
+def test_held_constants_stay_and_starts_are_fitted():
+    its, standing = drawn(3)
+    shot = held(its, [TRUTH])
+    assert shot.system.values.size == 0
+    assert shot.squares[0] >= standing.shot.squares[0]
+    assert shot.starts[:, 0] == pytest.approx([2.0, 1.0, -1.5], abs=4.0 * NOISE)
+    near = held(its, [TRUTH], standing.shot)
+    assert near.squares[0] == pytest.approx(shot.squares[0], rel=1e-5)
+
+
+def test_simulations_are_by_trajectory():
+    rows = measurements_of(recording(DECAY, STARTS, TIMES, NOISE), [0], piece=10)
+    its = contest(DECAY, rows, 1e-6)
+    standing = its.stand([TRUTH])
+    errors = np.arange(60.0)[None]
+    found = simulated(rows, standing.shot, errors, ("x",), held_out=False)
+    assert [each.name for each in found] == ["1", "2", "3"]
+    assert [len(each.times) for each in found] == [20, 20, 20]
+    assert np.concatenate([each.errors[0] for each in found]).tolist() == errors[0].tolist()
+    assert np.concatenate([each.values[0] for each in found]).tolist() == standing.shot.simulated[0].tolist()
+    assert all(0.5 < each.r2[0] < 1.0 for each in found)
+    assert simulated(rows, standing.shot, None, ("x",), held_out=True)[0].errors is None
+
+
+def test_what_could_not_be_simulated_has_neither_values_nor_r2():
+    rows = measurements_of(recording(DECAY, STARTS, TIMES, NOISE), [0])
+    found = not_simulated(rows, held_out=True)
+    assert [(each.name, each.held_out, each.values, each.errors, each.r2) for each in found] == [
+        (name, True, None, None, (None,)) for name in ("1", "2", "3")
+    ]
+
+
+def test_r2_is_the_share_that_is_explained_of_what_was_measured():
+    whole = recording(DECAY, STARTS, TIMES, NOISE)
+    whole.trajectories[0].measured[0, 3] = np.nan
+    rows = measurements_of(whole, [0])
+    shot = contest(DECAY, rows, 1e-6).stand([TRUTH]).shot
+    kept = np.delete(np.arange(60), 3)
+    values, left = rows.measured[0, kept], (rows.measured - shot.simulated)[0, kept]
+    expected = 1.0 - float(left @ left) / float(((values - values.mean()) ** 2).sum())
+    assert r2_of(rows, shot, slice(None)) == [pytest.approx(expected)]
+    assert r2_of(rows, shot, np.array([3])) == [None]
+
+
+def test_constants_are_fitted_by_weight_and_their_errors_say_so():
+    """Every other row has ten times the error of its neighbours."""
+    deviations = np.where(np.arange(len(TIMES)) % 2 == 0, 0.01, 0.1)
+    weights = deviations**-2 / np.mean(deviations**-2)
+    rates, told = [], []
+    for seed in range(60):
+        its = recording(DECAY, ([1.0],), TIMES, 1e-9)
+        (bare,) = its.trajectories
+        noise = deviations * np.random.default_rng(seed).standard_normal((1, len(TIMES)))
+        weighed = replace(its, trajectories=(replace(bare, measured=bare.smoothed + noise, weights=weights),))
+        compared = contest(DECAY, measurements_of(weighed, [0]), 1e-6)
+        standing = compared.stand([DECAY.parsed("-0.45*x")], lengths=(None,))
+        errors = errors_of(compared, standing)
+        rates.append(rate_of(standing))
+        told.append(np.sqrt(errors.covariance[0, 0]))
+    assert np.std(rates) == pytest.approx(np.mean(told), rel=0.3)
+    alike = contest(
+        DECAY,
+        measurements_of(replace(weighed, trajectories=(replace(weighed.trajectories[0], weights=None),)), [0]),
+        1e-6,
+    )
+    plain = alike.stand([DECAY.parsed("-0.45*x")], lengths=(None,))
+    assert np.mean(told) < 0.5 * np.sqrt(errors_of(alike, plain).covariance[0, 0])

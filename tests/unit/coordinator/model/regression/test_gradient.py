@@ -1,0 +1,59 @@
+"""Values and derivatives by numpy agree with the kernels and with differences."""
+
+import numpy as np
+import pytest
+
+from atoll.expression.operators import CONSTANT, OPERATORS
+from atoll.expression.program import Program
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.model.regression.gradient import gradient_of, node_values, value_of, values_of
+from atoll_coordinator.model.structure.rewriting import constant_places, with_constants
+from tests.oracles.evaluate import evaluate
+
+EVERY_OPERATOR = (
+    "sin(1.5*x) + cos(y/0.7) - exp(-0.3*x)*log(2.5 + y) + sqrt(x + 3.5)/abs(y - 4.5) + tanh(0.4*x)*(x + 1.25)**(0.6*y)"
+    " + (x - 0.2)**2"
+)
+
+
+def inputs() -> np.ndarray:
+    draw = np.random.default_rng(1)
+    return np.stack([draw.uniform(0.1, 2.0, 40), draw.uniform(-1.0, 1.0, 40)])
+
+
+def test_values_are_those_of_the_slow_obvious_version():
+    program = from_infix(EVERY_OPERATOR, ("x", "y"))
+    expected = [evaluate(program, row) for row in inputs().T.tolist()]
+    assert values_of(program, inputs()) == pytest.approx(np.array(expected), rel=1e-13)
+
+
+def test_derivatives_with_respect_to_constants_are_differences():
+    program = from_infix(EVERY_OPERATOR, ("x", "y"))
+    places = constant_places(program)
+    gradient = gradient_of(program, node_values(program, inputs()), places)
+    for row, place in zip(gradient, places, strict=True):
+        step = 1e-6
+        above, below = (
+            values_of(with_constants(program, {place: program.constants[place] + by}), inputs()) for by in (step, -step)
+        )
+        assert row == pytest.approx((above - below) / (2.0 * step), rel=1e-6, abs=1e-8)
+
+
+def test_only_the_constants_asked_for_are_differentiated():
+    program = from_infix("2.0*x + 3.0*y", ("x", "y"))
+    second = constant_places(program)[1]
+    assert gradient_of(program, node_values(program, inputs()), [second]).tolist() == [inputs()[1].tolist()]
+
+
+def test_a_constant_that_is_not_used_has_no_influence():
+    columns = (np.array([1, 0], np.int8), np.zeros(2, np.int16), np.zeros(2, np.int16), np.array([4.0, 0.0]))
+    assert gradient_of(Program(*columns), node_values(Program(*columns), inputs()), [0]).tolist() == [[0.0] * 40]
+
+
+def test_the_sine_of_a_large_number_is_no_number():
+    assert np.isnan(values_of(from_infix("sin(1e6*x)", ("x", "y")), inputs())).all()
+
+
+@pytest.mark.parametrize("operator", [each for each in OPERATORS if each.code > CONSTANT], ids=lambda each: each.name)
+def test_every_operator_has_a_value(operator):
+    assert np.isfinite(value_of(operator.code, 2.0, 3.0))

@@ -1,0 +1,110 @@
+"""What a result says of smoothing: noise, residuals, doubtful rows with reasons, a table of bounded size."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from atoll_coordinator.data.trajectories.recording import Doubt, Recording, Smoothing, Trajectory
+from atoll_coordinator.model.report.diagnostics import MOST_DOUBTS, MOST_ROWS, noise, smoothing
+
+
+def trajectory(rows: int, name: str = "1", held_out: bool = False) -> Trajectory:
+    times = np.linspace(-5.0, 5.0, rows)
+    smoothed = np.stack([np.sin(times), np.cos(times)])
+    measured = smoothed.copy()
+    measured[0] += 0.1 * (-1.0) ** np.arange(rows)
+    none = np.zeros((0, rows))
+    return Trajectory(name, times, measured, smoothed, smoothed, none, none, held_out)
+
+
+def recording(*trajectories: Trajectory, doubts: tuple[Doubt, ...] = (), span: int = 21) -> Recording:
+    its = Smoothing("x", "loess", 0.1, 0.05, span, 3, doubtful=4, outliers=1, doubts=doubts)
+    exact = Smoothing("y", "interpolation", 1e-12, 1e-12)
+    return Recording(("x", "y"), ("x", "y"), (), (), (), 1, 100.0, (its, exact), trajectories)
+
+
+def test_noise_is_said_of_each_state() -> None:
+    found = noise(recording(trajectory(101)))
+    assert [*found] == ["x", "y"]
+    assert found["x"] == {
+        "sd": 0.1,
+        "relative": 0.05,
+        "method": "loess",
+        "span": 21,
+        "degree": 3,
+        "residual_rms": pytest.approx(0.1),
+        "largest_residual": {"value": pytest.approx(0.1), "trajectory": "1", "time": pytest.approx(95.0, abs=10.0)},
+        "doubtful_rows": 4,
+        "outliers": 1,
+        "doubtful": [],
+    }
+    assert found["y"]["largest_residual"] is None
+    assert noise(None) == {}
+
+
+def test_the_largest_residual_is_found_in_time() -> None:
+    its, other = trajectory(101), trajectory(101, "2")
+    other.measured[0, 30] = other.smoothed[0, 30] - 0.7
+    found = noise(recording(its, other))["x"]["largest_residual"]
+    assert found == {"value": pytest.approx(-0.7), "trajectory": "2", "time": pytest.approx(98.0)}
+    hidden = trajectory(101, "3", held_out=True)
+    hidden.measured[0, 0] = 9.0
+    assert noise(recording(its, other, hidden))["x"]["largest_residual"] == found
+
+
+def test_a_span_beyond_the_longest_trajectory_is_all_of_it() -> None:
+    assert noise(recording(trajectory(60), trajectory(101), span=366))["x"]["span"] == 101
+
+
+def test_doubtful_rows_stand_by_trajectory_and_reason() -> None:
+    doubts = (Doubt(0, 0, "end"), Doubt(0, 1, "end"), Doubt(0, 50, "jump"), Doubt(1, 100, "end"))
+    found = noise(recording(trajectory(101), trajectory(101, "2b"), doubts=doubts))["x"]["doubtful"]
+    assert found == [
+        {"trajectory": "1", "reason": "end", "times": [95.0, 95.1]},
+        {"trajectory": "1", "reason": "jump", "times": [100.0]},
+        {"trajectory": "2b", "reason": "end", "times": [105.0]},
+    ]
+
+
+def test_only_so_many_doubtful_rows_are_listed() -> None:
+    doubts = tuple(Doubt(0, row, "jump") for row in range(MOST_DOUBTS + 10))
+    (found,) = noise(recording(trajectory(MOST_DOUBTS + 10), doubts=doubts))["x"]["doubtful"]
+    assert len(found["times"]) == MOST_DOUBTS
+
+
+def test_smoothed_rows_stand_beside_measured_ones() -> None:
+    found = smoothing(recording(trajectory(5), trajectory(4, "2", held_out=True)))
+    assert found is not None
+    assert (found["rows"], found["listed"]) == (9, 9)
+    first, second = found["trajectories"]
+    assert (first["name"], first["held_out"], second["name"], second["held_out"]) == ("1", False, "2", True)
+    assert first["times"] == [95.0, 97.5, 100.0, 102.5, 105.0]
+    assert [*first["measured"]] == [*first["smoothed"]] == [*first["residuals"]] == ["x"]
+    assert first["smoothed"]["x"] == pytest.approx(np.sin([-5.0, -2.5, 0.0, 2.5, 5.0]), abs=1e-6)
+    assert first["residuals"]["x"] == pytest.approx([0.1, -0.1, 0.1, -0.1, 0.1])
+
+
+@pytest.mark.parametrize(("count", "rows"), [(1, 50_001), (40, 501), (3000, 10)])
+def test_of_many_rows_some_are_listed_and_their_number_is_said(count: int, rows: int) -> None:
+    found = smoothing(recording(*(trajectory(rows, str(each)) for each in range(count))))
+    assert found is not None
+    listed = [its["times"] for its in found["trajectories"]]
+    assert found["rows"] == count * rows
+    assert found["listed"] == sum(map(len, listed)) <= max(MOST_ROWS, 2 * count)
+    assert {(its[0], its[-1]) for its in listed} == {(95.0, 105.0)}
+
+
+def test_no_table_without_smoothed_states_and_nothing_but_numbers() -> None:
+    clean = recording(trajectory(5))
+    clean = Recording(*(getattr(clean, name) for name in ("states", "state_symbols", "velocity_symbols")),
+                      (), (), 1, 0.0, clean.smoothing[1:] * 2, clean.trajectories)  # fmt: skip
+    assert smoothing(clean) is None
+    assert smoothing(None) is None
+    wild = trajectory(5)
+    wild.measured[0, 2] = math.inf
+    found = smoothing(recording(wild))
+    assert found is not None
+    assert found["trajectories"][0]["measured"]["x"][2] is None
+    json.dumps([found, noise(recording(wild))], allow_nan=False)

@@ -1,0 +1,101 @@
+"""What a result says of noise, contenders, verdicts and simulations: plain numbers, bounded, null for the unknown."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from atoll.data.dataset import Dataset, Target
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.data.trajectories.recording import Recording, Smoothing
+from atoll_coordinator.model.inference.refinement import Contender, Correlation, Refined, Simulated, Simulation
+from atoll_coordinator.model.report.trust import MOST_POINTS, candidates, correlations, simulation, verdict
+
+VALUES = np.linspace(-1.0, 1.0, 20)
+TARGET = Target("x", "dx/dt", VALUES, 1e-9, 0.6)
+DATASET = Dataset(("x",), VALUES[np.newaxis], (TARGET,), {"x": "x"})
+RECORDING = Recording(
+    states=("x",),
+    state_symbols=("x",),
+    velocity_symbols=(),
+    inputs=(),
+    input_symbols=(),
+    order=1,
+    offset=100.0,
+    smoothing=(Smoothing("x", "loess", 0.1, 0.05, 21, 3, doubtful=4, outliers=1),),
+    trajectories=(),
+)
+
+
+def simulated(rows: int, **changes: object) -> Simulated:
+    times = np.linspace(-5.0, 5.0, rows)
+    values = np.sin(times)[np.newaxis]
+    return replace(Simulated("1", False, times, values, 0.1 * np.ones_like(values), (0.99,)), **changes)
+
+
+def test_a_curve_is_at_the_times_of_the_file_with_its_band() -> None:
+    found = simulation(Simulation(("x",), (simulated(5, held_out=True),)), RECORDING)
+    assert found is not None
+    (curve,) = found["trajectories"]
+    assert curve["times"] == [95.0, 97.5, 100.0, 102.5, 105.0]
+    assert curve["held_out"] is True
+    assert curve["r2"] == {"x": 0.99}
+    assert curve["values"]["x"] == pytest.approx(np.sin(np.linspace(-5, 5, 5)), rel=1e-6)
+    widths = np.subtract(curve["upper"]["x"], curve["lower"]["x"])
+    assert widths == pytest.approx(0.2 * 1.96 * np.ones(5), rel=1e-4)
+
+
+@pytest.mark.parametrize(("count", "points"), [(1, MOST_POINTS), (1000, 25)])
+def test_long_curves_are_thinned_from_end_to_end(count: int, points: int) -> None:
+    found = simulation(Simulation(("x",), (simulated(5001),) * count), RECORDING)
+    assert found is not None
+    times = found["trajectories"][0]["times"]
+    assert len(times) == points
+    assert (times[0], times[-1]) == (95.0, 105.0)
+    assert np.diff(times) == pytest.approx(10.0 / (points - 1), rel=0.05)
+
+
+def test_a_simulation_that_ends_early_and_numbers_that_are_not_finite_are_null() -> None:
+    wild = np.array([[1.0, math.inf, math.nan]])
+    parts = (
+        simulated(3, values=None, errors=None, r2=(None,)),
+        simulated(3, values=wild, errors=None, r2=(math.nan,)),
+    )
+    found = simulation(Simulation(("x",), parts), RECORDING)
+    assert found is not None
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    first, second = found["trajectories"]
+    assert (first["values"], first["lower"], first["r2"]) == (None, None, {"x": None})
+    assert second["values"] == {"x": [1.0, None, None]}
+    assert second["upper"] is None
+    assert simulation(None, RECORDING) is None
+
+
+def test_contenders_stand_in_the_order_of_their_length() -> None:
+    texts = {"3*x": 2.0, "x": 0.0, "x*x": 7.0}
+    made = [Contender(from_infix(text, ("x",)), nats, 0.9, is_shown=text == "x") for text, nats in texts.items()]
+    found = candidates(made, DATASET)
+    assert [(each["expression"], each["nats"], each["selected"]) for each in found] == [
+        ("x", 0.0, True),
+        ("3.0*x", 2.0, False),
+        ("x**2", 7.0, False),
+    ]
+    assert found[0]["held_out_r2"] is None
+
+
+def test_correlations_name_constants() -> None:
+    (found,) = correlations([Correlation(("x", 0), ("y", 2), -0.98)])
+    assert found["second"] == {"variable": "y", "constant": 2}
+    assert found["value"] == -0.98
+
+
+def test_a_verdict_is_given_when_the_job_has_ended() -> None:
+    shown = Refined(0, from_infix("2.0*x", ("x",)), 1e-12, 1e-24)
+    assert verdict(shown, TARGET, "running") == {"verdict": None, "reason": None}
+    assert verdict(shown, TARGET, "done")["verdict"] == "exact"
+    assert verdict(replace(shown, error=0.4, mse=0.3), TARGET, "cancelled")["verdict"] == "doubtful"
+    assert verdict(None, TARGET, "done") == {"verdict": "no model", "reason": "The search has found no equation."}
+    judged = replace(shown, grade="good", reason="Because.")
+    assert verdict(judged, TARGET, "done") == {"verdict": "good", "reason": "Because."}

@@ -1,0 +1,92 @@
+"""What came closest, and who wins a close race."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from atoll.config import JobConfig
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.selection import alternatives as rivals
+from atoll_coordinator.model.selection.alternatives import CONTENDERS, decided
+from atoll_coordinator.model.selection.cross_validation import Validated, Validation
+from atoll_coordinator.model.selection.selection import Chosen, Field
+from atoll_coordinator.model.structure.rewriting import structure
+from tests.unit.coordinator.model.shooting.made import SWING, table
+
+TIMES = 0.1 * np.arange(30.0)
+STARTS = ([1.0, 2.0], [0.5, -1.0], [2.0, 0.3])
+TRUTH = "-2.1*x - 0.3*y"
+OTHERS = ("-1.9*x", "-2.1*x - 0.3*y + 0.01*x*x", "-0.3*y - 2.1*x", "-2.1*x - 0.2*y + 0.1*x*y", "0.3 - 2.0*x")
+
+
+def choice(starts=STARTS, known=(), data=None):
+    """Return the choice of the truth, with others that were tried."""
+    config = JobConfig(data=data) if data is not None else JobConfig()
+    preparation = prepare(table(SWING, starts, TIMES, 0.05, 130), config)
+    field = Field(preparation.dataset, preparation.recording, config, ("x", "y"), dict.fromkeys(known))
+    contest = field.contest(field.measurements(field.variables), field.variables)
+    best = contest.stand([SWING.parsed("y"), SWING.parsed(TRUTH)])
+    contest.halved(best, 1, [SWING.parsed(text) for text in (TRUTH, *OTHERS)], ((12, 20),))
+    best = contest.beside(best, best.programs, 20)
+    return Chosen(field, contest, best)
+
+
+def raced(its):
+    return decided(its, its.field.dataset.inputs)
+
+
+def test_rivals_are_other_functions_and_no_better():
+    its = choice()
+    race = raced(its)
+    assert race.choice is its
+    assert race.rivals[0] == ()
+    forms = [structure(each.standing.programs[1]) for each in race.rivals[1]]
+    assert structure(SWING.parsed("-0.3*y - 2.1*x")) not in forms
+    assert structure(SWING.parsed("-1.9*x")) in forms
+    nats = [each.standing.nats for each in race.rivals[1]]
+    assert nats == sorted(nats)
+    assert nats[0] > its.standing.nats
+    assert len(forms) <= CONTENDERS
+
+
+def test_only_close_ones_are_validated():
+    its = choice()
+    for each in raced(its).rivals[1]:
+        is_close = each.standing.nats <= its.standing.nats + rivals.VALIDATED_NATS
+        assert (each.validated is not None) == is_close
+
+
+def test_with_two_trajectories_nothing_is_validated():
+    race = raced(choice(STARTS[:2]))
+    assert race.validated is None
+    assert all(each.validated is None for each in race.rivals[1])
+
+
+def test_a_known_equation_has_no_rivals():
+    assert raced(choice(known=["y"])).rivals == ((), ())
+
+
+@pytest.mark.parametrize(("behind", "wins"), [(1.0, True), (2.9, True), (3.1, False)])
+def test_one_that_is_close_behind_and_foretells_better_wins(monkeypatch, behind, wins):
+    its = choice()
+    other = its.contest.exchanged(its.standing, 1, SWING.parsed("-1.9*x"), 12)
+    close = replace(other, nats=its.standing.nats + behind)
+    misfits = {id(its.standing): 100.0, id(close): 50.0}
+    monkeypatch.setattr(rivals, "_rivals", lambda _, best, index, __: [close] if index and best is its.standing else [])
+    monkeypatch.setattr(Validation, "of", lambda _, standing: Validated((0.9, 0.9), misfits[id(standing)]))
+    race = raced(its)
+    assert (race.choice.standing is close) is wins
+    assert race.validated.misfit == (50.0 if wins else 100.0)
+
+
+def test_one_that_foretells_worse_does_not_win(monkeypatch):
+    its = choice()
+    other = its.contest.exchanged(its.standing, 1, SWING.parsed("-1.9*x"), 12)
+    close = replace(other, nats=its.standing.nats + 0.5)
+    misfits = {id(its.standing): 100.0, id(close): 130.0}
+    monkeypatch.setattr(rivals, "_rivals", lambda _, best, index, __: [close] if index else [])
+    monkeypatch.setattr(Validation, "of", lambda _, standing: Validated((0.9, 0.9), misfits[id(standing)]))
+    race = raced(its)
+    assert race.choice is its
+    assert race.rivals[1][0].validated.misfit == 130.0

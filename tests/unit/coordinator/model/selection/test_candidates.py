@@ -1,0 +1,63 @@
+"""Candidates of one variable, ranked by its trajectories alone."""
+
+import numpy as np
+import pytest
+
+from atoll.data.dataset import Problem, Target
+from atoll.expression.operators import BY_NAME
+from atoll_coordinator.model.selection.candidates import ranked
+from atoll_coordinator.model.structure.rewriting import structure
+from atoll_coordinator.model.structure.term_libraries import libraries
+from tests.unit.coordinator.model.shooting.made import SWING, contest, measurements_of, recording
+
+TIMES = 0.1 * np.arange(40.0)
+ARITHMETIC = frozenset(BY_NAME[name].code for name in ("+", "-", "*"))
+NOISE = 0.02
+
+
+@pytest.fixture
+def alone():
+    """The contest of y alone, and a problem whose derivatives are wrong by as much as they vary."""
+    whole = recording(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES, NOISE, seed=140)
+    inputs = np.concatenate([part.smoothed for part in whole.trajectories], axis=1)
+    labels = np.concatenate([part.slopes[1] for part in whole.trajectories])
+    labels = labels + np.random.default_rng(141).normal(0.0, labels.std(), len(labels))
+    problem = Problem(SWING.names, inputs, Target("y", "dy/dt", labels, 0.5, float(labels.std()), NOISE))
+    return contest(SWING, measurements_of(whole, [1]), 1e-5), problem
+
+
+def programs(*texts):
+    return [SWING.parsed(text) for text in texts]
+
+
+TEXTS = ("0.5*y", "-2.5*x - 0.1*y", "-1.5*x", "-x - x*y", "exp(9.0*x*x)")
+
+
+def test_the_truth_comes_first_and_what_cannot_be_simulated_last(alone):
+    found = ranked(*alone, programs(*TEXTS), [])
+    assert structure(found[0]) == structure(SWING.parsed("-2.5*x - 0.1*y"))
+    assert structure(found[-1]) == structure(SWING.parsed("exp(9.0*x*x)"))
+    assert {structure(each) for each in found} == {structure(each) for each in programs(*TEXTS)}
+    assert len(found) == len(TEXTS)
+    assert sorted(np.abs(found[0].constants[found[0].operators == 1]).tolist()) == pytest.approx([0.3, 2.0], abs=0.1)
+
+
+def test_of_equal_structures_the_first_counts(alone):
+    found = ranked(*alone, programs("-1.5*x", "-1.7*x", "-1.5*x - 0.5*y"), [])
+    assert len(found) == 2
+
+
+def test_libraries_have_what_was_not_handed_on(alone):
+    found = ranked(*alone, programs("0.5*y"), libraries([0, 1], ARITHMETIC))
+    assert len(found) > 5
+    text = SWING.text(found[0])
+    assert (text.count("x"), text.count("y")) == (1, 1)
+
+
+def test_a_library_of_some_variables_uses_no_other(alone):
+    for each in ranked(*alone, [], libraries([1], ARITHMETIC)):
+        assert set(each.left[each.operators == 0].tolist()) <= {1}
+
+
+def test_what_has_no_value_on_the_rows_is_no_candidate(alone):
+    assert ranked(*alone, programs("log(x - 1000.0)"), []) == []

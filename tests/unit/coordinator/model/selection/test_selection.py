@@ -1,0 +1,43 @@
+"""Which candidates each variable has."""
+
+import numpy as np
+import pytest
+
+from atoll.config import BudgetConfig, JobConfig, SpaceConfig
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.inference.refinement import Refined
+from atoll_coordinator.model.selection.selection import Field, candidates_of
+from atoll_coordinator.model.structure.rewriting import structure, tidied
+from tests.unit.coordinator.model.shooting.made import Known, pools, table
+
+DRAG = Known(("v",), lambda _, z: [-0.05 * z[0] ** 2])
+TRUTH = "-0.05*v*v"
+CLOSE = "100.0*cos(0.0316227766*v) - 100.0"
+"""Differs from the truth by less than a thousandth, which counts as found here."""
+CONFIG = JobConfig(space=SpaceConfig(operators=("+", "-", "*", "cos")), budget=BudgetConfig(target_error=1e-2))
+
+
+@pytest.fixture(scope="module")
+def prepared():
+    preparation = prepare(table(DRAG, ([3.0], [2.0]), 0.1 * np.arange(60.0)), CONFIG)
+    return preparation, Field(preparation.dataset, preparation.recording, CONFIG, ("v",), {})
+
+
+def candidates(prepared, text):
+    """Return the candidates when a converged search has found `text`."""
+    preparation, field = prepared
+    its = pools(preparation, v=(text,))
+    (entry,) = its["v"].front
+    (found,) = candidates_of(field, its, {"v": Refined(0, DRAG.parsed(text), entry.error, entry.mse)})
+    return found
+
+
+def test_what_a_converged_search_found_without_noise_stands_alone(prepared):
+    (only,) = candidates(prepared, TRUTH)
+    assert structure(only) == structure(tidied(DRAG.parsed(TRUTH)))
+
+
+def test_unless_the_trajectories_show_that_it_only_comes_close(prepared):
+    first, *others = candidates(prepared, CLOSE)
+    assert others
+    assert "cos" not in DRAG.text(first)

@@ -1,0 +1,143 @@
+"""The sums of a fit and the solution for its step against dense matrices."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from atoll_coordinator.model.shooting.kernels.normal_equations import normal_equations, solve_step
+
+SEGMENTS = np.array([[0, 5], [5, 6], [6, 14]], dtype=np.int64)
+ROWS = 14
+
+
+def drawn(fitted, states, observed, seed=0):
+    """Return residuals and weights (O, N) and sensitivities (N, D, Q)."""
+    draw = np.random.default_rng(seed)
+    weights = draw.uniform(0.5, 2.0, (len(observed), ROWS))
+    weights[draw.uniform(size=weights.shape) < 0.2] = 0.0
+    return draw.normal(size=weights.shape), weights, draw.normal(size=(ROWS, states, fitted + states))
+
+
+def blocks(segments, observed, residuals, weights, gradients):
+    """Return the blocks of the normal equations: J'WJ by P x P, G x P x D, G x D x D, and J'Wr."""
+    states = gradients.shape[1]
+    fitted, groups = gradients.shape[2] - states, len(segments)
+    made = (
+        np.zeros((fitted, fitted)), np.zeros((groups, fitted, states)), np.zeros((groups, states, states)),
+        np.zeros(fitted), np.zeros((groups, states)),
+    )  # fmt: skip
+    normal_equations(segments, observed, residuals, weights, gradients, fitted, *made)
+    return made
+
+
+def dense(segments, observed, residuals, weights, gradients):
+    """Return J'WJ and J'Wr with one column for each constant, then for each state of each segment."""
+    states = gradients.shape[1]
+    fitted, groups = gradients.shape[2] - states, len(segments)
+    jacobian, left, right = [], [], []
+    for group, (first, end) in enumerate(segments.tolist()):
+        for row in range(first, end):
+            for place, state in enumerate(observed.tolist()):
+                line = np.zeros(fitted + groups * states)
+                line[:fitted] = gradients[row, state, :fitted]
+                line[fitted + group * states : fitted + (group + 1) * states] = gradients[row, state, fitted:]
+                jacobian.append(line)
+                left.append(weights[place, row])
+                right.append(weights[place, row] * residuals[place, row])
+    matrix = np.array(jacobian)
+    return matrix.T @ (np.array(left)[:, None] * matrix), matrix.T @ np.array(right)
+
+
+def assembled(normal, coupling, own, gradient, own_gradient):
+    """Return the dense matrix and vector of these blocks."""
+    fitted, (groups, states) = len(gradient), own_gradient.shape
+    matrix = np.zeros((fitted + groups * states,) * 2)
+    matrix[:fitted, :fitted] = normal
+    for group in range(groups):
+        part = slice(fitted + group * states, fitted + (group + 1) * states)
+        matrix[:fitted, part], matrix[part, :fitted], matrix[part, part] = (
+            coupling[group],
+            coupling[group].T,
+            own[group],
+        )
+    return matrix, np.concatenate([gradient, own_gradient.ravel()])
+
+
+CASES = [(3, 2, [0, 1]), (0, 2, [0, 1]), (4, 1, [0]), (2, 4, [0, 1]), (5, 3, [1])]
+
+
+@pytest.mark.parametrize(("fitted", "states", "observed"), CASES)
+def test_blocks_are_those_of_the_dense_normal_equations(fitted, states, observed):
+    parts = (np.array(observed, dtype=np.int64), *drawn(fitted, states, observed))
+    expected, slope = dense(SEGMENTS, *parts)
+    matrix, vector = assembled(*blocks(SEGMENTS, *parts))
+    assert matrix == pytest.approx(expected, abs=1e-12)
+    assert vector == pytest.approx(slope, abs=1e-12)
+
+
+def test_what_has_no_weight_does_not_count_even_if_it_is_no_number():
+    observed = np.array([0, 1], dtype=np.int64)
+    residuals, weights, gradients = drawn(3, 2, [0, 1])
+    before = blocks(SEGMENTS, observed, residuals, weights, gradients)
+    residuals[weights == 0.0] = np.nan
+    assert all(
+        same.tolist() == other.tolist()
+        for same, other in zip(before, blocks(SEGMENTS, observed, residuals, weights, gradients), strict=True)
+    )
+
+
+def solved(made, damping):
+    change, moves = np.full_like(made[3], np.nan), np.full_like(made[4], np.nan)
+    return solve_step(*made, damping, change, moves), change, moves
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    case=st.sampled_from(CASES),
+    damping=st.sampled_from([1e-12, 1e-6, 1e-3, 1.0, 1e6]),
+    unit=st.floats(-6.0, 6.0),
+    seed=st.integers(0, 1000),
+)
+def test_the_step_is_that_of_the_damped_dense_equations(case, damping, unit, seed):
+    """Whatever the units of the constants; segments of few rows leave initial states to the damping."""
+    fitted, states, observed = case
+    residuals, weights, gradients = drawn(fitted, states, observed, seed)
+    gradients[:, :, :1] *= 10.0**unit
+    segments = np.array([[0, 7], [7, 14]], dtype=np.int64)
+    parts = (np.array(observed, dtype=np.int64), residuals, np.maximum(weights, 0.1), gradients)
+    made = blocks(segments, *parts)
+    matrix, vector = assembled(*made)
+    scale = np.sqrt(np.diag(matrix))
+    unit_matrix = matrix / np.outer(scale, scale) + damping * np.eye(len(scale))
+    done, change, moves = solved(made, damping)
+    assert done
+    expected = np.linalg.solve(unit_matrix, vector / scale)
+    found = np.concatenate([change, moves.ravel()]) * scale
+    assert found == pytest.approx(expected, rel=1e-4, abs=1e-6 * (1.0 + np.abs(expected).max()))
+
+
+def test_the_arguments_are_left_as_they_are():
+    parts = (np.array([0, 1], dtype=np.int64), *drawn(3, 2, [0, 1]))
+    made = blocks(SEGMENTS, *parts)
+    copies = [part.copy() for part in made]
+    assert solved(made, 1e-3)[0]
+    assert all(part.tolist() == copy.tolist() for part, copy in zip(made, copies, strict=True))
+
+
+def test_a_constant_without_influence_stays_and_does_not_disturb():
+    parts = (np.array([0, 1], dtype=np.int64), *drawn(3, 2, [0, 1]))
+    parts[3][:, :, 1] = 0.0
+    done, change, _ = solved(blocks(SEGMENTS, *parts), 1e-3)
+    assert done
+    assert change[1] == 0.0
+    others = (*parts[:3], np.ascontiguousarray(np.delete(parts[3], 1, axis=2)))
+    assert change[[0, 2]] == pytest.approx(solved(blocks(SEGMENTS, *others), 1e-3)[1])
+
+
+def test_numbers_that_are_not_finite_are_no_step():
+    parts = (np.array([0, 1], dtype=np.int64), *drawn(3, 2, [0, 1]))
+    made = blocks(SEGMENTS, *parts)
+    made[0][0, 0] = np.nan
+    done, change, _ = solved(made, 1e-3)
+    assert not done or np.isnan(change).any()

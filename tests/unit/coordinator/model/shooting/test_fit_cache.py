@@ -1,0 +1,66 @@
+"""What has been fitted before is not fitted again."""
+
+import numpy as np
+
+from atoll_coordinator.model.shooting.fit_cache import Memory, key_of
+from atoll_coordinator.model.shooting.multiple_shooting import Shooter
+from atoll_coordinator.model.shooting.system import system_of
+from tests.unit.coordinator.model.shooting.made import DECAY, measurements
+
+TIMES = 0.1 * np.arange(20.0)
+
+
+def decay(text="-0.4*x"):
+    return system_of([DECAY.parsed(text)], DECAY.names, DECAY.names)
+
+
+def test_what_is_kept_is_recalled_until_there_is_no_room():
+    memory = Memory[str](10, room_bytes=20)
+    for number, fit in enumerate("abc"):
+        memory.keep((number,), fit)
+    assert [memory.recall((number,)) for number in range(3)] == [None, "b", "c"]
+
+
+def test_a_key_differs_with_the_last_bit_of_a_constant_or_a_start():
+    its, starts = decay(), np.array([[3.0]])
+    values = its.values
+    keys = {
+        key_of(its, starts, None, 3),
+        key_of(its, starts, None, 4),
+        key_of(its, starts, np.ones(1), 3),
+        key_of(its, np.nextafter(starts, 4.0), None, 3),
+        key_of(its.with_values(np.nextafter(values, 1.0)), starts, None, 3),
+        key_of(decay("-0.4*x*x"), starts, None, 3),
+    }
+    assert len(keys) == 6
+    assert key_of(decay(), starts.copy(), None, 3) in keys
+
+
+def test_the_same_fit_again_is_the_same_object_and_counts_the_same_work():
+    shooter = Shooter(measurements(DECAY, [[3.0], [2.0]], TIMES, noise=0.05), 1e-6)
+    first = shooter.fit(decay(), 5, 4)
+    work = shooter.work
+    assert shooter.fit(decay(), 5, 4) is first
+    assert shooter.work == 2 * work
+    assert shooter.fit(decay(), 5, 3) is not first
+
+
+def test_a_system_that_cannot_be_integrated_is_remembered_as_such():
+    shooter = Shooter(measurements(DECAY, [[3.0], [2.0]], TIMES), 1e-6)
+    assert shooter.fit(decay("x*x*x"), None, 4) is None
+    work = shooter.work
+    assert shooter.fit(decay("x*x*x"), None, 4) is None
+    assert shooter.work == 2 * work > 0
+
+
+def test_sensitivities_are_those_of_finite_differences():
+    shooter = Shooter(measurements(DECAY, [[3.0], [2.0]], TIMES, noise=0.05), 1e-9)
+    shot = shooter.fit(decay(), None, 10)
+    little = 1e-5
+
+    def moved(by: float) -> np.ndarray:
+        system = shot.system.with_values(shot.system.values + by)
+        return shooter.fit(system, None, 0, shot.starts, shot.sigmas).simulated[0]
+
+    expected = (moved(little) - moved(-little)) / (2.0 * little)
+    assert np.abs(shot.integrated_sensitivities()[:, 0, 0] - expected).max() < 1e-4 * np.abs(expected).max()

@@ -1,0 +1,80 @@
+"""How long the pieces are that trajectories are simulated in."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from atoll.config import JobConfig, SpaceConfig
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.selection import selection as model
+from atoll_coordinator.model.selection.selection import Field
+from atoll_coordinator.model.shooting.segments import SHORTER, chosen, on_all_rows, remarks
+from tests.unit.coordinator.model.shooting.made import SWING, Known, pools, table
+
+CONFIG = JobConfig(space=SpaceConfig(operators=("-", "*")))
+"""Without sums there are no libraries, which would take longer than all the rest."""
+
+
+@pytest.fixture(autouse=True)
+def _little_work(monkeypatch):
+    monkeypatch.setattr(model, "WORK", 300_000)
+
+
+def lorenz(_, z):
+    x, y, w = z
+    return [10.0 * (y - x), x * (28.0 - w) - y, x * y - 8.0 / 3.0 * w]
+
+
+def field_of(known, starts, times, noise, config=CONFIG):
+    preparation = prepare(table(known, starts, times, noise, 150), config)
+    return preparation, Field(preparation.dataset, preparation.recording, config, known.states, {})
+
+
+def test_regular_trajectories_are_simulated_in_whole():
+    preparation, field = field_of(SWING, ([1.0, 2.0], [0.5, -1.0]), 0.1 * np.arange(220.0), 0.03)
+    choice = chosen(field, pools(preparation, x=("y",), y=("-1.9*x - 0.2*y",)), {})
+    assert choice.field.piece == field.piece
+    assert np.diff(choice.contest.shooter.measurements.bounds, axis=1).ravel().tolist() == [220, 220]
+    assert list(remarks(choice.field)) == []
+
+
+def chaotic():
+    """Return pools and a field: Lorenz's system, of which an initial state tells nothing after some hundred rows."""
+    known = Known(("x", "y", "w"), lorenz)
+    preparation, field = field_of(known, ([1.0, 2.0, 20.0],), 0.02 * np.arange(500.0), 0.02)
+    truth = {"x": ("9.0*(y - x)",), "y": ("27.0*x - x*w - 0.9*y",), "w": ("x*y - 2.5*w",)}
+    fixed = replace(field, known={name: known.parsed(text) for name, (text,) in zip(
+        ("x", "y", "w"), (("10.0*(y - x)",), ("28.0*x - x*w - y",), ("x*y - 2.6*w",)), strict=True)})  # fmt: skip
+    return fixed, pools(preparation, **truth)
+
+
+def test_chaotic_ones_are_simulated_in_pieces_and_that_is_said():
+    choice = chosen(*chaotic(), {})
+    assert choice.field.piece in SHORTER
+    (remark,) = remarks(choice.field)
+    assert f"pieces of {choice.field.piece} rows" in remark
+    assert "500 rows" in remark
+
+
+def test_when_the_work_is_used_up_no_shorter_pieces_are_tried(monkeypatch):
+    monkeypatch.setattr("atoll_coordinator.model.shooting.segments.LADDER_WORK", 1)
+    field, its = chaotic()
+    assert chosen(field, its, {}).field.piece == field.piece
+
+
+def test_no_candidate_is_no_choice():
+    preparation, field = field_of(SWING, ([1.0, 2.0],), 0.1 * np.arange(40.0), 0.03)
+    nothing = replace(field, config=JobConfig(space=SpaceConfig(operators=("exp", "*"))))
+    assert chosen(nothing, pools(preparation, x=("exp(9.0*x*x)",), y=("y*y*y*y",)), {}) is None
+
+
+def test_a_choice_on_some_rows_is_fitted_to_all():
+    preparation, field = field_of(SWING, [[1.0 + 0.3 * index, 2.0] for index in range(20)], 0.1 * np.arange(80.0), 0.03)
+    choice = chosen(field, pools(preparation, x=("y",), y=("-1.9*x - 0.2*y",)), {})
+    assert choice.contest.shooter.measurements.rows < 1_600
+    whole = on_all_rows(choice)
+    assert whole.contest.shooter.measurements.rows == 1_600
+    values = np.sort(np.abs(whole.standing.shot.system.values))
+    assert values == pytest.approx([0.3, 2.0], rel=0.02)
+    assert on_all_rows(whole) is whole

@@ -1,0 +1,115 @@
+"""Shorter descriptions near a system."""
+
+import numpy as np
+import pytest
+
+from atoll.expression.operators import BY_NAME
+from atoll_coordinator.model.structure.extensions import extensions
+from atoll_coordinator.model.structure.local_search import LEAST, Descent
+from atoll_coordinator.model.structure.rewriting import structure
+from tests.unit.coordinator.model.shooting.made import SWING, Known, contest, measurements
+
+TIMES = 0.1 * np.arange(40.0)
+ARITHMETIC = frozenset(BY_NAME[name].code for name in ("+", "-", "*"))
+PLENTY = 10**12
+
+
+def around(_, program):
+    return extensions(program, [1.0, 1.0], ARITHMETIC)
+
+
+@pytest.fixture
+def swinging():
+    return contest(SWING, measurements(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES, noise=0.02, seed=110), 1e-5)
+
+
+def begun(its, *texts):
+    standing = its.stand([SWING.parsed(text) for text in texts])
+    assert standing is not None
+    return standing
+
+
+def forms(standing):
+    return {structure(program) for program in standing.programs}
+
+
+TRUE_FORMS = [
+    {structure(SWING.parsed(text)) for text in ("y", other)}
+    for other in (
+        "-2.1*x - 0.3*y",
+        "-0.3*y - 2.1*x",
+        "-(2.1*x + 0.3*y)",
+        "-(0.3*y + 2.1*x)",
+        "2.1*x + 0.3*y",
+        "0.3*y + 2.1*x",
+    )
+]
+
+
+@pytest.mark.parametrize(
+    "texts",
+    [
+        ("y", "-2.1*x - 0.3*y + 0.1*x*y"),
+        ("y + 0.05*x", "-2.1*x - 0.3*y"),
+        ("1.1*y", "-2.1*x - 0.3*y + 0.02"),
+        ("y", "-2.1*x - 0.3*y - 0.1*x*x + 0.05*y*y"),
+    ],
+)
+def test_whatever_is_not_needed_goes(swinging, texts):
+    start = begun(swinging, *texts)
+    end = Descent(swinging, lambda *_: iter(()), PLENTY).down(start, [0, 1])
+    assert forms(end) in TRUE_FORMS
+    assert end.nats < start.nats
+
+
+@pytest.mark.parametrize("rate", [1.0, 1.01, 1.02, 1.03, 1.05, 1.1])
+def test_a_constant_goes_only_if_that_shortens_the_description(rate):
+    """x' = -r x, where r is 1 as far as the data can tell, or nearly, or not at all."""
+    known = Known(("x",), lambda _, z: [-rate * z[0]])
+    its = contest(known, measurements(known, ([1.0], [-2.0]), TIMES, noise=0.02, seed=111), 1e-6)
+    start = its.stand([known.parsed("-1.2*x")])
+    end = Descent(its, lambda *_: iter(()), PLENTY).down(start, [0])
+    assert end.nats <= start.nats
+    bare = its.stand([known.parsed("-x")])
+    assert (structure(end.programs[0]) == structure(bare.programs[0])) == (bare.nats < start.nats - LEAST)
+    if rate in (1.0, 1.1):
+        assert (len(end.programs[0]) == 2) == (rate == 1.0)
+
+
+def test_what_is_missing_is_found(swinging):
+    end = Descent(swinging, around, PLENTY).down(begun(swinging, "y", "-1.5*x"), [0, 1])
+    assert forms(end) in TRUE_FORMS
+
+
+def test_the_shortest_stays_itself(swinging):
+    start = begun(swinging, "y", "-2.1*x - 0.3*y")
+    end = Descent(swinging, around, PLENTY).down(start, [0, 1])
+    assert end.nats >= start.nats - LEAST
+    assert forms(end) == forms(start)
+
+
+def test_only_the_equations_named_are_changed(swinging):
+    start = begun(swinging, "y + 0.05*x", "-2.1*x - 0.3*y + 0.1*x*y")
+    end = Descent(swinging, around, PLENTY).down(start, [1])
+    assert structure(end.programs[0]) == structure(start.programs[0])
+    assert structure(end.programs[1]) != structure(start.programs[1])
+
+
+@pytest.mark.parametrize("budget", [1, 200_000])
+def test_the_budget_ends_it(swinging, budget):
+    start = begun(swinging, "y", "-1.5*x")
+    most = swinging.shooter.work + budget
+    descent = Descent(swinging, around, most)
+    end = descent.down(start, [0, 1])
+    assert descent.is_exhausted
+    largest_round = 100 * 2 * 80 * (10 + 2 * (1 + 6 + 2))
+    assert swinging.shooter.work <= most + largest_round
+    assert end.nats <= start.nats
+
+
+def test_an_exhausted_descent_changes_nothing(swinging):
+    start = begun(swinging, "y", "-1.5*x")
+    descent = Descent(swinging, around, 0)
+    assert descent.is_exhausted
+    assert descent.down(start, [0, 1]) is start
+    assert descent.reduced(start, 1) is start

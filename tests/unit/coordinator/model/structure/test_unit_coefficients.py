@@ -1,0 +1,60 @@
+"""Factors of one that are not written become constants, as many as are not redundant; the function stays."""
+
+import numpy as np
+import pytest
+
+from atoll_coordinator.model.regression.gradient import values_of
+from atoll_coordinator.model.structure.rewriting import constant_places, tidied
+from atoll_coordinator.model.structure.unit_coefficients import opened
+from tests.unit.coordinator.model.fitting import parsed, shown
+
+DRAW = np.random.default_rng(3)
+INPUTS = DRAW.uniform(0.5, 2.0, (2, 60))
+
+CASES = {
+    "3.0*x - 2.0*x*y - x*x": (("x**2",), 3),
+    "(2.0 - x - y)*y": (("x", "y"), 3),
+    "x*(4.0 - x - y/(1.0 + x))": (("x", "y"), 4),
+    "0.5*(x - y)": (("y",), 2),
+    "cos(x)*cos(y)/sin(x)": (("cos(x)*cos(y)",), 1),
+    "-0.1*x": ((), 1),
+    "(1.5 + x)*(2.0 - y)": (("x",), 3),
+    "y - cos(x)/y": (("y", "cos(x)"), 2),
+}
+"""By expression: what has a factor of one, and how many constants there are with these."""
+
+
+@pytest.mark.parametrize("text", CASES)
+def test_terms_without_a_factor_get_one(text):
+    terms, count = CASES[text]
+    its = opened(tidied(parsed(text)))
+    assert tuple(map(shown, its.terms)) == terms
+    assert len(its.origins) == count == len(constant_places(its.program))
+    assert sum(origin is None for origin in its.origins) == len(terms)
+
+
+@pytest.mark.parametrize("text", CASES)
+def test_the_function_stays_and_the_constants_know_where_they_come_from(text):
+    program = tidied(parsed(text))
+    its = opened(program)
+    assert values_of(its.program, INPUTS) == pytest.approx(values_of(program, INPUTS), rel=1e-13)
+    values = program.constants[constant_places(program)].tolist()
+    expected = [1.0 if origin is None else values[origin] for origin in its.origins]
+    assert its.program.constants[constant_places(its.program)].tolist() == expected
+    assert sorted(origin for origin in its.origins if origin is not None) == list(range(len(values)))
+
+
+@pytest.mark.parametrize("text", CASES)
+def test_no_constant_is_redundant(text):
+    """The derivatives with respect to the constants are linearly independent."""
+    its = opened(tidied(parsed(text))).program
+    places = constant_places(its)
+    columns = []
+    for place in places:
+        moved = [its.constants.copy(), its.constants.copy()]
+        moved[0][place] += 1e-5
+        moved[1][place] -= 1e-5
+        high, low = (type(its)(its.operators, its.left, its.right, constants) for constants in moved)
+        columns.append((values_of(high, INPUTS) - values_of(low, INPUTS)) / 2e-5)
+    unit = np.array([column / np.linalg.norm(column) for column in columns])
+    assert np.linalg.svd(unit, compute_uv=False).min() > 1e-4

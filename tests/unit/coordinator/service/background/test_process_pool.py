@@ -1,0 +1,349 @@
+"""Child processes: what they answer, that they are tried twice, and that none outlives its work or its coordinator."""
+
+import dataclasses
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from atoll.config import JobConfig, SpaceConfig
+from atoll.logs import JsonLines, TextLines
+from atoll.wire.bus.simulated_bus import SimulatedNetwork
+from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.service.background import process_pool as module
+from atoll_coordinator.service.background.child_process import cause_of
+from atoll_coordinator.service.background.interface import LostError, StoppedError
+from atoll_coordinator.service.background.preparing import prepare_table
+from atoll_coordinator.service.background.process_pool import Children
+from atoll_coordinator.service.background.runner import SlowWork
+from atoll_coordinator.service.background.tasks import Ready, Refined, Unprepared, prepare_job, refine_job
+from atoll_coordinator.service.jobs.job import Prepared
+from atoll_coordinator.service.ports import Ports, refine
+from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.store.store import Store
+from tests.unit.coordinator.model.shooting.made import DECAY, pools, table
+from tests.unit.coordinator.service.background import strange_tasks as strange
+from tests.unit.documents import ROOT
+
+LIMIT_S = 120.0
+
+
+@pytest.fixture
+def pool() -> Iterator[Children]:
+    with closing(Children(at_once=1)) as pool:
+        yield pool
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Wait until something is so."""
+    end = time.monotonic() + LIMIT_S
+    while not condition():
+        assert time.monotonic() < end, "it took too long"
+        time.sleep(0.01)
+
+
+def is_gone(pid: int) -> bool:
+    """Tell whether a child of this process has ended and been seen off."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+def pid_in(mark: Path) -> int:
+    until(mark.exists)
+    return int(mark.read_text("ascii"))
+
+
+class Doing(threading.Thread):
+    """An errand under way in a thread; what it ended with."""
+
+    def __init__(self, work: Callable[[], Any]) -> None:
+        super().__init__(daemon=True)
+        self._work = work
+        self.error: Exception | None = None
+        self.start()
+
+    def run(self) -> None:
+        try:
+            self._work()
+        except Exception as error:
+            self.error = error
+
+    def ended(self) -> Exception | None:
+        self.join(LIMIT_S)
+        assert not self.is_alive()
+        return self.error
+
+
+def test_a_child_does_errand_after_errand_elsewhere(pool: Children) -> None:
+    assert pool.do("j", partial(strange.echo, [1, "two", b"\0" * 1_000_000])) == [1, "two", b"\0" * 1_000_000]
+    first = pool.do("j", strange.pid)
+    assert first != os.getpid()
+    assert pool.do_in_turn("j", strange.pid) == first
+
+
+def plain(what: Any) -> Any:
+    """Return data as nested tuples, arrays as their bytes: equal only if every bit is."""
+    if isinstance(what, np.ndarray):
+        return what.dtype.str, what.shape, what.tobytes()
+    if dataclasses.is_dataclass(what):
+        return tuple((each.name, plain(getattr(what, each.name))) for each in dataclasses.fields(what))
+    if isinstance(what, Mapping):
+        return tuple((plain(key), plain(value)) for key, value in what.items())
+    if isinstance(what, list | tuple):
+        return tuple(map(plain, what))
+    return type(what), repr(what)
+
+
+def test_what_children_make_is_what_threads_make_to_the_last_bit(pool: Children) -> None:
+    rows = table(DECAY, ([1.0], [-2.0]), 0.1 * np.arange(40.0), noise=0.02, seed=108)
+    config = JobConfig(space=SpaceConfig(operators=("-", "*")))
+    prepare = partial(prepare_job, prepare_table, "j", rows.to_bytes(), config)
+    here, there = prepare(), pool.do("j", prepare)
+    assert isinstance(here, Ready)
+    assert isinstance(there, Ready)
+    assert plain(there) == plain(here)
+    found = pools(here.prepared.preparation, x=("x", "-0.4*x"))
+    refined = [
+        work(partial(refine_job, refine, "j", ready.prepared.preparation, ready.prepared.config, found))
+        for ready, work in ((here, lambda errand: errand()), (there, partial(pool.do, "j")))
+    ]
+    assert refined[0].refinement.simulation is not None
+    assert plain(refined[1]) == plain(refined[0])
+
+
+def test_a_child_starts_ahead_and_does_first_what_it_was_told_first(pool: Children, tmp_path: Path) -> None:
+    pool.expect(partial(strange.sleep, tmp_path / "mark", ROOT))
+    assert pool.do("j", strange.pid) == pid_in(tmp_path / "mark")
+
+
+def test_what_is_awaited_does_not_wait_for_what_is_only_expected(pool: Children, tmp_path: Path) -> None:
+    first = pool.do("j", strange.pid)
+    pool.expect(partial(strange.sleep, tmp_path / "mark", tmp_path / "until"))
+    assert pid_in(tmp_path / "mark") == first
+    assert pool.do("j", strange.pid) != first
+    (tmp_path / "until").touch()
+
+
+def test_a_child_that_is_busy_is_not_without_work(tmp_path: Path) -> None:
+    with closing(Children(idle_s=0.05)) as pool:
+        pool.expect(partial(strange.sleep, tmp_path / "mark", tmp_path / "until"))
+        pid = pid_in(tmp_path / "mark")
+        time.sleep(0.3)
+        assert not is_gone(pid)
+        (tmp_path / "until").touch()
+        until(partial(is_gone, pid))
+
+
+def test_a_child_that_takes_nothing_in_is_ended(tmp_path: Path) -> None:
+    with closing(Children(limit_s=5.0)) as pool:
+        os.kill(pool.do("j", strange.pid), signal.SIGSTOP)
+        assert pool.do("j", partial(strange.echo, b"x" * (1 << 20))) == b"x" * (1 << 20)
+
+
+def test_a_child_of_another_version_does_nothing(pool: Children, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("atoll_coordinator.service.background.child_process.version", lambda: "0.0 1 1")
+    with pytest.raises(LostError, match="of another version than the coordinator, which must be started again, twice"):
+        pool.do("j", strange.pid)
+
+
+def test_an_errand_whose_process_is_killed_is_done_again(
+    pool: Children, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert pool.do("j", partial(strange.die, tmp_path, 1)) == 2
+    assert "errand lost, done again" in caplog.text
+
+
+def test_an_errand_whose_process_is_killed_twice_is_lost(pool: Children, tmp_path: Path) -> None:
+    with pytest.raises(LostError, match=r"signal 9 \(SIGKILL\), as happens when memory runs out, twice"):
+        pool.do("j", partial(strange.die, tmp_path, 2))
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_an_error_that_no_errand_should_let_through_is_a_death(
+    pool: Children, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(LostError, match="ended with exit code 1, twice"):
+        pool.do("j", strange.fail)
+    assert "no errand should let through" in capfd.readouterr().err
+
+
+def test_what_hangs_is_ended(tmp_path: Path) -> None:
+    with closing(Children(limit_s=0.3)) as pool, pytest.raises(LostError, match="took longer than 0 s and was ended"):
+        pool.do("j", partial(strange.sleep, tmp_path / "mark"))
+
+
+@pytest.mark.parametrize("how", ["stop", "close"])
+def test_what_nobody_waits_for_ends_at_once(pool: Children, tmp_path: Path, how: str) -> None:
+    doing = Doing(partial(pool.do, "j", partial(strange.spin, tmp_path / "mark")))
+    pid = pid_in(tmp_path / "mark")
+    pool.stop("another")
+    assert not is_gone(pid)
+    _ = pool.stop("j") if how == "stop" else pool.close()
+    assert isinstance(doing.ended(), StoppedError)
+    until(partial(is_gone, pid))
+    with pytest.raises(StoppedError):  # its thread may have been late
+        pool.do("j", strange.pid)
+
+
+def test_who_waits_for_its_turn_is_stopped_too(pool: Children, tmp_path: Path) -> None:
+    first = Doing(partial(pool.do_in_turn, "first", partial(strange.sleep, tmp_path / "first", tmp_path / "go")))
+    until((tmp_path / "first").exists)
+    second, third = (
+        Doing(partial(pool.do_in_turn, name, partial(strange.sleep, tmp_path / name, tmp_path / "go")))
+        for name in ("second", "third")
+    )
+    assert pool.do("urgent", partial(strange.echo, 1)) == 1
+    pool.stop("second")
+    assert isinstance(second.ended(), StoppedError)
+    assert not (tmp_path / "third").exists()
+    (tmp_path / "go").touch()
+    assert first.ended() is None
+    assert third.ended() is None
+    assert {file.name for file in tmp_path.iterdir()} == {"first", "third", "go"}
+
+
+def test_a_service_that_ends_ends_its_children(pool: Children) -> None:
+    pid = pool.do("j", strange.pid)
+    ports = Ports(prepare_table, lambda work: work(), lambda: "now", errands=pool)
+    stop = threading.Event()
+    stop.set()
+    with Store.open(None) as store:
+        service = Service(SimulatedNetwork(0).bus("coordinator", is_router=True), store, ports=ports)
+        service.run(stop)
+    assert is_gone(pid)
+
+
+def test_a_child_without_work_ends_and_another_follows() -> None:
+    with closing(Children(idle_s=0.05)) as pool:
+        first = pool.do("j", strange.pid)
+        until(partial(is_gone, first))
+        assert pool.do("j", strange.pid) != first
+
+
+def test_a_child_that_has_done_enough_is_replaced(pool: Children, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MAX_ERRANDS", 2)
+    pids = [pool.do("j", strange.pid) for _ in range(4)]
+    assert pids[0] == pids[1] != pids[2] == pids[3]
+
+
+def test_only_functions_of_modules_are_sent(pool: Children) -> None:
+    with pytest.raises(Exception, match="pickle"):
+        pool.do("j", lambda: 1)
+    assert pool.do("j", partial(strange.echo, 1)) == 1
+
+
+def test_signals_that_ask_for_an_end_are_for_the_coordinator(pool: Children, tmp_path: Path) -> None:
+    doing = Doing(partial(pool.do, "j", partial(strange.sleep, tmp_path / "mark", tmp_path / "go")))
+    pid = pid_in(tmp_path / "mark")
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        os.kill(pid, number)
+    (tmp_path / "go").touch()
+    assert doing.ended() is None
+    assert pool.do("j", strange.pid) == pid
+
+
+def test_what_a_child_logs_is_in_the_log(pool: Children, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO):
+        pool.do("j", strange.log)
+    heard, broken = (record for record in caplog.records if record.name == "of.a.child")
+    assert TextLines({}).format(heard).endswith("WARNING heard 1 job=j (of.a.child)")
+    assert TextLines({}).format(broken).endswith("ValueError: a reason")
+    assert json.loads(JsonLines({}).format(broken))["exception"].endswith("ValueError: a reason")
+
+
+KILLED = """
+import sys
+from functools import partial
+from pathlib import Path
+from atoll_coordinator.service.background.process_pool import Children
+from tests.unit.coordinator.model.shooting.made import DECAY, pools, table
+from tests.unit.coordinator.service.background import strange_tasks
+Children().do("j", partial(strange_tasks.spin, Path(sys.argv[1])))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_a_child_ends_with_its_coordinator(number: signal.Signals, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "mark")]
+    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE) as coordinator:
+        until((tmp_path / "mark").exists)
+        coordinator.send_signal(number)
+        _, said = coordinator.communicate(timeout=LIMIT_S)  # until the child, too, has closed its stderr
+    assert said.count(b"Traceback") == (number == signal.SIGINT)  # of the coordinator alone
+
+
+@pytest.mark.parametrize(("code", "said"), [(3, "exit code 3"), (-11, "signal 11 (SIGSEGV)"), (None, "did not end")])
+def test_a_cause_is_named(code: int | None, said: str) -> None:
+    assert said in cause_of(code)
+
+
+def posted(pool: Children, refiner: Any = None) -> list[object]:
+    """Return what slow work posts that prepares (without `refiner`) or refines a job."""
+    said: list[object] = []
+    ports = Ports(strange.prepare_and_die, lambda work: work(), lambda: "now", refiner, errands=pool)
+    work = SlowWork(ports, None, said.append)  # type: ignore[arg-type]
+    nothing: Preparation = None  # type: ignore[assignment]
+    if refiner is None:
+        work.prepare("j", b"", JobConfig())
+    else:
+        work.refine("j", Prepared(nothing, JobConfig(), "", 0), {})
+    return said
+
+
+@pytest.mark.parametrize(
+    ("times", "warning"),
+    [
+        (1, "try 2"),
+        (
+            2,
+            "Refining broke (its process was ended by signal 9 (SIGKILL), as happens when memory runs out, twice); "
+            "equations are as found.",
+        ),
+    ],
+)
+def test_a_job_is_done_whatever_refining_dies_of(pool: Children, tmp_path: Path, times: int, warning: str) -> None:
+    (said,) = posted(pool, partial(strange.refine_or_die, tmp_path, times))
+    assert isinstance(said, Refined)
+    assert said.refinement.warnings == (warning,)
+
+
+def test_a_job_fails_when_preparing_it_dies_twice(pool: Children) -> None:
+    said = Unprepared("j", "internal", "preparing the data broke (its process was ended by signal 11 (SIGSEGV), twice)")
+    assert posted(pool) == [said]
+
+
+def no_thread(*_: Any) -> None:
+    raise RuntimeError("can't start new thread")
+
+
+@pytest.mark.parametrize("where", ["background", "errands"])
+def test_a_machine_without_threads_to_spare_is_an_answer_too(where: str) -> None:
+    nothing: Preparation = None  # type: ignore[assignment]
+    errands = SimpleNamespace(do=no_thread, do_in_turn=no_thread)
+    background = no_thread if where == "background" else lambda work: work()
+    ports = Ports(strange.prepare_and_die, background, lambda: "now", errands=errands)  # type: ignore[arg-type]
+    said: list[object] = []
+    work = SlowWork(ports, None, said.append)  # type: ignore[arg-type]
+    work.prepare("j", b"", JobConfig())
+    work.refine("j", Prepared(nothing, JobConfig(), "", 0), {})
+    unprepared, refined = said
+    assert isinstance(unprepared, Unprepared)
+    assert "can't start new thread" in unprepared.sentence
+    assert isinstance(refined, Refined)
+    assert "can't start new thread" in refined.refinement.warnings[0]

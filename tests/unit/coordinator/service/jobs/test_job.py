@@ -1,0 +1,321 @@
+"""Jobs: the states of the table, and what is to be done when something happens."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
+from atoll.data.dataset import Dataset, Target
+from atoll.errors import LocalProtocolError, RemoteProtocolError
+from atoll.search.pareto import FrontEntry
+from atoll.wire.messages.views import FINAL_STATES
+from atoll.wire.messages.workers import Addition, EpochReport, Holding, IslandReport, Placement, Tally
+from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.model.inference.refinement import Pool, Refinement
+from atoll_coordinator.service.jobs.job import (
+    JOB_TRANSITIONS,
+    Conclude,
+    Job,
+    KeepCuts,
+    Prepared,
+    Refine,
+    TellCommit,
+    check_program,
+    course_of,
+    measure_of,
+)
+from atoll_coordinator.service.search.checkpoints import StoredProgress
+from atoll_coordinator.service.search.collector import Progress
+from atoll_coordinator.service.search.cut import Cut, stored
+from atoll_coordinator.service.store.jobs import JobRecord
+
+VALUES = np.linspace(0.0, 1.0, 30)
+DATASET = Dataset(
+    ("x", "y"),
+    np.stack([VALUES, VALUES]),
+    tuple(Target(name, f"d{name}/dt", VALUES, 0.0, 0.3) for name in ("x", "y")),
+    {"x": "x", "y": "y"},
+)
+BLOB = "a" * 64
+
+
+def job_with(**budget: object) -> Job:
+    config = JobConfig(evolution=EvolutionConfig(islands=2), budget=BudgetConfig(**budget))
+    return Job(JobRecord("job", "name", config.model_dump_json(), BLOB, "2026-01-01"), config, 0.0)
+
+
+def running(**budget: object) -> Job:
+    job = job_with(**budget)
+    job.prepare()
+    job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {})
+    for archipelago in job.archipelagos.values():
+        archipelago.place(
+            Placement(
+                incarnation=1,
+                term=2,
+                job="job",
+                variable=archipelago.variable,
+                workers=("w0", "w1"),
+                epochs=archipelago.collector.limits.epochs,
+                interval=16,
+                course=course_of(job.config),
+            ),
+            0.0,
+        )
+    job.start(0.0)
+    return job
+
+
+def report(island: int, epoch: int, variable: str = "x", term: int = 2, program: bytes | None = None) -> EpochReport:
+    code = program if program is not None else bytes([1, 0]) + bytes(4)
+    addition = Addition(complexity=1, error=0.5, mse=0.25, generation=1, program=code)
+    each = IslandReport(
+        island=island,
+        generations=100,
+        hit=None,
+        additions=(addition,),
+        tallies=tuple(Tally(generation=end, evaluations={"offspring": 10}) for end in range(10, 101, 10)),
+        best_error=0.5,
+        digest=f"{epoch:032x}",
+    )
+    return EpochReport(job="job", variable=variable, term=term, epoch=epoch, islands=(each,))
+
+
+def test_nothing_leads_out_of_a_final_state_and_everything_can_be_cancelled_before() -> None:
+    for state, row in JOB_TRANSITIONS.items():
+        assert (not row) == (state in FINAL_STATES)
+        assert state in FINAL_STATES or {"cancel", "fail"} <= row.keys()
+
+
+def test_a_job_runs_until_every_variable_is_cut() -> None:
+    job = running(max_epochs=1)
+    for variable in ("x", "y"):
+        assert job.receive("w0", report(0, 0, variable), 1.0) == []
+        actions = job.receive("w1", report(1, 0, variable), 2.0)
+        assert isinstance(actions[0], KeepCuts)
+        assert any(isinstance(action, Refine) for action in actions) == (variable == "y")
+    assert job.state == "refining"
+    job.validate()
+    assert job.take_refined(Refinement()) == [Conclude()]
+    assert job.state == "done"
+    assert job.take_refined(Refinement()) == []
+
+
+def test_the_fronts_of_all_variables_are_refined_before_a_job_is_done() -> None:
+    job = running(max_epochs=1)
+    for variable in ("y", "x"):
+        job.receive("w0", report(0, 0, variable), 1.0)
+        *_, last = job.receive("w1", report(1, 0, variable), 2.0)
+    assert isinstance(last, Refine)
+    errors = {name: [entry.error for entry in pool.front] for name, pool in last.pools.items()}
+    assert errors == {"x": [0.5], "y": [0.5]}
+
+
+def test_a_job_can_be_cancelled_while_it_is_refined() -> None:
+    job = running(max_epochs=1)
+    for variable in ("x", "y"):
+        for island in (0, 1):
+            job.receive(f"w{island}", report(island, 0, variable), 1.0)
+    assert job.cancel() == [Conclude()]
+    assert job.state == "cancelled"
+
+
+def test_a_variable_can_have_fewer_epochs_than_the_others() -> None:
+    job = running(max_epochs=9, max_epochs_of={"y": 1})
+    job.receive("w0", report(0, 0, "y"), 1.0)
+    job.receive("w1", report(1, 0, "y"), 1.0)
+    assert [each.variable for each in job.open_archipelagos] == ["x"]
+
+
+def test_time_cuts_every_variable() -> None:
+    job = running(max_time=10.0)
+    for variable in ("x", "y"):
+        for island in (0, 1):
+            job.receive(f"w{island}", report(island, 0, variable), 1.0)
+    assert job.tick(9.9) == []
+    actions = job.tick(10.0)
+    assert [type(action) for action in actions] == [KeepCuts, Refine]
+    assert isinstance(actions[0], KeepCuts)
+    assert [cut.variable for cut in actions[0].cuts] == ["x", "y"]
+    assert job.state == "refining"
+
+
+def test_cancelling_keeps_what_was_found_and_happens_once() -> None:
+    job = running()
+    job.receive("w0", report(0, 0), 1.0)
+    job.receive("w1", report(1, 0), 1.0)
+    assert job.cancel() == [Conclude()]
+    cuts = [archipelago.cut for archipelago in job.archipelagos.values() if archipelago.cut is not None]
+    assert [(cut.variable, cut.epochs, cut.why) for cut in cuts] == [("x", 1, "cancelled"), ("y", 0, "cancelled")]
+    assert job.state == "cancelled"
+    assert job.cancel() == job.fail("internal", "too late") == []
+    assert job.reason is None
+
+
+def test_a_job_can_be_cancelled_before_it_is_prepared() -> None:
+    assert job_with().cancel() == [Conclude()]
+
+
+def test_divergence_fails_the_job() -> None:
+    job = running()
+    job.receive("w0", report(0, 0), 1.0)
+    other = report(0, 0)
+    changed = other.islands[0].model_copy(update={"digest": "f" * 32})
+    assert job.receive("w0", other.model_copy(update={"islands": (changed,)}), 1.0) == [Conclude()]
+    assert (job.state, job.fault) == ("failed", "diverged")
+
+
+@pytest.mark.parametrize(
+    ("worker", "wrong"),
+    [
+        ("w1", report(0, 0)),
+        ("stranger", report(0, 0)),
+        ("w0", report(0, 0, term=3)),
+        ("w0", report(0, 0, variable="z")),
+        ("w0", report(0, 2000)),
+        ("w0", report(0, 0, program=b"")),
+        ("w0", report(0, 0, program=bytes([1, 0, 9, 0, 0, 0]))),
+    ],
+)
+def test_reports_that_cannot_be_are_refused_and_change_nothing(worker: str, wrong: EpochReport) -> None:
+    job = running()
+    with pytest.raises(RemoteProtocolError):
+        job.receive(worker, wrong, 1.0)
+    assert job.archipelagos["x"].collector.first_missing([0], 1) == 0
+
+
+def test_reports_of_a_lower_term_are_dropped() -> None:
+    job = running()
+    assert job.receive("w0", report(0, 0, term=1), 1.0) == []
+    assert job.archipelagos["x"].collector.first_missing([0], 1) == 0
+
+
+def test_workers_are_told_in_steps_what_all_islands_have_reported() -> None:
+    job = running(stagnation=1000)
+    commits = []
+    for epoch in range(40):
+        for island in (0, 1):
+            actions = job.receive(f"w{island}", report(island, epoch), 1.0)
+            commits += [(epoch, action.commit) for action in actions if isinstance(action, TellCommit)]
+    assert [(epoch, commit.reported, commit.epoch) for epoch, commit in commits] == [(16, 16, 0), (32, 32, 0)]
+
+
+def test_under_a_new_term_old_epochs_count_once() -> None:
+    job = running(stagnation=1000)
+    for epoch in range(20):
+        for island in (0, 1):
+            job.receive(f"w{island}", report(island, epoch), 1.0)
+    archipelago = job.archipelagos["x"]
+    assert archipelago.placement is not None
+    archipelago.place(archipelago.placement.model_copy(update={"term": 3}), 5.0)
+    commit = archipelago.commit()
+    assert commit is not None
+    assert (commit.term, commit.epoch, commit.reported) == (3, 0, 0)
+    for island in (0, 1):
+        assert job.receive(f"w{island}", report(island, 0, term=3), 6.0) == []
+    assert archipelago.collector.progress.epochs == 20
+    assert archipelago.collector.progress.evaluations == {"offspring": 20}
+
+
+def test_a_job_goes_on_from_its_checkpoints_and_from_the_time_it_had_taken() -> None:
+    job = job_with()
+    job.prepare()
+    kept = StoredProgress.of(Progress(epochs=24, evaluations={"offspring": 7}, improved_at=3), 12.5)
+    assert job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {}, {"x": kept}) == []
+    resumed, new = job.archipelagos["x"], job.archipelagos["y"]
+    assert (resumed.durable, resumed.collector.progress.epochs, resumed.collector.progress.improved_at) == (24, 24, 3)
+    assert (new.durable, new.collector.progress.epochs) == (0, 0)
+    assert job.search_seconds(5.0) == 12.5
+    job.start(5.0)
+    assert job.search_seconds(6.0) == 13.5
+
+
+def test_the_time_of_what_has_ended_counts_after_a_restart() -> None:
+    before = running(max_epochs=9, max_epochs_of={"y": 1})
+    for island in (0, 1):
+        before.receive(f"w{island}", report(island, 0, "y"), 3.5)
+    cut = before.archipelagos["y"].cut
+    assert cut is not None
+    job = job_with()
+    job.prepare()
+    job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"y": cut})
+    assert job.search_seconds(5.0) == 3.5
+
+
+def test_reports_that_a_heartbeat_promises_and_that_did_not_come_are_pulled() -> None:
+    job = running()
+    job.receive("w0", report(0, 0), 1.0)
+    job.receive("w0", report(0, 2), 1.0)
+    holding = Holding(job="job", variable="x", term=2, islands=1, reported=3, commit=0)
+    pull = job.archipelagos["x"].missing_reports("w0", holding)
+    assert pull is not None
+    assert (pull.first, pull.last, pull.term) == (1, 3, 2)
+    job.receive("w0", report(0, 1), 1.0)
+    assert job.archipelagos["x"].missing_reports("w0", holding) is None
+
+
+def test_cuts_that_were_committed_before_a_restart_stand() -> None:
+    job = job_with()
+    job.prepare()
+    cut = Cut(variable="x", epochs=3, generation=None, why="max-time", front=(), evaluations={}, seconds=1.0)
+    assert job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"x": cut}) == []
+    assert [each.variable for each in job.open_archipelagos] == ["y"]
+    other = job_with()
+    other.prepare()
+    both = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
+    assert other.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), both) == [
+        Refine({"x": Pool(()), "y": Pool(())})
+    ]
+
+
+def test_a_noisy_target_s_search_goes_on_below_its_floor() -> None:
+    """Many a wrong equation lies below the floor; that they get better is progress all the same."""
+    found = [(FrontEntry(3, error, error * error, 0, 0, 0, bytes([1, 0, 0, 0, 0, 0])),) for error in (0.05, 0.01)]
+    clean = Target("x", "dx/dt", VALUES, 9e-4, 300.0)
+    noisy = replace(clean, noise=0.1)
+    assert measure_of(clean)(found[1]) == measure_of(clean)(found[0])
+    assert measure_of(noisy)(found[1]) < measure_of(noisy)(found[0]) - 1.0
+    assert measure_of(noisy)(()) == float("inf")
+
+
+def test_the_number_of_runners_up_and_the_patience_are_those_of_the_configuration() -> None:
+    job = job_with(stagnation=7)
+    job.prepare()
+    config = job.config.model_copy(update={"evolution": job.config.evolution.model_copy(update={"runners_up": 3})})
+    job.begin(Prepared(Preparation(DATASET), config, BLOB, 100), {})
+    limits = job.archipelagos["x"].collector.limits
+    assert (limits.runners_up, limits.stagnation) == (3, 7)
+
+
+def test_impossible_steps_are_our_bug() -> None:
+    job = job_with()
+    with pytest.raises(LocalProtocolError, match="queued and cannot prepared"):
+        job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {})
+    with pytest.raises(LocalProtocolError, match="before it is prepared"):
+        job.announcement()
+
+
+def test_programs_are_checked() -> None:
+    check_program(bytes([1, 0, 1, 0, 0, 0]), 2)
+    with pytest.raises(RemoteProtocolError):
+        check_program(bytes([1, 0, 2, 0, 0, 0]), 2)
+
+
+def test_runners_up_are_handed_on_beside_the_front() -> None:
+    job = job_with()
+    job.prepare()
+    best, next_best = (FrontEntry(1, error, error, 0, 5, 0, bytes([1, 0, 0, 0, 0, 0])) for error in (0.5, 0.6))
+    cut = Cut(
+        variable="x",
+        epochs=3,
+        generation=None,
+        why="stagnation",
+        front=(stored(best),),
+        runners_up=(stored(next_best),),
+        evaluations={},
+        seconds=1.0,
+    )
+    cuts = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
+    (refine,) = job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), cuts)
+    assert refine == Refine({name: Pool((best,), (next_best,)) for name in ("x", "y")})

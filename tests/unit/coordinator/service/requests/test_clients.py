@@ -1,0 +1,180 @@
+"""Clients' questions: each gets one answer, and what is wrong a sentence."""
+
+import hashlib
+from collections.abc import Iterator
+
+import pytest
+
+from atoll.config import JobConfig
+from atoll.errors import StoreError
+from atoll.wire.messages.clients import (
+    Ask,
+    Cancel,
+    Failure,
+    GetResult,
+    JobList,
+    Jobs,
+    JobStatus,
+    Status,
+    Submit,
+    Upload,
+    Uploaded,
+    WorkerList,
+    Workers,
+)
+from atoll_coordinator.service.controller import Conductor
+from atoll_coordinator.service.requests import clients as desk_module
+from atoll_coordinator.service.requests.clients import Desk
+from atoll_coordinator.service.store.store import JobRecord, Store
+
+TABLE = b"t,x\n0,1\n"
+BLOB = hashlib.sha256(TABLE).hexdigest()
+
+
+class Silent:
+    """An outlet that keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.said: list[object] = []
+
+    def tell(self, body: object, worker: str | None = None) -> None:
+        self.said.append((worker, body))
+
+    def pull(self, worker: str, body: object) -> None:
+        self.said.append((worker, body))
+
+    def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
+        self.said.append((job, table))
+
+    def stop(self, job: str) -> None:
+        self.said.append((None, f"stop {job}"))
+
+
+@pytest.fixture
+def outlet() -> Silent:
+    return Silent()
+
+
+@pytest.fixture
+def desk(outlet: Silent) -> Iterator[Desk]:
+    with Store.open(None) as store:
+        yield Desk(Conductor(store, outlet, lambda: "2026-01-01T00:00:00"), store, lambda: 5.0)
+
+
+def chunk(data: bytes = TABLE, **changes: object) -> Ask:
+    fields = {"blob": BLOB, "size": len(TABLE), "index": 0, "sha256": hashlib.sha256(data).hexdigest(), "data": data}
+    return Ask(body=Upload.model_validate({**fields, **changes}))
+
+
+def failure(answer: object) -> Failure:
+    assert isinstance(answer, Failure)
+    return answer
+
+
+def test_a_table_is_uploaded_in_chunks_any_number_of_times(desk: Desk) -> None:
+    question = Ask(body=Upload(blob=BLOB, size=len(TABLE)))
+    assert desk.answer(question) == Uploaded(blob=BLOB, missing=(0,))
+    for _ in range(2):
+        assert desk.answer(chunk()) == Uploaded(blob=BLOB, missing=())
+    assert desk.answer(question) == Uploaded(blob=BLOB, missing=())
+
+
+@pytest.mark.parametrize(
+    ("ask", "said"),
+    [
+        (chunk(sha256="0" * 64), "damaged"),
+        (chunk(b"other"), "does not fit"),
+        (chunk(index=1), "does not fit"),
+        (chunk(blob="0" * 64), "digest"),
+    ],
+)
+def test_chunks_that_are_not_what_they_claim_are_refused(desk: Desk, ask: Ask, said: str) -> None:
+    assert said in failure(desk.answer(ask)).sentence
+
+
+def test_an_upload_that_does_not_fit_the_store_is_refused(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(desk_module, "MAX_STORED_BYTES", 5)
+    answer = failure(desk.answer(Ask(body=Upload(blob=BLOB, size=len(TABLE)))))
+    assert "at most 5" in answer.sentence
+
+
+def test_a_submitted_job_is_prepared_and_listed(desk: Desk, outlet: Silent) -> None:
+    desk.answer(chunk())
+    answer = desk.answer(Ask(body=Submit(job="j", name="n", config=JobConfig(seed=3), table=BLOB)))
+    assert isinstance(answer, JobStatus)
+    assert (answer.job.state, answer.job.seed) == ("preparing", 3)
+    assert outlet.said == [("j", TABLE)]
+    listed = desk.answer(Ask(body=Jobs()))
+    assert isinstance(listed, JobList)
+    assert [view.job for view in listed.jobs] == ["j"]
+    assert failure(desk.answer(Ask(body=GetResult(job="j")))).failure == "too-early"
+
+
+def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(desk: Desk, outlet: Silent) -> None:
+    desk.answer(chunk())
+    for name in ("a", "b"):
+        answer = desk.answer(Ask(body=Submit(job=name, name="", config=JobConfig(), table=BLOB)))
+    assert isinstance(answer, JobStatus)
+    assert (answer.job.state, answer.job.reason) == ("queued", "waits for its turn (it is next; 1 job is under way)")
+    cancelled = desk.answer(Ask(body=Cancel(job="a")))
+    assert isinstance(cancelled, JobStatus)
+    assert cancelled.job.state == "cancelled"
+    assert ("b", TABLE) in outlet.said
+    assert (None, "stop a") in outlet.said  # it may be at work still
+    assert "before its search began" in failure(desk.answer(Ask(body=GetResult(job="a")))).sentence
+
+
+def test_questions_about_unknown_jobs_say_so(desk: Desk) -> None:
+    for body in (Status(job="j"), GetResult(job="j"), Cancel(job="j")):
+        assert failure(desk.answer(Ask(body=body))).failure == "unknown-job"
+
+
+def test_without_workers_the_list_is_empty(desk: Desk) -> None:
+    assert desk.answer(Ask(body=Workers())) == WorkerList(workers=())
+
+
+def test_a_stored_job_that_is_not_understood_fails_and_the_others_go_on(outlet: Silent) -> None:
+    with Store.open(None) as store:
+        blob = store.put_blob(TABLE)
+        for job, spec in (("old", '{"colour": "red"}'), ("torn", "{"), ("good", JobConfig(seed=3).model_dump_json())):
+            store.add_job(JobRecord(job, job, spec, blob, "2026-01-01T00:00:00"))
+        conductor = Conductor(store, outlet, lambda: "2026-01-01T00:00:01")
+        conductor.recover(0.0)
+        assert list(conductor.jobs) == ["good"]
+        for job, said in (("old", "colour"), ("torn", "JSON")):
+            view = conductor.view(job, 1.0)
+            assert view is not None
+            assert (view.state, store.jobs()[0].state) == ("failed", "failed")
+            assert said in (view.reason or "")
+        again = Conductor(store, outlet, lambda: "2026-01-01T00:00:02")
+        again.recover(2.0)
+        assert (list(again.jobs), sorted(again.ended)) == (["good"], ["old", "torn"])
+
+
+def test_a_job_that_a_full_disk_kept_from_being_prepared_is_prepared_later(
+    desk: Desk, outlet: Silent, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def is_full(*_: object, **__: object) -> bool:
+        raise StoreError("the disk is full")
+
+    desk.answer(chunk())
+    with monkeypatch.context() as full:
+        full.setattr(Store, "update_job", is_full)
+        ask = Ask(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB))
+        assert "full" in failure(desk.answer(ask)).sentence
+    assert outlet.said == []
+    desk._conductor.tick(6.0)
+    assert outlet.said == [("j", TABLE)]
+
+
+def test_a_cancellation_that_cannot_be_made_durable_ends_the_coordinator(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def is_full(*_: object, **__: object) -> bool:
+        raise StoreError("the disk is full")
+
+    desk.answer(chunk())
+    desk.answer(Ask(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
+    monkeypatch.setattr(Store, "update_job", is_full)
+    with pytest.raises(StoreError, match="full"):
+        desk.answer(Ask(body=Cancel(job="j")))

@@ -1,0 +1,203 @@
+"""An archipelago's checkpoints: gathered, complete when the reports are too, written once, then told."""
+
+import pytest
+
+from atoll.errors import RemoteProtocolError
+from atoll.search.commit_order import Course
+from atoll.wire.messages.workers import Commit, EpochReport, Holding, IslandReport, Placement, Schedule, States, Tally
+from atoll.wire.state_transfer import State, cut
+from atoll_coordinator.service.search.archipelago import PLAN_COMMITS, Archipelago, Checkpoint
+from atoll_coordinator.service.search.checkpoints import FIRST_INTERVAL
+from atoll_coordinator.service.search.collector import Limits
+
+COURSE = Course(generations=10, stride=10, joining=2)
+WORKERS = ("a", "b")
+
+
+def archipelago() -> Archipelago:
+    limits = Limits(islands=2, epochs=1000, stagnation=1000, course=COURSE)
+    return Archipelago("job", "x", limits, lambda front: 0.0, lambda program: None)
+
+
+def place(made: Archipelago, term: int, now: float = 0.0) -> None:
+    made.place(
+        Placement(
+            incarnation=1, term=term, job="job", variable="x", workers=WORKERS, epoch=made.durable, epochs=1000,
+            interval=made.interval, course=COURSE,
+        ),
+        now,
+    )  # fmt: skip
+
+
+def report(made: Archipelago, first: int, last: int, term: int = 1) -> None:
+    """Have both islands report the epochs from `first` to below `last`."""
+    for epoch in range(first, last):
+        for island, worker in enumerate(WORKERS):
+            tally = Tally(generation=10, evaluations={"offspring": epoch + 1})
+            each = IslandReport(
+                island=island, generations=10, hit=None, additions=(), tallies=(tally,), best_error=None,
+                digest=f"{epoch:08x}{island:08x}",
+            )  # fmt: skip
+            made.receive(worker, EpochReport(job="job", variable="x", term=term, epoch=epoch, islands=(each,)), 1.0)
+
+
+def state(island: int, epoch: int) -> State:
+    return State.of(f"{island} at {epoch}".encode())
+
+
+def hold(made: Archipelago, *snapshots: int, term: int = 1) -> None:
+    for worker in WORKERS:
+        holding = Holding(
+            job="job", variable="x", term=term, islands=1, reported=0, commit=made.durable, snapshots=snapshots
+        )
+        made.note_holding(worker, holding)
+
+
+def answer(made: Archipelago) -> None:
+    for worker, pull in made.asks(9):
+        made.take_states(worker, pull, States(pieces=cut(pull.islands, 0, lambda k, at=pull.epoch: state(k, at))))  # type: ignore[misc]
+
+
+def commit(made: Archipelago, epoch: int, now: float, term: int = 1) -> tuple[Checkpoint, Commit]:
+    hold(made, epoch, term=term)
+    answer(made)
+    checkpoint = made.checkpoint_due()
+    assert checkpoint is not None
+    told = made.committed(checkpoint, now)
+    assert told is not None
+    made.validate()
+    return checkpoint, told
+
+
+def test_a_checkpoint_is_written_when_its_states_and_all_reports_before_it_are_there() -> None:
+    made = archipelago()
+    place(made, 1)
+    assert made.asks(9) == []
+    hold(made, 8)
+    answer(made)
+    report(made, 0, 7)
+    assert made.checkpoint_due() is None
+    report(made, 7, 11)
+    checkpoint = made.checkpoint_due()
+    assert checkpoint is not None
+    assert (checkpoint.epoch, checkpoint.term, checkpoint.progress.epochs) == (8, 1, 8)
+    assert checkpoint.progress.evaluations == {"offspring": 16}
+    assert checkpoint.states == {island: state(island, 8) for island in (0, 1)}
+    assert made.is_writing
+    assert made.checkpoint_due() is None
+    assert made.asks(9) == []
+    told = made.committed(checkpoint, 4.0)
+    assert told is not None
+    assert (told.epoch, told.schedule.next, made.durable, made.is_writing) == (8, 16, 8, False)
+
+
+def test_only_checkpoints_that_were_told_of_are_gathered() -> None:
+    made = archipelago()
+    place(made, 1)
+    report(made, 0, 12)
+    hold(made, 7)
+    assert made.asks(9) == []
+    hold(made, 8, 16)
+    assert {pull.epoch for _, pull in made.asks(9)} == {16}
+
+
+def test_the_next_interval_follows_from_the_time_that_epochs_took() -> None:
+    made = archipelago()
+    place(made, 1)
+    report(made, 0, 8)
+    _, told = commit(made, 8, 8 * 0.05)
+    assert told.schedule == Schedule(next=16, last=36)
+
+
+def test_a_new_term_begins_at_the_commit_and_old_reports_are_compared_not_counted() -> None:
+    made = archipelago()
+    place(made, 1)
+    report(made, 0, 14)
+    commit(made, 8, 1.0)
+    place(made, 2)
+    report(made, 8, 20, term=2)
+    assert made.collector.progress.epochs == 20
+    assert made.collector.progress.evaluations == {"offspring": 40}
+    _, told = commit(made, made.durable + made.interval, 2.0, term=2)
+    assert (told.term, told.epoch) == (2, 16)
+
+
+def test_reports_before_the_term_are_refused() -> None:
+    made = archipelago()
+    place(made, 1)
+    report(made, 0, 8)
+    commit(made, 8, 1.0)
+    place(made, 2)
+    with pytest.raises(RemoteProtocolError, match="before its term began"):
+        report(made, 7, 8, term=2)
+
+
+def test_answers_of_a_former_term_are_dropped() -> None:
+    made = archipelago()
+    place(made, 1)
+    hold(made, 8)
+    asks = made.asks(9)
+    place(made, 2)
+    for worker, pull in asks:
+        made.take_states(worker, pull, States(pieces=cut(pull.islands, 0, lambda island: state(island, 8))))
+    report(made, 0, 8, term=2)
+    assert made.checkpoint_due() is None
+
+
+def test_a_write_that_ends_under_another_term_is_not_told() -> None:
+    made = archipelago()
+    place(made, 1)
+    report(made, 0, 8)
+    hold(made, 8)
+    answer(made)
+    checkpoint = made.checkpoint_due()
+    assert checkpoint is not None
+    made.unplace()
+    assert made.committed(checkpoint, 1.0) is None
+    assert made.durable == 8
+
+
+def test_a_hold_that_was_asked_for_is_announced_with_the_next_commit_and_ends_with_its_own() -> None:
+    made = archipelago()
+    place(made, 1)
+    made.request_hold()
+    assert (made.is_planned, made.is_held) == (True, False)
+    report(made, 0, 17)
+    _, told = commit(made, 8, 1.0)
+    assert told.schedule == Schedule(next=16, last=17, holds=True)
+    commit(made, 16, 2.0)
+    assert not made.is_held
+    commit(made, 17, 3.0)
+    assert made.is_held
+    place(made, 2)
+    assert (made.is_held, made.is_planned) == (False, False)
+    assert made.placement is not None
+    assert made.placement.epoch == 17
+
+
+def test_newcomers_have_to_wait_for_some_commits_after_a_planned_change() -> None:
+    made = archipelago()
+    place(made, 1)
+    assert made.may_plan
+    made.request_hold()
+    place(made, 2)
+    epoch, commits = 0, 0
+    while not made.may_plan:
+        commit_at = made._schedule.next
+        report(made, epoch, commit_at, term=2)
+        commit(made, commit_at, 100.0 * commits, term=2)
+        epoch, commits = commit_at, commits + 1
+    assert commits == PLAN_COMMITS
+
+
+def test_what_was_committed_earlier_is_where_the_first_term_begins() -> None:
+    made, other = archipelago(), archipelago()
+    place(other, 1)
+    report(other, 0, 8)
+    checkpoint, _ = commit(other, 8, 1.0)
+    made.resume(checkpoint.stored_progress(1.0).progress())
+    place(made, 2)
+    report(made, 8, 12, term=2)
+    report(other, 8, 12)
+    assert made.collector.progress == other.collector.progress
+    assert made.interval == FIRST_INTERVAL

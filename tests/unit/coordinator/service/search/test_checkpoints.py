@@ -1,0 +1,140 @@
+"""Checkpoints: how far apart they lie, which ones follow, how their states are gathered, and what is stored."""
+
+import math
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from atoll.errors import RemoteProtocolError
+from atoll.search.commit_order import Course
+from atoll.search.pareto import FrontEntry
+from atoll.wire.codec import decode, encode
+from atoll.wire.messages.workers import Placement, Schedule, States
+from atoll.wire.state_transfer import State, cut
+from atoll_coordinator.service.search.checkpoints import (
+    COST_S,
+    COST_S_PER_BYTE,
+    LEAST_INTERVAL,
+    MOST_GROWTH,
+    PAUSE_S,
+    SHARE,
+    Gathering,
+    StoredProgress,
+    common_epoch,
+    interval_of,
+    schedule_after,
+)
+from atoll_coordinator.service.search.collector import Progress
+
+STATES = {island: State.of(bytes([island]) * 30) for island in range(4)}
+PLACEMENT = Placement(
+    incarnation=1,
+    term=3,
+    job="j",
+    variable="x",
+    workers=("a", "b", "a", "b"),
+    epoch=16,
+    epochs=100,
+    interval=8,
+    course=Course(generations=100, stride=10, joining=8),
+)
+
+
+@given(st.floats(1e-4, 1e3), st.integers(0, 10**10), st.integers(4, 1000))
+def test_checkpoints_cost_no_more_than_their_share_unless_epochs_are_long(
+    epoch_s: float, size: int, former: int
+) -> None:
+    interval = interval_of(epoch_s, size, former)
+    assert LEAST_INTERVAL <= interval <= max(LEAST_INTERVAL, MOST_GROWTH * former)
+    if interval not in (LEAST_INTERVAL, MOST_GROWTH * former):
+        seconds = (interval + 0.5) * epoch_s
+        assert seconds >= PAUSE_S
+        assert (COST_S + COST_S_PER_BYTE * size) <= SHARE * seconds
+
+
+def test_epochs_that_took_no_time_let_the_interval_grow() -> None:
+    assert interval_of(0.0, 100, 8) == 8 * MOST_GROWTH
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(4, 50), st.booleans()), min_size=1, max_size=20))
+def test_no_epoch_that_may_have_begun_becomes_a_checkpoint_or_a_hold(steps: list[tuple[bool, int, bool]]) -> None:
+    """Whoever knows only the former schedule can have come as far as that allows."""
+    schedule = Schedule(next=8, last=16)
+    for skips, interval, holds in steps:
+        after = schedule_after(schedule, schedule.last if skips else schedule.next, interval, holds)
+        for epoch in {after.next, after.last} - {schedule.last}:
+            assert epoch > schedule.limit
+        if after.holds:
+            assert after.last >= schedule.limit + 1
+        assert schedule.next <= after.next <= after.last
+        schedule = after
+
+
+def test_a_hold_lies_one_epoch_behind_what_is_known_and_stays() -> None:
+    assert schedule_after(Schedule(next=8, last=16), 8, 20, holds=True) == Schedule(next=16, last=17, holds=True)
+    assert schedule_after(Schedule(next=8, last=16), 16, 20, holds=True) == Schedule(next=17, last=17, holds=True)
+    held = Schedule(next=16, last=17, holds=True)
+    assert schedule_after(held, 16, 20, holds=False) == Schedule(next=17, last=17, holds=True)
+
+
+def test_the_latest_epoch_is_taken_of_which_all_have_snapshots() -> None:
+    assert common_epoch([(8, 16), (8, 16)], 0) == 16
+    assert common_epoch([(8, 16), (8,)], 0) == 8
+    assert common_epoch([(8, 16), (8,)], 8) is None
+    assert common_epoch([(8,), ()], 0) is None
+    assert common_epoch([], 0) is None
+
+
+def answered(islands: tuple[int, ...], offset: int = 0, room: int = 1000) -> States:
+    return States(pieces=cut(islands, offset, STATES.__getitem__, room))
+
+
+def test_every_worker_is_asked_one_question_at_a_time_until_all_states_are_there() -> None:
+    gathering = Gathering(PLACEMENT, 24)
+    ((worker, pull),) = gathering.asks(1)
+    assert (worker, pull.islands, pull.epoch, pull.term, gathering.under_way) == ("a", (0, 2), 24, 3, 1)
+    ((other, _),) = gathering.asks(5)
+    assert other == "b"
+    assert gathering.asks(5) == []
+    gathering.take("a", answered((0, 2), room=40))
+    ((_, rest),) = gathering.asks(5)
+    assert (rest.islands, rest.offset) == ((2,), 10)
+    gathering.take("a", answered((2,), offset=10))
+    gathering.take("b", None)
+    assert not gathering.is_complete
+    assert [worker for worker, _ in gathering.asks(5)] == ["b"]
+    gathering.take("stranger", answered((1, 3)))
+    gathering.take("b", answered((1, 3)))
+    assert gathering.is_complete
+    assert gathering.states == STATES
+
+
+def test_a_damaged_state_is_asked_for_again() -> None:
+    gathering = Gathering(PLACEMENT, 24)
+    gathering.asks(5)
+    (piece, *_) = answered((0, 2)).pieces
+    with pytest.raises(RemoteProtocolError, match="damaged"):
+        gathering.take("a", States(pieces=(piece.model_copy(update={"data": b"x" * 30}),)))
+    ((worker, pull),) = gathering.asks(5)
+    assert (worker, pull.islands, pull.offset) == ("a", (0, 2), 0)
+
+
+@pytest.mark.parametrize("best_length", [12.5, -3.0, math.inf])
+def test_progress_comes_back_from_the_store_as_it_was(best_length: float) -> None:
+    entry = FrontEntry(3, 0.1, 0.02, 5, 40, 1, b"\x01\x02")
+    progress = Progress(
+        epochs=24,
+        front=(entry,),
+        runners_up=(entry,),
+        evaluations={"offspring": 9},
+        counted={1: {"offspring": 5}, 0: {"offspring": 4}},
+        best_length=best_length,
+        improved_at=7,
+        seconds=1.5,
+    )
+    stored = decode(encode(StoredProgress.of(progress, 3.5)), StoredProgress)
+    assert stored.progress() == progress
+    assert stored.search_seconds == 3.5
+    assert all(isinstance(one, int) and isinstance(two, int) for one, two in pairwise(stored.progress().counted))

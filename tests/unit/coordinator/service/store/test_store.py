@@ -1,0 +1,483 @@
+"""The store keeps what it was given, once, through its own end; and says what is wrong with a file."""
+
+import contextlib
+import errno
+import hashlib
+import sqlite3
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from atoll.errors import LocalProtocolError, RemoteProtocolError, StoreError
+from atoll.wire.messages.limits import CHUNK_SIZE
+from atoll.wire.state_transfer import State
+from atoll_coordinator.service.store.checkpoints import MAX_FAILED
+from atoll_coordinator.service.store.deaths import Death
+from atoll_coordinator.service.store.events import LEAST_COMMITS, MAX_EVENTS, EventRecord
+from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_coordinator.service.store.schema import FILE_NAME, SCHEMA_VERSION
+from atoll_coordinator.service.store.store import Store
+
+JOB = JobRecord("j1", "lynx θ", '{"seed": 0}', "ab" * 32, "2026-01-01T00:00:00Z")
+
+
+@pytest.fixture(params=["memory", "disk"])
+def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
+    with Store.open(None if request.param == "memory" else tmp_path / "state") as opened:
+        yield opened
+
+
+def test_a_job_is_kept_as_it_was_given_and_changed_as_told(store: Store) -> None:
+    assert store.add_job(JOB)
+    assert store.job("j1") == JOB
+    assert store.update_job("j1", state="running", elapsed=1.5, dataset_digest="cd")
+    changed = store.job("j1")
+    assert changed is not None
+    assert (changed.state, changed.elapsed, changed.dataset_digest, changed.name) == ("running", 1.5, "cd", "lynx θ")
+
+
+def test_a_second_job_of_the_same_id_changes_nothing(store: Store) -> None:
+    store.add_job(JOB)
+    assert not store.add_job(JobRecord("j1", "other", "{}", "", ""))
+    assert store.jobs() == (JOB,)
+
+
+def test_jobs_come_in_the_order_in_which_they_were_added(store: Store) -> None:
+    for name in ("z", "a", "m"):
+        store.add_job(JobRecord(name, name, "{}", "", ""))
+    assert [job.id for job in store.jobs()] == ["z", "a", "m"]
+    assert store.job("none") is None
+
+
+def test_a_change_may_depend_on_the_state(store: Store) -> None:
+    store.add_job(JOB)
+    assert store.update_job("j1", only_in=("queued",), state="preparing")
+    assert not store.update_job("j1", only_in=("queued",), state="running")
+    assert store.jobs()[0].state == "preparing"
+
+
+@pytest.mark.parametrize("changes", [{"id": "x"}, {"spec": "{}"}, {"colour": "red"}, {"result": "{}"}, {}])
+def test_what_cannot_change_is_our_own_error(store: Store, changes: dict[str, str]) -> None:
+    store.add_job(JOB)
+    with pytest.raises(LocalProtocolError, match="cannot be changed"):
+        store.update_job("j1", **changes)  # type: ignore[arg-type]
+
+
+def test_an_unknown_job_is_our_own_error(store: Store) -> None:
+    for act in (
+        lambda: store.update_job("x", state="done"),
+        lambda: store.raise_term("x", "v"),
+        lambda: store.commit_cuts("x", {"v": b""}),
+        lambda: store.commit_result("x", "done", "{}"),
+    ):
+        with pytest.raises(LocalProtocolError, match="not in the store"):
+            act()
+
+
+def test_the_first_end_of_a_job_wins(store: Store) -> None:
+    store.add_job(JOB)
+    assert store.result("j1") is None
+    assert store.commit_result("j1", "done", '{"schema": 1}', finished="2026-01-02")
+    assert not store.commit_result("j1", "cancelled", None, "by hand")
+    job = store.job("j1")
+    assert job is not None
+    assert (job.state, job.reason, job.finished, store.result("j1")) == ("done", None, "2026-01-02", '{"schema": 1}')
+
+
+def test_terms_begin_together_or_not_at_all(store: Store) -> None:
+    store.add_job(JOB)
+    store.raise_term("j1", "x")
+    store.begin_terms([("j1", "x"), ("j1", "y")], lambda index, term: f"{index} {term}".encode())
+    assert store.placements("j1") == {"x": (2, b"0 2"), "y": (1, b"1 1")}
+    with pytest.raises(ZeroDivisionError):
+        store.begin_terms([("j1", "x"), ("j1", "y")], lambda index, term: b"%d" % (term // (1 - index)))
+    assert store.placements("j1") == {"x": (2, b"0 2"), "y": (1, b"1 1")}
+
+
+def test_terms_rise_by_one_and_belong_to_a_variable(store: Store) -> None:
+    store.add_job(JOB)
+    assert [store.raise_term("j1", "x") for _ in range(3)] == [1, 2, 3]
+    assert store.raise_term("j1", "y") == 1
+    store.commit_placement("j1", "x", b"w1 w2")
+    assert store.placements("j1") == {"x": (3, b"w1 w2"), "y": (1, None)}
+
+
+def test_the_first_cut_of_a_variable_wins(store: Store) -> None:
+    store.add_job(JOB)
+    assert store.commit_cuts("j1", {"v [m/s]": b"\x00cut"})
+    assert not store.commit_cuts("j1", {"v [m/s]": b"other"})
+    store.raise_term("j1", "y")
+    assert store.cuts("j1") == {"v [m/s]": b"\x00cut"}
+
+
+@pytest.mark.parametrize("size", [0, 1, CHUNK_SIZE, CHUNK_SIZE + 1, 3 * CHUNK_SIZE])
+def test_a_blob_is_found_by_its_digest_whole_or_by_chunks(store: Store, size: int) -> None:
+    data = bytes(range(251)) * (size // 251 + 1)
+    data = data[:size]
+    digest = store.put_blob(data)
+    assert digest == hashlib.sha256(data).hexdigest() == store.put_blob(data)
+    assert store.has_blob(digest)
+    assert store.get_blob(digest) == data
+    assert store.blob_size(digest) == store.blob_bytes() == size
+    if size:
+        assert store.get_chunk(digest, (size - 1) // CHUNK_SIZE)[-1] == data[-1]
+
+
+def test_what_is_not_there_is_a_key_error(store: Store) -> None:
+    digest = store.put_blob(b"abc")
+    for act in (
+        lambda: store.get_blob("none"),
+        lambda: store.blob_size("none"),
+        lambda: store.get_chunk("none", 0),
+        lambda: store.get_chunk(digest, 1),
+    ):
+        with pytest.raises(KeyError):
+            act()
+    assert not store.has_blob("none")
+    store.drop_blob(digest)
+    assert not store.has_blob(digest)
+    store.drop_blob(digest)
+
+
+def _upload(size: int) -> tuple[bytes, str]:
+    data = b"\x07" * size
+    return data, hashlib.sha256(data).hexdigest()
+
+
+def test_an_upload_comes_chunk_by_chunk_in_any_order_and_more_than_once(store: Store) -> None:
+    data, digest = _upload(2 * CHUNK_SIZE + 5)
+    size = len(data)
+    assert store.missing_chunks(digest, size) == (0, 1, 2)
+    for index, whole in ((2, False), (0, False), (2, False), (1, True), (1, True)):
+        assert store.put_chunk(digest, size, index, data[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE]) is whole
+        assert store.has_blob(digest) is whole
+    assert store.missing_chunks(digest, size) == ()
+    assert store.get_blob(digest) == data
+
+
+def test_a_started_upload_is_not_there_yet(store: Store) -> None:
+    data, digest = _upload(CHUNK_SIZE + 1)
+    store.put_chunk(digest, len(data), 1, data[-1:])
+    assert store.missing_chunks(digest, len(data)) == (0,)
+    with pytest.raises(KeyError):
+        store.get_chunk(digest, 1)
+    assert store.put_blob(data) == digest
+    assert store.get_blob(digest) == data
+
+
+def test_an_upload_with_the_wrong_digest_is_refused_and_forgotten(store: Store) -> None:
+    with pytest.raises(RemoteProtocolError, match="does not have the digest"):
+        store.put_chunk("00" * 32, 3, 0, b"abc")
+    assert store.missing_chunks("00" * 32, 3) == (0,)
+    assert store.blob_bytes() == 0
+
+
+@pytest.mark.parametrize(
+    ("size", "index", "data"), [(3, 0, b"ab"), (3, 1, b""), (3, -1, b"abc"), (CHUNK_SIZE + 1, 1, b"ab")]
+)
+def test_a_chunk_that_does_not_fit_its_upload_is_refused(store: Store, size: int, index: int, data: bytes) -> None:
+    with pytest.raises(RemoteProtocolError, match="does not fit"):
+        store.put_chunk("00" * 32, size, index, data)
+
+
+def test_an_upload_cannot_change_its_size(store: Store) -> None:
+    data, digest = _upload(CHUNK_SIZE + 1)
+    store.put_chunk(digest, len(data), 1, data[-1:])
+    with pytest.raises(RemoteProtocolError, match="announced before"):
+        store.put_chunk(digest, len(data) + 1, 1, b"ab")
+
+
+def test_threads_may_share_a_store(store: Store) -> None:
+    store.add_job(JOB)
+    terms: list[int] = []
+    threads = [threading.Thread(target=lambda: terms.append(store.raise_term("j1", "x"))) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(terms) == list(range(1, 9))
+
+
+def test_everything_is_there_after_opening_again_under_a_higher_incarnation(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        realm, incarnation = store.realm, store.incarnation
+        store.add_job(JOB)
+        store.raise_term("j1", "x")
+        store.commit_cuts("j1", {"x": b"cut"})
+        digest = store.put_blob(b"abc")
+    with Store.open(tmp_path) as store:
+        assert (store.realm, store.incarnation) == (realm, incarnation + 1)
+        assert store.jobs() == (JOB,)
+        assert store.raise_term("j1", "x") == 2
+        assert store.cuts("j1") == {"x": b"cut"}
+        assert store.get_blob(digest) == b"abc"
+
+
+def test_two_stores_are_two_realms() -> None:
+    with Store.open(None) as one, Store.open(None) as two:
+        assert one.realm != two.realm
+        assert one.incarnation == 1
+
+
+def test_what_was_committed_survives_a_process_that_is_killed(tmp_path: Path) -> None:
+    script = (
+        "import os, signal, sys; from pathlib import Path;"
+        "from atoll_coordinator.service.store.jobs import JobRecord;"
+        "from atoll_coordinator.service.store.store import Store;"
+        "s = Store.open(Path(sys.argv[1])); s.add_job(JobRecord('j1', 'n', '{}', '', ''));"
+        "s.commit_cuts('j1', {'x': b'cut'}); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=False, timeout=60)
+    with Store.open(tmp_path) as store:
+        assert store.incarnation == 2
+        assert store.cuts("j1") == {"x": b"cut"}
+
+
+def test_a_second_coordinator_on_the_same_store_is_refused_and_told_who_has_it(tmp_path: Path) -> None:
+    with Store.open(tmp_path), pytest.raises(StoreError, match=r"in use by another coordinator \(process \d+\)"):
+        Store.open(tmp_path)
+    Store.open(tmp_path).close()
+
+
+def test_a_transaction_that_fails_leaves_nothing_behind(store: Store) -> None:
+    with pytest.raises(LocalProtocolError):
+        store.commit_cuts("none", {"x": b"cut"})
+    assert store.cuts("none") == {}
+    assert store.add_job(JOB)
+
+
+def _spoil(directory: Path, how: str) -> None:
+    with Store.open(directory) as store:
+        store.put_blob(bytes(100_000))
+    file = directory / FILE_NAME
+    if how == "text":
+        file.write_text("this is no database at all, however long one may look at it. " * 100)
+    elif how == "truncated":
+        file.write_bytes(file.read_bytes()[:20_000])
+    elif how == "scribbled":
+        data = bytearray(file.read_bytes())
+        data[4096:8192] = b"\xff" * 4096
+        file.write_bytes(data)
+    else:
+        statements = {
+            "foreign": "PRAGMA application_id = 7",
+            "newer": f"PRAGMA user_version = {SCHEMA_VERSION + 1}",
+            "nameless": "DELETE FROM realm",
+        }
+        with contextlib.closing(sqlite3.connect(file)) as connection:
+            connection.execute(statements[how])
+            connection.commit()
+
+
+@pytest.mark.parametrize(
+    ("how", "reason"),
+    [
+        ("text", "not a database.*restore it from a copy"),
+        ("truncated", "restore it from a copy"),
+        ("scribbled", "restore it from a copy"),
+        ("foreign", "not a store of this program"),
+        ("newer", "written by a newer version"),
+        ("nameless", "has no name.*restore it from a copy"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_refused_in_one_sentence_and_left_alone(
+    tmp_path: Path, how: str, reason: str
+) -> None:
+    _spoil(tmp_path, how)
+    before = (tmp_path / FILE_NAME).read_bytes()
+    with pytest.raises(StoreError, match=reason) as caught:
+        Store.open(tmp_path)
+    assert "\n" not in str(caught.value)
+    assert (tmp_path / FILE_NAME).read_bytes() == before
+
+
+def test_a_state_directory_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    place = tmp_path / "file"
+    place.write_text("")
+    with pytest.raises(StoreError, match="cannot be written"):
+        Store.open(place)
+
+
+def test_a_disk_that_is_full_at_the_start_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def is_full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as full:
+        full.setattr("atoll_coordinator.service.store.schema.os.write", is_full)
+        with pytest.raises(StoreError, match="no space left on device; see that there is room"):
+            Store.open(tmp_path)
+    Store.open(tmp_path).close()
+
+
+def test_a_closed_store_says_so(tmp_path: Path) -> None:
+    store = Store.open(tmp_path)
+    store.close()
+    store.close()
+    with pytest.raises(StoreError, match="closed"):
+        store.jobs()
+
+
+def test_events_come_in_order_from_where_one_left_off_and_the_oldest_are_forgotten(store: Store) -> None:
+    store.add_events(EventRecord(job, "t", "k", str(n)) for n in range(3) for job in ("a", "b", None))
+    assert [each.contents for each in store.events("a", 0, 2)] == ["1", "2"]
+    assert [each.job for each in store.events(None, 0, 4)] == [None, "a", "b", None]
+    (first, *_) = store.events("b", 0, 9)
+    assert [each.contents for each in store.events("b", first.number, 1)] == ["1"]
+    store.add_events(EventRecord("a", "t", "k", str(n)) for n in range(3, MAX_EVENTS + 2))
+    kept = store.events("a", 0, 2 * MAX_EVENTS)
+    assert (len(kept), kept[0].contents, kept[-1].contents) == (MAX_EVENTS, "2", str(MAX_EVENTS + 1))
+    assert len(store.events("b", 0, 9)) == 3
+
+
+def test_commits_are_forgotten_before_what_is_rarer(store: Store) -> None:
+    def add(kind: str, numbers: range) -> None:
+        store.add_events(EventRecord("a", "t", kind, str(number)) for number in numbers)
+
+    def kept(kind: str) -> list[int]:
+        return [int(each.contents) for each in store.events("a", 0, 2 * MAX_EVENTS) if each.kind == kind]
+
+    add("isolated", range(10))
+    add("commit", range(2 * MAX_EVENTS))
+    assert kept("isolated") == list(range(10))
+    assert kept("commit") == list(range(MAX_EVENTS + 10, 2 * MAX_EVENTS))
+    add("stalled", range(MAX_EVENTS))
+    assert kept("commit") == list(range(2 * MAX_EVENTS - LEAST_COMMITS, 2 * MAX_EVENTS))
+    assert kept("isolated") == []
+    assert kept("stalled") == list(range(LEAST_COMMITS, MAX_EVENTS))
+
+
+# ------------------------------------------------------------------------------------------ checkpoints
+
+
+def states_of(epoch: int, size: int = 5) -> dict[int, State]:
+    return {island: State.of(f"{epoch}/{island}".encode() * size) for island in range(3)}
+
+
+def checkpoint(store: Store, epoch: int, variable: str = "x", size: int = 5) -> bool:
+    progress = f"progress {epoch}".encode()
+    return store.commit_checkpoint("j1", variable, epoch, progress, states_of(epoch, size), elapsed=epoch / 2)
+
+
+def test_the_last_checkpoint_is_found_again_whole_and_the_one_before_is_kept(store: Store) -> None:
+    store.add_job(JOB)
+    assert store.checkpoints("j1") == {}
+    for epoch in (8, 24, 40):
+        assert checkpoint(store, epoch)
+        assert checkpoint(store, epoch + 1, "y")
+    assert store.checkpoints("j1") == {"x": (40, b"progress 40"), "y": (41, b"progress 41")}
+    for epoch in (24, 40):
+        assert [store.state("j1", "x", epoch, island) for island in range(3)] == list(states_of(epoch).values())
+    with pytest.raises(KeyError):
+        store.state("j1", "x", 8, 0)
+    job = store.job("j1")
+    assert job is not None
+    assert job.elapsed == 20.5
+
+
+def test_a_checkpoint_written_again_replaces_what_came_after_it(store: Store) -> None:
+    store.add_job(JOB)
+    for epoch in (8, 24, 8):
+        checkpoint(store, epoch)
+    assert store.checkpoints("j1") == {"x": (8, b"progress 8")}
+
+
+def test_checkpoints_go_with_the_end_of_what_they_belong_to(store: Store) -> None:
+    store.add_job(JOB)
+    checkpoint(store, 8)
+    checkpoint(store, 8, "y")
+    store.commit_cuts("j1", {"x": b"cut"})
+    assert list(store.checkpoints("j1")) == ["y"]
+    assert not checkpoint(store, 16)
+    store.commit_result("j1", "done", "{}")
+    assert store.checkpoints("j1") == {}
+    assert not checkpoint(store, 16, "y")
+    with pytest.raises(KeyError):
+        store.state("j1", "y", 8, 0)
+
+
+def test_a_full_disk_is_said_and_everything_committed_before_is_there(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        store.add_job(JOB)
+        checkpoint(store, 8)
+        (pages,) = store._connection.execute("PRAGMA page_count").fetchone()
+        store._connection.execute(f"PRAGMA max_page_count = {pages + 10}")
+        with pytest.raises(StoreError, match=r"full.*there is room"):
+            checkpoint(store, 16, size=100_000)
+        assert store.checkpoints("j1") == {"x": (8, b"progress 8")}
+    with Store.open(tmp_path) as store:
+        assert store.checkpoints("j1") == {"x": (8, b"progress 8")}
+        assert store.state("j1", "x", 8, 2) == states_of(8)[2]
+        assert checkpoint(store, 16)
+
+
+def test_of_the_last_jobs_that_failed_so_the_last_checkpoints_are_kept(store: Store) -> None:
+    for number in range(MAX_FAILED + 2):
+        store.add_job(JobRecord(f"j{number}", "", "{}", "", ""))
+        for epoch in (8, 16):
+            for variable in ("x", "y"):
+                store.commit_checkpoint(f"j{number}", variable, epoch, b"progress", states_of(epoch), 1.0)
+        assert store.commit_result(f"j{number}", "failed", None, "it dies", "now", keeps_checkpoints=True)
+    kept = [number for number in range(MAX_FAILED + 2) if store.checkpoints(f"j{number}")]
+    assert kept == list(range(2, MAX_FAILED + 2))
+    assert store.checkpoints("j2") == {"x": (16, b"progress"), "y": (16, b"progress")}
+    assert store.state("j2", "x", 16, 0)
+    with pytest.raises(KeyError):
+        store.state("j2", "x", 8, 0)
+    assert not store.commit_result("j2", "cancelled", None)
+    assert store.checkpoints("j2")
+
+
+def test_deaths_count_until_a_commit_a_cut_the_end_or_a_return(store: Store) -> None:
+    store.add_job(JOB)
+    deaths = [Death("j1", variable, 1, worker, "i") for variable in ("x", "y", "z") for worker in ("v", "w")]
+    for _ in range(2):
+        store.add_deaths(deaths)
+    assert store.deaths("j1") == tuple(deaths)
+    store.commit_checkpoint("j1", "x", 8, b"progress", states_of(8), 1.0)
+    store.take_back_deaths("v", "i")
+    store.take_back_deaths("w", "another process")
+    assert store.deaths("j1") == (Death("j1", "y", 1, "w", "i"), Death("j1", "z", 1, "w", "i"))
+    store.commit_cuts("j1", {"y": b"cut"})
+    assert store.deaths("j1") == (Death("j1", "z", 1, "w", "i"),)
+    store.commit_result("j1", "cancelled", None)
+    assert store.deaths("j1") == ()
+
+
+LAYOUT_1 = Path(__file__).with_name("store_layout_1.sql")
+
+
+def test_a_store_of_layout_1_is_brought_up_to_date_and_keeps_what_it_has(tmp_path: Path) -> None:
+    with contextlib.closing(sqlite3.connect(tmp_path / FILE_NAME)) as connection:
+        connection.executescript(LAYOUT_1.read_text("utf-8"))
+    with Store.open(tmp_path) as store:
+        assert (store.realm, store.incarnation) == ("4f2b61c09a3e", 4)
+        assert [job.id for job in store.jobs()] == ["ended", "running"]
+        assert store.result("ended") == '{"state": "done"}'
+        assert store.placements("running") == {"x": (3, b"placement"), "y": (2, None)}
+        assert store.cuts("running") == {"y": b"cut"}
+        assert store.checkpoints("running") == {}
+        assert [job.priority for job in store.jobs()] == [0, 0]
+        store.add_events([EventRecord("running", "now", "submitted", "{}")])
+        assert len(store.events("running", 0, 9)) == 1
+        assert store.commit_checkpoint("running", "x", 8, b"progress", states_of(8), 1.0)
+    with Store.open(tmp_path) as store:
+        assert store.checkpoints("running") == {"x": (8, b"progress")}
+
+
+def test_a_coordinator_whose_store_was_opened_by_another_writes_nothing_more(tmp_path: Path) -> None:
+    """Where locks on files do not reach, as on some network drives, the incarnation still does."""
+    with Store.open(tmp_path) as store:
+        store.add_job(JOB)
+        store.check()
+        with contextlib.closing(sqlite3.connect(tmp_path / FILE_NAME)) as other:
+            other.execute("UPDATE realm SET incarnation = incarnation + 1")
+            other.commit()
+        for act in (store.check, lambda: store.raise_term("j1", "x"), lambda: checkpoint(store, 8)):
+            with pytest.raises(
+                StoreError, match=r"another coordinator \(incarnation 2\) has taken over.*incarnation 1"
+            ):
+                act()

@@ -1,0 +1,195 @@
+"""The compute thread, over islands that do as they are told."""
+
+import queue
+import sys
+from collections.abc import Iterator, Mapping
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from atoll.config import JobConfig
+from atoll.data.dataset import Dataset, Target
+from atoll.errors import RemoteProtocolError
+from atoll.search.commit_order import Course, Position
+from atoll.wire.codec import dataset_to_bytes
+from atoll.wire.messages.workers import Tally
+from atoll_island_worker.compute.compute import IslandCompute, WarmedUp, WarmUpFailed, WarmUpNote
+from atoll_island_worker.session.events import Abandoned, Broken, Computed, JobReady, Rejected, Unloadable
+from atoll_island_worker.session.tasks import Task, TaskKey
+
+LIMIT_S = 20.0
+COURSE = Course(generations=100, stride=10, joining=8)
+
+
+class FakeOutcome:
+    hit = None
+    additions = ()
+    runners_up = ()
+    best_error = None
+    digest = "ab" * 16
+
+    def __init__(self, generations: int, evaluations: int) -> None:
+        self.generations = generations
+        self.tallies = {generations: {"offspring": evaluations}}
+
+
+class FakeIsland:
+    """Its epochs have ten slices; island 7 never ends, island 8 breaks."""
+
+    def __init__(self, problem: Any, config: JobConfig, island: int) -> None:
+        self.island = island
+        self.slices = 0
+        self.immigrants: dict[int, bytes] = {}
+
+    @property
+    def generation(self) -> int:
+        return 10 * (self.slices if self.island == 7 else (self.slices - 1) % 10 + 1 if self.slices else 0)
+
+    def advance(self, generations: int) -> bool:
+        if self.island == 8:
+            raise ZeroDivisionError("as it was told")
+        self.slices += 1
+        return self.island != 7 and self.slices % 10 == 0
+
+    def outcome(self) -> FakeOutcome:
+        return FakeOutcome(self.generation, self.slices)
+
+    def emigrants(self) -> dict[int, bytes]:
+        return {self.island: b"own", 1: b"other"}
+
+    def to_bytes(self) -> bytes:
+        return b"state"
+
+    def immigrate(self, blocks: Mapping[int, bytes]) -> None:
+        if b"bad" in blocks.values():
+            raise RemoteProtocolError("a block is malformed")
+        self.immigrants.update(blocks)
+
+
+@pytest.fixture
+def words(monkeypatch: pytest.MonkeyPatch) -> "queue.Queue[object]":
+    module = ModuleType("atoll_island_worker.evolution.island")
+    module.Island = FakeIsland  # type: ignore[attr-defined]
+    module.senders = lambda config, variable, epoch, island: frozenset({1, 2})  # type: ignore[attr-defined]
+    warmup = ModuleType("atoll_island_worker.compute.warmup")
+    warmup.warm_up = lambda report: report("compiling")  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "atoll_island_worker.evolution.island", module)
+    monkeypatch.setitem(sys.modules, "atoll_island_worker.compute.warmup", warmup)
+    return queue.Queue()
+
+
+@pytest.fixture
+def compute(words: "queue.Queue[object]") -> Iterator[IslandCompute]:
+    made = IslandCompute()
+    made.attach(words.put)
+    values = np.linspace(0.0, 1.0, 5)
+    dataset = Dataset(("x",), values[None, :].copy(), (Target("x", "dx/dt", values, 0.0, 1.0),), {"x": "x"})
+    made.load("job", JobConfig(), dataset_to_bytes(dataset))
+    assert words.get(timeout=LIMIT_S) == JobReady("job")
+    yield made
+    made.close()
+
+
+def key(island: int, epoch: int = 0, term: int = 1) -> TaskKey:
+    return TaskKey("job", "x", term, island, epoch)
+
+
+def task(of: TaskKey, blocks: Mapping[int, bytes] | None = None, is_last: bool = False) -> Task:
+    return Task(of, blocks, is_last, course=COURSE)
+
+
+def test_an_epoch_is_computed_and_reported(compute: IslandCompute, words: "queue.Queue[object]") -> None:
+    before = compute.progress
+    compute.advance(task(key(0)))
+    word = words.get(timeout=LIMIT_S)
+    assert isinstance(word, Computed)
+    assert (word.key, word.emigrants, word.senders) == (key(0), {0: b"own", 1: b"other"}, frozenset({1, 2}))
+    assert word.report.tallies == (Tally(generation=100, evaluations={"offspring": 10}),)
+    assert compute.progress > before
+
+
+def test_the_next_epoch_begins_with_the_immigrants(compute: IslandCompute, words: "queue.Queue[object]") -> None:
+    compute.advance(task(key(0)))
+    words.get(timeout=LIMIT_S)
+    compute.advance(task(key(0, 1), {1: b"one"}, is_last=True))
+    word = words.get(timeout=LIMIT_S)
+    assert isinstance(word, Computed)
+    assert word.report.tallies[-1].evaluations == {"offspring": 20}
+    assert word.emigrants == {}
+
+
+def test_refused_immigrants_are_said(compute: IslandCompute, words: "queue.Queue[object]") -> None:
+    compute.advance(task(key(0)))
+    words.get(timeout=LIMIT_S)
+    compute.advance(task(key(0, 1), {1: b"bad"}))
+    assert words.get(timeout=LIMIT_S) == Rejected(key(0, 1), "a block is malformed")
+
+
+def test_what_breaks_is_said_and_the_thread_goes_on(compute: IslandCompute, words: "queue.Queue[object]") -> None:
+    compute.advance(task(key(8)))
+    word = words.get(timeout=LIMIT_S)
+    assert isinstance(word, Broken)
+    assert "island 8 of x broke in epoch 0" in word.sentence
+    assert "as it was told" in word.sentence
+    compute.advance(task(key(0)))
+    assert isinstance(words.get(timeout=LIMIT_S), Computed)
+
+
+def test_what_is_discarded_is_given_up_without_a_word(compute: IslandCompute, words: "queue.Queue[object]") -> None:
+    compute.advance(task(key(7)))
+    compute.discard(key(7).share)
+    compute.advance(task(key(0, term=2)))
+    word = words.get(timeout=LIMIT_S)
+    assert isinstance(word, Computed)
+    assert word.key == key(0, term=2)
+
+
+def test_an_island_stops_where_the_target_was_met(compute: IslandCompute, words: "queue.Queue[object]") -> None:
+    compute.advance(task(key(7)))
+    compute.stop_at(key(7).share, Position(0, 500, 7), COURSE)
+    word = words.get(timeout=LIMIT_S)
+    assert isinstance(word, Computed)
+    assert (word.report.generations, word.emigrants) == (500, {})
+    compute.advance(task(key(0, 1), {1: b"one"}))
+    assert words.get(timeout=LIMIT_S) == Abandoned(key(0, 1))
+
+
+def test_an_unreadable_dataset_is_said(compute: IslandCompute, words: "queue.Queue[object]") -> None:
+    compute.load("other", JobConfig(), b"no dataset")
+    word = words.get(timeout=LIMIT_S)
+    assert isinstance(word, Unloadable)
+    assert word.job == "other"
+
+
+def test_a_warm_up_says_what_it_does_also_before_anybody_listens(words: "queue.Queue[object]") -> None:
+    compute = IslandCompute()
+    compute.warm_up()
+    compute.attach(words.put)
+    assert words.get(timeout=LIMIT_S) == WarmUpNote("compiling")
+    word = words.get(timeout=LIMIT_S)
+    assert isinstance(word, WarmedUp)
+    assert word.fingerprint
+    compute.close()
+
+
+def test_a_warm_up_that_fails_says_why(words: "queue.Queue[object]", monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(report: object) -> None:
+        raise OSError("the disk is full")
+
+    monkeypatch.setattr(sys.modules["atoll_island_worker.compute.warmup"], "warm_up", fail)
+    compute = IslandCompute()
+    compute.attach(words.put)
+    compute.warm_up()
+    word = words.get(timeout=LIMIT_S)
+    assert isinstance(word, WarmUpFailed)
+    assert "the disk is full" in word.sentence
+    compute.close()
+
+
+def test_closing_ends_the_thread_even_under_way(compute: IslandCompute) -> None:
+    compute.advance(task(key(7)))
+    compute.close()
+    assert not compute._thread.is_alive()
+    compute.close()

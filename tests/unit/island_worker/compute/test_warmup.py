@@ -1,0 +1,120 @@
+"""Kernels are compiled by one process of a machine, and only the first time."""
+
+import fcntl
+import threading
+from pathlib import Path
+
+import pytest
+
+from atoll.compilation import jit
+from atoll.compilation import marker as compiled
+from atoll.errors import AtollError
+from atoll_island_worker.compute.warmup import warm_up
+
+
+@pytest.fixture(autouse=True)
+def cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    monkeypatch.setenv("ATOLL_KERNEL_CACHE", str(tmp_path))
+    monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
+    return jit.cache_directory()
+
+
+class Exercise:
+    def __init__(self) -> None:
+        self.count = 0
+
+    def __call__(self) -> None:
+        self.count += 1
+
+
+def test_the_first_time_is_announced_and_later_ones_are_not() -> None:
+    said: list[str] = []
+    exercise = Exercise()
+    warm_up(said.append, exercise)
+    assert said == ["compiling kernels, first time on this machine, about a minute"]
+    warm_up(said.append, exercise)
+    assert len(said) == 1
+    assert exercise.count == 2
+
+
+def test_a_compilation_that_failed_does_not_count() -> None:
+    def fail() -> None:
+        raise ValueError("no compiler")
+
+    said: list[str] = []
+    with pytest.raises(ValueError, match="no compiler"):
+        warm_up(said.append, fail)
+    warm_up(said.append, Exercise())
+    assert len(said) == 2
+
+
+def test_another_processor_is_another_first_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    warm_up(said.append, Exercise())
+    monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
+    warm_up(said.append, Exercise())
+    assert len(said) == 2
+
+
+def test_kernels_for_a_chosen_processor_are_ready_on_every_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in an image, which is made on one machine and used on others."""
+    monkeypatch.setenv("NUMBA_CPU_NAME", "x86-64-v3")
+    monkeypatch.setenv("NUMBA_CPU_FEATURES", "")
+    said: list[str] = []
+    warm_up(said.append, Exercise())
+    monkeypatch.setattr(compiled.platform, "processor", lambda: "another")
+    monkeypatch.setattr(compiled, "Path", lambda _: Path("/nowhere"))
+    warm_up(said.append, Exercise())
+    assert len(said) == 1
+    monkeypatch.delenv("NUMBA_CPU_FEATURES")
+    warm_up(said.append, Exercise())
+    assert len(said) == 2
+
+
+def test_a_copy_of_the_sources_elsewhere_is_another_first_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The machine code of one checkout is not found from another, however equal the sources."""
+    said: list[str] = []
+    warm_up(said.append, Exercise())
+    monkeypatch.setattr(compiled, "_ROOT", tmp_path)
+    warm_up(said.append, Exercise())
+    assert len(said) == 2
+
+
+def test_who_comes_while_another_compiles_waits_and_then_loads(cache: Path) -> None:
+    cache.mkdir(parents=True)
+    said: list[str] = []
+    waiting, events = threading.Event(), []
+
+    def report(sentence: str) -> None:
+        said.append(sentence)
+        waiting.set()
+
+    with (cache / "lock").open("w") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        thread = threading.Thread(target=warm_up, args=(report, lambda: events.append("loaded")))
+        thread.start()
+        assert waiting.wait(30.0)
+        assert events == []
+        for name in _marker_names():
+            (cache / name).touch()
+    thread.join(30.0)
+    assert events == ["loaded"]
+    assert said == ["waiting while another process of this machine compiles the kernels"]
+
+
+def _marker_names() -> list[str]:
+    return [f"ready-{compiled._machine()}"]
+
+
+def test_a_cache_that_cannot_be_written_is_said_with_advice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("ATOLL_KERNEL_CACHE", str(tmp_path / "file"))
+    with pytest.raises(AtollError, match="set ATOLL_KERNEL_CACHE"):
+        warm_up(lambda sentence: None, Exercise())
+
+
+def test_without_a_compiler_there_is_nothing_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    exercise = Exercise()
+    warm_up(lambda sentence: None, exercise)
+    assert exercise.count == 0

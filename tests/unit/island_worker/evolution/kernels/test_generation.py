@@ -1,0 +1,235 @@
+"""A generation: pairing, crowding, counting, and what is left of an individual once its constants are fitted."""
+
+import math
+
+import numpy as np
+import pytest
+
+from atoll.expression.operators import CONSTANT
+from atoll.search.seeding import Stream
+from atoll_island_worker.evolution.kernels.generation import (
+    FITTING,
+    OFFSPRING,
+    PARTS,
+    REEVALUATION,
+    advance,
+    develop,
+    measure_all,
+    residual_of_list,
+)
+from atoll_island_worker.evolution.kernels.rows import padded_rows
+from atoll_island_worker.evolution.kernels.variation import cross, mutate
+from atoll_island_worker.evolution.structures import Coevolving, Fit, empty_lists, empty_scratch
+from tests.oracles import fitting
+from tests.oracles import variation as oracle
+from tests.oracles.spaces import empty_coevolution, random_lists, space_of, stream_of
+
+POPULATION, ROWS = 16, 24
+SPACE = space_of(variables=2)
+ALONE = Coevolving(0, 0.0, 1)
+"""No predictors."""
+
+TERMS = Fit(0, 3, 2, 0, 0.25)
+FITTED, GATED, PLAIN = Fit(4, 3, 2, 0, math.inf), Fit(4, 3, 2, 0, 0.25), Fit(0, 0, 2, 0, 0.25)
+
+
+class Arena:
+    """A population on some rows, with all that a generation needs."""
+
+    def __init__(self, options=FITTED, seed=1, **variation):
+        random = np.random.default_rng(seed)
+        inputs = random.uniform(0.5, 3.0, (2, ROWS))
+        self.options, self.space = options, SPACE._replace(**variation)
+        self.rows = padded_rows(inputs, inputs[0] * inputs[1] + np.sin(inputs[0]) + 0.1 * random.normal(size=ROWS))
+        self.lists = random_lists(POPULATION, SPACE, seed)
+        self.fitness = np.full(POPULATION, np.inf)
+        self.scratch = empty_scratch(POPULATION, SPACE.nodes, 2, ROWS, ROWS)
+        self.counters = np.zeros(len(PARTS), np.int64)
+        self.stream = stream_of(seed)
+        self.remeasure()
+
+    def remeasure(self):
+        measure_all(
+            self.lists, self.fitness, self.rows, self.options, self.scratch, self.counters, np.int64(REEVALUATION)
+        )
+
+    def develop(self, lists, p, ceiling):
+        s = self.scratch
+        return develop(
+            lists, p, self.rows, self.options, ceiling, s.tape, s.near, s.result, self.counters, np.int64(OFFSPRING)
+        )
+
+    def generation(self, generations=1):
+        return advance(
+            generations, self.lists, self.fitness, empty_coevolution(SPACE), self.space, self.options, ALONE, ROWS,
+            self.rows, self.scratch, self.stream, self.counters,
+        )  # fmt: skip
+
+    def output(self, p):
+        residual_of_list(self.lists, p, self.rows, self.options, self.scratch.tape, self.scratch.work)
+        return self.rows.target[0, :ROWS] - self.scratch.work.residual[0, :ROWS]
+
+    def members(self):
+        return [oracle.Member(oracle.nodes_of(self.lists, p), float(self.fitness[p])) for p in range(POPULATION)]
+
+
+@pytest.mark.parametrize("options", [FITTED, PLAIN])
+def test_fitness_is_the_error_of_the_individual_as_it_stands(options):
+    """What is kept of an individual, constants and scaling, gives the very output that was measured."""
+    arena = Arena(options)
+    for _ in range(5):
+        arena.generation()
+    for p in np.flatnonzero(np.isfinite(arena.fitness)):
+        expected = fitting.errors(arena.output(p), arena.rows.target[0, :ROWS])[0]
+        assert arena.fitness[p] == pytest.approx(expected, rel=1e-12)
+
+
+def test_squared_errors_are_the_fitness_where_that_is_the_loss():
+    arena = Arena(FITTED._replace(loss=1))
+    for p in np.flatnonzero(np.isfinite(arena.fitness)):
+        expected = fitting.errors(arena.output(p), arena.rows.target[0, :ROWS])[1]
+        assert arena.fitness[p] == pytest.approx(expected, rel=1e-11)
+
+
+def test_developing_changes_live_constants_only():
+    arena = Arena()
+    before = random_lists(POPULATION, SPACE, 1)
+    for p in range(POPULATION):
+        live = oracle.live_of(oracle.nodes_of(before, p))
+        for i, (old, new) in enumerate(zip(oracle.nodes_of(before, p), oracle.nodes_of(arena.lists, p), strict=True)):
+            assert old[:3] == new[:3]
+            assert old[3] == new[3] or (i in live and old[0] == CONSTANT)
+
+
+def test_a_preset_without_fits_changes_no_constant():
+    arena = Arena(PLAIN)
+    for column, before in zip(arena.lists, random_lists(POPULATION, SPACE, 1), strict=True):
+        np.testing.assert_array_equal(column, before)
+
+
+def test_evaluations_are_counted_by_part():
+    arena = Arena(PLAIN)
+    assert dict(zip(PARTS, arena.counters.tolist(), strict=True)) == {
+        "offspring": 0, "reevaluation": POPULATION * ROWS, "constant_fitting": 0, "refitting": 0, "coevolution": 0,
+    }  # fmt: skip
+    arena.generation()
+    assert arena.counters[OFFSPRING] == POPULATION * ROWS
+    assert arena.counters[FITTING] == 0
+
+
+def test_fitting_counts_apart_and_at_most_three_for_a_row_and_step():
+    arena = Arena()
+    assert arena.counters[REEVALUATION] == POPULATION * ROWS
+    assert 0 < arena.counters[FITTING] <= POPULATION * ROWS * 3 * FITTED.steps
+    assert arena.counters[FITTING] % ROWS == 0
+
+
+@pytest.mark.parametrize("options", [FITTED, GATED, PLAIN])
+def test_a_generation_is_that_of_the_definition(options):
+    """Parents at random in pairs; two children each; the child that is no worse than the parent it resembles stays.
+
+    With fits, a child that computes what a settled parent does has its loss from there, and is not counted.
+    """
+    arena, reference = Arena(options), Arena(options)
+    settled = reference.scratch.settled.copy()
+    inherited = 0
+    for _ in range(6):
+        stream, before = Stream(int(arena.stream[0])), arena.members()
+        arena.generation()
+        after = arena.members()
+        order = stream.permutation(POPULATION)
+        children = empty_lists(2, SPACE.nodes)
+        for first, second in zip(order[::2], order[1::2], strict=True):
+            cross(children, reference.lists, first, second, SPACE, reference_stream := stream_of(stream._state))
+            for q in range(2):
+                mutate(children, q, SPACE, reference_stream)
+            stream = Stream(int(reference_stream[0]))
+            ceiling = options.gate * max(before[first].fitness, before[second].fitness)
+            fits, is_settled = [], []
+            for q in range(2):
+                nodes = oracle.nodes_of(children, q)
+                parents = donors(options, first, second)
+                same = [p for p in parents if settled[p] and oracle.is_same(before[p].nodes, nodes)]
+                fits.append(before[same[0]].fitness if same else float(reference.develop(children, q, ceiling)))
+                is_settled.append(bool(same) or bool(reference.scratch.near.settled[0]))
+                inherited += bool(same)
+            born = tuple(oracle.Member(oracle.nodes_of(children, q), fits[q]) for q in range(2))
+            expected = oracle.survivors((before[first], before[second]), born)
+            assert (after[first], after[second]) == expected
+            for p, winner in zip((first, second), expected, strict=True):
+                settled[p] = next((is_settled[q] for q in range(2) if winner is born[q]), settled[p])
+        for mine, theirs in zip(reference.lists, arena.lists, strict=True):
+            mine[...] = theirs
+        np.testing.assert_array_equal(arena.scratch.settled, settled)
+        np.testing.assert_array_equal(arena.counters, reference.counters)
+    assert (inherited > 0) == (options is not PLAIN)
+
+
+def donors(options, first, second):
+    """Return the parents that a child may inherit from: without fits none."""
+    return (first, second) if options is not PLAIN else ()
+
+
+def test_inheriting_a_loss_saves_evaluations_and_changes_nothing_else():
+    """Without steps for constants a child's loss is its parent's when it computes the same."""
+    heirs, measured = Arena(TERMS), Arena(TERMS)
+    for _ in range(10):
+        measured.scratch.settled[:] = False  # nobody is inherited from
+        heirs.generation()
+        measured.generation()
+        for mine, theirs in zip(heirs.lists, measured.lists, strict=True):
+            assert mine.tobytes() == theirs.tobytes()
+        assert heirs.fitness.tobytes() == measured.fitness.tobytes()
+    assert heirs.counters[OFFSPRING] < measured.counters[OFFSPRING] == 10 * POPULATION * ROWS
+
+
+def test_without_fits_every_child_is_measured():
+    """As the paper counts: every individual measured every generation."""
+    arena = Arena(PLAIN)
+    before = arena.counters[OFFSPRING]
+    for _ in range(10):
+        arena.generation()
+    assert arena.counters[OFFSPRING] == before + 10 * POPULATION * ROWS
+
+
+def test_who_can_still_be_fitted_better_hands_no_loss_on():
+    """A child with the parent's very constants then takes more steps from there, and is counted."""
+    arena = Arena(FITTED, crossover=0.0, mutation=0.0)
+    arena.scratch.settled[:] = False
+    spent = arena.counters[OFFSPRING]
+    arena.generation()
+    assert arena.counters[OFFSPRING] == spent + POPULATION * ROWS
+    arena.scratch.settled[:] = True
+    arena.generation()
+    assert arena.counters[OFFSPRING] == spent + POPULATION * ROWS
+
+
+def test_the_gate_lets_few_children_take_steps():
+    """Of the same children fewer are fitted the lower the gate; all of them are measured."""
+    spent = []
+    for gate in (1e-9, 0.25, 1.0, math.inf):
+        arena = Arena(FITTED._replace(gate=gate))
+        before = arena.counters.copy()
+        arena.scratch.settled[:] = False
+        arena.generation()
+        assert arena.counters[OFFSPRING] - before[OFFSPRING] == POPULATION * ROWS
+        spent.append(int(arena.counters[FITTING] - before[FITTING]))
+    assert spent == sorted(spent)
+    assert spent[0] < spent[2] < spent[3]
+
+
+def test_many_generations_at_once_are_those_one_by_one():
+    once, singly = Arena(), Arena()
+    assert once.generation(7) == 7
+    assert sum(singly.generation() for _ in range(7)) == 7
+    assert once.members() == singly.members()
+    np.testing.assert_array_equal(once.counters, singly.counters)
+    np.testing.assert_array_equal(once.stream, singly.stream)
+
+
+def test_nobody_s_place_is_ever_taken_by_someone_worse():
+    arena = Arena()
+    for _ in range(10):
+        before = arena.fitness.copy()
+        arena.generation()
+        assert (arena.fitness <= before).all()

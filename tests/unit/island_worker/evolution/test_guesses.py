@@ -1,0 +1,175 @@
+"""How a first population takes in the guesses, and how an equation keeps to its variables and operators."""
+
+import numpy as np
+import pytest
+
+from atoll.config import EvolutionConfig, MigrationConfig, PredictorConfig, PriorConfig, SpaceConfig
+from atoll.expression.operators import BY_NAME, CONSTANT, VARIABLE
+from atoll.expression.program import Program
+from atoll.search.seeding import Stream, stream_key
+from atoll.wire.codec import decode_arrays
+from atoll_island_worker.evolution.guesses import guessed, place
+from atoll_island_worker.evolution.island import Island
+from atoll_island_worker.evolution.kernels.generation import random_population
+from atoll_island_worker.evolution.setting import Setting
+from atoll_island_worker.evolution.structures import empty_lists
+from tests.archipelago import search
+from tests.unit.island_worker.evolution.test_island import config_of, problem_of
+
+FORM = "2*x/(3 + y) - 1"
+
+
+def truth(x, y):
+    return 5.0 * x / (0.5 + y) - 3.0
+
+
+def with_prior(*guesses, **changes):
+    space = SpaceConfig(terminals=7, **changes.pop("space", {}))
+    return config_of(prior=PriorConfig(guesses={"x": guesses} if guesses else {}), space=space, **changes)
+
+
+def drawn(setting, population=16):
+    """Return the first population before any guess."""
+    lists = empty_lists(population, setting.space.nodes)
+    key = stream_key(setting.config.seed, setting.variable, setting.island, 0, "generations")
+    random_population(lists, setting.space, np.array([key], np.uint64))
+    return lists
+
+
+def constants_of(lists, p):
+    live = lists.code[p] == CONSTANT
+    return lists.constants[p][live].tolist()
+
+
+def test_a_guess_becomes_one_individual_and_leaves_the_others_alone():
+    setting = Setting(problem_of(), with_prior(FORM), 0)
+    lists, before = drawn(setting), drawn(setting)
+    place(lists, 0, guessed(setting)[0], None)
+    for column, old in zip(lists, before, strict=True):
+        assert (column[1:] == old[1:]).all()
+    assert constants_of(lists, 0)[:3] == [2.0, 3.0, 1.0]
+
+
+def test_constants_vary_within_three_octaves_and_keep_their_sign():
+    setting = Setting(problem_of(), with_prior("-2*x + 3*y"), 1)
+    guess = guessed(setting)[0]
+    given = {node.index: node.constant for node in guess if node.code == CONSTANT}
+    factors = []
+    for number in range(200):
+        lists = drawn(setting)
+        place(lists, 0, guess, Stream(number))
+        factors += [lists.constants[0, index] / value for index, value in given.items()]
+    assert 1 / 8 <= min(factors) < 1 / 6
+    assert 6 < max(factors) < 8
+
+
+def test_a_guess_of_the_right_form_is_found_at_once_from_far_off_constants():
+    problem = problem_of(truth=truth)
+    config = with_prior(FORM, budget=config_of().budget.model_copy(update={"target_error": 1e-9}))
+    result = search(problem, config, epochs=1)
+    assert result.has_hit
+    assert {outcome.hit.generation for outcome in result.outcomes if outcome.hit} == {10}
+
+
+def test_the_first_slice_does_not_find_it_without_a_guess():
+    config = with_prior(budget=config_of().budget.model_copy(update={"target_error": 1e-9}))
+    outcomes = search(problem_of(truth=truth), config, epochs=1).outcomes
+    assert not any(outcome.hit and outcome.hit.generation == 10 for outcome in outcomes)
+
+
+def test_guesses_for_other_equations_change_nothing():
+    other = with_prior().model_copy(update={"prior": PriorConfig(guesses={"y": (FORM,)})})
+    assert search(problem_of(), other, epochs=1) == search(problem_of(), with_prior(), epochs=1)
+
+
+def test_the_same_guess_gives_the_same_answer_in_any_strides_and_from_a_checkpoint():
+    problem, config = problem_of(), with_prior(FORM, "x + y")
+    whole = search(problem, config, epochs=2)
+    assert search(problem, config, epochs=2, stride=7) == whole
+    assert whole != search(problem, with_prior(), epochs=2)
+    fresh = Island(problem, config, 1)
+    again = Island.from_bytes(fresh.to_bytes(), problem, config, 1)
+    for island in (fresh, again):
+        while not island.advance(10):
+            pass
+    assert fresh.outcome() == again.outcome() == whole.outcomes[1]
+
+
+def test_without_fitting_every_island_takes_the_guess_as_it_is():
+    plain = EvolutionConfig(islands=2, population=16, constant_fit_steps=0, linear_terms=0, scaled_constants=False)
+    config = with_prior(FORM, evolution=plain, migration=MigrationConfig(generations=10))
+    for number in range(2):
+        island = Island(problem_of(), config, number)
+        island.advance(1)
+        assert constants_of(island._lists, 0)[:3] == [2.0, 3.0, 1.0]
+
+
+def test_a_guess_without_a_finite_value_does_no_harm():
+    config = with_prior("x/(y - y)", "sin(1e9*x)")
+    result = search(problem_of(), config, epochs=1)
+    assert all(np.isfinite(entry.error) for entry in result.front)
+    assert result.front
+
+
+NARROW = {"variables_of": {"x": ("y",)}}
+
+
+def test_an_equation_keeps_to_its_variables_in_all_that_leaves_the_island():
+    problem = problem_of()
+    config = with_prior(
+        space=NARROW,
+        predictors=PredictorConfig(rows=8, effort=0.2, renewal=5),
+        evolution=EvolutionConfig(islands=2, population=16, runners_up=3),
+    )
+    result = search(problem, config, epochs=2)
+    assert any(outcome.runners_up for outcome in result.outcomes)
+    assert len(result.front) > 3
+    used = set()
+    for outcome in result.outcomes:
+        for entry in (*outcome.additions, *outcome.runners_up):
+            program = Program.from_bytes(entry.program, 2)
+            used |= set(program.left[program.operators == VARIABLE].tolist())
+    assert used == {1}
+
+
+def test_a_narrowed_search_is_the_search_of_the_narrowed_problem():
+    problem = problem_of()
+    alone = type(problem)(("y",), np.ascontiguousarray(problem.inputs[1:]), problem.target)
+    narrow = search(problem, with_prior(space=NARROW), epochs=2)
+    plain = search(alone, with_prior(), epochs=2)
+    assert narrow.digests == plain.digests
+    assert [entry.error for entry in narrow.front] == [entry.error for entry in plain.front]
+
+
+def test_a_target_over_some_variables_is_met_pruned_and_told_over_all():
+    problem = problem_of(truth=lambda x, y: 3.0 * y - y * y)
+    config = with_prior(space=NARROW, budget=config_of().budget.model_copy(update={"target_error": 1e-9}))
+    result = search(problem, config, epochs=5)
+    assert result.has_hit
+    program = Program.from_bytes(result.front[-1].program, 2)
+    assert set(program.left[program.operators == VARIABLE].tolist()) == {1}
+
+
+def test_an_equation_keeps_to_its_operators():
+    config = with_prior(space={"operators_of": {"x": ("*", "/")}})
+    island = Island(problem_of(), config, 0)
+    while not island.advance(10):
+        pass
+    allowed = {BY_NAME["*"].code, BY_NAME["/"].code}
+    for block in island.emigrants().values():
+        _, arrays = decode_arrays(block)
+        assert set(np.unique(arrays["code"][:, 7:])) <= allowed
+
+
+def test_a_guess_over_allowed_variables_is_placed_over_just_those():
+    setting = Setting(problem_of(), with_prior("2*y", space=NARROW), 0)
+    leaves = [node for node in guessed(setting)[0] if node.code == VARIABLE]
+    assert [node.left for node in leaves] == [0]
+    assert setting.names == ("y",)
+
+
+@pytest.mark.parametrize("names", [("x",), ("y", "x"), ("x", "y")])
+def test_allowing_all_variables_is_the_general_case(names):
+    config = with_prior(space={"variables_of": {"x": names}})
+    same = search(problem_of(), config, epochs=1) == search(problem_of(), with_prior(), epochs=1)
+    assert same == (len(names) == 2)

@@ -1,0 +1,48 @@
+"""Shares: the states of an island follow the table, and nothing else."""
+
+import pytest
+
+from atoll.errors import LocalProtocolError
+from atoll.search.commit_order import Course
+from atoll.wire.messages.workers import Placement
+from atoll_island_worker.session.local_island import ISLAND_TRANSITIONS, LocalIsland
+from atoll_island_worker.session.share import Share
+
+COURSE = Course(generations=100, stride=10, joining=8)
+
+STEPS = ("restore", "begin", "emigrate", "complete", "end", "reject", "hold")
+
+
+@pytest.mark.parametrize("state", list(ISLAND_TRANSITIONS))
+@pytest.mark.parametrize("step", STEPS)
+def test_an_island_takes_the_steps_of_the_table_and_no_others(state: str, step: str) -> None:
+    island = LocalIsland(0, state=state)  # type: ignore[arg-type]
+    following = ISLAND_TRANSITIONS[state].get(step)  # type: ignore[index, call-overload]
+    if following is None:
+        with pytest.raises(LocalProtocolError, match=f"cannot {step} while {state}"):
+            island.step(step)  # type: ignore[arg-type]
+    else:
+        island.step(step)  # type: ignore[arg-type]
+        assert island.state == following
+
+
+def test_a_share_has_the_islands_that_the_placement_gives_its_worker() -> None:
+    placement = Placement(
+        incarnation=1, term=2, job="j", variable="θ", workers=("a", "b", "a"), epochs=5, interval=16, course=COURSE
+    )
+    share = Share(placement, "a")
+    assert list(share.islands) == [0, 2]
+    assert share.stop_epoch == 4
+    assert (share.holding().islands, share.holding().reported, share.holding().term) == (2, 0, 2)
+    share.validate()
+
+
+def test_an_inconsistent_share_is_noticed() -> None:
+    placement = Placement(
+        incarnation=1, term=1, job="j", variable="x", workers=("a",), epochs=5, interval=16, course=COURSE
+    )
+    share = Share(placement, "a")
+    share.islands[0].epoch = 3
+    share.islands[0].needs = frozenset({0})
+    with pytest.raises(LocalProtocolError, match="without its immigrants"):
+        share.validate()

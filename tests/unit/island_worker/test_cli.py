@@ -1,0 +1,238 @@
+"""The worker's command line: what it says, what it starts, and how it ends."""
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+
+from atoll.errors import RefusedError, UnreachableError
+from atoll.wire.addresses import destination
+from atoll.wire.security.credentials import load
+from atoll_island_worker import cli
+from atoll_island_worker import worker as runtime
+from atoll_island_worker.connection.drain import Leaving
+from atoll_island_worker.processes import fork_server as forking
+from atoll_island_worker.processes import signals as processes
+from atoll_island_worker.processes import supervisor as supervision
+from tests.certificates import Lab
+
+
+@pytest.fixture(autouse=True)
+def _no_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("ATOLL_CONNECT", raising=False)
+
+
+@pytest.fixture
+def worked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, float]]:
+    """What the one process was told to do."""
+    calls: list[tuple[str, str, float]] = []
+    monkeypatch.setattr(runtime, "run_worker", lambda to, *others: calls.append((str(to), *others[:2])) or 0)
+    return calls
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ([], "no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT"),
+        (["--connect", "lab1"], "'lab1' was found where tcp/HOST:PORT was expected"),
+        (["--connect", "tcp/a:1", "--processes", "0"], "auto or a number"),
+        (["--connect", "tcp/a:1", "--processes", "some"], "auto or a number"),
+        (["--connect", "tcp/a:1", "--name", "a b"], "letters, digits"),
+        (["--connect", "tcp/a:1", "--name", "a" * 65], "letters, digits"),
+        (["--connect", "tcp/a:1", "--wait", "-1"], "number of seconds"),
+        (["--connect", "tcp/a:1", "--wait", "nan"], "number of seconds"),
+        (["--connect", "tcp/a:1", "--lifetime", "soon"], "a time such as 90s, 30m or 12h was expected, but 'soon'"),
+        (["--connect", "tcp/a:1", "--grace=-5m"], "a time such as"),
+        (["--connect", "tcp/a:1", "--speed", "2"], "unknown option"),
+        (["--connect"], "expected one argument"),
+        (["--connect", "tcp/a:1", "--connect-file", "f"], "both --connect and --connect-file were given"),
+        (["--connect-file", __file__], "holds no list of addresses"),
+    ],
+)
+def test_a_wrong_command_line_is_one_sentence_and_exit_code_2(
+    arguments: list[str], reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(arguments) == 2
+    output = capsys.readouterr()
+    assert reason in output.err
+    assert output.err.startswith("island-worker: ")
+    assert output.err.count("\n") == 1
+    assert output.out == ""
+
+
+def test_one_process_works_under_the_name_it_was_given(worked: list[tuple[str, str, float]]) -> None:
+    assert cli.main(["--connect", "tcp/a:1", "--processes", "1", "--name", "w1", "--wait", "2.5"]) == 0
+    assert worked == [("tcp/a:1", "w1", 2.5)]
+
+
+def test_the_address_may_come_from_the_environment_and_the_name_from_host_and_process(
+    worked: list[tuple[str, str, float]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ATOLL_CONNECT", "tcp/b:2")
+    monkeypatch.setattr("socket.gethostname", lambda: "lab 1.example.org")
+    monkeypatch.setattr("os.getpid", lambda: 17)
+    assert cli.main(["--processes", "1"]) == 0
+    assert worked == [("tcp/b:2", "lab-1-17", 10.0)]
+
+
+@pytest.mark.parametrize(
+    ("words", "lifetime_s", "grace_s"),
+    [([], None, 30.0), (["--lifetime", "90"], 90.0, 30.0), (["--lifetime", "1.5h", "--grace", "2m"], 5400.0, 120.0)],
+)
+def test_a_worker_leaves_after_its_lifetime_and_has_some_grace(
+    words: list[str], lifetime_s: float | None, grace_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[Leaving] = []
+    monkeypatch.setattr(runtime, "run_worker", lambda *arguments: given.append(arguments[3]) or 0)
+    assert cli.main(["--connect", "tcp/a:1", "--processes", "1", *words]) == 0
+    assert [(each.lifetime_s, each.grace_s) for each in given] == [(lifetime_s, grace_s)]
+
+
+@pytest.fixture
+def loads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What was loaded ahead."""
+    calls: list[str] = []
+    monkeypatch.setattr(forking, "load_ahead", lambda: calls.append("all"))
+    return calls
+
+
+def test_several_processes_are_forked_when_all_is_loaded_and_have_numbered_names(
+    monkeypatch: pytest.MonkeyPatch, loads: list[str], worked: list[tuple[str, str, float]]
+) -> None:
+    monkeypatch.setattr(forking, "can_fork", lambda: True)
+    monkeypatch.setattr(processes, "end_with_parent", lambda parent: None)
+
+    def supervise(starts: Mapping[str, Callable[[], int]], said: object, parent: int | None, grace_s: float) -> int:
+        assert (loads, parent, grace_s) == (["all"], None, 30.0)
+        return max([start() for start in starts.values()]) or 3
+
+    monkeypatch.setattr(forking, "Forked", lambda work: work())
+    monkeypatch.setattr(supervision, "supervise", supervise)
+    assert cli.main(["--connect", "tcp/a:1", "--processes", "2", "--name", "n" * 64, "--wait", "2"]) == 3
+    assert worked == [("tcp/a:1", "n" * 58 + f"-{index}", 2.0) for index in range(2)]
+
+
+def test_where_a_fork_is_unsafe_several_processes_are_started_and_end_with_this_one(
+    monkeypatch: pytest.MonkeyPatch, loads: list[str]
+) -> None:
+    started: list[list[str]] = []
+
+    def supervise(starts: Mapping[str, Callable[[], int]], *_: object) -> int:
+        return max([start() for start in starts.values()])
+
+    monkeypatch.setattr(forking, "can_fork", lambda: False)
+    monkeypatch.setattr(supervision, "supervise", supervise)
+    monkeypatch.setattr(supervision, "started", lambda command, _: started.append(command) or 3)
+    words = ["--connect", "tcp/a:1", "--processes", "2", "--name", "n" * 64, "--lifetime", "30m", "--grace", "5"]
+    assert cli.main(words) == 3
+    assert loads == []
+    for index, command in enumerate(started):
+        assert command[1:3] == ["-m", "atoll_island_worker"]
+        assert command[command.index("--name") + 1] == "n" * 58 + f"-{index}"
+        assert command[command.index("--processes") + 1] == "1"
+        assert "--parent" in command
+        assert "--sentences" in command
+        assert command[command.index("--lifetime") + 1] == "1800"
+        assert command[command.index("--grace") + 1] == "5"
+
+
+def test_no_worker_is_forked_for_a_parent_that_died_while_loading(
+    monkeypatch: pytest.MonkeyPatch, loads: list[str]
+) -> None:
+    monkeypatch.setattr(forking, "can_fork", lambda: True)
+    monkeypatch.setattr(processes, "hear_of_death", lambda: None)
+    monkeypatch.setattr(forking, "leave", lambda works: pytest.fail("a worker was forked"))
+    assert cli.main(["--connect", "tcp/a:1", "--processes", "2", "--parent", str(1 << 30), "--leave"]) == 0
+    assert loads == ["all"]
+
+
+def test_the_automatic_number_of_processes_is_said_with_its_reason(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], worked: list[tuple[str, str, float]]
+) -> None:
+    monkeypatch.setenv("SLURM_CPUS_PER_TASK", "1")
+    assert cli.main(["--connect", "tcp/a:1"]) == 0
+    assert len(worked) == 1
+    assert "island-worker: 1 process: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (UnreachableError("nobody there"), 3),
+        (RefusedError("version 1 here, 2 there"), 2),
+        (KeyboardInterrupt(), 130),
+        (SystemExit(0), 0),
+    ],
+)
+def test_the_way_the_work_ends_is_the_exit_code(
+    error: BaseException, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: object) -> int:
+        raise error
+
+    monkeypatch.setattr(runtime, "run_worker", fail)
+    assert cli.main(["--connect", "tcp/a:1", "--processes", "1"]) == code
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_help_loads_nothing_heavy() -> None:
+    script = (
+        "import sys\nfrom atoll_island_worker.cli import main\nmain(['--help'])\n"
+        "print(sorted({'numpy', 'zenoh', 'pydantic', 'numba', 'msgpack', 'logging'} & sys.modules.keys()))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.splitlines()[-1] == "[]"
+    assert "exit codes" in done.stdout
+    assert "--parent" not in done.stdout
+
+
+def test_a_file_names_the_coordinator_and_comes_before_the_environment(
+    worked: list[tuple[str, str, float]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ATOLL_CONNECT", "tcp/a:1")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        (tmp_path / "f").write_text(address)
+        assert cli.main(["--connect-file", str(tmp_path / "f"), "--processes", "1", "--name", "w"]) == 0
+    assert worked == [(address, "w", cli._WAIT_S)]
+
+
+@pytest.mark.parametrize(
+    ("options", "name"), [(["--name", "lab1"], "lab1"), (["--name", "lab1-gpu"], "lab1-gpu"), ([], "lab1-host-7")]
+)
+def test_a_worker_with_a_certificate_bears_its_name(
+    options: list[str], name: str, worked: list[tuple[str, str, float]], lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cli, "_default_name", lambda: "host-7")
+    assert cli.main(["--connect", "tls/a:1", "--processes", "1", *options, *lab.options("lab1")]) == 0
+    assert worked == [("tls/a:1", name, cli._WAIT_S)]
+
+
+def test_a_long_name_of_a_host_keeps_the_certificate_in_front_and_the_process_behind() -> None:
+    name = cli._name_for("n" * 48, None)
+    assert name.startswith("n" * 48 + "-")
+    assert len(name) <= 58
+    assert name.endswith(str(os.getpid())[-5:])
+
+
+def test_a_name_that_is_not_the_certificates_is_refused(
+    worked: list[tuple[str, str, float]], lab: Lab, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--connect", "tls/a:1", "--processes", "1", "--name", "lab2", *lab.options("lab1")]
+    assert cli.main(words) == 2
+    assert "--name must be lab1 or begin with lab1-, as the certificate says" in capsys.readouterr().err
+    assert worked == []
+
+
+def test_a_child_gets_the_same_certificates(lab: Lab) -> None:
+    to = destination("tls/a:1", load(*lab.files("lab1"), use="connect"))
+    assert processes.tls_options(to) == lab.options("lab1")
+
+
+def test_a_file_that_never_comes_ends_with_3(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--connect-file", str(tmp_path / "f"), "--wait", "0.1"]) == 3
+    assert "does not exist" in capsys.readouterr().err

@@ -1,0 +1,142 @@
+"""Downloads: windows, wrong sizes, and the digest of the whole."""
+
+import hashlib
+
+import pytest
+
+from atoll.config import JobConfig
+from atoll.errors import RemoteProtocolError
+from atoll.wire.codec import encode
+from atoll.wire.messages.limits import CHUNK_SIZE
+from atoll.wire.messages.workers import Close, Control, JobAnnouncement
+from atoll_island_worker.datasets import Datasets, Download
+
+DATA = bytes(2 * CHUNK_SIZE) + b"rest"
+
+
+def announcement(data: bytes = DATA, chunks: int = 3, digest: str | None = None) -> JobAnnouncement:
+    blob = digest or hashlib.sha256(data).hexdigest()
+    return JobAnnouncement(job="j", config=JobConfig(), variables=("x",), blob=blob, size=len(data), chunks=chunks)
+
+
+def chunk(index: int) -> bytes:
+    return DATA[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE]
+
+
+def test_two_chunks_are_asked_for_at_a_time_until_all_are_there() -> None:
+    download = Download(announcement())
+    assert download.take() == [0, 1]
+    assert download.take() == []
+    assert download.offer(1, chunk(1))
+    assert download.finish() is None
+    assert download.take() == [2]
+    assert download.offer(0, chunk(0))
+    assert download.offer(2, chunk(2))
+    assert download.finish() == DATA
+
+
+def test_a_chunk_that_did_not_come_is_asked_for_again() -> None:
+    download = Download(announcement())
+    download.take()
+    download.give_back(0)
+    assert download.take() == [0]
+
+
+def test_a_chunk_of_the_wrong_size_is_refused() -> None:
+    download = Download(announcement())
+    download.take()
+    assert not download.offer(0, b"short")
+
+
+def test_a_whole_that_is_not_what_was_announced_is_begun_anew() -> None:
+    download = Download(announcement(b"abc", 1, digest="0" * 64))
+    assert download.take() == [0]
+    assert download.offer(0, b"abc")
+    assert download.finish() is None
+    assert download.take() == [0]
+
+
+def test_an_announcement_whose_numbers_do_not_fit_is_refused() -> None:
+    with pytest.raises(RemoteProtocolError, match="2 chunks"):
+        Download(announcement(chunks=2))
+
+
+class Recorder:
+    """An asker that keeps what it is asked."""
+
+    def __init__(self, wanted: bool = True) -> None:
+        self.said: list[tuple[object, ...]] = []
+        self.wanted = wanted
+
+    def ask_announcement(self, job: str) -> None:
+        self.said.append(("announcement", job))
+
+    def ask_chunk(self, job: str, blob: str, index: int) -> None:
+        self.said.append(("chunk", index))
+
+    def ask_later(self, job: str) -> None:
+        self.said.append(("later", job))
+
+    def wants(self, job: str) -> bool:
+        return self.wanted
+
+    def load(self, announcement: JobAnnouncement, data: bytes) -> None:
+        self.said.append(("load", len(data)))
+
+
+def test_an_announced_dataset_is_fetched_loaded_and_forgotten() -> None:
+    asker = Recorder()
+    datasets = Datasets(asker)
+    datasets.announced(announcement())
+    datasets.announced(announcement())
+    for index in (0, 1, 2):
+        datasets.chunk_came("j", index, chunk(index))
+    assert asker.said == [("chunk", 0), ("chunk", 1), ("chunk", 2), ("load", len(DATA))]
+    datasets.announced(announcement())
+    datasets.fetch("j")
+    assert len(asker.said) == 4
+    assert datasets.jobs() == ("j",)
+    assert datasets.forget("j")
+    assert not datasets.forget("j")
+
+
+def test_only_the_loading_of_the_dataset_that_is_here_counts() -> None:
+    """What was forgotten while it was being loaded is not there, also when it has been fetched again meanwhile."""
+    datasets = Datasets(Recorder())
+    for _ in range(2):
+        datasets.announced(announcement(b"abc", 1))
+        datasets.chunk_came("j", 0, b"abc")
+        datasets.forget("j")
+    assert not datasets.loaded("j")
+    datasets.announced(announcement(b"abc", 1))
+    assert not datasets.loaded("j")
+    datasets.chunk_came("j", 0, b"abc")
+    assert datasets.loaded("j")
+
+
+def test_a_job_that_was_not_announced_is_asked_for_as_long_as_it_is_wanted() -> None:
+    asker = Recorder()
+    datasets = Datasets(asker)
+    datasets.fetch("j")
+    datasets.announcement_came("j", None)
+    datasets.announcement_came("j", encode(Control(body=announcement())))
+    assert asker.said == [("announcement", "j"), ("later", "j"), ("chunk", 0), ("chunk", 1)]
+    asker.wanted = False
+    datasets.announcement_came("k", None)
+    datasets.fetch("k")
+    assert len(asker.said) == 4
+
+
+def test_another_answer_than_the_announcement_is_refused() -> None:
+    with pytest.raises(RemoteProtocolError, match="'close' came"):
+        Datasets(Recorder()).announcement_came("j", encode(Control(body=Close(job="j"))))
+
+
+def test_a_lost_chunk_is_asked_for_after_a_pause_and_an_unwanted_one_is_dropped() -> None:
+    asker = Recorder()
+    datasets = Datasets(asker)
+    datasets.announced(announcement())
+    datasets.chunk_came("j", 1, None)
+    datasets.fetch("j")
+    datasets.chunk_came("other", 0, b"")
+    assert asker.said == [("chunk", 0), ("chunk", 1), ("later", "j"), ("chunk", 1)]
