@@ -35,7 +35,7 @@ from atoll.wire.messages.workers import (
     WorkerStatus,
 )
 from atoll.wire.rejects import Rejects
-from atoll_island_worker.compute.compute import Compute, IslandCompute, WarmedUp, WarmUpFailed, WarmUpNote
+from atoll_island_worker.compute.compute import Compute, ComputeFailed, IslandCompute, WarmedUp, WarmUpNote
 from atoll_island_worker.connection.connection import GRACE, GREET, LIFETIME, Attendance
 from atoll_island_worker.connection.drain import Leaving
 from atoll_island_worker.connection.heartbeat import counters, doing
@@ -147,7 +147,7 @@ class Worker:
                 self._beat()
             case WarmedUp():
                 self._warmed_up(item)
-            case WarmUpFailed():
+            case ComputeFailed():
                 self._attendance.exit.because_of(AtollError(item.sentence))
             case JobReady() | Unloadable():
                 if self._datasets.loaded(item.job):

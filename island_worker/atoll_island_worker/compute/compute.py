@@ -40,13 +40,13 @@ class WarmedUp:
 
 
 @dataclass(frozen=True, slots=True)
-class WarmUpFailed:
-    """The kernels cannot be compiled or run here."""
+class ComputeFailed:
+    """The kernels cannot be compiled or run here, or the compute thread has ended by an error; the worker ends."""
 
     sentence: str
 
 
-Word = WarmUpNote | WarmedUp | WarmUpFailed | JobReady | Unloadable | Snapshot | Outcome
+Word = WarmUpNote | WarmedUp | ComputeFailed | JobReady | Unloadable | Snapshot | Outcome
 """What a Compute posts."""
 
 
@@ -65,7 +65,7 @@ class Compute(Protocol):
         """Post every word, also those that came before, through `post`."""
 
     def warm_up(self) -> None:
-        """Make the kernels ready: any number of WarmUpNote, then WarmedUp or WarmUpFailed."""
+        """Make the kernels ready: any number of WarmUpNote, then WarmedUp or ComputeFailed."""
 
     def load(self, job: str, config: JobConfig, dataset: bytes, weight: float = 1.0) -> None:
         """Take in a job's configuration and encoded dataset: JobReady or Unloadable. By `weight` it gets its turns."""
@@ -155,6 +155,13 @@ class IslandCompute:
     # -------------------------------------------------------------------------- on the compute thread
 
     def _work(self) -> None:
+        try:
+            self._compute_until_closed()
+        except BaseException as error:  # a worker without this thread would send heartbeats and compute nothing
+            _LOG.exception("the compute thread failed")
+            self._say([ComputeFailed(f"the compute thread failed: {brief(error)}")])
+
+    def _compute_until_closed(self) -> None:
         while not self._closed:
             if self._agenda.is_idle or not self._commands.empty():
                 command = self._commands.get()
@@ -182,7 +189,7 @@ class IslandCompute:
             warm_up(lambda sentence: self._say([WarmUpNote(sentence)]))
         except Exception as error:  # whatever it was, it is said, and the worker ends
             _LOG.exception("warm-up failed")
-            self._say([WarmUpFailed(f"the kernels cannot be made ready on this machine: {brief(error)}")])
+            self._say([ComputeFailed(f"the kernels cannot be made ready on this machine: {brief(error)}")])
         else:
             self._say([WarmedUp(time.monotonic() - began, source_digest(WORKER))])
 

@@ -15,7 +15,8 @@ from atoll.errors import RemoteProtocolError
 from atoll.search.commit_order import Course, Position
 from atoll.wire.codec import dataset_to_bytes
 from atoll.wire.messages.workers import Tally
-from atoll_island_worker.compute.compute import IslandCompute, WarmedUp, WarmUpFailed, WarmUpNote
+from atoll_island_worker.compute.compute import ComputeFailed, IslandCompute, WarmedUp, WarmUpNote
+from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.session.events import Abandoned, Broken, Computed, JobReady, Rejected, Unloadable
 from atoll_island_worker.session.tasks import Task, TaskKey
 
@@ -183,9 +184,21 @@ def test_a_warm_up_that_fails_says_why(words: "queue.Queue[object]", monkeypatch
     compute.attach(words.put)
     compute.warm_up()
     word = words.get(timeout=LIMIT_S)
-    assert isinstance(word, WarmUpFailed)
+    assert isinstance(word, ComputeFailed)
     assert "the disk is full" in word.sentence
     compute.close()
+
+
+def test_an_error_outside_of_an_epoch_is_reported_when_it_ends_the_thread(
+    compute: IslandCompute, words: "queue.Queue[object]", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise MemoryError("no room for the dataset")
+
+    monkeypatch.setattr(Engine, "load", fail)
+    compute.load("large", JobConfig(), b"")
+    word = words.get(timeout=LIMIT_S)
+    assert word == ComputeFailed("the compute thread failed: MemoryError: no room for the dataset")
 
 
 def test_closing_ends_the_thread_even_under_way(compute: IslandCompute) -> None:
