@@ -247,9 +247,9 @@ class Worker:
             case Commit():
                 self._tell(Committed(body))
             case Close():
+                self._tell(Closed(body))  # first the islands, then what they are computed from
                 if body.variable is None:
                     self._forget_job(body.job)
-                self._tell(Closed(body))
             case Shutdown():
                 self._attendance.shut_down(body)
             case Introduce():

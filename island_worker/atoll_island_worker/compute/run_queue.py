@@ -115,7 +115,9 @@ class Agenda:
             del self._open[key]
 
     def discard_job(self, job: str) -> None:
-        """Forget what a job was charged."""
+        """Forget the tasks of a job and what it was charged."""
+        self._open = {key: opened for key, opened in self._open.items() if key.job != job}
+        self._hits = {share: hit for share, hit in self._hits.items() if share.job != job}
         self._charged.pop(job, None)
         self._weights.pop(job, None)
 

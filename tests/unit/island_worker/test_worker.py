@@ -1,18 +1,30 @@
 """The loop of a worker on a bus in virtual time, with a coordinator that only welcomes it."""
 
 from collections.abc import Callable
+from hashlib import sha256
 
 import pytest
 
 from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll.config import JobConfig
 from atoll.errors import AtollError
+from atoll.search.commit_order import Course
 from atoll.wire import topics
 from atoll.wire.bus.interface import Event, Query
 from atoll.wire.bus.simulated_bus import SimulatedNetwork
 from atoll.wire.codec import encode
 from atoll.wire.messages.handshake import GreetingAnswer, Welcome
+from atoll.wire.messages.workers import Close, Control, JobAnnouncement, Placement, Placements
 from atoll_island_worker.compute.compute import ComputeFailed, WarmedUp
+from atoll_island_worker.session.events import JobReady
 from atoll_island_worker.worker import Worker
+
+ControlBody = JobAnnouncement | Placements | Close
+DATASET = b"a dataset"
+ANNOUNCEMENT = JobAnnouncement(
+    job="job", config=JobConfig(), variables=("x",), blob=sha256(DATASET).hexdigest(), size=len(DATASET), chunks=1
+)
+WELCOME = Welcome(realm="realm", incarnation=1, protocol=PROTOCOL_VERSION, version=VERSION, engine=ENGINE_REVISION)
 
 
 class RecordingCompute:
@@ -41,6 +53,7 @@ class Pair:
         self._coordinator = self.network.bus("coordinator", is_router=True)
         self._coordinator.handle_with(self._answer)
         self._coordinator.serve(topics.all_greetings())
+        self._coordinator.serve(topics.all_blobs("realm"))
         bus = self.network.bus("w")
         self.worker = Worker(bus, self.compute, "w", wait_s=60.0)  # type: ignore[arg-type]
         bus.handle_with(self.worker.step)
@@ -55,12 +68,31 @@ class Pair:
         self.compute.post(item)
         self.run()
 
+    def control(self, body: ControlBody) -> None:
+        """Have the coordinator send a control message."""
+        self._coordinator.put(topics.control("realm", "w"), encode(Control(body=body)))
+        self.run()
+
+    def place(self, term: int = 1) -> None:
+        """Announce the job, and place its one island on the worker."""
+        self.control(ANNOUNCEMENT)
+        self.control(Placements(placements=(placement(term),)))
+        self.post(JobReady("job"))
+
     def _answer(self, event: Event) -> None:
-        if isinstance(event, Query):
-            welcome = Welcome(
-                realm="realm", incarnation=1, protocol=PROTOCOL_VERSION, version=VERSION, engine=ENGINE_REVISION
-            )
-            self._coordinator.reply(event, encode(GreetingAnswer(body=welcome)))
+        if not isinstance(event, Query):
+            return
+        if isinstance(topics.parse(event.key), topics.BlobKey):
+            self._coordinator.reply(event, DATASET)
+        else:
+            self._coordinator.reply(event, encode(GreetingAnswer(body=WELCOME)))
+
+
+def placement(term: int) -> Placement:
+    order = Course(generations=100, stride=10, joining=8)
+    return Placement(
+        incarnation=1, term=term, job="job", variable="x", workers=("w",), epochs=10, interval=8, course=order
+    )
 
 
 @pytest.fixture
@@ -75,3 +107,10 @@ def test_a_worker_ends_with_an_error_when_its_compute_thread_fails(pair: Pair) -
     pair.post(ComputeFailed("the compute thread failed: KeyError: 'job'"))
     assert pair.worker.exit_code == AtollError.exit_code == 1
     assert str(pair.worker.error) == "the compute thread failed: KeyError: 'job'"
+
+
+def test_of_a_closed_job_the_islands_are_discarded_before_the_dataset(pair: Pair) -> None:
+    pair.place()
+    assert [name for name, *_ in pair.compute.calls] == ["load", "advance"]
+    pair.control(Close(job="job"))
+    assert [name for name, *_ in pair.compute.calls] == ["load", "advance", "discard", "discard_job"]

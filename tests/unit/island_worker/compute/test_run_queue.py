@@ -254,3 +254,10 @@ def test_a_held_epoch_whose_immigrants_are_malformed_is_refused() -> None:
     agenda = Agenda(bench.begin, lambda: bench.now)
     agenda.add(Task(key(7, 4), None, is_last=False, course=COURSE, takes_snapshot=True, is_held=True))
     assert emptied(agenda) == [Rejected(key(7, 4), "malformed")]
+
+
+def test_the_tasks_of_a_discarded_job_are_discarded_with_it() -> None:
+    agenda = agenda_of(Bench(), key(0, job="a"), key(1, job="a"), key(0, job="b"))
+    agenda.turn()
+    agenda.discard_job("a")
+    assert [each.key.job for each in emptied(agenda) if not isinstance(each, Snapshot)] == ["b"]
