@@ -174,8 +174,8 @@ class Stage:
         service = self.troupe.service
         if service is None:
             return [*found, "there is no coordinator"]
-        if service.conductor.jobs:
-            found.append(f"the coordinator still has jobs {list(service.conductor.jobs)}")
+        if service.controller.jobs:
+            found.append(f"the coordinator still has jobs {list(service.controller.jobs)}")
         if self.troupe.disk.rows("checkpoints") or self.troupe.disk.rows("states"):
             found.append("the store still holds checkpoints")
         expected = {

@@ -78,7 +78,7 @@ def restored(world: World) -> list[tuple[int, int]]:
 
 
 def committed(world: World, variable: str = "x") -> int:
-    job = world.service.conductor.jobs.get("job")
+    job = world.service.controller.jobs.get("job")
     return job.archipelagos[variable].durable if job is not None and job.archipelagos else 0
 
 

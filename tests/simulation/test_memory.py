@@ -40,7 +40,7 @@ class Watched:
 
     def look(self, job: str) -> None:
         """Take notice of a job and its archipelagos."""
-        live = self.world.service.conductor.jobs[job]
+        live = self.world.service.controller.jobs[job]
         self.parts += [weakref.ref(live), *(weakref.ref(each) for each in live.archipelagos.values())]
         self.parts += [weakref.ref(each.collector) for each in live.archipelagos.values()]
 
@@ -52,20 +52,20 @@ class Watched:
 @pytest.mark.parametrize("end", ["done", "cancelled", "failed"])
 def test_nothing_heavy_is_left_of_a_job_that_has_ended(end: str, monkeypatch: pytest.MonkeyPatch) -> None:
     watched = Watched(monkeypatch)
-    world, conductor = watched.world, watched.world.service.conductor
+    world, controller = watched.world, watched.world.service.controller
     world.submit(config(1, max_epochs=12 if end == "done" else 10**6), "x,y")
-    while "job" not in conductor.jobs or not conductor.jobs["job"].archipelagos:
+    while "job" not in controller.jobs or not controller.jobs["job"].archipelagos:
         world.client.pause(0.01)
     watched.look("job")
     assert len(watched.left()) == 1 + 1 + 2 + 2
     if end == "cancelled":
         world.client.cancel("job")
     elif end == "failed":
-        conductor.job_failed("job", "internal", "it broke", world.network.now)
+        controller.job_failed("job", "internal", "it broke", world.network.now)
     assert world.finish().state == end
     world.client.pause(3.0)
     assert watched.left() == []
-    assert conductor._keeper.held == 0
+    assert controller._keeper.held == 0
 
 
 def test_a_worker_remembers_the_terms_of_some_jobs_that_have_ended_and_no_more(

@@ -56,7 +56,7 @@ class Ward:
         self.world.at(self.world.network.now + 1.0, self._look)
 
     def state_of(self, variable: str = "x") -> str:
-        suspicion = self.world.service.conductor.watch._suspicions.get(("job", variable))
+        suspicion = self.world.service.controller.watch._suspicions.get(("job", variable))
         return suspicion.state if suspicion is not None else "sound"
 
     def until(self, state: str, variable: str = "x") -> None:

@@ -79,7 +79,7 @@ def test_real_islands_go_on_from_their_states_as_if_nothing_had_happened(monkeyp
     world = World(workers=3, seed=1, expected=3, compute=RealCompute, prepare=prepare, refiner=unrefined, slowness=20.0)
 
     def strike() -> None:
-        jobs = world.service.conductor.jobs.values()
+        jobs = world.service.controller.jobs.values()
         if any(each.durable for job in jobs for each in job.archipelagos.values()):
             world.crash("w1")
             world.workers["w2"].leave()

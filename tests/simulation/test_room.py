@@ -27,7 +27,7 @@ def run(monkeypatch: pytest.MonkeyPatch) -> tuple[list[str], list[int]]:
     """Have jobs of three variables searched; return their answers, and the bytes held at each look."""
     monkeypatch.setattr("tests.simulation.stub.HIT_EPOCHS", 10**9)
     world = World(workers=2, plan=Plan(delay_s=(0.02, 0.06)), slowness=5.0)
-    keeper, held = world.service.conductor._keeper, []
+    keeper, held = world.service.controller._keeper, []
     came = keeper.states_came
 
     def states_came(*arguments: object) -> None:

@@ -113,7 +113,7 @@ def test_the_cuts_of_a_cancelled_job_given_as_epochs_give_its_digest() -> None:
     for seed in (1, 2, 5):
         world = World(workers=2, seed=seed)
         world.submit(config(seed, max_epochs=1000, stagnation=1000))
-        world.at(world.network.now + 1.3, lambda world=world: world.service.conductor.cancel("job", world.network.now))  # type: ignore[misc]
+        world.at(world.network.now + 1.3, lambda world=world: world.service.controller.cancel("job", world.network.now))  # type: ignore[misc]
         assert world.finish().state in ("cancelled", "done")
         cancelled = world.result()
         epochs = {each["variable"]: each["epoch"] for each in cancelled["equations"]}

@@ -109,7 +109,7 @@ class Troupe:
         def step(event: Event) -> None:
             self._take_down(bus, event)
             self._guarded(store, lambda: service.step(event))
-            for job in service.conductor.jobs.values():
+            for job in service.controller.jobs.values():
                 job.validate()
 
         bus.handle_with(step)
@@ -148,10 +148,10 @@ class Troupe:
 
     def _watch_reports(self, service: Service) -> None:
         """Have every report that is accepted compared with who computed it."""
-        take = service.conductor.report
+        take = service.controller.report
 
         def report(worker: str, report: EpochReport, now: float) -> None:
-            job = service.conductor.jobs.get(report.job)
+            job = service.controller.jobs.get(report.job)
             archipelago = job.archipelagos.get(report.variable) if job is not None else None
             placement = archipelago.placement if archipelago is not None and archipelago.cut is None else None
             take(worker, report, now)
@@ -162,7 +162,7 @@ class Troupe:
                 if len(self.made.get(key, ())) != 1:
                     self.wrong.append(f"{key} was evolved by {self.made.get(key)} and accepted")
 
-        service.conductor.report = report  # type: ignore[method-assign]
+        service.controller.report = report  # type: ignore[method-assign]
 
     # ----------------------------------------------------------------------------------------- workers
 

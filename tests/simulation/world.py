@@ -80,7 +80,7 @@ class World:
 
         def step(event: Event) -> None:
             service.step(event)
-            for job in service.conductor.jobs.values():
+            for job in service.controller.jobs.values():
                 job.validate()
 
         bus.handle_with(step)

@@ -44,7 +44,7 @@ from atoll_coordinator.service.workers.reconciliation import Holdings
 from atoll_coordinator.service.workers.scheduling import Terms
 
 
-class Conductor:
+class Controller:
     """All live jobs, all workers, and the views of the jobs that have ended."""
 
     def __init__(self, store: StorePort, outlet: Outlet, clock: Callable[[], str], expected_workers: int = 1) -> None:

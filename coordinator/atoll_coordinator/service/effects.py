@@ -1,4 +1,4 @@
-"""What a conductor says, asks and has done: how it reaches workers, and what takes long."""
+"""What a controller says, asks and has done: how it reaches workers, and what takes long."""
 
 from typing import Protocol
 
@@ -21,22 +21,22 @@ WorkerWord = JobAnnouncement | Placements | Commit | Close | Introduce | Shutdow
 
 
 class Outlet(Protocol):
-    """How a conductor reaches the others."""
+    """How a controller reaches the others."""
 
     def tell(self, body: WorkerWord, worker: str | None = None) -> None:
         """Send to one worker, or to all."""
 
     def pull(self, worker: str, body: PullReports | PullStates) -> None:
-        """Ask a worker for reports, which come as reports, or states; `Conductor.states_came` follows."""
+        """Ask a worker for reports, which come as reports, or states; `Controller.states_came` follows."""
 
     def write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> None:
-        """Have a checkpoint written elsewhere; `Conductor.written` follows."""
+        """Have a checkpoint written elsewhere; `Controller.written` follows."""
 
     def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
-        """Have the table prepared elsewhere; `Conductor.prepared` or `Conductor.job_failed` follows."""
+        """Have the table prepared elsewhere; `Controller.prepared` or `Controller.job_failed` follows."""
 
     def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
-        """Have the equations made of the pools elsewhere; `Conductor.refined` follows."""
+        """Have the equations made of the pools elsewhere; `Controller.refined` follows."""
 
     def stop(self, job: str) -> None:
         """End what is prepared or refined for a job; nothing follows."""

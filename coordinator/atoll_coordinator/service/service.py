@@ -1,4 +1,4 @@
-"""The coordinator at work: the only loop. Bus events go to conductor and desk, their words to the bus.
+"""The coordinator at work: the only loop. Bus events go to controller and desk, their words to the bus.
 
 `Service.step` takes one event and never blocks for long; `Service.run` is the thin loop around `Bus.receive`.
 """
@@ -38,7 +38,7 @@ from atoll_coordinator.model.inference.refinement import Pools
 from atoll_coordinator.service.background.preparing import with_children
 from atoll_coordinator.service.background.runner import SlowWork, Written
 from atoll_coordinator.service.background.tasks import Ready, Refined, Unprepared
-from atoll_coordinator.service.controller import Conductor
+from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.effects import WorkerWord
 from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.service.ports import Ports, StorePort
@@ -95,18 +95,18 @@ class Service:
         self._slow_work = SlowWork(self._ports, store, self._bus.post)
         self._is_linked = True
         self._asked: dict[int, tuple[str, PullReports | PullStates]] = {}
-        self.conductor: Final = Conductor(store, self, self._ports.clock, expected_workers)
+        self.controller: Final = Controller(store, self, self._ports.clock, expected_workers)
         admission = Admission(roster, store)
-        desk = Desk(self.conductor, store, bus.now, self.view)
-        greeter = Greeter(self.conductor, store, admission, self.rejects, bus.now, self._ports.clock)
-        self._answers = Answers(self.conductor, store, greeter, desk, admission, self.rejects)
+        desk = Desk(self.controller, store, bus.now, self.view)
+        greeter = Greeter(self.controller, store, admission, self.rejects, bus.now, self._ports.clock)
+        self._answers = Answers(self.controller, store, greeter, desk, admission, self.rejects)
 
     # ------------------------------------------------------------------------------------------- life
 
     def start(self) -> None:
         """Take over what the store holds, then listen."""
         realm = self._store.realm
-        self.conductor.recover(self._bus.now())
+        self.controller.recover(self._bus.now())
         self._bus.subscribe(topics.all_workers(realm, "status"))
         self._bus.subscribe(topics.all_workers(realm, "report"))
         self._bus.watch(topics.all_workers(realm, "alive"))
@@ -116,7 +116,7 @@ class Service:
             self._bus.serve(expression)
         self._bus.post(_Look())  # jobs that were taken over are prepared at once
         self._bus.call_later(TICK_S, _TICK)
-        self.conductor.watch.started(realm, self._store.incarnation)
+        self.controller.watch.started(realm, self._store.incarnation)
 
     def run(self, stop: threading.Event) -> None:
         """Start, and work until `stop` is set."""
@@ -132,7 +132,7 @@ class Service:
                     self.step(event)
         finally:
             self._slow_work.close()
-        self.conductor.watch.chronicle.flush()
+        self.controller.watch.chronicle.flush()
         if self._dismisses_workers:
             self._put(topics.control(self._store.realm), Control(body=Shutdown(sentence="the coordinator ended")))
 
@@ -213,13 +213,13 @@ class Service:
                 self._look(now)
             case Ready():
                 self._store.put_blob(item.data)
-                self.conductor.prepared(item.job, item.prepared, now)
+                self.controller.prepared(item.job, item.prepared, now)
             case Unprepared():
-                self.conductor.job_failed(item.job, item.fault, item.sentence, now)
+                self.controller.job_failed(item.job, item.fault, item.sentence, now)
             case Refined():
-                self.conductor.refined(item.job, item.refinement, now)
+                self.controller.refined(item.job, item.refinement, now)
             case Written(error=None):
-                self.conductor.written(item.checkpoint, now)
+                self.controller.written(item.checkpoint, now)
             case Written(error=StoreError() as error):
                 raise error
 
@@ -228,9 +228,9 @@ class Service:
         if self._bus.dropped > self._dropped:
             self._dropped = self._bus.dropped
             _LOG.warning("messages were dropped, since they came too fast", extra=fields(dropped=self._dropped))
-            self.conductor.membership.renew(now)
+            self.controller.membership.renew(now)
         if self._is_linked:  # else nobody can be heard, and nobody's silence says anything
-            self.conductor.tick(now)
+            self.controller.tick(now)
 
     @_on.register
     def _on_link(self, event: Link) -> None:
@@ -238,13 +238,13 @@ class Service:
         _LOG.warning("router link", extra=fields(up=event.up))
         self._is_linked = event.up
         if event.up:
-            self.conductor.membership.renew(self._bus.now())
+            self.controller.membership.renew(self._bus.now())
 
     @_on.register
     def _on_presence(self, event: Presence) -> None:
         key = topics.parse(event.key)
         if isinstance(key, topics.WorkerKey):
-            self.conductor.membership.see(key.worker, event.present, self._bus.now())
+            self.controller.membership.see(key.worker, event.present, self._bus.now())
             if not event.present:
                 self._bus.call_later(ABSENCE_S, _ABSENCE)
 
@@ -254,10 +254,10 @@ class Service:
         match key:
             case topics.WorkerKey(part="status"):
                 status = decode(event.payload, WorkerStatus, MAX_MESSAGE)
-                self.conductor.heartbeat(key.worker, status, self._bus.now())
+                self.controller.heartbeat(key.worker, status, self._bus.now())
             case topics.WorkerKey(part="report"):
                 report = decode(event.payload, EpochReport, MAX_MESSAGE)
-                self.conductor.report(key.worker, report, self._bus.now())
+                self.controller.report(key.worker, report, self._bus.now())
             case _:
                 raise RemoteProtocolError(f"nothing is expected on key {event.key}")
 
@@ -270,16 +270,16 @@ class Service:
             case (worker, PullReports()) if event.payload is not None:
                 body = decode(event.payload, PullAnswer, MAX_MESSAGE).body
                 for report in body.reports if isinstance(body, Reports) else ():
-                    self.conductor.report(worker, report, self._bus.now())
+                    self.controller.report(worker, report, self._bus.now())
 
     def _states_came(self, worker: str, pull: PullStates, payload: bytes | None) -> None:
         """Hand on what came, also that nothing came: it is asked for again."""
         try:
             body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else None
         except RemoteProtocolError:
-            self.conductor.states_came(worker, pull, None, self._bus.now())
+            self.controller.states_came(worker, pull, None, self._bus.now())
             raise
-        self.conductor.states_came(worker, pull, body if isinstance(body, States) else None, self._bus.now())
+        self.controller.states_came(worker, pull, body if isinstance(body, States) else None, self._bus.now())
 
     # ---------------------------------------------------------------------------------------- queries
 

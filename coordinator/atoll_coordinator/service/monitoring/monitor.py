@@ -1,6 +1,6 @@
 """What the coordinator keeps an eye on beside the search itself: events, deaths, patience, stalls, counters.
 
-The conductor tells it what happens; it answers which archipelagos must be computed apart, how patient to be with a
+The controller tells it what happens; it answers which archipelagos must be computed apart, how patient to be with a
 worker, and which jobs cannot go on. Nothing here can change a bit of a result.
 """
 

@@ -25,7 +25,7 @@ from atoll.wire.messages.clients import (
     Workers,
 )
 from atoll.wire.messages.views import CoordinatorView, JobView
-from atoll_coordinator.service.controller import Conductor
+from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.ports import StorePort
 
 MAX_STORED_BYTES: Final = 16 * 1024**3
@@ -38,11 +38,11 @@ class Desk:
     """One answer for each question."""
 
     def __init__(
-        self, conductor: Conductor, store: StorePort, now: Callable[[], float],
+        self, controller: Controller, store: StorePort, now: Callable[[], float],
         coordinator: Callable[[], CoordinatorView | None] = lambda: None,
     ) -> None:  # fmt: skip
         """`coordinator` gives the view of the coordinator itself."""
-        self._conductor = conductor
+        self._controller = controller
         self._store = store
         self._now = now
         self._coordinator = coordinator
@@ -69,28 +69,28 @@ class Desk:
             case Upload():
                 return self._upload(body)
             case Submit():
-                self._conductor.submit(body, self._now(), submitter)
+                self._controller.submit(body, self._now(), submitter)
                 return self._status(body.job)
             case Jobs():
                 return JobList(jobs=self._views())
             case Status():
                 return self._status(body.job)
             case Workers():
-                views = self._conductor.membership.views(self._now())
+                views = self._controller.membership.views(self._now())
                 return WorkerList(workers=views, coordinator=self._coordinator())
             case GetResult():
                 return self._result(body.job)
             case Cancel():
-                self._conductor.cancel(body.job, self._now())
+                self._controller.cancel(body.job, self._now())
                 return self._status(body.job)
             case GetEvents():
                 return self._events(body)
 
     def _events(self, question: GetEvents) -> EventList | Failure:
         """Return what happened; as much of it as one answer bears."""
-        if question.job is not None and self._conductor.view(question.job, self._now()) is None:
+        if question.job is not None and self._controller.view(question.job, self._now()) is None:
             return _unknown(question.job)
-        return EventList(events=self._conductor.watch.chronicle.read(question.job, question.after, question.limit))
+        return EventList(events=self._controller.watch.chronicle.read(question.job, question.after, question.limit))
 
     def _upload(self, upload: Upload) -> Uploaded:
         if upload.data is None:
@@ -110,19 +110,19 @@ class Desk:
             )
 
     def _views(self) -> tuple[JobView, ...]:
-        ids = [*self._conductor.ended, *self._conductor.jobs]
-        views = [view for each in ids if (view := self._conductor.view(each, self._now())) is not None]
+        ids = [*self._controller.ended, *self._controller.jobs]
+        views = [view for each in ids if (view := self._controller.view(each, self._now())) is not None]
         return tuple(sorted(views, key=lambda view: (view.submitted, view.job)))
 
     def _status(self, job: str) -> JobStatus | Failure:
-        view = self._conductor.view(job, self._now())
+        view = self._controller.view(job, self._now())
         return JobStatus(job=view) if view is not None else _unknown(job)
 
     def _result(self, job: str) -> Result | Failure:
-        view = self._conductor.view(job, self._now())
+        view = self._controller.view(job, self._now())
         if view is None:
             return _unknown(job)
-        text = self._conductor.result(job, self._now())
+        text = self._controller.result(job, self._now())
         if text is not None:
             return Result(json_text=text)
         if view.state == "failed":

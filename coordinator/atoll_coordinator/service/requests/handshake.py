@@ -11,7 +11,7 @@ from atoll.wire.codec import decode
 from atoll.wire.messages.handshake import Greeting, Hello, Refusal, Welcome
 from atoll.wire.messages.limits import MAX_MESSAGE
 from atoll.wire.rejects import Rejects
-from atoll_coordinator.service.controller import Conductor
+from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.ports import StorePort
 from atoll_coordinator.service.requests.authorization import Admission
 from atoll_coordinator.service.workers.membership import version_refusal
@@ -23,11 +23,11 @@ class Greeter:
     """Says who is welcome."""
 
     def __init__(
-        self, conductor: Conductor, store: StorePort, admission: Admission, rejects: Rejects,
+        self, controller: Controller, store: StorePort, admission: Admission, rejects: Rejects,
         now: Callable[[], float], clock: Callable[[], str],
     ) -> None:  # fmt: skip
         """`now` gives the bus's seconds, `clock` the time of day as ISO text. What is not understood is counted."""
-        self._conductor = conductor
+        self._controller = controller
         self._store = store
         self._admission = admission
         self._rejects = rejects
@@ -64,7 +64,7 @@ class Greeter:
         refusal = version_refusal(hello) or self._admission.refuse_role(hello)
         if refusal is not None or hello.role == "client" or name is None:
             return refusal
-        return self._conductor.greet(hello, self._now())
+        return self._controller.greet(hello, self._now())
 
 
 def _refusal(sentence: str) -> Refusal:

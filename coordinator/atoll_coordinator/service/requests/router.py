@@ -10,7 +10,7 @@ from atoll.wire.messages.limits import MAX_MESSAGE
 from atoll.wire.messages.workers import Control, Pull, PullAnswer, PullStates, States
 from atoll.wire.rejects import Rejects
 from atoll.wire.state_transfer import cut
-from atoll_coordinator.service.controller import Conductor
+from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.ports import StorePort
 from atoll_coordinator.service.requests.authorization import Admission
 from atoll_coordinator.service.requests.clients import Body, Desk
@@ -21,11 +21,11 @@ class Answers:
     """Hands each query to whom it concerns."""
 
     def __init__(
-        self, conductor: Conductor, store: StorePort, greeter: Greeter, desk: Desk, admission: Admission,
+        self, controller: Controller, store: StorePort, greeter: Greeter, desk: Desk, admission: Admission,
         rejects: Rejects,
     ) -> None:  # fmt: skip
         """`rejects` counts questions of clients that are not understood."""
-        self._conductor = conductor
+        self._controller = controller
         self._store = store
         self._greeter = greeter
         self._desk = desk
@@ -45,10 +45,10 @@ class Answers:
             case topics.HelloKey():
                 return encode(GreetingAnswer(body=self._greeter.answer(event.payload, key.name)))
             case topics.JobKey():
-                announcement = self._conductor.announcement(key.job)
+                announcement = self._controller.announcement(key.job)
                 return encode(Control(body=announcement)) if announcement is not None else None
             case topics.PlacementKey():
-                return encode(Control(body=self._conductor.placements(key.job)))
+                return encode(Control(body=self._controller.placements(key.job)))
             case topics.StateKey():
                 return self._states(key, event.payload)
             case topics.BlobKey():

@@ -22,7 +22,7 @@ from atoll.wire.messages.clients import (
     WorkerList,
     Workers,
 )
-from atoll_coordinator.service.controller import Conductor
+from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.requests import clients as desk_module
 from atoll_coordinator.service.requests.clients import Desk
 from atoll_coordinator.service.store.store import JobRecord, Store
@@ -58,7 +58,7 @@ def outlet() -> Silent:
 @pytest.fixture
 def desk(outlet: Silent) -> Iterator[Desk]:
     with Store.open(None) as store:
-        yield Desk(Conductor(store, outlet, lambda: "2026-01-01T00:00:00"), store, lambda: 5.0)
+        yield Desk(Controller(store, outlet, lambda: "2026-01-01T00:00:00"), store, lambda: 5.0)
 
 
 def chunk(data: bytes = TABLE, **changes: object) -> Ask:
@@ -138,15 +138,15 @@ def test_a_stored_job_that_is_not_understood_fails_and_the_others_go_on(outlet: 
         blob = store.put_blob(TABLE)
         for job, spec in (("old", '{"colour": "red"}'), ("torn", "{"), ("good", JobConfig(seed=3).model_dump_json())):
             store.add_job(JobRecord(job, job, spec, blob, "2026-01-01T00:00:00"))
-        conductor = Conductor(store, outlet, lambda: "2026-01-01T00:00:01")
-        conductor.recover(0.0)
-        assert list(conductor.jobs) == ["good"]
+        controller = Controller(store, outlet, lambda: "2026-01-01T00:00:01")
+        controller.recover(0.0)
+        assert list(controller.jobs) == ["good"]
         for job, said in (("old", "colour"), ("torn", "JSON")):
-            view = conductor.view(job, 1.0)
+            view = controller.view(job, 1.0)
             assert view is not None
             assert (view.state, store.jobs()[0].state) == ("failed", "failed")
             assert said in (view.reason or "")
-        again = Conductor(store, outlet, lambda: "2026-01-01T00:00:02")
+        again = Controller(store, outlet, lambda: "2026-01-01T00:00:02")
         again.recover(2.0)
         assert (list(again.jobs), sorted(again.ended)) == (["good"], ["old", "torn"])
 
@@ -163,7 +163,7 @@ def test_a_job_that_a_full_disk_kept_from_being_prepared_is_prepared_later(
         ask = Ask(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB))
         assert "full" in failure(desk.answer(ask)).sentence
     assert outlet.said == []
-    desk._conductor.tick(6.0)
+    desk._controller.tick(6.0)
     assert outlet.said == [("j", TABLE)]
 
 
