@@ -10,7 +10,7 @@ from atoll.wire.codec import dataset_to_bytes, decode, encode
 from atoll.wire.messages.workers import EpochReport, IslandReport, Reports
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.service.jobs.defaults import resolve
-from atoll_coordinator.service.jobs.job import course_of
+from atoll_coordinator.service.jobs.job import commit_order_of
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.session.events import Computed
 from atoll_island_worker.session.tasks import Task, TaskKey
@@ -64,7 +64,7 @@ def sampled(noise: float = 0.0) -> Samples:
     config = resolve(config, prepared.dataset)
     engine = Engine()
     engine.load(_JOB, config, dataset_to_bytes(prepared.dataset))
-    variable, course = prepared.dataset.targets[0].variable, course_of(config)
+    variable, course = prepared.dataset.targets[0].variable, commit_order_of(config)
     blocks: Mapping[int, Mapping[int, bytes] | None] = dict.fromkeys(range(ISLANDS))
     reports, done = [], []
     for epoch in range(EPOCHS):

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from atoll.config import JobConfig
-from atoll.search.commit_order import Course, Position
+from atoll.search.commit_order import CommitOrder, Position
 from atoll.wire.bus.interface import Bus
 from atoll.wire.bus.zenoh_bus import open_client
 from atoll.wire.messages.workers import Addition, IslandReport
@@ -174,7 +174,7 @@ class PacedCompute:
         share = 1.0 if key.epoch else _fraction(f"{key.job}/{key.variable}")
         self._pacer.at(now + share * self._period_s, lambda: self._end(task))
 
-    def stop_at(self, share: ShareKey, hit: Position, course: Course) -> None:
+    def stop_at(self, share: ShareKey, hit: Position, course: CommitOrder) -> None:
         """See `Compute.stop_at`; nothing is ever hit."""
 
     def discard(self, share: ShareKey) -> None:

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from atoll.config import JobConfig
 from atoll.errors import RemoteProtocolError
 from atoll.expression.operators import CONSTANT, COS, SIN, TANH
-from atoll.search.commit_order import Course, Position
+from atoll.search.commit_order import CommitOrder, Position
 from atoll.search.seeding import Stream, stream_key
 from atoll.wire.bus.simulated_bus import SimulatedNetwork
 from atoll.wire.messages.workers import Addition, HitStatement, IslandReport, Tally
-from atoll_coordinator.service.jobs.job import course_of
+from atoll_coordinator.service.jobs.job import commit_order_of
 from atoll_island_worker.compute.compute import WarmedUp, WarmUpNote
 from atoll_island_worker.compute.run_queue import Agenda, Work
 from atoll_island_worker.session.events import Computed, JobReady
@@ -78,7 +78,7 @@ def hits_of(config: JobConfig, variable: str) -> frozenset[Position]:
     if stream.below(4) == 0:
         return frozenset()
     epoch, hitters = stream.below(HIT_EPOCHS), 1 + stream.below(3)
-    ends = course_of(config).ends(config.migration.generations)
+    ends = commit_order_of(config).ends(config.migration.generations)
     return frozenset(
         Position(epoch, ends[stream.below(len(ends))], stream.below(config.evolution.islands)) for _ in range(hitters)
     )
@@ -192,7 +192,7 @@ class StubCompute:
         self._say_all(self._agenda.add(task))
         self._go_on()
 
-    def stop_at(self, share: ShareKey, hit: Position, course: Course) -> None:
+    def stop_at(self, share: ShareKey, hit: Position, course: CommitOrder) -> None:
         self._say_all(self._agenda.stop_at(share, hit, course))
 
     def discard(self, share: ShareKey) -> None:

@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from atoll.search.commit_order import Course, Position
+from atoll.search.commit_order import CommitOrder, Position
 from atoll.search.pareto import FrontEntry, merge
 from atoll.wire.bus.faults import Plan
 from atoll.wire.messages.workers import IslandReport
-from atoll_coordinator.service.jobs.job import course_of
+from atoll_coordinator.service.jobs.job import commit_order_of
 from atoll_island_worker.session.tasks import Task, TaskKey
 from tests.simulation.stub import Shuffle, StubIsland, StubWork, hits_of, parse_slots
 from tests.simulation.world import World
@@ -37,12 +37,12 @@ def config(seed: int, joining: int | None, islands: int = 5) -> JobConfig:
 
 def reports_of(config: JobConfig, variable: str, epochs: int) -> Iterator[list[IslandReport]]:
     """Yield for each epoch the reports of all islands, every one computed to the epoch's end or to its hit."""
-    course, islands = course_of(config), config.evolution.islands
+    order, islands = commit_order_of(config), config.evolution.islands
     seeds = (f"{config.seed}/{variable}/{island}".encode() for island in range(islands))
     states = [StubIsland(hashlib.sha256(seed).digest()) for seed in seeds]
     for epoch in range(epochs):
         works = [
-            StubWork(Task(TaskKey("job", variable, 1, island, epoch), None, False, course), state, config, lambda: None)
+            StubWork(Task(TaskKey("job", variable, 1, island, epoch), None, False, order), state, config, lambda: None)
             for island, state in enumerate(states)
         ]
         for work in works:
@@ -58,28 +58,28 @@ def reports_of(config: JobConfig, variable: str, epochs: int) -> Iterator[list[I
 
 def first_hit(config: JobConfig, variable: str) -> Position | None:
     reachable = (hit for hit in hits_of(config, variable) if hit.epoch < EPOCHS)
-    return min(reachable, key=course_of(config).rank, default=None)
+    return min(reachable, key=commit_order_of(config).rank, default=None)
 
 
-def counted(course: Course, at: Position, hit: Position | None) -> bool:
-    return hit is None or course.rank(at) <= course.rank(hit)
+def counted(commit_order: CommitOrder, at: Position, hit: Position | None) -> bool:
+    return hit is None or commit_order.rank(at) <= commit_order.rank(hit)
 
 
 def definition(config: JobConfig, variable: str) -> dict[str, Any]:
     """Return what the result must say of one equation."""
-    hit, course = first_hit(config, variable), course_of(config)
+    hit, commit_order = first_hit(config, variable), commit_order_of(config)
     epochs = EPOCHS if hit is None else hit.epoch + 1
     evaluations: dict[int, dict[str, int]] = {}
     found: list[FrontEntry] = []
     for epoch, reports in enumerate(reports_of(config, variable, epochs)):
         for each in reports:
             for tally in each.tallies:
-                if counted(course, Position(epoch, tally.generation, each.island), hit):
+                if counted(commit_order, Position(epoch, tally.generation, each.island), hit):
                     evaluations[each.island] = dict(tally.evaluations)
             found += [
                 FrontEntry(one.complexity, one.error, one.mse, epoch, one.generation, each.island, one.program)
                 for one in each.additions
-                if counted(course, Position(epoch, one.generation, each.island), hit)
+                if counted(commit_order, Position(epoch, one.generation, each.island), hit)
             ]
     return {
         "epoch": epochs,
@@ -124,14 +124,14 @@ def test_one_worker_computes_nothing_beyond_the_cut() -> None:
     for seed in SEEDS:
         world, ours = World(workers=1, seed=seed), config(seed, 2)
         world.run(ours, "x")
-        hit, course = first_hit(ours, "x"), course_of(ours)
+        hit, commit_order = first_hit(ours, "x"), commit_order_of(ours)
         ends = [
             Position(epoch, tally.generation, each.island)
             for epoch, reports in enumerate(reports_of(ours, "x", EPOCHS if hit is None else hit.epoch + 1))
             for each in reports
             for tally in each.tallies
         ]
-        assert world.computes["w0"].turns == sum(counted(course, at, hit) for at in ends)
+        assert world.computes["w0"].turns == sum(counted(commit_order, at, hit) for at in ends)
 
 
 def test_hits_come_early_late_several_at_once_and_never() -> None:

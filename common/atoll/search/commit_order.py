@@ -28,7 +28,7 @@ class Position:
     island: int
 
 
-class Course(Model):
+class CommitOrder(Model):
     """How the slices of an archipelago follow each other.
 
     An epoch has `generations`, a slice `stride` of them; in epoch 0 islands begin in groups of `joining`.

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from atoll.config import JobConfig
-from atoll.search.commit_order import Course, Position
+from atoll.search.commit_order import CommitOrder, Position
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.compute.run_queue import Agenda, brief
 from atoll_island_worker.session.events import JobReady, Outcome, Snapshot, Unloadable
@@ -76,7 +76,7 @@ class Compute(Protocol):
         Before that comes the Snapshot, where one is wanted; of a held epoch nothing else comes. Several take turns.
         """
 
-    def stop_at(self, share: ShareKey, hit: Position, course: Course) -> None:
+    def stop_at(self, share: ShareKey, hit: Position, course: CommitOrder) -> None:
         """Compute nothing of this archipelago that is not needed when the target was met there."""
 
     def discard(self, share: ShareKey) -> None:
@@ -134,7 +134,7 @@ class IslandCompute:
         """See `Compute.advance`."""
         self._commands.put(lambda: self._say(self._agenda.add(task)))
 
-    def stop_at(self, share: ShareKey, hit: Position, course: Course) -> None:
+    def stop_at(self, share: ShareKey, hit: Position, course: CommitOrder) -> None:
         """See `Compute.stop_at`."""
         self._commands.put(lambda: self._say(self._agenda.stop_at(share, hit, course)))
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from atoll.errors import RemoteProtocolError
-from atoll.search.commit_order import Course, Position
+from atoll.search.commit_order import CommitOrder, Position
 from atoll_island_worker.session.events import Abandoned, Broken, Computed, Outcome, Rejected, Snapshot
 from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
 
@@ -82,7 +82,7 @@ class Agenda:
         self._open[task.key] = _Open(task)
         return self._settle([task.key])
 
-    def stop_at(self, share: ShareKey, hit: Position, course: Course) -> list[Outcome]:
+    def stop_at(self, share: ShareKey, hit: Position, course: CommitOrder) -> list[Outcome]:
         """Note that the target was met; return what came of the tasks of which no more is needed."""
         self._hits[share] = min(hit, self._hits.get(share, hit), key=course.rank)
         return self._settle([key for key in self._open if key.share == share])
@@ -138,7 +138,7 @@ class Agenda:
     def _advance(self, opened: _Open) -> Outcome | None:
         return opened.work.computed() if opened.work is not None and opened.work.advance() else None
 
-    def _stop_others(self, outcome: Outcome, course: Course) -> list[Outcome]:
+    def _stop_others(self, outcome: Outcome, course: CommitOrder) -> list[Outcome]:
         if not isinstance(outcome, Computed) or outcome.report.hit is None:
             return []
         key = outcome.key

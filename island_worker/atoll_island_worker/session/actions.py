@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from atoll.search.commit_order import Course, Position
+from atoll.search.commit_order import CommitOrder, Position
 from atoll.wire.messages.workers import (
     EpochReport,
     Finished,
@@ -58,7 +58,7 @@ class StopAt:
 
     share: ShareKey
     hit: Position
-    course: Course
+    course: CommitOrder
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from atoll.search.commit_order import Course
+from atoll.search.commit_order import CommitOrder
 
 
 class ShareKey(NamedTuple):
@@ -43,7 +43,7 @@ class Task:
     key: TaskKey
     blocks: Mapping[int, bytes] | None
     is_last: bool
-    course: Course
+    course: CommitOrder
     state: bytes | None = None
     takes_snapshot: bool = False
     is_held: bool = False

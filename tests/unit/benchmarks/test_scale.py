@@ -12,7 +12,7 @@ import pytest
 from atoll.config import PRESETS
 from atoll.data.table import Table
 from atoll.errors import AtollError
-from atoll.search.commit_order import Course
+from atoll.search.commit_order import CommitOrder
 from atoll.wire.messages.workers import Addition, EpochReport, IslandReport, Tally
 from atoll_island_worker.session.events import Computed, JobReady, Snapshot
 from atoll_island_worker.session.tasks import Task, TaskKey
@@ -81,7 +81,7 @@ def test_an_island_that_pretends_takes_its_time_and_sends_what_is_expected(sampl
     compute = PacedCompute(samples, 0.01, Pacer(), books)
     compute.attach(said.append)
     compute.load("j", PRESETS["default"], b"")
-    course = Course(generations=10, stride=10, joining=8)
+    course = CommitOrder(generations=10, stride=10, joining=8)
     key = TaskKey("j", "x", 1, 2, 1)
     compute.advance(Task(key, {}, False, course, takes_snapshot=True))
     end = time.monotonic() + 30.0
@@ -105,7 +105,7 @@ def test_an_island_that_is_held_gives_its_state_and_nothing_else(samples: Sample
     compute = PacedCompute(samples, 0.0, Pacer(), Books())
     compute.attach(said.append)
     compute.load("j", PRESETS["default"], b"")
-    course = Course(generations=10, stride=10, joining=8)
+    course = CommitOrder(generations=10, stride=10, joining=8)
     compute.advance(Task(TaskKey("j", "x", 1, 2, 1), {}, False, course, takes_snapshot=True, is_held=True))
     time.sleep(0.05)
     assert isinstance(said[-1], Snapshot)

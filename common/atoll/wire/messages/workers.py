@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from atoll.config import JobConfig, Model
-from atoll.search.commit_order import Course
+from atoll.search.commit_order import CommitOrder
 from atoll.wire.messages.limits import (
     CHUNK_SIZE,
     MAX_RUNNERS_UP,
@@ -82,7 +82,7 @@ class Placement(Model):
     epoch: Count = 0
     epochs: Annotated[int, Field(ge=1)]
     interval: Annotated[int, Field(ge=1, lt=2**31)]
-    course: Course
+    course: CommitOrder
 
     @property
     def schedule(self) -> Schedule:

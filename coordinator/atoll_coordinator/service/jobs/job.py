@@ -8,7 +8,7 @@ from atoll.config import JobConfig
 from atoll.data.dataset import Dataset, Target
 from atoll.errors import LocalProtocolError, RemoteProtocolError
 from atoll.expression.program import check_program_bytes
-from atoll.search.commit_order import Course
+from atoll.search.commit_order import CommitOrder
 from atoll.search.pareto import FrontEntry
 from atoll.wire.messages.limits import chunk_count
 from atoll.wire.messages.views import FINAL_STATES, JobState
@@ -243,7 +243,7 @@ class Job:
             islands=config.evolution.islands,
             epochs=budget.max_epochs_of.get(target.variable, budget.max_epochs),
             stagnation=stagnation_of(config, target),
-            course=course_of(config),
+            commit_order=commit_order_of(config),
             runners_up=config.evolution.runners_up or 0,
         )
         return Archipelago(
@@ -267,9 +267,9 @@ class Job:
         return [Refine({name: cut.pool() for name, cut in cuts.items() if cut is not None})]
 
 
-def course_of(config: JobConfig) -> Course:
+def commit_order_of(config: JobConfig) -> CommitOrder:
     """Return how the slices of this job's archipelagos follow each other."""
-    return Course(
+    return CommitOrder(
         generations=config.migration.generations,
         stride=config.evolution.refit_interval,
         joining=config.migration.joining or config.evolution.islands,

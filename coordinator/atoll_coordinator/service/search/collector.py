@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from atoll.errors import AtollError, RemoteProtocolError
-from atoll.search.commit_order import Course, Position
+from atoll.search.commit_order import CommitOrder, Position
 from atoll.search.pareto import FrontEntry, merge, runners_up
 from atoll.wire.messages.workers import Addition, IslandReport
 from atoll_coordinator.service.search.cut import Cut, Why, stored
@@ -38,7 +38,7 @@ class Limits:
     islands: int
     epochs: int
     stagnation: int
-    course: Course
+    commit_order: CommitOrder
     runners_up: int = 0
 
 
@@ -129,7 +129,7 @@ class Collector:
         self._filed[epoch, report.island] = _Filed(worker, report.generations, is_hit, report.digest, report)
         if is_hit:
             self._with_hit.add(epoch)
-        elif report.generations == self.limits.course.generations:
+        elif report.generations == self.limits.commit_order.generations:
             self._whole[epoch] += 1
 
     def cut_now(self, why: Why) -> None:
@@ -194,10 +194,10 @@ class Collector:
 
     def _is_whole(self, report: IslandReport) -> bool:
         """Tell whether a report has the counters of just those slices that it must have finished."""
-        reached, course = report.generations, self.limits.course
-        ends = course.ends(reached)
+        reached, order = report.generations, self.limits.commit_order
+        ends = order.ends(reached)
         at_end = report.hit is None or (report.hit.generation == reached and reached in ends)
-        return reached <= course.generations and at_end and tuple(each.generation for each in report.tallies) == ends
+        return reached <= order.generations and at_end and tuple(each.generation for each in report.tallies) == ends
 
     def _is_complete(self, epoch: int) -> bool:
         """Tell whether every island has reported as much of an epoch as counts, by the hits that are known."""
@@ -214,11 +214,11 @@ class Collector:
         """Return where, by the reports that are there, the target was first met in an epoch that is not taken in."""
         reports = (self._filed[key].report for key in self._keys(epoch))
         hits = (Position(epoch, each.hit.generation, each.island) for each in reports if each and each.hit)
-        return min(hits, key=self.limits.course.rank, default=None)
+        return min(hits, key=self.limits.commit_order.rank, default=None)
 
     def _needed(self, hit: Position | None, island: int) -> int:
         """Return how many generations of an epoch count when the target was first met there."""
-        return self.limits.course.generations if hit is None else self.limits.course.needed(hit, island)
+        return self.limits.commit_order.generations if hit is None else self.limits.commit_order.needed(hit, island)
 
     def _keys(self, epoch: int) -> list[tuple[int, int]]:
         """Return the keys of the reports of an epoch that are there, by island."""
@@ -263,7 +263,7 @@ class Collector:
 
     def _consider_end(self, epoch: int, hit: Position | None) -> None:
         if hit is not None:
-            self._end("target", epoch * self.limits.course.generations + hit.generation)
+            self._end("target", epoch * self.limits.commit_order.generations + hit.generation)
         elif epoch - self.progress.improved_at >= self.limits.stagnation:
             self._end("stagnation")
         elif epoch + 1 >= self.limits.epochs:

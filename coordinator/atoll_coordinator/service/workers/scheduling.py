@@ -111,5 +111,5 @@ class Terms:
             epoch=archipelago.durable,
             epochs=archipelago.collector.limits.epochs,
             interval=archipelago.interval,
-            course=archipelago.collector.limits.course,
+            course=archipelago.collector.limits.commit_order,
         )

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from atoll.search.commit_order import Course, Position
+from atoll.search.commit_order import CommitOrder, Position
 
-COURSE = Course(generations=95, stride=10, joining=3)
+COMMIT_ORDER = CommitOrder(generations=95, stride=10, joining=3)
 ENDS = (10, 20, 30, 40, 50, 60, 70, 80, 90, 95)
 
 
@@ -28,11 +28,11 @@ ENDS = (10, 20, 30, 40, 50, 60, 70, 80, 90, 95)
 def test_slices_end_at_multiples_of_the_stride_and_at_the_end_of_the_epoch(
     reached: int, stride: int, generations: int, ends: tuple[int, ...]
 ) -> None:
-    assert Course(generations=generations, stride=stride, joining=1).ends(reached) == ends
+    assert CommitOrder(generations=generations, stride=stride, joining=1).ends(reached) == ends
 
 
 def ordered(*positions: Position) -> list[Position]:
-    return sorted(positions[::2] + positions[1::2], key=COURSE.rank)
+    return sorted(positions[::2] + positions[1::2], key=COMMIT_ORDER.rank)
 
 
 def test_slices_count_by_epoch_then_generation_then_island() -> None:
@@ -50,10 +50,10 @@ def test_what_counts_at_a_hit_is_what_does_not_come_after_it(
     epoch: int, generation: int, hit_island: int, island: int
 ) -> None:
     hit = Position(epoch, generation, hit_island)
-    counted = [end for end in ENDS if COURSE.rank(Position(epoch, end, island)) <= COURSE.rank(hit)]
-    assert COURSE.needed(hit, island) == max(counted, default=0)
+    counted = [end for end in ENDS if COMMIT_ORDER.rank(Position(epoch, end, island)) <= COMMIT_ORDER.rank(hit)]
+    assert COMMIT_ORDER.needed(hit, island) == max(counted, default=0)
 
 
 def test_no_two_slices_have_the_same_rank() -> None:
     all_of_them = [Position(*each) for each in itertools.product(range(2), ENDS, range(8))]
-    assert len({COURSE.rank(each) for each in all_of_them}) == len(all_of_them)
+    assert len({COMMIT_ORDER.rank(each) for each in all_of_them}) == len(all_of_them)

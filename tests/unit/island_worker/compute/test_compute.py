@@ -12,7 +12,7 @@ import pytest
 from atoll.config import JobConfig
 from atoll.data.dataset import Dataset, Target
 from atoll.errors import RemoteProtocolError
-from atoll.search.commit_order import Course, Position
+from atoll.search.commit_order import CommitOrder, Position
 from atoll.wire.codec import dataset_to_bytes
 from atoll.wire.messages.workers import Tally
 from atoll_island_worker.compute.compute import ComputeFailed, IslandCompute, WarmedUp, WarmUpNote
@@ -21,7 +21,7 @@ from atoll_island_worker.session.events import Abandoned, Broken, Computed, JobR
 from atoll_island_worker.session.tasks import Task, TaskKey
 
 LIMIT_S = 20.0
-COURSE = Course(generations=100, stride=10, joining=8)
+COURSE = CommitOrder(generations=100, stride=10, joining=8)
 
 
 class FakeOutcome:

@@ -5,14 +5,14 @@ from dataclasses import dataclass, field
 import pytest
 
 from atoll.errors import RemoteProtocolError
-from atoll.search.commit_order import Course, Position
+from atoll.search.commit_order import CommitOrder, Position
 from atoll.wire.messages.workers import HitStatement, IslandReport
 from atoll_island_worker.compute.run_queue import Agenda
 from atoll_island_worker.session.events import Abandoned, Broken, Computed, Outcome, Rejected, Snapshot
 from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
 
 LAST = 50
-COURSE = Course(generations=LAST, stride=10, joining=8)
+COURSE = CommitOrder(generations=LAST, stride=10, joining=8)
 SHARE = ShareKey("job", "x", 1)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 
 from atoll.errors import LocalProtocolError, RemoteProtocolError
-from atoll.search.commit_order import Course, Position
+from atoll.search.commit_order import CommitOrder, Position
 from atoll.wire.messages.workers import (
     Addition,
     Block,
@@ -83,7 +83,7 @@ def placed(
             epoch=epoch,
             epochs=epochs,
             interval=2,
-            course=Course(generations=100, stride=10, joining=8),
+            course=CommitOrder(generations=100, stride=10, joining=8),
         )
     )
 

@@ -3,12 +3,12 @@
 import pytest
 
 from atoll.errors import LocalProtocolError
-from atoll.search.commit_order import Course
+from atoll.search.commit_order import CommitOrder
 from atoll.wire.messages.workers import Placement
 from atoll_island_worker.session.local_island import ISLAND_TRANSITIONS, LocalIsland
 from atoll_island_worker.session.share import Share
 
-COURSE = Course(generations=100, stride=10, joining=8)
+COURSE = CommitOrder(generations=100, stride=10, joining=8)
 
 STEPS = ("restore", "begin", "emigrate", "complete", "end", "reject", "hold")
 

@@ -4,7 +4,7 @@ import pytest
 
 from atoll.config import JobConfig
 from atoll.errors import RemoteProtocolError
-from atoll.search.commit_order import Course
+from atoll.search.commit_order import CommitOrder
 from atoll.wire.codec import decode, encode
 from atoll.wire.messages.clients import Answer, Ask, Cancel, Failure, Submit, Upload, Uploaded
 from atoll.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
@@ -67,7 +67,7 @@ PLACEMENT = Placement(
     workers=("w0", "w1"),
     epochs=10,
     interval=16,
-    course=Course(generations=100, stride=10, joining=4),
+    course=CommitOrder(generations=100, stride=10, joining=4),
 )
 STATUS = WorkerStatus(
     instance="i",

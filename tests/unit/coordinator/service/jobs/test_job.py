@@ -22,7 +22,7 @@ from atoll_coordinator.service.jobs.job import (
     Refine,
     TellCommit,
     check_program,
-    course_of,
+    commit_order_of,
     measure_of,
 )
 from atoll_coordinator.service.search.checkpoints import StoredProgress
@@ -59,7 +59,7 @@ def running(**budget: object) -> Job:
                 workers=("w0", "w1"),
                 epochs=archipelago.collector.limits.epochs,
                 interval=16,
-                course=course_of(job.config),
+                course=commit_order_of(job.config),
             ),
             0.0,
         )

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll.search.commit_order import Course
+from atoll.search.commit_order import CommitOrder
 from atoll.wire.messages.handshake import Hello
 from atoll.wire.messages.workers import Doing, Holding, IslandReport, Placement, Tally, WorkerStatus
 from atoll_coordinator.service.monitoring.stalls import PATIENCE_S, Stillness, named, stall_of
@@ -13,7 +13,7 @@ from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.collector import Limits
 from atoll_coordinator.service.workers.membership import Membership
 
-COURSE = Course(generations=10, stride=10, joining=8)
+COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=8)
 LONG_S = 100.0
 HERE: dict[str, Any] = {"state": "computing", "doing": ("job", 1, 3), "reported": 3}
 
@@ -47,11 +47,11 @@ def report(island: int, epoch: int) -> IslandReport:
 
 def archipelago(*reported: int, epochs: int = 3) -> Archipelago:
     """Islands 0 and 2 on worker a, 1 and 3 on b; `epochs` are complete, of the next one the `reported` islands."""
-    limits = Limits(islands=4, epochs=50, stagnation=50, course=COURSE)
+    limits = Limits(islands=4, epochs=50, stagnation=50, commit_order=COMMIT_ORDER)
     made = Archipelago("job", "x", limits, lambda front: 0.0, lambda program: None)
     placement = Placement(
         incarnation=1, term=1, job="job", variable="x", workers=("a", "b", "a", "b"), epochs=50, interval=16,
-        course=COURSE,
+        course=COMMIT_ORDER,
     )  # fmt: skip
     made.place(placement, 0.0)
     for epoch in range(epochs):

@@ -3,19 +3,19 @@
 import pytest
 
 from atoll.errors import RemoteProtocolError
-from atoll.search.commit_order import Course
+from atoll.search.commit_order import CommitOrder
 from atoll.wire.messages.workers import Commit, EpochReport, Holding, IslandReport, Placement, Schedule, States, Tally
 from atoll.wire.state_transfer import State, cut
 from atoll_coordinator.service.search.archipelago import PLAN_COMMITS, Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoints import FIRST_INTERVAL
 from atoll_coordinator.service.search.collector import Limits
 
-COURSE = Course(generations=10, stride=10, joining=2)
+COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=2)
 WORKERS = ("a", "b")
 
 
 def archipelago() -> Archipelago:
-    limits = Limits(islands=2, epochs=1000, stagnation=1000, course=COURSE)
+    limits = Limits(islands=2, epochs=1000, stagnation=1000, commit_order=COMMIT_ORDER)
     return Archipelago("job", "x", limits, lambda front: 0.0, lambda program: None)
 
 
@@ -23,7 +23,7 @@ def place(made: Archipelago, term: int, now: float = 0.0) -> None:
     made.place(
         Placement(
             incarnation=1, term=term, job="job", variable="x", workers=WORKERS, epoch=made.durable, epochs=1000,
-            interval=made.interval, course=COURSE,
+            interval=made.interval, course=COMMIT_ORDER,
         ),
         now,
     )  # fmt: skip

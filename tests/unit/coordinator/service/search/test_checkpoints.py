@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from atoll.errors import RemoteProtocolError
-from atoll.search.commit_order import Course
+from atoll.search.commit_order import CommitOrder
 from atoll.search.pareto import FrontEntry
 from atoll.wire.codec import decode, encode
 from atoll.wire.messages.workers import Placement, Schedule, States
@@ -38,7 +38,7 @@ PLACEMENT = Placement(
     epoch=16,
     epochs=100,
     interval=8,
-    course=Course(generations=100, stride=10, joining=8),
+    course=CommitOrder(generations=100, stride=10, joining=8),
 )
 
 

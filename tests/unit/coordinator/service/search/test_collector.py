@@ -9,17 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from atoll.errors import RemoteProtocolError
-from atoll.search.commit_order import Course
+from atoll.search.commit_order import CommitOrder
 from atoll.search.pareto import FrontEntry, merge
 from atoll.wire.codec import decode, encode
 from atoll.wire.messages.workers import Addition, HitStatement, IslandReport, Tally
 from atoll_coordinator.service.search.collector import Collector, DivergedError, Limits, additions_of
 from atoll_coordinator.service.search.cut import Cut
 
-COURSE = Course(generations=100, stride=10, joining=8)
-LIMITS = Limits(islands=2, epochs=50, stagnation=5, course=COURSE)
+COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
+LIMITS = Limits(islands=2, epochs=50, stagnation=5, commit_order=COMMIT_ORDER)
 
-LIMITS_OF_3 = Limits(islands=3, epochs=50, stagnation=5, course=COURSE)
+LIMITS_OF_3 = Limits(islands=3, epochs=50, stagnation=5, commit_order=COMMIT_ORDER)
 
 
 def best_error(front: tuple[FrontEntry, ...]) -> float:
@@ -168,7 +168,7 @@ def test_an_island_after_the_hit_counts_to_the_slice_before_and_need_not_have_be
 
 
 def test_in_the_first_epoch_groups_of_islands_count_one_after_the_other() -> None:
-    limits = Limits(3, 50, 5, COURSE.model_copy(update={"joining": 1}))
+    limits = Limits(3, 50, 5, COMMIT_ORDER.model_copy(update={"joining": 1}))
     collector = Collector("x", limits, best_error)
     collector.receive("w", 0, [report(1, hit=20)], 1.0)
     assert collector.cut is None
@@ -256,7 +256,7 @@ def test_a_search_that_finds_nothing_at_all_stagnates(collector: Collector) -> N
 
 
 def test_the_last_epoch_ends_the_search() -> None:
-    collector = Collector("x", Limits(islands=1, epochs=2, stagnation=100, course=COURSE), best_error)
+    collector = Collector("x", Limits(islands=1, epochs=2, stagnation=100, commit_order=COMMIT_ORDER), best_error)
     fill(collector, 0, report(0))
     fill(collector, 1, report(0))
     assert collector.cut is not None
@@ -265,7 +265,7 @@ def test_the_last_epoch_ends_the_search() -> None:
 
 def test_the_target_comes_before_stagnation_and_stagnation_before_the_last_epoch() -> None:
     for hit, why in ((70, "target"), (None, "stagnation")):
-        collector = Collector("x", Limits(islands=1, epochs=2, stagnation=1, course=COURSE), best_error)
+        collector = Collector("x", Limits(islands=1, epochs=2, stagnation=1, commit_order=COMMIT_ORDER), best_error)
         fill(collector, 0, report(0))
         fill(collector, 1, report(0, hit=hit))
         assert collector.cut is not None
@@ -299,7 +299,7 @@ def test_cancelling_does_not_wait(collector: Collector) -> None:
 @given(st.permutations(list(itertools.product(range(4), range(2)))), st.lists(st.integers(0, 7), max_size=5))
 def test_the_order_of_arrival_and_repetitions_do_not_matter(order: list[tuple[int, int]], repeated: list[int]) -> None:
     def cut_of(keys: list[tuple[int, int]]) -> object:
-        collector = Collector("x", Limits(islands=2, epochs=4, stagnation=9, course=COURSE), best_error)
+        collector = Collector("x", Limits(islands=2, epochs=4, stagnation=9, commit_order=COMMIT_ORDER), best_error)
         for epoch, island in keys:
             error = 1.0 / (1 + epoch + 3 * island)
             collector.receive("w", epoch, [report(island, error=error, count=epoch + island)], 1.0)
@@ -316,7 +316,7 @@ def runner_up(complexity: int, error: float, code: int, generation: int = 10) ->
 
 def collected(epochs: list[list[IslandReport]], order: list[tuple[int, int]]) -> Collector:
     """Return a collector of two runners-up that was told of (epoch, island) in that order."""
-    collector = Collector("x", Limits(2, len(epochs), 9, COURSE, runners_up=2), best_error)
+    collector = Collector("x", Limits(2, len(epochs), 9, COMMIT_ORDER, runners_up=2), best_error)
     for epoch, island in order:
         collector.receive("w", epoch, [epochs[epoch][island]], 1.0)
     collector.validate()

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll.search.commit_order import Course
+from atoll.search.commit_order import CommitOrder
 from atoll.wire.messages.handshake import Hello
 from atoll.wire.messages.workers import Placement, WorkerStatus
 from atoll_coordinator.service.search.archipelago import Archipelago
@@ -12,7 +12,7 @@ from atoll_coordinator.service.search.collector import Limits
 from atoll_coordinator.service.workers.membership import ABSENCE_S, Membership
 from atoll_coordinator.service.workers.placement import EXPECT_S, REPLACE_WITHIN_S, Placer, spread
 
-COURSE = Course(generations=100, stride=10, joining=8)
+COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 
 NAMES = st.lists(st.text("abc", min_size=1), min_size=1, unique=True)
 
@@ -52,11 +52,11 @@ def join(membership: Membership, name: str) -> None:
 
 
 def archipelago(*workers: str, islands: int = 4) -> Archipelago:
-    limits = Limits(islands=islands, epochs=10, stagnation=5, course=COURSE)
+    limits = Limits(islands=islands, epochs=10, stagnation=5, commit_order=COMMIT_ORDER)
     made = Archipelago("job", "x", limits, lambda front: 0.0, lambda program: None)
     if workers:
         placement = Placement(
-            incarnation=1, term=1, job="job", variable="x", workers=workers, epochs=10, interval=16, course=COURSE
+            incarnation=1, term=1, job="job", variable="x", workers=workers, epochs=10, interval=16, course=COMMIT_ORDER
         )
         made.place(placement, 0.0)
     return made
