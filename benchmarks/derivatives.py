@@ -50,13 +50,14 @@ def report(system: str, step: float, seed: int, noise: float, config: JobConfig)
     everything = sum(len(each) for each in sampled.times)
     ratios = []
     for target, truth in zip(dataset.targets, truths, strict=True):
-        error = np.abs(target.values - truth) / target.deviation
-        ratio = float(error.mean()) / max(0.5 * SMALLEST, target.floor)
+        error = np.abs(target.values - truth) / target.standard_deviation
+        ratio = float(error.mean()) / max(0.5 * SMALLEST, target.uncertainty)
         ratios.append(ratio)
         covered = _covered(system, sampled, truth, target.variable)
         print(
             f"{system:22} {seed:4} {target.lhs:12} {len(truth) / everything:6.3f} {error.mean():9.1e} "
-            f"{target.floor:9.1e} {ratio:7.3f} {error.max():9.1e} {target.noise:8.1e} {covered:6.2f} {seconds:6.3f}"
+            f"{target.uncertainty:9.1e} "
+            f"{ratio:7.3f} {error.max():9.1e} {target.noise:8.1e} {covered:6.2f} {seconds:6.3f}"
         )
     return ratios
 

@@ -95,7 +95,7 @@ def search(task: Task) -> Found:
     problem = problem_of(guessed, task.seed)
     archipelago = Archipelago(problem, config_of(guessed, task.kind, task.seed, problem))
     for stride in archipelago.strides(STRIDE):
-        if any(entry.error <= 1e-9 * problem.target.deviation for entry in stride.additions):
+        if any(entry.error <= 1e-9 * problem.target.standard_deviation for entry in stride.additions):
             return Found(task, stride.evaluations, True)
         if stride.evaluations > task.limit:
             break

@@ -107,7 +107,7 @@ def _compared(question: Question, variable: str, expression: str | None) -> Form
         return FormVerdict(False, "no equation was found", None, None)
     dataset = question.dataset
     columns: dict[str, FloatArray] = dict(zip(dataset.names, dataset.inputs, strict=True))
-    deviation = dataset.problem(variable).target.deviation
+    deviation = dataset.problem(variable).target.standard_deviation
     return compare(expression, question.truths[variable], columns, deviation, TOLERANCE)
 
 

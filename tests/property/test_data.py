@@ -115,9 +115,9 @@ def test_tables_become_sound_datasets_or_one_sentence(table, config, preset):
     for target in dataset.targets:
         assert np.isfinite(target.values).all()
         assert target.values.shape == dataset.inputs.shape[1:]
-        assert np.isfinite([target.floor, target.deviation, target.noise]).all()
-        assert target.deviation > 0.0
-        assert target.floor >= 0.0
+        assert np.isfinite([target.uncertainty, target.standard_deviation, target.noise]).all()
+        assert target.standard_deviation > 0.0
+        assert target.uncertainty >= 0.0
 
 
 cells = st.text(alphabet="0123456789.,;-+einf\t\r\n \"'[]tx#NaN\ufeff", max_size=60)

@@ -71,7 +71,7 @@ def test_the_paper_s_own_algorithm_comes_near_a_simple_equation() -> None:
 def test_more_epochs_never_give_a_worse_front() -> None:
     problem = problem_of(lambda x, y: np.sqrt(x * y + 1.0) / (x + y))
     errors = [least(search(problem, config_of(2), epochs)) for epochs in (1, 3)]
-    assert errors[1] <= errors[0] < 0.2 * problem.target.deviation
+    assert errors[1] <= errors[0] < 0.2 * problem.target.standard_deviation
 
 
 def test_under_noise_the_truth_is_matched_to_the_noise() -> None:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
-CLEAN_FLOOR: Final = 1e-3
+CLEAN_UNCERTAINTY: Final = 1e-3
 """Targets known better than this, relative to their spread, count as noise-free."""
 
 
@@ -25,21 +25,21 @@ class Target:
     """The left-hand side of one equation.
 
     `variable` is the column name it belongs to and the name by which everything refers to this equation; `lhs` is how
-    it is printed, such as ``dx/dt``; `values` has shape (R,); `floor` is the mean estimated uncertainty of `values`
-    divided by `deviation`, the standard deviation of `values`; `noise` is the estimated relative noise (0: none).
+    it is printed, such as ``dx/dt``; `values` has shape (R,); `uncertainty` is the mean estimated uncertainty of
+    `values` divided by `standard_deviation`, that of `values`; `noise` is the estimated relative noise (0: none).
     """
 
     variable: str
     lhs: str
     values: FloatArray
-    floor: float
-    deviation: float
+    uncertainty: float
+    standard_deviation: float
     noise: float = 0.0
 
     @property
     def is_noisy(self) -> bool:
         """Whether the truth itself would miss these values by so much that errors alone cannot tell it."""
-        return self.noise > 0.0 or self.floor >= CLEAN_FLOOR
+        return self.noise > 0.0 or self.uncertainty >= CLEAN_UNCERTAINTY
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class Dataset:
         for target in self.targets:
             _update(digest, (target.variable, target.lhs))
             digest.update(target.values.tobytes())
-            digest.update(struct.pack("<ddd", target.floor, target.deviation, target.noise))
+            digest.update(struct.pack("<ddd", target.uncertainty, target.standard_deviation, target.noise))
         return digest.hexdigest()
 
 

@@ -112,7 +112,10 @@ def dataset_to_bytes(dataset: Dataset) -> bytes:
         "names": list(dataset.names),
         "symbols": [list(pair) for pair in dataset.symbols.items()],
         "warnings": list(dataset.warnings),
-        "targets": [[t.variable, t.lhs, float(t.floor), float(t.deviation), float(t.noise)] for t in dataset.targets],
+        "targets": [
+            [t.variable, t.lhs, float(t.uncertainty), float(t.standard_deviation), float(t.noise)]
+            for t in dataset.targets
+        ],
     }
     values = {f"target {index}": target.values for index, target in enumerate(dataset.targets)}
     return encode_arrays(header, {"inputs": dataset.inputs, **values})
@@ -333,6 +336,6 @@ def _target(arrays: Mapping[str, AnyArray], inputs: FloatArray, index: int, fiel
     variable, lhs, *numbers = cast(list[Any], fields)
     _texts([variable, lhs])
     good = all(type(number) is float and math.isfinite(number) and number >= 0.0 for number in numbers)
-    _require(good, f"floor, deviation or noise of target {variable!r} is not a number of at least 0")
+    _require(good, f"uncertainty, standard deviation or noise of target {variable!r} is not a number of at least 0")
     values = _finite(f"values of target {variable!r}", arrays[f"target {index}"], (inputs.shape[1],))
     return Target(variable, lhs, values, *numbers)

@@ -88,7 +88,7 @@ def _small_problem() -> "Problem":
     numbers = np.arange(_ROWS)
     inputs = np.stack([numbers * 37 % 41 / 8.0 + 0.5, numbers * 29 % 43 / 16.0 - 1.0])
     values = numbers * 31 % 47 / 4.0 - 5.0
-    return Problem(("x", "y"), inputs, Target("x", "dx/dt", values, floor=0.0, deviation=3.4))
+    return Problem(("x", "y"), inputs, Target("x", "dx/dt", values, uncertainty=0.0, standard_deviation=3.4))
 
 
 def _made(directory: Path) -> Path:

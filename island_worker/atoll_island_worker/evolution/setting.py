@@ -51,7 +51,7 @@ class Setting:
             problem = narrowed(problem, self.columns)
         self.names = problem.names
         self.island = island
-        self.deviation = problem.target.deviation
+        self.deviation = problem.target.standard_deviation
         self.target = target_error(config, problem.target) * self.deviation
         self.space = _space(problem, config)
         self.allowed = frozenset(int(code) for code in self.space.operators)
@@ -136,7 +136,7 @@ def target_error(config: JobConfig, target: Target) -> float:
     asked = config.budget.target_error
     if asked is not None:
         return asked
-    return UNREACHABLE_TARGET if target.is_noisy else max(EXACT_TARGET, 2.0 * target.floor)
+    return UNREACHABLE_TARGET if target.is_noisy else max(EXACT_TARGET, 2.0 * target.uncertainty)
 
 
 def _space(problem: Problem, config: JobConfig) -> Space:

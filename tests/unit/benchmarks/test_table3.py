@@ -53,7 +53,7 @@ def test_given_derivatives_are_the_truth_on_the_papers_400_points():
     dataset = prepare(table, config).dataset
     (target,) = dataset.targets
     x, y = dataset.inputs
-    assert (target.variable, target.floor, len(x)) == ("y", 0.0, 400)
+    assert (target.variable, target.uncertainty, len(x)) == ("y", 0.0, 400)
     np.testing.assert_array_equal(target.values, 2 * y - x * y - y * y)
 
 

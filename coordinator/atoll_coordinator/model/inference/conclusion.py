@@ -160,12 +160,12 @@ def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None,
     error, mse = errors_on(problem, program, field.config.evolution.loss)
     contenders = _contenders(final, index, held_out_r2)
     rivals = _no_elaborations(final.race.choice.standing.programs[index], contenders)
-    variance = problem.target.deviation**2
+    variance = problem.target.standard_deviation**2
     smoothing = field.recording.smoothing[field.recording.states.index(name)]
     its = final.contest.shooter.measurements
     evidence = Evidence(
-        error=error / problem.target.deviation,
-        floor=problem.target.floor,
+        error=error / problem.target.standard_deviation,
+        floor=problem.target.uncertainty,
         target_r2=1.0 - mse / variance if variance else None,
         residuals=_residuals(its, final.held.shot, index),
         parameters=(len(final.free.shot.system.places) + final.free.shot.starts.size) / len(its.observed),

@@ -44,7 +44,7 @@ class Criterion:
     @classmethod
     def of(cls, target: Target) -> "Criterion":
         """Return the criterion for the models of `target`."""
-        floor = max(target.floor, SMALLEST_FLOOR) * target.deviation
+        floor = max(target.uncertainty, SMALLEST_FLOOR) * target.standard_deviation
         return cls(len(target.values), max(floor * floor, _TINY))
 
     def variance(self, mse: float) -> float:

@@ -148,7 +148,7 @@ def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, s
         **_best(shown, dataset, target, config),
         **verdict(shown, target, state, is_known=outcome.why == KNOWN),
         **_course(None if member is None else outcome.front[member], outcome, config),
-        "derivative_floor": finite(target.floor),
+        "derivative_floor": finite(target.uncertainty),
         "target_error": threshold(target, config.budget.target_error),
         "candidates": candidates(shown.contenders if shown is not None else (), dataset),
         "front": [
@@ -195,7 +195,7 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
     if shown is None:
         unknown = dict.fromkeys(("expression", "origin", "complexity", "error", "normalized_error", "r2"))
         return {**unknown, "converged": False, "constants": [], "implied": []}
-    normalized = shown.error / target.deviation if target.deviation else math.inf
+    normalized = shown.error / target.standard_deviation if target.standard_deviation else math.inf
     return {
         "expression": to_infix(shown.program, dataset.names),
         "origin": shown.origin,
@@ -230,7 +230,7 @@ def _member(entry: FrontEntry, dataset: Dataset, target: Target) -> dict[str, An
         "expression": to_infix(program, dataset.names),
         "complexity": entry.complexity,
         "error": finite(entry.error),
-        "normalized_error": finite(entry.error / target.deviation if target.deviation else math.inf),
+        "normalized_error": finite(entry.error / target.standard_deviation if target.standard_deviation else math.inf),
         "r2": _r2(entry.mse, target),
         "constants": _constants(program),
     }
@@ -238,7 +238,7 @@ def _member(entry: FrontEntry, dataset: Dataset, target: Target) -> dict[str, An
 
 def _r2(mse: float, target: Target) -> float | None:
     """Return the share of the target's variance that a mean squared error leaves explained; None if that is unknown."""
-    variance = target.deviation * target.deviation
+    variance = target.standard_deviation * target.standard_deviation
     return finite(1.0 - mse / variance if variance else math.nan)
 
 

@@ -44,12 +44,12 @@ def select(front: Sequence[FrontEntry], rows: int, target: Target, target_error:
 
 def threshold(target: Target, target_error: float | None) -> float:
     """Return the normalized error at most which the equation of `target` counts as found: it has converged."""
-    return target_error if target_error is not None else max(ALWAYS_CONVERGED, 2.0 * target.floor)
+    return target_error if target_error is not None else max(ALWAYS_CONVERGED, 2.0 * target.uncertainty)
 
 
 def enough(target: Target, target_error: float | None) -> float:
     """Return the error at most which the equation of `target` counts as found, in the target's units."""
-    return threshold(target, target_error) * target.deviation
+    return threshold(target, target_error) * target.standard_deviation
 
 
 def may_be_shown(program: Program, largest: int | None) -> bool:
@@ -58,7 +58,9 @@ def may_be_shown(program: Program, largest: int | None) -> bool:
 
 
 def _length(entry: FrontEntry, rows: int, target: Target) -> float:
-    return description_length(entry, rows, target.floor, target.deviation, count_constants(entry.program))
+    return description_length(
+        entry, rows, target.uncertainty, target.standard_deviation, count_constants(entry.program)
+    )
 
 
 def description_length(entry: FrontEntry, rows: int, floor: float, deviation: float, constants: int) -> float:

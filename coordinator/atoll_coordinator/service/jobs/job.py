@@ -281,11 +281,12 @@ def measure_of(target: Target) -> Measure:
 
     That of a noisy target knows no floor: many equations lie below it, and the search goes on while they get better.
     """
-    rows, floor = len(target.values), 0.0 if target.is_noisy else target.floor
+    rows, floor = len(target.values), 0.0 if target.is_noisy else target.uncertainty
 
     def least(front: tuple[FrontEntry, ...]) -> float:
         lengths = (
-            description_length(entry, rows, floor, target.deviation, count_constants(entry.program)) for entry in front
+            description_length(entry, rows, floor, target.standard_deviation, count_constants(entry.program))
+            for entry in front
         )
         return min(lengths, default=float("inf"))
 

@@ -147,7 +147,7 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState
     view = view.model_copy(update={"verdict": grade})
     if shown is None:
         return view
-    normalized = finite(shown.error / target.deviation) if target.deviation else None
+    normalized = finite(shown.error / target.standard_deviation) if target.standard_deviation else None
     return view.model_copy(
         update={
             "error": finite(shown.error),

@@ -37,7 +37,7 @@ def test_states_are_differentiated_in_time():
     assert dataset.inputs.shape == (2, 92)
     assert dataset.targets[0].values == pytest.approx(dataset.inputs[1], abs=1e-10)
     assert dataset.targets[1].values == pytest.approx(-dataset.inputs[0], abs=1e-10)
-    assert dataset.targets[0].deviation == pytest.approx(np.std(dataset.targets[0].values))
+    assert dataset.targets[0].standard_deviation == pytest.approx(np.std(dataset.targets[0].values))
     assert dataset.warnings[0].endswith("4 rows at each end of a trajectory are left out.")
 
 
@@ -71,7 +71,7 @@ def test_explicit_regression_takes_the_label_as_it_is():
     columns = {"label": [1.0, 2.0, 4.0, 8.0, 9.0], "x": [0.0, 1.0, 2.0, 3.0, 4.0], "y": [5.0, 5.0, 6.0, 7.0, 8.0]}
     dataset = prepared(columns, target="label")
     (target,) = dataset.targets
-    assert (target.variable, target.lhs, target.floor, target.noise) == ("label", "label", 0.0, 0.0)
+    assert (target.variable, target.lhs, target.uncertainty, target.noise) == ("label", "label", 0.0, 0.0)
     assert target.values.tolist() == columns["label"]
     assert dataset.names == ("x", "y")
     assert dataset.inputs.tolist() == [columns["x"], columns["y"]]
@@ -82,7 +82,7 @@ def test_given_derivatives_are_taken_as_they_are():
     columns |= {"dx": columns["y"], "dy": -columns["x"]}
     dataset = prepared(columns, states=("x", "y"), derivatives=("dx", "dy"))
     assert [target.lhs for target in dataset.targets] == ["dx/dt", "dy/dt"]
-    assert [target.floor for target in dataset.targets] == [0.0, 0.0]
+    assert [target.uncertainty for target in dataset.targets] == [0.0, 0.0]
     assert dataset.targets[1].values.tolist() == (-columns["x"]).tolist()
     assert dataset.inputs.shape == (2, 20)
     del columns["t"]
@@ -145,7 +145,7 @@ def test_noisy_states_are_smoothed_and_nearly_all_rows_kept():
     dataset = prepared(columns)
     assert 196 <= dataset.inputs.shape[1] < 200
     assert np.std(np.hypot(*dataset.inputs) - 1.0) < 0.025
-    assert all(0.01 < target.floor < 0.3 for target in dataset.targets)
+    assert all(0.01 < target.uncertainty < 0.3 for target in dataset.targets)
     assert all(0.04 < target.noise < 0.1 for target in dataset.targets)
     left_out = 200 - dataset.inputs.shape[1]
     doubtful = f"{left_out} of 200 rows have doubtful derivatives (at ends and jumps) and are left out of the search."
@@ -175,8 +175,8 @@ def test_units_and_origin_of_time_change_nothing_but_the_scale(scales):
     mine, theirs = np.nonzero(apart < 1e-12)
     assert len(mine) >= 0.99 * plain.inputs.shape[1]
     for its, others, scale in zip(plain.targets, moved.targets, scales, strict=False):
-        assert np.abs(others.values[mine] / scale - its.values[theirs]).max() < 1e-9 * its.deviation
-        assert others.floor == pytest.approx(its.floor, rel=0.1)
+        assert np.abs(others.values[mine] / scale - its.values[theirs]).max() < 1e-9 * its.standard_deviation
+        assert others.uncertainty == pytest.approx(its.uncertainty, rel=0.1)
 
 
 @pytest.mark.parametrize("seed", [0, 3])
@@ -187,9 +187,9 @@ def test_the_truth_is_within_the_floor(system, step, seed):
     dataset = prepare(table_of_samples(trajectories(system, step, seed)), JobConfig()).dataset
     truths = true_slopes(system, dataset)
     for target in dataset.targets:
-        error = np.abs(target.values - truths[target.variable]).mean() / target.deviation
-        assert error <= max(0.5e-9, 0.7 * target.floor)
-        assert target.floor < (2e-6 if step == 0.02 else 2e-5)
+        error = np.abs(target.values - truths[target.variable]).mean() / target.standard_deviation
+        assert error <= max(0.5e-9, 0.7 * target.uncertainty)
+        assert target.uncertainty < (2e-6 if step == 0.02 else 2e-5)
         assert target.noise == 0.0
     assert dataset.inputs.shape[1] >= (0.85 if step == 0.02 else 0.6) * 40 / step
 
@@ -213,7 +213,7 @@ def test_steps_of_the_data_alone_are_no_derivative():
     columns = oscillator(40)
     columns["y"] = np.where(np.arange(40) % 2 == 0, 0.0, 1.0)
     dataset = prepared(columns)
-    assert dataset.targets[1].floor > 0.01
+    assert dataset.targets[1].uncertainty > 0.01
 
 
 def test_a_state_that_grows_linearly_has_a_constant_derivative():
@@ -222,7 +222,7 @@ def test_a_state_that_grows_linearly_has_a_constant_derivative():
     dataset = prepared(columns)
     assert dataset.inputs.shape == (2, 92)
     assert dataset.targets[1].values == pytest.approx(np.full(92, 3.0))
-    assert dataset.targets[1].deviation > 0.0
+    assert dataset.targets[1].standard_deviation > 0.0
 
 
 def test_objections_to_the_data_reach_the_caller():
@@ -238,7 +238,7 @@ def test_the_floor_of_a_constant_derivative_covers_its_rounding(slope):
     target = prepared(columns).targets[0]
     mean = np.mean(target.values)
     assert mean == pytest.approx(slope)
-    assert np.mean(np.abs(target.values - mean)) <= 2.0 * target.floor * target.deviation
+    assert np.mean(np.abs(target.values - mean)) <= 2.0 * target.uncertainty * target.standard_deviation
 
 
 def test_a_state_that_is_switched_is_said_to_stand_still():

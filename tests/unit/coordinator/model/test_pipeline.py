@@ -110,7 +110,9 @@ def test_standard_errors_are_those_of_the_fit_and_the_fitted_values_stay_known()
 def test_a_member_that_meets_the_target_is_never_exchanged_for_one_that_misses_it():
     its = problem(lotka, 0.1, rows=300)
     front = [entry("2.0*x - 2.0*x*y", its), entry("2.97*x - 2.04*x*y - 0.98*x*x", its)]
-    strict = CONFIG.model_copy(update={"budget": BudgetConfig(target_error=front[1].error / its.target.deviation)})
+    strict = CONFIG.model_copy(
+        update={"budget": BudgetConfig(target_error=front[1].error / its.target.standard_deviation)}
+    )
     refined = refine(its, strict, front)
     assert refined is None or refined.error <= front[1].error
 

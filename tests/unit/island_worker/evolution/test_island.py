@@ -134,7 +134,7 @@ def test_looking_for_runners_up_changes_nothing_in_the_population():
 @pytest.mark.parametrize(("noise", "floor"), [(0.1, 0.0), (0.0, 0.05)])
 def test_nothing_but_an_explicit_target_error_ends_the_search_for_a_noisy_target(noise, floor):
     clean = problem_of(truth=lambda x, y: x * y)
-    noisy = Problem(clean.names, clean.inputs, replace(clean.target, noise=noise, floor=floor))
+    noisy = Problem(clean.names, clean.inputs, replace(clean.target, noise=noise, uncertainty=floor))
     budget = BudgetConfig()
     assert run(config_of(budget=budget), clean).has_hit
     assert not run(config_of(budget=budget), noisy).has_hit
@@ -238,7 +238,7 @@ def test_additions_improve_the_island_s_own_front_in_the_order_they_were_found()
                 assert (entry.epoch, entry.island) == (outcome.epoch, number)
                 assert all(entry.error < each.error for each in front if each.complexity <= entry.complexity)
                 front.append(entry)
-            assert outcome.best_error == pytest.approx(min(e.error for e in front) / PROBLEM.target.deviation)
+            assert outcome.best_error == pytest.approx(min(e.error for e in front) / PROBLEM.target.standard_deviation)
 
 
 def test_evaluations_are_cumulative_and_the_coevolution_s_share_stays_small():
@@ -289,7 +289,7 @@ def test_an_island_that_meets_the_target_stops_there():
     assert hit.hit.error <= 1e-9
     assert hit.hit.generation == hit.generations
     assert hit.best_error == hit.hit.error
-    assert found.front[-1].error <= 1e-9 * problem.target.deviation
+    assert found.front[-1].error <= 1e-9 * problem.target.standard_deviation
 
 
 def test_no_entry_is_more_complex_than_allowed():

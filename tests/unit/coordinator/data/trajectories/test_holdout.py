@@ -99,7 +99,7 @@ def test_what_is_held_out_changes_nothing_for_the_search(noise, robust, preset):
     assert np.abs(both.inputs - alone.inputs).max() < 1e-9
     for its, other in zip(both.targets, alone.targets, strict=True):
         assert its.values == pytest.approx(other.values, abs=1e-9)
-        assert its.floor == pytest.approx(other.floor, rel=1e-6, abs=1e-14)
+        assert its.uncertainty == pytest.approx(other.uncertainty, rel=1e-6, abs=1e-14)
 
 
 def test_held_out_trajectories_are_smoothed_and_recorded():
@@ -121,7 +121,11 @@ def test_held_out_rows_have_the_same_targets():
     assert its.held_out.names == its.dataset.names
     (target,), (seen,) = its.held_out.targets, its.dataset.targets
     assert (target.variable, target.lhs) == ("y", "dy/dt")
-    assert (target.floor, target.deviation, target.noise) == (seen.floor, seen.deviation, seen.noise)
+    assert (target.uncertainty, target.standard_deviation, target.noise) == (
+        seen.uncertainty,
+        seen.standard_deviation,
+        seen.noise,
+    )
     assert 50 <= its.held_out.inputs.shape[1] == len(target.values) <= 60
     assert np.abs(target.values + its.held_out.inputs[0]).mean() < 0.2
 
@@ -143,7 +147,7 @@ def test_given_derivatives_may_be_held_out():
     assert its.held_out is not None
     assert (its.dataset.inputs.shape, its.held_out.inputs.shape) == ((2, 120), (2, 60))
     assert its.held_out.targets[0].values.tolist() == columns["dx"][120:].tolist()
-    assert its.held_out.targets[0].deviation == its.dataset.targets[0].deviation
+    assert its.held_out.targets[0].standard_deviation == its.dataset.targets[0].standard_deviation
 
 
 def test_nothing_is_held_out_unless_told():
