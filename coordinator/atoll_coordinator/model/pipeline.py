@@ -5,7 +5,9 @@ tell the difference, its errors on all rows, and the standard errors of its cons
 """
 
 import math
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Final
 
@@ -58,9 +60,10 @@ def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Ref
     settled = {name: refined for name, refined in clean.items() if refined is not None}
     known = known_programs(preparation.dataset, config)
     variables = tuple(name for name in preparation.dataset.variables if name in pools or name in known)
-    field = Field(preparation.dataset, preparation.recording, config, variables, known)
-    choice = chosen(field, pools, settled)
-    model = None if choice is None else concluded(choice, pools)
+    with ThreadPoolExecutor(_threads()) as executor:
+        field = Field(preparation.dataset, preparation.recording, config, variables, known, executor)
+        choice = chosen(field, pools, settled)
+        model = None if choice is None else concluded(choice, pools)
     if model is not None:
         return model
     rest = {name: refine(problems[name], config, pools[name].front) for name in pools if name not in clean}
@@ -99,6 +102,10 @@ def refine(
         if refined.error <= limit and may_be_shown(refined.program, config.space.max_size):
             return _as_found(refined, front, programs)
     return None
+
+
+def _threads() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _with_intervals(refined: Refined) -> Refined:

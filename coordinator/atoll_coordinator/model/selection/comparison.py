@@ -7,7 +7,7 @@ misfit of simulated trajectories to the raw states hardly ever.
 import math
 from bisect import bisect_left, bisect_right, insort
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
@@ -61,12 +61,13 @@ class Contest:
 
     `names` are the variables of the programs, `fixed` the equations (by index) whose constants are given; with order 2
     `leading` are the equations of the positions, which come before those that are sought and are not counted. `tried`
-    has the best standing of each program that was ever fitted for an equation, by (equation, structure).
+    has the best standing of each program that was ever fitted for an equation, by (equation, structure). Systems are
+    fitted by the threads of `executor`, whose owner shuts it down; one after another without one.
     """
 
     def __init__(
         self, shooter: Shooter, names: Sequence[str], fixed: Iterable[int] = (), leading: Sequence[Program] = (),
-        threads: int = 1,
+        executor: Executor | None = None,
     ) -> None:  # fmt: skip
         its = shooter.measurements
         self.shooter: Final = shooter
@@ -78,11 +79,11 @@ class Contest:
         self.floors: Final = EXACT * its.scales[its.observed]
         self.coherence: Final = its.coherence
         self.constant_nats: Final = 0.5 * math.log(max(its.rows / its.coherence, 2.0))
-        self._pool = ThreadPoolExecutor(threads)
+        self._map: Final = map if executor is None else executor.map
 
     def map(self, work: Callable[[Item], Standing | None], items: Iterable[Item]) -> list[Standing]:
         """Return what `work` makes of the items, the shortest description first; without those that failed."""
-        done = [its for its in self._pool.map(work, items) if its is not None and math.isfinite(its.nats)]
+        done = [its for its in self._map(work, items) if its is not None and math.isfinite(its.nats)]
         return sorted(done, key=lambda its: its.nats)
 
     def _bounded(self, work: Callable[[Item], Standing | None], items: Sequence[Item], until: float) -> list[Standing]:

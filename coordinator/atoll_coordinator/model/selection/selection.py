@@ -5,8 +5,8 @@ descent looks for shorter descriptions nearby; constants are made simple; what r
 by counts, never by the clock.
 """
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -77,7 +77,8 @@ class Chosen:
 class Field:
     """What is modelled: the `variables` that have an equation, by their states' indices in the recording.
 
-    `known` are their equations as far as they are given; `piece` is how many rows are simulated at a stretch, at most.
+    `known` are their equations as far as they are given; `executor` has the threads that fit systems, none when they
+    are fitted one after another; `piece` is how many rows are simulated at a stretch, at most.
     """
 
     dataset: Dataset
@@ -85,6 +86,7 @@ class Field:
     config: JobConfig
     variables: tuple[str, ...]
     known: Mapping[str, Program]
+    executor: Executor | None = None
     piece: int = PIECE
 
     def may_be_shown(self, program: Program) -> bool:
@@ -108,7 +110,7 @@ class Field:
         """Return a contest over these measurements."""
         precision = float(np.clip(NOISE_SHARE * its.relative_noise.min(), *PRECISION))
         fixed = [index for index, name in enumerate(variables) if name in self.known]
-        return Contest(Shooter(its, precision), self.dataset.names, fixed, self.leading(variables), _threads())
+        return Contest(Shooter(its, precision), self.dataset.names, fixed, self.leading(variables), self.executor)
 
     def leading(self, variables: Sequence[str]) -> list[Program]:
         """Return the equations of the positions, whose rates are the velocities; none with order 1."""
@@ -279,7 +281,3 @@ def _scales(field: Field, its: Measurements) -> list[float]:
     """Return the size of each variable of the dataset."""
     sizes = dict(zip(its.variables, its.sizes.tolist(), strict=True))
     return [sizes[name] for name in field.dataset.names]
-
-
-def _threads() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,6 +1,7 @@
 """From pools to the refinement that a job shows: chosen, fitted, rounded, assessed and judged by trajectories."""
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -66,6 +67,22 @@ def noisy():
 
 def test_noisy_equations_come_out_in_form_with_simple_constants(noisy):
     assert is_same(LOTKA, noisy, x="3*x - 2*x*y - x**2", y="2*y - x*y - y**2")
+
+
+def test_the_threads_of_a_refinement_have_ended_with_it(monkeypatch):
+    executors = []
+    begin = ThreadPoolExecutor.__init__
+
+    def recorded(self, *args, **options):
+        begin(self, *args, **options)
+        executors.append(self)
+
+    monkeypatch.setattr(ThreadPoolExecutor, "__init__", recorded)
+    assert refined(DECAY, [[1.0], [2.0]], {"x": ("x",)}, config=JobConfig(space=NO_LIBRARIES)).equations
+    assert executors
+    for each in executors:
+        with pytest.raises(RuntimeError, match="shutdown"):
+            each.submit(int)
 
 
 def test_their_verdict_is_good(noisy):

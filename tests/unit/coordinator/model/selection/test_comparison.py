@@ -1,6 +1,7 @@
 """Systems fitted and compared over the same measurements."""
 
 import math
+from concurrent.futures import Executor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -24,8 +25,8 @@ RIVALS = tuple(
 )
 
 
-def lotka(threads=1, noise=NOISE, **options) -> Contest:
-    return contest(LOTKA, measurements(LOTKA, STARTS, TIMES, noise=noise), threads=threads, **options)
+def lotka(noise=NOISE, **options) -> Contest:
+    return contest(LOTKA, measurements(LOTKA, STARTS, TIMES, noise=noise), **options)
 
 
 def test_a_standing_has_the_nats_of_misfit_programs_and_constants():
@@ -137,12 +138,13 @@ def test_held_nodes_of_a_program_stay():
 
 @pytest.mark.parametrize("threads", [1, 4])
 def test_the_number_of_threads_changes_no_bit(threads):
-    def run(threads: int) -> list[tuple[float, Program]]:
-        its = lotka(threads)
+    def run(executor: Executor | None) -> list[tuple[float, Program]]:
+        its = lotka(executor=executor)
         near = its.stand([RIVALS[0], OTHER])
         return [(each.nats, each.programs[0]) for each in its.halved(near, 0, [*RIVALS, TRUTH], ((4, 4), (10, 3)))]
 
-    assert run(threads) == run(1)
+    with ThreadPoolExecutor(threads) as executor:
+        assert run(executor) == run(None)
 
 
 def test_noise_is_not_exact_and_its_absence_is():
