@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.data.recording import Preparation
 from atoll_island_worker.session import session
 from tests.simulation.world import World, prepare
 

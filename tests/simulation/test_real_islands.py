@@ -8,7 +8,7 @@ import pytest
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll.data.dataset import Dataset, Target
 from atoll.wire.bus.faults import Plan
-from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.inference.refinement import Refinement
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.compute.run_queue import Work

@@ -18,7 +18,7 @@ from atoll.wire.bus.interface import Event
 from atoll.wire.bus.simulated_bus import SimulatedBus, SimulatedNetwork
 from atoll.wire.messages.views import FINAL_STATES, JobView
 from atoll_coordinator.client import Client
-from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.service.ports import Ports, Preparer, Refiner
 from atoll_coordinator.service.service import Service

@@ -21,11 +21,11 @@ from atoll_coordinator.data.reading.columns import left_hand_side, variable_colu
 from atoll_coordinator.data.reading.description import describe
 from atoll_coordinator.data.reading.measured import Measured, measured
 from atoll_coordinator.data.reading.symbols import symbols_for
+from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.data.row_selection.rows import Kept, kept_rows
 from atoll_coordinator.data.row_selection.weights import weighty_enough
 from atoll_coordinator.data.trajectories.gaps import split_at_gaps
 from atoll_coordinator.data.trajectories.recorded import recorded
-from atoll_coordinator.data.trajectories.recording import Preparation
 
 __all__ = ["describe", "prepare"]
 

@@ -20,7 +20,7 @@ from atoll.expression.operators import BY_NAME
 from atoll.expression.program import Program
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prior_knowledge import known_programs
-from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.inference.conclusion import concluded
 from atoll_coordinator.model.inference.refinement import LOOSE, NORMAL_95, Constant, Pools, Refined, Refinement
 from atoll_coordinator.model.regression.criterion import Criterion

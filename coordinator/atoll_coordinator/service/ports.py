@@ -7,7 +7,7 @@ from typing import Protocol
 from atoll.config import JobConfig
 from atoll.wire.messages.views import StoreView
 from atoll.wire.state_transfer import State
-from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.inference.refinement import Pools, Refinement
 from atoll_coordinator.service.background.interface import HERE, Errands
 from atoll_coordinator.service.store.deaths import Death

@@ -7,7 +7,7 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.derivatives import END_ROWS, Estimate, end_rows
-from atoll_coordinator.data.trajectories.recording import Doubt, Reason
+from atoll_coordinator.data.recording import ExcludedRow, Reason
 
 LONG_STEP: Final = 3.0
 """A step of the times this many times as long as the median one of its trajectory is a gap."""
@@ -17,7 +17,7 @@ END_SHARE: Final = 0.25
 
 def doubts_of(
     times: Sequence[FloatArray], its: Estimate, doubted: Collection[int], seen: Collection[int]
-) -> tuple[Doubt, ...]:
+) -> tuple[ExcludedRow, ...]:
     """Return the rows of one state that the search does not see for its sake, and its outliers, in order.
 
     Args:
@@ -28,7 +28,7 @@ def doubts_of(
     """
     lengths = [len(each) for each in times]
     left_out = end_rows(lengths) if its.interpolated else np.zeros(sum(lengths))
-    found: list[Doubt] = []
+    found: list[ExcludedRow] = []
     first = 0
     for number, part in enumerate(times):
         ends, gaps = _near_ends(len(part), its), _near_gaps(part)
@@ -44,7 +44,7 @@ def doubts_of(
                 reason = "end"
             elif gaps[row]:
                 reason = "gap"
-            found.append(Doubt(number, row, reason))
+            found.append(ExcludedRow(number, row, reason))
         first += len(part)
     return tuple(found)
 

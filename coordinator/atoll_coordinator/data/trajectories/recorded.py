@@ -8,9 +8,9 @@ from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.derivatives import Estimate
 from atoll_coordinator.data.differentiation.inputs import input_slopes
 from atoll_coordinator.data.reading.measured import Measured
+from atoll_coordinator.data.recording import Method, Recording, Smoothing, Trajectory
 from atoll_coordinator.data.row_selection.excluded_rows import doubts_of
 from atoll_coordinator.data.row_selection.rows import Kept
-from atoll_coordinator.data.trajectories.recording import Method, Recording, Smoothing, Trajectory
 
 
 def recorded(
@@ -53,7 +53,9 @@ def _smoothing(of: Measured, state: str, its: Estimate, doubted: frozenset[int])
     assert of.trajectories is not None
     doubts = doubts_of(of.trajectories.times, its, doubted, frozenset(of.indices(held_out=False)))
     if its.choice is None:
-        return Smoothing(state, "interpolation", its.error, its.relative, doubtful=len(doubted), doubts=doubts)
+        return Smoothing(
+            state, "interpolation", its.error, its.relative, uncertain_rows=len(doubted), excluded_rows=doubts
+        )
     method: Method = "loess" if its.outliers is None else "robust loess"
     span, degree = its.choice.rows, its.choice.degree
     return Smoothing(state, method, its.error, its.relative, span, degree, len(doubted), its.outliers or 0, doubts)

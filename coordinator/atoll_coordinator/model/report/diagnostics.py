@@ -1,4 +1,4 @@
-"""What a result says of smoothing: the noise of each state, its doubtful rows, smoothed beside measured values.
+"""What a result says of smoothing: the noise of each state, its excluded rows, smoothed beside measured values.
 
 Plain dictionaries, lists, texts and numbers for ``result.json``; a number that is not known or not finite is null.
 """
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from atoll.data.dataset import FloatArray
-from atoll_coordinator.data.trajectories.recording import Doubt, Recording, Smoothing
+from atoll_coordinator.data.recording import ExcludedRow, Recording, Smoothing
 from atoll_coordinator.model.report.numbers import curve, finite, thinned
 
 MOST_ROWS: Final = 2_000
@@ -17,8 +17,8 @@ MOST_NUMBERS: Final = 100_000
 """Numbers listed in all, about 1 MB as text."""
 LEAST_ROWS: Final = 2
 """Rows listed of each trajectory at least, its first and its last."""
-MOST_DOUBTS: Final = 2_000
-"""Doubtful rows of a state that are listed by their times."""
+MOST_EXCLUDED: Final = 2_000
+"""Excluded rows of a state that are listed by their times."""
 
 
 def noise(recording: Recording | None) -> dict[str, Any]:
@@ -32,14 +32,14 @@ def _noise(recording: Recording, index: int, its: Smoothing) -> dict[str, Any]:
     longest = max((len(each.times) for each in recording.trajectories), default=None)
     return {
         "sd": finite(its.noise),
-        "relative": finite(its.relative),
+        "relative": finite(its.relative_noise),
         "method": its.method,
         "span": its.span if its.span is None or longest is None else min(its.span, longest),
         "degree": its.degree,
         **_residuals(recording, index),
-        "doubtful_rows": its.doubtful,
+        "doubtful_rows": its.uncertain_rows,
         "outliers": its.outliers,
-        "doubtful": _doubtful(recording, its.doubts),
+        "doubtful": _excluded(recording, its.excluded_rows),
     }
 
 
@@ -61,10 +61,10 @@ def _rounded(time: float) -> float:
     return float(f"{time:.12g}")
 
 
-def _doubtful(recording: Recording, doubts: Sequence[Doubt]) -> list[dict[str, Any]]:
-    """Return the times of doubtful rows by trajectory and reason, each list in order."""
+def _excluded(recording: Recording, rows: Sequence[ExcludedRow]) -> list[dict[str, Any]]:
+    """Return the times of excluded rows by trajectory and reason, each list in order."""
     found: dict[tuple[int, str], list[float]] = {}
-    for each in doubts[:MOST_DOUBTS]:
+    for each in rows[:MOST_EXCLUDED]:
         time = float(recording.trajectories[each.trajectory].times[each.row])
         found.setdefault((each.trajectory, each.reason), []).append(_rounded(time + recording.offset))
     return [

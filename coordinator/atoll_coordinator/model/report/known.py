@@ -8,7 +8,7 @@ from atoll.config import JobConfig
 from atoll.data.dataset import Dataset
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prior_knowledge import known_programs
-from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.gradient import values_of
 

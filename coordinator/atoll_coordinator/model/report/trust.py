@@ -12,7 +12,7 @@ import numpy as np
 from atoll.data.dataset import Dataset, FloatArray, Target
 from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
 from atoll.wire.messages.views import FINAL_STATES, JobState
-from atoll_coordinator.data.trajectories.recording import Recording
+from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.inference.refinement import (
     NORMAL_95,
     Contender,

@@ -17,7 +17,7 @@ from atoll.data.dataset import Dataset
 from atoll.expression.operators import BY_NAME
 from atoll.expression.program import Program
 from atoll_coordinator.data.prior_knowledge import guessed_programs
-from atoll_coordinator.data.trajectories.recording import Recording
+from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.inference.refinement import Pool, Refined
 from atoll_coordinator.model.selection.candidates import ranked
 from atoll_coordinator.model.selection.comparison import Contest, Standing

@@ -14,7 +14,7 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
-from atoll_coordinator.data.trajectories.recording import Recording, Trajectory
+from atoll_coordinator.data.recording import Recording, Trajectory
 
 ROOM: Final = 3.0
 """A simulated state may leave the measured range by so many times its width before it counts as blown up."""
@@ -196,7 +196,7 @@ def _variables(recording: Recording, chosen: list[int], others: list[int]) -> tu
 def _trust(part: Trajectory, chosen: list[int]) -> FloatArray:
     """Return how much each measurement counts: nothing where it is missing, little where smoothing met an outlier."""
     measured = np.isfinite(part.measured[chosen]).astype(np.float64)
-    believed = measured if part.trust is None else measured * part.trust[chosen]
+    believed = measured if part.robustness_weights is None else measured * part.robustness_weights[chosen]
     return believed if part.weights is None else believed * part.weights
 
 

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import Final
 
 from atoll.config import JobConfig
-from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.service.background.process_pool import Children
 from atoll_coordinator.service.ports import Ports
 

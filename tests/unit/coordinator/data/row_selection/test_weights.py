@@ -55,8 +55,8 @@ def test_robust_smoothing_knows_that_a_row_of_little_weight_may_be_far_off():
     columns["x"][100] += 1.5 * BAD_NOISE
     columns["x"][102] += 1.5 * BAD_NOISE
     (trajectory,) = prepared(columns, robust=True).recording.trajectories
-    assert trajectory.trust[0, 102] == 0.0
-    assert trajectory.trust[0, 100] > 0.0
+    assert trajectory.robustness_weights[0, 102] == 0.0
+    assert trajectory.robustness_weights[0, 100] > 0.0
 
 
 def test_rows_without_weight_are_as_if_they_had_not_been_measured():

@@ -52,8 +52,8 @@ def test_arrays_are_in_c_order():
 def test_how_clean_states_were_smoothed():
     for its in recorded(oscillator(100)).smoothing:
         assert (its.method, its.span, its.degree, its.outliers) == ("interpolation", None, None, 0)
-        assert 0 <= its.doubtful <= 8
-        assert 0.0 <= its.relative < 1e-12
+        assert 0 <= its.uncertain_rows <= 8
+        assert 0.0 <= its.relative_noise < 1e-12
 
 
 def test_how_noisy_states_were_smoothed():
@@ -62,7 +62,7 @@ def test_how_noisy_states_were_smoothed():
     for name, smoothing, smoothed in zip("xy", its.smoothing, its.trajectories[0].smoothed, strict=True):
         assert (smoothing.state, smoothing.method) == (name, "loess")
         assert smoothing.noise == pytest.approx(0.05, rel=0.15)
-        assert smoothing.relative == pytest.approx(smoothing.noise / np.std(columns[name]))
+        assert smoothing.relative_noise == pytest.approx(smoothing.noise / np.std(columns[name]))
         assert smoothing.span is not None
         assert smoothing.span > 10
         assert smoothing.degree in (3, 4)

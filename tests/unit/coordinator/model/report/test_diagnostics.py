@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.trajectories.recording import Doubt, Recording, Smoothing, Trajectory
-from atoll_coordinator.model.report.diagnostics import MOST_DOUBTS, MOST_ROWS, noise, smoothing
+from atoll_coordinator.data.recording import ExcludedRow, Recording, Smoothing, Trajectory
+from atoll_coordinator.model.report.diagnostics import MOST_EXCLUDED, MOST_ROWS, noise, smoothing
 
 
 def trajectory(rows: int, name: str = "1", held_out: bool = False) -> Trajectory:
@@ -19,8 +19,8 @@ def trajectory(rows: int, name: str = "1", held_out: bool = False) -> Trajectory
     return Trajectory(name, times, measured, smoothed, smoothed, none, none, held_out)
 
 
-def recording(*trajectories: Trajectory, doubts: tuple[Doubt, ...] = (), span: int = 21) -> Recording:
-    its = Smoothing("x", "loess", 0.1, 0.05, span, 3, doubtful=4, outliers=1, doubts=doubts)
+def recording(*trajectories: Trajectory, excluded: tuple[ExcludedRow, ...] = (), span: int = 21) -> Recording:
+    its = Smoothing("x", "loess", 0.1, 0.05, span, 3, uncertain_rows=4, outliers=1, excluded_rows=excluded)
     exact = Smoothing("y", "interpolation", 1e-12, 1e-12)
     return Recording(("x", "y"), ("x", "y"), (), (), (), 1, 100.0, (its, exact), trajectories)
 
@@ -59,8 +59,13 @@ def test_a_span_beyond_the_longest_trajectory_is_all_of_it() -> None:
 
 
 def test_doubtful_rows_stand_by_trajectory_and_reason() -> None:
-    doubts = (Doubt(0, 0, "end"), Doubt(0, 1, "end"), Doubt(0, 50, "jump"), Doubt(1, 100, "end"))
-    found = noise(recording(trajectory(101), trajectory(101, "2b"), doubts=doubts))["x"]["doubtful"]
+    excluded = (
+        ExcludedRow(0, 0, "end"),
+        ExcludedRow(0, 1, "end"),
+        ExcludedRow(0, 50, "jump"),
+        ExcludedRow(1, 100, "end"),
+    )
+    found = noise(recording(trajectory(101), trajectory(101, "2b"), excluded=excluded))["x"]["doubtful"]
     assert found == [
         {"trajectory": "1", "reason": "end", "times": [95.0, 95.1]},
         {"trajectory": "1", "reason": "jump", "times": [100.0]},
@@ -69,9 +74,9 @@ def test_doubtful_rows_stand_by_trajectory_and_reason() -> None:
 
 
 def test_only_so_many_doubtful_rows_are_listed() -> None:
-    doubts = tuple(Doubt(0, row, "jump") for row in range(MOST_DOUBTS + 10))
-    (found,) = noise(recording(trajectory(MOST_DOUBTS + 10), doubts=doubts))["x"]["doubtful"]
-    assert len(found["times"]) == MOST_DOUBTS
+    excluded = tuple(ExcludedRow(0, row, "jump") for row in range(MOST_EXCLUDED + 10))
+    (found,) = noise(recording(trajectory(MOST_EXCLUDED + 10), excluded=excluded))["x"]["doubtful"]
+    assert len(found["times"]) == MOST_EXCLUDED
 
 
 def test_smoothed_rows_stand_beside_measured_ones() -> None:

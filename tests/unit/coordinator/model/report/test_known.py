@@ -8,7 +8,7 @@ import pytest
 from atoll.config import EvolutionConfig, JobConfig, PriorConfig
 from atoll.data.dataset import Dataset, Target
 from atoll.expression.text.parsing import from_infix
-from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.report.digest import result_digest
 from atoll_coordinator.model.report.known import known_entries, with_remarks
 from atoll_coordinator.model.report.render import render_text

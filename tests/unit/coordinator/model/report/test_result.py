@@ -15,7 +15,7 @@ from atoll.errors import UsageError
 from atoll.expression.simplification import complexity
 from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
-from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.inference.refinement import (
     Constant,
     Correlation,

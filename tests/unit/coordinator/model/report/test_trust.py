@@ -9,7 +9,7 @@ import pytest
 
 from atoll.data.dataset import Dataset, Target
 from atoll.expression.text.parsing import from_infix
-from atoll_coordinator.data.trajectories.recording import Recording, Smoothing
+from atoll_coordinator.data.recording import Recording, Smoothing
 from atoll_coordinator.model.inference.refinement import Contender, Correlation, Refined, Simulated, Simulation
 from atoll_coordinator.model.report.trust import MOST_POINTS, candidates, correlations, simulation, verdict
 
@@ -24,7 +24,7 @@ RECORDING = Recording(
     input_symbols=(),
     order=1,
     offset=100.0,
-    smoothing=(Smoothing("x", "loess", 0.1, 0.05, 21, 3, doubtful=4, outliers=1),),
+    smoothing=(Smoothing("x", "loess", 0.1, 0.05, 21, 3, uncertain_rows=4, outliers=1),),
     trajectories=(),
 )
 

@@ -96,7 +96,7 @@ def test_measurements_weigh_what_smoothing_trusted_them_with():
     assert (measurements_of(its, [0, 1]).weights == 1.0).all()
     trust = np.ones_like(its.trajectories[0].measured)
     trust[0, 7], trust[1, 2] = 0.0, 0.25
-    robust = replace(its, trajectories=(replace(its.trajectories[0], trust=trust), *its.trajectories[1:]))
+    robust = replace(its, trajectories=(replace(its.trajectories[0], robustness_weights=trust), *its.trajectories[1:]))
     weights = measurements_of(robust, [0, 1]).weights
     assert np.argwhere(weights != 1.0).tolist() == [[0, 7], [1, 2]]
     assert (weights[0, 7], weights[1, 2]) == (0.0, 0.25)
@@ -179,7 +179,7 @@ def test_rows_count_by_their_weights_and_by_their_trust():
     weights = np.linspace(0.5, 1.5, len(TIMES))
     trust = np.ones((2, len(TIMES)))
     trust[1, 2] = 0.25
-    both = (replace(first, weights=weights, trust=trust), replace(second, weights=weights))
+    both = (replace(first, weights=weights, robustness_weights=trust), replace(second, weights=weights))
     weighed = replace(its, trajectories=both)
     found = measurements_of(weighed, [0, 1])
     assert found.weights[0, : len(TIMES)] == pytest.approx(weights)

@@ -22,7 +22,7 @@ import pytest
 from atoll.config import JobConfig, SpaceConfig
 from atoll.logs import JsonLines, TextLines
 from atoll.wire.bus.simulated_bus import SimulatedNetwork
-from atoll_coordinator.data.trajectories.recording import Preparation
+from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.service.background import process_pool as module
 from atoll_coordinator.service.background.child_process import cause_of
 from atoll_coordinator.service.background.interface import LostError, StoppedError

@@ -12,11 +12,11 @@ from atoll.data.dataset import Dataset, FloatArray
 Method = Literal["interpolation", "loess", "robust loess"]
 Reason = Literal["end", "gap", "jump", "outlier"]
 """Why a row is not used: near an end of its trajectory, near a gap in the times, where the state changes too fast for
-the sampling or for the smoother, or without weight as an outlier."""
+the sampling or for the smoother, or as an outlier."""
 
 
 @dataclass(frozen=True)
-class Doubt:
+class ExcludedRow:
     """A row that is not used because of one state: the place of its `trajectory` and its `row` in there."""
 
     trajectory: int
@@ -31,9 +31,9 @@ class Trajectory:
     `name` is what the user knows it by: its number from 1, or the value of the trajectory column. `times` (R,) ascend
     strictly, centred over all trajectories; `measured`, `smoothed` and `slopes` are (S, R), angles unwrapped and in
     radians; `slopes` are first derivatives. `inputs` and `input_slopes` are (U, R): an input between rows is the cubic
-    with these values and slopes. `held_out` trajectories were kept from the search and from every fit. `trust` (S, R)
-    says between 0 (an outlier) and 1 how much a measurement is believed; None: wholly. `weights` (R,) divide the
-    variance of the errors of each row and are 1 on average over all rows; None: all alike.
+    with these values and slopes. `held_out` trajectories were kept from the search and from every fit.
+    `robustness_weights` (S, R), from 0 (an outlier) to 1, reduce the weight of single measurements; None: all are 1.
+    `weights` (R,) divide the variance of the errors of each row and are 1 on average over all rows; None: all are 1.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Trajectory:
     inputs: FloatArray
     input_slopes: FloatArray
     held_out: bool = False
-    trust: FloatArray | None = None
+    robustness_weights: FloatArray | None = None
     weights: FloatArray | None = None
 
 
@@ -53,21 +53,22 @@ class Smoothing:
     """How one state was smoothed.
 
     `noise` is the estimated standard deviation of its measurement errors, in its unit and in rows of weight 1 (where it
-    was interpolated, an upper estimate, often of rounding alone), and `relative` that over the state's pooled standard
-    deviation; `span` (rows) and `degree` are those of loess, None where it was interpolated; `doubtful` counts rows
-    whose derivative cannot be trusted, and `outliers` those that robust loess all but ignored. `doubts` are the rows of
-    trajectories that are not held out which are not used because of this state, in order.
+    was interpolated, an upper estimate, often of rounding alone), and `relative_noise` that over the state's pooled
+    standard deviation; `span` (rows) and `degree` are those of loess, None where it was interpolated. `uncertain_rows`
+    counts the rows whose derivative is too uncertain to be used, `outliers` those of robustness weight 0.
+    `excluded_rows` are the rows, in order, of trajectories that are not held out which are not used because of this
+    state.
     """
 
     state: str
     method: Method
     noise: float
-    relative: float
+    relative_noise: float
     span: int | None = None
     degree: int | None = None
-    doubtful: int = 0
+    uncertain_rows: int = 0
     outliers: int = 0
-    doubts: tuple[Doubt, ...] = ()
+    excluded_rows: tuple[ExcludedRow, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +98,9 @@ class Preparation:
     """What preparing a table gives.
 
     `dataset` is what the search sees; `recording` is None where the left-hand sides were given; `held_out` has the same
-    targets over rows of held-out trajectories, with floor, deviation and noise of `dataset`, None where there are none.
-    `weights` say how much each row of `dataset` counts where the left-hand sides were given, None: all alike.
+    targets over rows of held-out trajectories, with uncertainty, standard deviation and noise of `dataset`, None where
+    there are none. `weights` say how much each row of `dataset` counts where the left-hand sides were given; None: all
+    are 1.
     """
 
     dataset: Dataset
