@@ -11,7 +11,7 @@ from typing import Final
 from atoll.compilation.jit import cache_directory
 
 _WARM_UP: Final = """
-from atoll_coordinator.data import warmup
+from atoll_coordinator.data.differentiation import warmup as warmup
 from atoll_island_worker.compute.warmup import warm_up
 warm_up(str)
 warmup.warm_up()

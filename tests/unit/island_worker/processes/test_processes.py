@@ -20,7 +20,7 @@ LIMIT_S = 30.0
 SUPERVISOR = """
 import sys
 from functools import partial
-from atoll_island_worker import supervision
+from atoll_island_worker.processes import supervisor as supervision
 from atoll_island_worker.processes.exit_reasons import Sentences
 supervision._STOP_LIMIT_S = float(sys.argv[1])
 grace_s = 30.0 if "0.5" in sys.argv[2] else 0.0
@@ -31,7 +31,7 @@ with Sentences() as sentences:
 FORKING_SUPERVISOR = """
 import sys
 from functools import partial
-from atoll_island_worker import supervision
+from atoll_island_worker.processes import supervisor as supervision
 from atoll_island_worker.processes.fork_server import Forked
 from atoll_island_worker.processes.exit_reasons import Sentences
 from atoll_island_worker.launch import guarded
@@ -211,7 +211,7 @@ def test_a_fork_ends_with_the_code_of_its_work_and_never_returns() -> None:
     script = """
 import os, sys
 from functools import partial
-from atoll_island_worker import lives
+from atoll_island_worker.processes import restart_policy as lives
 from atoll_island_worker.processes.fork_server import Forked
 from atoll_island_worker.processes.exit_reasons import Sentences
 from atoll_island_worker.processes.supervisor import supervise

@@ -12,7 +12,7 @@ PREAMBLE = """
 import os, signal, sys, time
 from pathlib import Path
 from atoll.errors import DataError
-from atoll_coordinator.cli import local
+from atoll_coordinator.cli.local import cluster as local
 from atoll_coordinator.cli.local.cluster import NoWorkerLeftError, Workers
 
 FORKS = '''
