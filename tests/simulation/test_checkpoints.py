@@ -10,8 +10,9 @@ from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConf
 from atoll.errors import StoreError
 from atoll.wire import topics
 from atoll.wire.bus.faults import Partition, Plan
-from atoll.wire.codec import encode
-from atoll.wire.messages.workers import WorkerStatus
+from atoll.wire.bus.interface import Event, Message
+from atoll.wire.codec import decode, encode
+from atoll.wire.messages.workers import Close, Control, Placements, WorkerStatus
 from atoll_coordinator.service.store.store import Store
 from tests.simulation.stub import StubIsland
 from tests.simulation.world import World, bus_of, comparable
@@ -304,6 +305,21 @@ def test_without_anybody_left_the_states_are_kept_and_the_job_waits() -> None:
     assert world.finish().state == "done"
     assert comparable(world.result()) == undisturbed()
     assert turns(world) == SLICES + HELD
+
+
+def test_only_the_workers_of_a_held_archipelago_are_told_to_close_it() -> None:
+    world = world_of(workers=1, seed=1)
+    heard: list[Event] = []
+    bystander = bus_of(world, "bystander")
+    bystander.handle_with(heard.append)
+    bystander.subscribe(topics.control(world.store.realm))
+    world.submit(config())
+    world.at(world.network.now + 2.0, world.workers["w0"].leave)
+    world.client.pause(8.0)
+    assert not world.workers["w0"].session.holdings()
+    told = [decode(event.payload, Control).body for event in heard if isinstance(event, Message)]
+    assert any(isinstance(body, Placements) for body in told)
+    assert not any(isinstance(body, Close) for body in told)
 
 
 def test_a_worker_with_nothing_to_hand_over_is_let_go_at_once() -> None:

@@ -56,15 +56,16 @@ class Terms:
         """Return the workers on which an archipelago is to be placed now; None: it stays as it is."""
         if archipelago.is_writing:
             return None  # the term after this one begins where that is durable
-        was_held = archipelago.is_held
+        held = archipelago.placement if archipelago.is_held else None
         if self._placer.is_broken(archipelago):
             archipelago.unplace()
             self._watch.unplaced(archipelago)
         else:
             self._plan(archipelago, now)
         workers = self._placer.choose(archipelago, first, now)
-        if workers is None and was_held:
-            self._outlet.tell(Close(job=job.id, variable=archipelago.variable))
+        if workers is None and held is not None:
+            for worker in dict.fromkeys(held.workers):
+                self._outlet.tell(Close(job=job.id, variable=archipelago.variable), worker)
         return workers
 
     def _plan(self, archipelago: Archipelago, now: float) -> None:
