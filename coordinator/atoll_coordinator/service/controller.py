@@ -51,7 +51,8 @@ class Controller:
         """`clock` gives the time of day as ISO text; no island is placed before the expected workers are ready."""
         self.membership: Final = Membership()
         self.jobs: dict[str, Job] = {}
-        self.ended: dict[str, JobView] = {}
+        self.ended: dict[str, JobView | None] = {}
+        """Jobs that have ended; None: the view has not been made of what is stored yet."""
         self._store = store
         self._outlet = outlet
         self._clock = clock
@@ -69,7 +70,7 @@ class Controller:
         """
         for record in self._store.jobs():
             if record.state in FINAL_STATES:
-                self.ended[record.id] = ended_view(record, self._store.result(record.id))
+                self.ended[record.id] = None
                 continue
             try:
                 config = JobConfig.model_validate_json(record.spec)
@@ -88,7 +89,7 @@ class Controller:
             "store with the version that it was submitted to, or submit it again under another id"
         )
         self._store.commit_result(record.id, "failed", None, reason, self._clock())
-        self.ended[record.id] = ended_view(self._store.job(record.id) or record, None)
+        self.ended[record.id] = None
         self.watch.given_up(record.id, reason)
 
     def submit(self, body: Submit, now: float, submitter: str | None = None) -> None:
@@ -175,6 +176,9 @@ class Controller:
         """Return what people are shown of a job; None for an unknown one."""
         if job_id in self.jobs:
             return self._live_view(self.jobs[job_id], now)
+        record = self._store.job(job_id) if job_id in self.ended and self.ended[job_id] is None else None
+        if record is not None:
+            self.ended[job_id] = ended_view(record, self._store.result(job_id))
         return self.ended.get(job_id)
 
     def result(self, job_id: str, now: float) -> str | None:

@@ -7,6 +7,7 @@ from typing import Any, Literal, cast
 
 from pydantic import ValidationError
 
+from atoll import VERSION
 from atoll.config import JobConfig
 from atoll.expression.text.infix import to_infix
 from atoll.wire.messages.views import JobState, JobView, VariableView
@@ -99,27 +100,42 @@ def job_view(job: Job, membership: Membership, now: float, jobs: Sequence[Job]) 
 
 
 def ended_view(record: JobRecord, result: str | None) -> JobView:
-    """Return the view of a job that ended before this coordinator started, from what was stored."""
+    """Return the view of a job that ended before this coordinator started, from what was stored.
+
+    Without a result that this version can read, it has no equations, and a warning says so.
+    """
     seed, preset, target_error = _stored_settings(record.spec)
-    contents: dict[str, Any] = {"equations": [], "point_evaluations": 0, "warnings": []}
-    if result is not None:
-        contents = json.loads(result)
-    return JobView(
+    view = JobView(
         job=record.id,
         name=record.name,
         state=cast(JobState, record.state),
         seed=seed,
         preset=preset,
         reason=record.reason,
-        warnings=tuple(contents["warnings"]),
         submitted=record.submitted,
         elapsed=record.elapsed,
         workers=0,
-        point_evaluations=contents["point_evaluations"],
-        variables=tuple(_stored_variable_view(each) for each in contents["equations"]),
+        point_evaluations=0,
+        variables=(),
         priority=record.priority,
         target_error=target_error,
     )
+    if result is None:
+        return view
+    try:
+        return JobView.model_validate(dict(view) | _stored_equations(json.loads(result)))
+    except (ValueError, KeyError, TypeError):
+        warning = f"the stored result of this job cannot be read by version {VERSION}"
+        return view.model_copy(update={"warnings": (warning,)})
+
+
+def _stored_equations(result: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of a view that are in a result."""
+    return {
+        "warnings": tuple(result["warnings"]),
+        "point_evaluations": result["point_evaluations"],
+        "variables": tuple(_stored_variable_view(each) for each in result["equations"]),
+    }
 
 
 def _stored_settings(spec: str) -> tuple[int, str, float | None]:

@@ -1,0 +1,64 @@
+"""What a coordinator takes over from the store when it starts."""
+
+import json
+
+import pytest
+
+from atoll.config import JobConfig
+from atoll.errors import StoreError
+from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.store.store import JobRecord, Store
+from tests.unit.coordinator.service.requests.test_clients import Silent
+
+EQUATION = {
+    "variable": "x", "lhs": "dx/dt", "epoch": 3, "error": 0.1, "normalized_error": 0.01, "complexity": 3,
+    "expression": "x*y", "converged": True, "why": "target", "point_evaluations": 7,
+}  # fmt: skip
+READABLE = json.dumps({"equations": [EQUATION], "point_evaluations": 7, "warnings": ["a warning"]})
+
+
+def recovered(store: Store, result: str) -> Controller:
+    """Return the controller of a store that has one job, which has ended with `result`."""
+    blob = store.put_blob(b"t,x\n0,1\n")
+    store.add_job(JobRecord("job", "a job", JobConfig(seed=3).model_dump_json(), blob, "2026-01-01T00:00:00"))
+    store.commit_result("job", "done", result)
+    controller = Controller(store, Silent(), lambda: "2026-01-01T00:00:01")
+    controller.recover(0.0)
+    return controller
+
+
+def test_an_ended_job_is_shown_with_its_equations() -> None:
+    with Store.open(None) as store:
+        view = recovered(store, READABLE).view("job", 1.0)
+    assert view is not None
+    assert (view.state, view.seed, view.point_evaluations, view.warnings) == ("done", 3, 7, ("a warning",))
+    assert [each.expression for each in view.variables] == ["x*y"]
+
+
+@pytest.mark.parametrize(
+    "result",
+    [
+        "{",
+        "[]",
+        "{}",
+        '{"equations": [], "point_evaluations": "a", "warnings": []}',
+        '{"equations": [{}], "point_evaluations": 1, "warnings": []}',
+    ],
+)
+def test_a_result_that_this_version_cannot_read_hinders_nobody(result: str) -> None:
+    with Store.open(None) as store:
+        controller = recovered(store, result)
+        view = controller.view("job", 1.0)
+        assert controller.result("job", 1.0) == result
+    assert view is not None
+    assert (view.state, view.seed, view.variables) == ("done", 3, ())
+    assert "cannot be read by version" in view.warnings[0]
+
+
+def test_no_result_is_read_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    def is_damaged(self: Store, job: str) -> str:
+        raise StoreError("damaged")
+
+    monkeypatch.setattr(Store, "result", is_damaged)
+    with Store.open(None) as store:
+        assert list(recovered(store, READABLE).ended) == ["job"]
