@@ -7,7 +7,6 @@ from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll.wire import topics
 from atoll.wire.bus.zenoh_bus import open_client, open_router
 from atoll_coordinator.client import Client
-from atoll_coordinator.service.background.preparing import in_thread
 from atoll_coordinator.service.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
@@ -15,6 +14,7 @@ from atoll_island_worker.worker import Worker
 from tests.simulation.stub import StubCompute
 from tests.simulation.test_trouble import nonsense
 from tests.simulation.world import World, comparable, prepare
+from tests.task_pools import LocalPool, start_thread
 
 LIMIT_S = 60.0
 CONFIG = JobConfig(seed=1, evolution=EvolutionConfig(islands=4), budget=BudgetConfig(max_epochs=14))
@@ -40,7 +40,7 @@ def test_foreign_messages_change_nothing_on_a_real_router() -> None:
     expected = comparable(World(workers=1, seed=1).run(CONFIG))
     stop, made = threading.Event(), list[Worker]()
     with Store.open(None) as store, open_router("tcp/127.0.0.1:0") as router:
-        ports = Ports(prepare, in_thread, lambda: "2026-01-01T00:00:00")
+        ports = Ports(LocalPool(start_thread), lambda: "2026-01-01T00:00:00", prepare)
         service = Service(router, store, expected_workers=2, dismisses_workers=True, ports=ports)
         threads = [threading.Thread(target=service.run, args=(stop,))]
         threads += [threading.Thread(target=work, args=(router.endpoint, f"w{index}", made)) for index in range(2)]

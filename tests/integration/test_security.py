@@ -25,7 +25,6 @@ from atoll.wire.security.credentials import Credentials, load
 from atoll_coordinator.cli.main import main
 from atoll_coordinator.cli.verbs.router import upstream_settings
 from atoll_coordinator.client import Client, connected
-from atoll_coordinator.service.background.preparing import in_thread
 from atoll_coordinator.service.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
@@ -34,6 +33,7 @@ from tests.certificates import Lab
 from tests.integration.test_foreign_messages import AtOnce, wait_until
 from tests.simulation.stub import StubCompute
 from tests.simulation.world import World, comparable, prepare
+from tests.task_pools import LocalPool, start_thread
 
 LIMIT_S = 60.0
 CONFIG = JobConfig(seed=1, evolution=EvolutionConfig(islands=4), budget=BudgetConfig(max_epochs=14))
@@ -157,7 +157,7 @@ def served(lab: Lab, roster: Roster, workers: tuple[str, ...] = ()) -> Iterator[
     """Have a coordinator, and workers that only hash, serve until the end."""
     stop, made = threading.Event(), list[Worker]()
     with Store.open(None) as store, open_router(serving(lab), roster=roster) as bus:
-        ports = Ports(prepare, in_thread, lambda: "2026-01-01T00:00:00")
+        ports = Ports(LocalPool(start_thread), lambda: "2026-01-01T00:00:00", prepare)
         service = Service(bus, store, expected_workers=len(workers), dismisses_workers=True, ports=ports, roster=roster)
         threads = [threading.Thread(target=service.run, args=(stop,))]
         threads += [threading.Thread(target=work, args=(lab, bus, name, made)) for name in workers]

@@ -23,6 +23,7 @@ from tests.simulation.disk import CoordinatorDied, Disk, DiskStore
 from tests.simulation.schedule import Schedule, job_config
 from tests.simulation.stub import StubCompute
 from tests.simulation.world import prepare
+from tests.task_pools import LocalPool
 
 WAIT_S: Final = 60.0
 """How long a worker bears that the coordinator is away."""
@@ -100,9 +101,9 @@ class Troupe:
             return
         bus = self.buses["coordinator"] = self.network.bus("coordinator", is_router=not self.schedule.has_own_router)
         store = self._store = self.disk.open(bus.spend)
-        background = partial(self._do_later, bus, store)
+        pool = LocalPool(partial(self._do_later, bus, store))
         writer = partial(self._write_later, bus, store)
-        ports = Ports(self.cast.prepare, background, self._time_of_day, lambda *_: Refinement(), writer=writer)
+        ports = Ports(pool, self._time_of_day, self.cast.prepare, lambda *_: Refinement(), writer=writer)
         service = self.service = Service(bus, store, ports=ports)
         self._watch_reports(service)
 

@@ -20,11 +20,13 @@ from atoll.wire.messages.views import FINAL_STATES, JobView
 from atoll_coordinator.client import Client
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.service.ports import Ports, Preparer, Refiner
+from atoll_coordinator.service.background.tasks import Preparer, Refiner
+from atoll_coordinator.service.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_island_worker.worker import Worker
 from tests.simulation.stub import StubCompute
+from tests.task_pools import LocalPool, call
 
 LIMIT_S = 600.0
 T = TypeVar("T")
@@ -75,7 +77,7 @@ class World:
 
     def start_service(self) -> Service:
         bus = self.network.bus("coordinator", is_router=True)
-        ports = Ports(self.prepare, lambda work: work(), self.clock, self.refiner)
+        ports = Ports(LocalPool(), self.clock, self.prepare, self.refiner, writer=call)
         service = Service(bus, self.store, expected_workers=self.expected, ports=ports)
 
         def step(event: Event) -> None:

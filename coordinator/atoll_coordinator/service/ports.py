@@ -1,15 +1,15 @@
-"""What the service needs from outside itself, beside the bus: a store, a place for slow work, the time of day."""
+"""What the service needs from outside itself, beside the bus: a store, a pool of processes, the time of day."""
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import Protocol
 
-from atoll.config import JobConfig
 from atoll.wire.messages.views import StoreView
 from atoll.wire.state_transfer import State
-from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.inference.refinement import Pools, Refinement
-from atoll_coordinator.service.background.interface import HERE, Errands
+from atoll_coordinator.service.background.process_pool import ProcessPool, T
+from atoll_coordinator.service.background.tasks import Preparer, Refiner, prepare_table, refine
 from atoll_coordinator.service.store.deaths import Death
 from atoll_coordinator.service.store.events import EventRecord
 from atoll_coordinator.service.store.jobs import JobRecord
@@ -86,48 +86,38 @@ class StorePort(Protocol):
     def blob_bytes(self) -> int: ...
 
 
-Preparer = Callable[[bytes, JobConfig], Preparation]
-"""Turns an uploaded table into regression problems and a recording; raises DataError or UsageError with a sentence for
-the user."""
+class TaskPool(Protocol):
+    """The part of `atoll_coordinator.service.background.process_pool.ProcessPool` that the service uses."""
 
-Refiner = Callable[[Preparation, JobConfig, Pools], Refinement]
-"""Makes the equations that are shown from the search's pools; see `atoll_coordinator.model.pipeline.refine_all`."""
+    def submit(
+        self, job: str, function: Callable[[], T], on_result: Callable[[T], None], on_failure: Callable[[str], None],
+        *, is_queued: bool = False,
+    ) -> None: ...  # fmt: skip
 
-WarmUp = Callable[[], None]
-"""Makes ready what refining needs, while a job is searched."""
+    def preload(self, function: Callable[[], None]) -> None: ...
 
-Background = Callable[[Callable[[], None]], None]
-"""Has a piece of work done elsewhere than on the caller's thread, and returns at once."""
+    def cancel(self, job: str) -> None: ...
 
-
-def refine(preparation: Preparation, config: JobConfig, pools: Pools) -> Refinement:
-    """See `atoll_coordinator.model.pipeline.refine_all`, whose kernels are loaded no sooner."""
-    from atoll_coordinator.model.pipeline import refine_all
-
-    return refine_all(preparation, config, pools)
+    def close(self) -> None: ...
 
 
-def _nothing() -> None:
-    """Have nothing to make ready."""
-
-
-def at_once(work: Callable[[], None]) -> None:
-    """Do a piece of work on the caller's thread."""
-    work()
+def iso_now() -> str:
+    """Return the time of day, UTC, to the millisecond."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 @dataclass(frozen=True, slots=True)
 class Ports:
-    """The outside world of a service. `clock` gives the time of day as ISO text.
+    """The outside world of a service, beside its bus and its store.
 
-    `errands` does what `preparer`, `refiner` and `warm_up` say, for threads of `background`. `writer` does what it is
-    given in the order in which it came, one piece at a time.
+    `pool` runs tasks, `writer` does what it is given in the order in which it came, one piece at a time, and `clock`
+    gives the time of day as ISO text. Tests replace `preparer` and `refiner` as well.
     """
 
-    preparer: Preparer
-    background: Background
-    clock: Callable[[], str]
+    pool: TaskPool = field(default_factory=ProcessPool)
+    clock: Callable[[], str] = iso_now
+    preparer: Preparer = prepare_table
     refiner: Refiner = refine
-    warm_up: WarmUp = _nothing
-    writer: Background = at_once
-    errands: Errands = HERE
+    writer: Callable[[Callable[[], None]], object] = field(
+        default_factory=lambda: ThreadPoolExecutor(1, "writing checkpoints").submit
+    )

@@ -11,7 +11,7 @@ from typing import Final
 
 from atoll import VERSION
 from atoll.config import JobConfig
-from atoll.errors import RemoteProtocolError, StoreError
+from atoll.errors import RemoteProtocolError
 from atoll.logs import fields
 from atoll.machine import usage
 from atoll.wire import topics
@@ -35,9 +35,8 @@ from atoll.wire.messages.workers import (
 from atoll.wire.rejects import Rejects
 from atoll.wire.security.access_control import Roster
 from atoll_coordinator.model.inference.refinement import Pools
-from atoll_coordinator.service.background.preparing import with_children
-from atoll_coordinator.service.background.runner import SlowWork, Written
-from atoll_coordinator.service.background.tasks import Ready, Refined, Unprepared
+from atoll_coordinator.service.background.runner import CheckpointWritten, TaskRunner
+from atoll_coordinator.service.background.tasks import JobPrepared, JobRefined, PreparationFailed
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.effects import WorkerWord
 from atoll_coordinator.service.jobs.job import Prepared
@@ -82,7 +81,7 @@ class Service:
             store: open; decides realm and incarnation.
             expected_workers: how many workers the first placement waits for, within limits.
             dismisses_workers: whether workers are told to end when this ends; otherwise they wait for its return.
-            ports: preparing, background work and time of day; the real ones unless given.
+            ports: the pool of processes, the time of day and so on; the real ones unless given.
             roster: names and roles, where certificates prove names; None: every name may be anybody.
         """
         self.rejects: Final = Rejects(_LOG)
@@ -91,8 +90,8 @@ class Service:
         self._dropped = 0
         self._store = store
         self._dismisses_workers = dismisses_workers
-        self._ports = ports or with_children()
-        self._slow_work = SlowWork(self._ports, store, self._bus.post)
+        self._ports = ports or Ports()
+        self._tasks = TaskRunner(self._ports, store, self._bus.post)
         self._is_linked = True
         self._asked: dict[int, tuple[str, PullReports | PullStates]] = {}
         self.controller: Final = Controller(store, self, self._ports.clock, expected_workers)
@@ -131,7 +130,7 @@ class Service:
                 if event is not None:
                     self.step(event)
         finally:
-            self._slow_work.close()
+            self._tasks.close()
         self.controller.watch.chronicle.flush()
         if self._dismisses_workers:
             self._put(topics.control(self._store.realm), Control(body=Shutdown(sentence="the coordinator ended")))
@@ -174,19 +173,19 @@ class Service:
 
     def write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> None:
         """See `Outlet.write`."""
-        self._slow_work.write(checkpoint, progress, elapsed)
+        self._tasks.write(checkpoint, progress, elapsed)
 
     def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
         """See `Outlet.prepare`."""
-        self._slow_work.prepare(job, table, config)
+        self._tasks.prepare(job, table, config)
 
     def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
         """See `Outlet.refine`."""
-        self._slow_work.refine(job, prepared, pools)
+        self._tasks.refine(job, prepared, pools)
 
     def stop(self, job: str) -> None:
         """See `Outlet.stop`."""
-        self._slow_work.stop(job)
+        self._tasks.cancel(job)
 
     def _put(self, key: str, message: Control) -> None:
         self._bus.put(key, encode(message))
@@ -211,17 +210,17 @@ class Service:
         match item:
             case _Look():
                 self._look(now)
-            case Ready():
+            case JobPrepared():
                 self._store.put_blob(item.data)
                 self.controller.prepared(item.job, item.prepared, now)
-            case Unprepared():
+            case PreparationFailed():
                 self.controller.job_failed(item.job, item.fault, item.sentence, now)
-            case Refined():
+            case JobRefined():
                 self.controller.refined(item.job, item.refinement, now)
-            case Written(error=None):
+            case CheckpointWritten():
+                if item.error is not None:
+                    raise item.error
                 self.controller.written(item.checkpoint, now)
-            case Written(error=StoreError() as error):
-                raise error
 
     def _look(self, now: float) -> None:
         """Let time pass, now that everything has been taken in that had come before."""

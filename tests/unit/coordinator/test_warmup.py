@@ -3,16 +3,18 @@
 import logging
 import subprocess
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from atoll.config import JobConfig
 from atoll.wire.bus.simulated_bus import SimulatedNetwork
-from atoll_coordinator.service.background.preparing import REAL
+from atoll_coordinator.service.background.child_main import load_refinement
 from atoll_coordinator.service.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
+from tests.task_pools import LocalPool
 from tests.unit.documents import ROOT
 
 CALLED = {
@@ -49,7 +51,7 @@ def python(code: str, *words: str) -> set[str]:
     return set(subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True).stdout.split())
 
 
-@pytest.mark.parametrize("package", ["atoll_coordinator.data", "atoll_coordinator.model.shooting"])
+@pytest.mark.parametrize("package", ["atoll_coordinator.data.differentiation", "atoll_coordinator.model.shooting"])
 def test_without_a_compiler_there_is_nothing_to_do(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
     module = __import__(f"{package}.warmup", fromlist=["warm_up"])
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
@@ -64,27 +66,26 @@ def test_a_coordinator_starts_without_the_compiler() -> None:
 
 
 class Order:
-    """Ports that note what is done in which order."""
+    """Notes what a service has done in which order."""
 
-    def __init__(self, trouble: Exception | None = None) -> None:
+    def __init__(self) -> None:
         self.done: list[str] = []
-        self.trouble = trouble
 
     def prepare(self, table: bytes, config: JobConfig) -> Any:
         self.done.append("prepared")
         raise ValueError("nothing to prepare")
 
-    def warm_up(self) -> None:
+    def preload(self, function: Callable[[], None]) -> None:
+        assert function is load_refinement
         self.done.append("warmed up")
-        if self.trouble is not None:
-            raise self.trouble
 
     def run(self) -> list[str]:
         """Have a service prepare a job; return what was done, in order."""
         with Store.open(None) as store:
             bus = SimulatedNetwork(0).bus("coordinator", is_router=True)
-            ports = Ports(self.prepare, lambda work: work(), lambda: "now", warm_up=self.warm_up)
-            Service(bus, store, ports=ports).prepare("j", b"", JobConfig())
+            pool = LocalPool()
+            pool.preload = self.preload  # type: ignore[method-assign]
+            Service(bus, store, ports=Ports(pool, preparer=self.prepare)).prepare("j", b"", JobConfig())
         return self.done
 
 
@@ -92,14 +93,20 @@ def test_refining_is_made_ready_once_the_search_can_begin() -> None:
     assert Order().run() == ["prepared", "warmed up"]
 
 
-def test_a_warm_up_that_fails_is_told_and_nothing_else(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_warm_up_that_fails_is_logged_and_nothing_else(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail() -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr("atoll_coordinator.model.shooting.warmup.warm_up", fail)
     with caplog.at_level(logging.ERROR):
-        assert Order(OSError("no space left")).run() == ["prepared", "warmed up"]
+        load_refinement()
     assert "warm-up failed" in caplog.text
 
 
 def test_a_real_coordinator_warms_up_the_kernels_of_refining(monkeypatch: pytest.MonkeyPatch) -> None:
     called = []
     monkeypatch.setattr("atoll_coordinator.model.shooting.warmup.warm_up", lambda: called.append(1))
-    REAL.warm_up()
+    load_refinement()
     assert called == [1]

@@ -198,18 +198,18 @@ class Coordinator:
             self._listening.set()
 
     def _serve(self) -> None:
-        from atoll_coordinator.service.background.child_main import load_preparing
-        from atoll_coordinator.service.background.process_pool import Children
+        from atoll_coordinator.service.background.child_main import load_preparation
+        from atoll_coordinator.service.background.process_pool import ProcessPool
 
-        with contextlib.closing(Children()) as children:
-            children.expect(load_preparing)  # loads while the rest of this is loaded
+        with contextlib.closing(ProcessPool()) as pool:
+            pool.preload(load_preparation)  # loads while the rest of this is loaded
             from atoll.wire.bus.zenoh_bus import open_router
-            from atoll_coordinator.service.background.preparing import with_children
+            from atoll_coordinator.service.ports import Ports
             from atoll_coordinator.service.service import Service
             from atoll_coordinator.service.store.store import Store
 
             with Store.open(None) as store, open_router(self._endpoint) as bus:
-                ports = with_children(children)
+                ports = Ports(pool)
                 service = Service(bus, store, expected_workers=self._workers, dismisses_workers=True, ports=ports)
                 self._listening.set()
                 service.run(self._stop)

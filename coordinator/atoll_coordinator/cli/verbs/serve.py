@@ -25,7 +25,7 @@ from atoll_coordinator.cli.terminal.output import note, say
 if TYPE_CHECKING:
     from atoll.wire.bus.interface import Bus
     from atoll.wire.bus.zenoh_bus import ZenohBus
-    from atoll_coordinator.service.background.process_pool import Children
+    from atoll_coordinator.service.background.process_pool import ProcessPool
     from atoll_coordinator.service.store.store import Store
 
 ANOTHER_LIMIT_S: Final = 0.5
@@ -41,27 +41,27 @@ def serve(options: argparse.Namespace) -> int:
     wanted = destination(options.router or options.listen, credentials)
     roster = roster_of(options.roster, wanted)
     configure(options.log_format, options.log_level)
-    from atoll_coordinator.service.background.child_main import load_preparing
-    from atoll_coordinator.service.background.process_pool import Children
+    from atoll_coordinator.service.background.child_main import load_preparation
+    from atoll_coordinator.service.background.process_pool import ProcessPool
 
     stop = threading.Event()
-    with stopping(stop), contextlib.closing(Children()) as children:
-        children.expect(load_preparing)  # loads while the rest of this is loaded: a restart has jobs that wait for it
-        _serve(options, wanted, roster, children, stop)
+    with stopping(stop), contextlib.closing(ProcessPool()) as pool:
+        pool.preload(load_preparation)  # loads while the rest of this is loaded: a restart has jobs that wait for it
+        _serve(options, wanted, roster, pool, stop)
     note("coordinator: stopped; jobs and results are kept")
     return DONE
 
 
 def _serve(
-    options: argparse.Namespace, wanted: Destination, roster: Roster | None, children: "Children", stop: threading.Event
+    options: argparse.Namespace, wanted: Destination, roster: Roster | None, pool: "ProcessPool", stop: threading.Event
 ) -> None:
-    """Serve with these child processes until `stop` is set."""
-    from atoll_coordinator.service.background.preparing import with_children
+    """Serve with this pool of processes until `stop` is set."""
+    from atoll_coordinator.service.ports import Ports
     from atoll_coordinator.service.service import Service
 
     behind = options.router is not None
     with _opened(options.state) as store, _joined(options, wanted, roster) as bus:
-        service = Service(bus, store, ports=with_children(children), roster=roster)
+        service = Service(bus, store, ports=Ports(pool), roster=roster)
         service.start()
         here = Destination(parse_address(bus.endpoint), wanted.credentials)
         with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):

@@ -1,8 +1,7 @@
-"""What a child process of the coordinator does: errands, one after another, until the coordinator closes its pipe.
+"""The program of a child process: runs tasks one after another until the coordinator closes its pipe. Light to import.
 
-Errands come as pickles on stdin, and what comes of them goes back on stdout, both of which belong to the two alone. A
-thread of its own reads, so that the end of the coordinator, however it came, is the end of the child in the middle of
-its work.
+Tasks come as pickles on stdin and outcomes go back on stdout; nothing else uses the two pipes. A thread reads, so that
+the end of the coordinator, however it came, ends the child in the middle of a task.
 """
 
 import contextlib
@@ -21,7 +20,7 @@ from atoll.machine.garbage import collect_rarely
 from atoll.machine.usage import memory_bytes
 from atoll_coordinator.service.background.child_process import OTHER_VERSION, version
 
-Errand = tuple[bool, Callable[[], Any]]
+Task = tuple[bool, Callable[[], Any]]
 """Whether an answer is awaited, and what is to be called."""
 
 _ENDING: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
@@ -29,16 +28,30 @@ _STDIN: Final = 0
 _STDOUT: Final = 1
 _STDERR: Final = 2
 _MORE_LIKELY: Final = "500"
+_LOG = logging.getLogger(__name__)
 
 
-def load_preparing() -> None:
+def load_preparation() -> None:
     """Load what preparing needs; its kernels are loaded as they are needed."""
     import atoll.data.table  # noqa: F401
     import atoll_coordinator.data.prepare  # noqa: F401
 
 
+def load_refinement() -> None:
+    """Load what refining needs, compiling its kernels if need be; an error is logged, since refining meets it too."""
+    try:
+        import scipy.special  # noqa: F401
+
+        import atoll_coordinator.model.pipeline  # noqa: F401
+        from atoll_coordinator.model.shooting.warmup import warm_up
+
+        warm_up()
+    except Exception:
+        _LOG.exception("warm-up failed")
+
+
 def main(level: int, of: str) -> None:
-    """Do errands until the coordinator, whose version is `of`, is gone. `level` is the least that is logged."""
+    """Run tasks until the coordinator, whose version is `of`, is gone. `level` is the least that is logged."""
     if of != version():
         sys.exit(OTHER_VERSION)
     for number in _ENDING:  # the coordinator's to handle, also where a whole group of processes is told to end
@@ -47,19 +60,19 @@ def main(level: int, of: str) -> None:
         with contextlib.suppress(OSError):  # where memory runs out, this is to go before the coordinator
             Path("/proc/self/oom_score_adj").write_text(_MORE_LIKELY, "ascii")
     collect_rarely()
-    errands, answers = _pipes()
-    said = _Said(answers)
-    logging.basicConfig(level=level, handlers=[said], force=True)
-    waiting: queue.SimpleQueue[Errand] = queue.SimpleQueue()
-    threading.Thread(target=_read, args=(errands, waiting), name="reading errands", daemon=True).start()
+    requests, answers = _pipes()
+    sender = _Sender(answers)
+    logging.basicConfig(level=level, handlers=[sender], force=True)
+    waiting: queue.SimpleQueue[Task] = queue.SimpleQueue()
+    threading.Thread(target=_read, args=(requests, waiting), name="reading tasks", daemon=True).start()
     while True:
-        is_awaited, errand = waiting.get()
-        outcome = errand()
+        is_awaited, function = waiting.get()
+        outcome = function()
         if is_awaited:
-            said.say("answer", (outcome, memory_bytes()))
+            sender.send("answer", (outcome, memory_bytes()))
         else:
-            said.say("done", None)
-        del outcome, errand  # neither is to be kept while there is nothing to do
+            sender.send("done", None)
+        del outcome, function  # neither is to be kept while there is nothing to do
 
 
 def _pipes() -> tuple[BinaryIO, BinaryIO]:
@@ -72,26 +85,26 @@ def _pipes() -> tuple[BinaryIO, BinaryIO]:
     return pipes
 
 
-def _read(errands: BinaryIO, waiting: "queue.SimpleQueue[Errand]") -> None:
-    """Hand on errands; end this process when there can be no more."""
+def _read(requests: BinaryIO, waiting: "queue.SimpleQueue[Task]") -> None:
+    """Hand on tasks; end this process when there can be no more."""
     try:
         while True:
-            waiting.put(pickle.load(errands))
-    except (EOFError, pickle.UnpicklingError, OSError):  # the coordinator is gone, perhaps in the middle of a word
+            waiting.put(pickle.load(requests))
+    except (EOFError, pickle.UnpicklingError, OSError):  # the coordinator is gone, perhaps in the middle of a message
         os._exit(0)
     except BaseException:
         sys.excepthook(*sys.exc_info())
         os._exit(1)
 
 
-class _Said(logging.Handler):
-    """What goes back to the coordinator: answers, and the records of the log. Any thread may speak."""
+class _Sender(logging.Handler):
+    """Sends answers and log records to the coordinator. Its methods may be called from any thread."""
 
     def __init__(self, pipe: BinaryIO) -> None:
         super().__init__()
         self._pipe = pipe
 
-    def say(self, kind: str, what: object) -> None:
+    def send(self, kind: str, what: object) -> None:
         """Send one thing; this process ends when nobody is there to hear it."""
         with self.lock:  # type: ignore[union-attr]  # made by the base class, which logging itself relies on
             try:
@@ -101,9 +114,9 @@ class _Said(logging.Handler):
                 os._exit(0)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Send a record, its words put together and its traceback as text."""
+        """Send a record, its message formatted and its traceback as text."""
         values = dict(vars(record))
         if record.exc_info:
             values["exc_text"] = logging.Formatter().formatException(record.exc_info)
         values |= {"msg": record.getMessage(), "args": None, "exc_info": None}
-        self.say("log", values)
+        self.send("log", values)

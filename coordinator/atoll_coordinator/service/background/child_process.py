@@ -1,4 +1,4 @@
-"""One child process of the coordinator: a fresh interpreter that does errands, sent and answered through two pipes.
+"""One child process of the coordinator: a new interpreter that runs tasks, sent and answered through two pipes.
 
 Not a fork, since the coordinator's bus has threads, which a fork does not keep. Pickles are written and read here and
 in `child_main` alone, by a process and the one that it started itself.
@@ -16,7 +16,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll_coordinator.service.background.interface import LostError
+from atoll.errors import AtollError
 
 END_LIMIT_S: Final = 5.0
 """How long a process that was killed, or has closed its pipe, may take to be gone."""
@@ -33,11 +33,15 @@ main(int(level), version)
 _TOLD: Final = frozenset({signal.SIGKILL})
 
 
+class ProcessDiedError(AtollError):
+    """Raised when a task cannot be run because its process died; a few words that name the cause."""
+
+
 class ChildProcess:
-    """A process that does errands in the order in which they are sent; several may be sent, one be waited for."""
+    """A process that runs tasks in the order in which they are sent; several may be sent, one be waited for."""
 
     def __init__(self) -> None:
-        """Start it; raises LostError when the system starts no more processes."""
+        """Start it; raises ProcessDiedError when the system starts no more processes."""
         level = logging.getLogger().getEffectiveLevel()
         command = [sys.executable, "-P", "-c", _PROGRAM, str(level), version(), *sys.path]  # it finds what we found
         try:
@@ -48,7 +52,7 @@ class ChildProcess:
                 start_new_session=True,  # a Ctrl-C on the terminal is the coordinator's to handle
             )
         except OSError as error:
-            raise LostError(f"no process could be started for it: {error.strerror}") from error
+            raise ProcessDiedError(f"no process could be started for it: {error.strerror}") from error
         self._answers: queue.SimpleQueue[tuple[Any, int] | None] = queue.SimpleQueue()
         self._why: str | None = None
         self._expected = 0  # counted by who sends
@@ -59,7 +63,7 @@ class ChildProcess:
         except RuntimeError as error:
             self._process.kill()
             self._process.wait(END_LIMIT_S)
-            raise LostError(f"no thread could be started for it: {error}") from error
+            raise ProcessDiedError(f"no thread could be started for it: {error}") from error
         self.done = 0
         self.memory_bytes = 0
 
@@ -70,16 +74,16 @@ class ChildProcess:
 
     @property
     def is_alive(self) -> bool:
-        """Whether errands can be sent; it may end at any time."""
+        """Whether tasks can be sent; it may end at any time."""
         return self._reader.is_alive() and self._why is None
 
     @property
     def is_busy(self) -> bool:
-        """Whether it is still at something that nobody waits for."""
+        """Whether it is still running something that nobody waits for."""
         return self._expected > self._expected_done
 
-    def send(self, errand: Callable[[], Any], is_awaited: bool = True) -> None:
-        """Send an errand, its function by name; if the process has ended, `answer` tells.
+    def send(self, function: Callable[[], Any], is_awaited: bool = True) -> None:
+        """Send a task, its function by name; if the process has ended, `answer` raises.
 
         Raises:
             pickle.PicklingError, AttributeError, TypeError: its function has no name, or what it is called with cannot
@@ -90,14 +94,14 @@ class ChildProcess:
         self._expected += not is_awaited
         try:
             with contextlib.suppress(OSError, ValueError):  # it has ended, and the pipe may be closed already
-                pickle.dump((is_awaited, errand), pipe, pickle.HIGHEST_PROTOCOL)
+                pickle.dump((is_awaited, function), pipe, pickle.HIGHEST_PROTOCOL)
                 pipe.flush()
         except BaseException:  # half of it may have been sent
             self.kill("what it was sent could not be sent whole")
             raise
 
     def answer(self, limit_s: float) -> Any:
-        """Wait for what comes of the errand that was sent; raises LostError, after which the process is gone."""
+        """Wait for the outcome of the task that was sent; raises ProcessDiedError, after which the process is gone."""
         try:
             said = self._answers.get(timeout=limit_s)
         except queue.Empty:
@@ -105,7 +109,7 @@ class ChildProcess:
             said = None
         if said is None:
             self.wait()
-            raise LostError(self._why or cause_of(self._process.returncode))
+            raise ProcessDiedError(self._why or cause_of(self._process.returncode))
         outcome, self.memory_bytes = said
         self.done += 1
         return outcome
@@ -120,7 +124,7 @@ class ChildProcess:
         self._reader.join(END_LIMIT_S)
 
     def _read(self) -> None:
-        """Take in what the process says until it ends; then see it off."""
+        """Take in what the process sends until it ends; then wait for its end."""
         pipe = self._process.stdout
         assert pipe is not None
         try:
@@ -135,15 +139,15 @@ class ChildProcess:
         except Exception as error:  # also words that the end of the process cut short, or memory that ran out here
             if not isinstance(error, EOFError | pickle.UnpicklingError):
                 self._why = self._why or f"its answer could not be read: {type(error).__name__}: {error}"
-        self._see_off()
+        self._reap()
         for end in (self._process.stdin, pipe):
             with contextlib.suppress(OSError):  # what was not sent yet cannot be
                 if end is not None:
                     end.close()
         self._answers.put(None)
 
-    def _see_off(self) -> None:
-        """Wait for the end of a process that says no more."""
+    def _reap(self) -> None:
+        """Wait for the end of a process that sends no more."""
         try:
             self._process.wait(END_LIMIT_S)
         except subprocess.TimeoutExpired:

@@ -1,6 +1,6 @@
-"""The child processes of a coordinator: started ahead, kept for what comes next, ended with what they are at.
+"""A pool of child processes that run the tasks of jobs: started ahead, kept for later tasks, ended with their jobs.
 
-An errand whose process dies is done once more in another. One that is stopped takes its process with it.
+A task whose process dies runs once more in another process. A task that is cancelled ends with its process.
 """
 
 import contextlib
@@ -9,224 +9,262 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Final
+from typing import Final, TypeVar
 
+from atoll.errors import AtollError
 from atoll.logs import fields
 from atoll.machine.cores import usable_cores
-from atoll_coordinator.service.background.child_process import ChildProcess
-from atoll_coordinator.service.background.interface import LostError, StoppedError, T
+from atoll_coordinator.service.background.child_process import ChildProcess, ProcessDiedError
 
 LIMIT_S: Final = 3_600.0
-"""Far above what preparing or refining takes: what takes longer hangs, and is ended."""
+"""Far above what preparing or refining takes: a task that takes longer hangs, and is ended."""
 
 IDLE_S: Final = 120.0
-"""A child that has had nothing to do for so long ends, and its memory is given back."""
+"""A process that has had no task for so long ends, and its memory is given back."""
 
 MAX_AT_ONCE: Final = 4
-MAX_ERRANDS: Final = 100
+MAX_TASKS: Final = 100
 MAX_MEMORY: Final = 1 << 30
-"""A child that has done so much, or occupies so much, does no further errand: what it leaked is given back."""
+"""A process that has run so many tasks, or occupies so many bytes, runs no further task: its leaks are given back."""
 
 _REMEMBERED: Final = 256
 _LOG = logging.getLogger(__name__)
 
+T = TypeVar("T")
 
-class _Call:
-    """An errand under way."""
+
+class TaskCancelledError(AtollError):
+    """Raised when a task was cancelled: nobody waits for its outcome."""
+
+
+class _Task:
+    """A task that runs or waits for its turn."""
 
     def __init__(self, job: str) -> None:
         self.job = job
-        self.child: ChildProcess | None = None
-        self.is_stopped = False
+        self.process: ChildProcess | None = None
+        self.is_cancelled = False
 
 
-class Children:
-    """See `atoll_coordinator.service.background.interface.Errands`: places are child processes."""
+class ProcessPool:
+    """Runs functions of modules (or `functools.partial` of these). Its methods may be called from any thread."""
 
     def __init__(self, *, limit_s: float = LIMIT_S, idle_s: float = IDLE_S, at_once: int | None = None) -> None:
-        """`at_once`: how many errands of those that wait for their turn; as many as there are cores, but at most 4."""
+        """`at_once`: how many queued tasks run at the same time; as many as there are cores, but at most 4."""
         self._limit_s = limit_s
         self._idle_s = idle_s
         self._at_once = at_once or min(usable_cores(os.environ)[0], MAX_AT_ONCE)
         self._changed = threading.Condition()
-        self._calls: list[_Call] = []
-        self._line: list[_Call] = []
-        self._stopped: deque[str] = deque(maxlen=_REMEMBERED)  # an errand may come just after its job was stopped
+        self._tasks: list[_Task] = []
+        self._queue: list[_Task] = []
+        self._cancelled: deque[str] = deque(maxlen=_REMEMBERED)  # a task may come just after its job was cancelled
         self._idle: list[ChildProcess] = []
         self._timer: threading.Timer | None = None
         self._is_closed = False
 
-    # ------------------------------------------------------------------------------------------- errands
+    # --------------------------------------------------------------------------------------------- tasks
 
-    def do(self, job: str, errand: Callable[[], T]) -> T:
-        """See `Errands.do`."""
-        return self._do(_Call(job), errand)
+    def submit(
+        self, job: str, function: Callable[[], T], on_result: Callable[[T], None], on_failure: Callable[[str], None],
+        *, is_queued: bool = False,
+    ) -> None:  # fmt: skip
+        """Run a task and return at once; see `run`.
 
-    def do_in_turn(self, job: str, errand: Callable[[], T]) -> T:
-        """See `Errands.do_in_turn`."""
-        call = _Call(job)
-        with self._changed:
-            self._line.append(call)
-        return self._do(call, errand)
+        Args:
+            job: whose task it is; `cancel` ends it, and then neither function is called.
+            function: the task.
+            on_result: called with what the task returned, from another thread.
+            on_failure: called with a few words on why the task cannot be run, from any thread.
+            is_queued: whether it waits while as many queued tasks run as the machine has cores.
+        """
 
-    def _do(self, call: _Call, errand: Callable[[], T]) -> T:
-        with self._changed:
-            self._calls.append(call)
-            call.is_stopped = call.job in self._stopped
+        def work() -> None:
+            try:
+                result = self.run(job, function, is_queued=is_queued)
+            except TaskCancelledError:
+                return
+            except ProcessDiedError as error:
+                on_failure(str(error))
+            except Exception as error:  # the job needs an outcome, whatever this machine has run out of
+                _LOG.exception("task failed", extra=fields(job=job))
+                on_failure(f"{type(error).__name__}: {error}")
+            else:
+                on_result(result)
+
         try:
-            self._wait_for_turn(call)
-            return self._do_perhaps_again(call, errand)
+            threading.Thread(target=work, name=f"task of job {job}", daemon=True).start()
+        except RuntimeError as error:  # the system starts no more threads
+            on_failure(str(error))
+
+    def run(self, job: str, function: Callable[[], T], *, is_queued: bool = False) -> T:
+        """Run a task, wait for it and return what it returns.
+
+        Raises:
+            TaskCancelledError: it was cancelled, or the pool is closed.
+            ProcessDiedError: its process died, and so did the second one.
+        """
+        task = _Task(job)
+        with self._changed:
+            self._tasks.append(task)
+            if is_queued:
+                self._queue.append(task)
+            task.is_cancelled = job in self._cancelled
+        try:
+            self._wait_for_turn(task)
+            return self._run_twice_at_most(task, function)
         finally:
             with self._changed:
-                self._calls.remove(call)
-                if call in self._line:
-                    self._line.remove(call)
+                self._tasks.remove(task)
+                if task in self._queue:
+                    self._queue.remove(task)
                 self._changed.notify_all()
 
-    def _do_perhaps_again(self, call: _Call, errand: Callable[[], T]) -> T:
-        try:
-            return self._attempt(call, errand, self._taken if call in self._line else self._free)
-        except LostError as error:
-            _LOG.warning("errand lost, done again", extra=fields(job=call.job, why=str(error)))
-        try:
-            return self._attempt(call, errand, ChildProcess)
-        except LostError as error:
-            raise LostError(f"{error}, twice") from error
-
-    def _wait_for_turn(self, call: _Call) -> None:
-        """Wait until few enough are before this one in the line; each of them has a limit."""
+    def _wait_for_turn(self, task: _Task) -> None:
+        """Wait until few enough tasks are before this one in the queue; each of them has a time limit."""
         with self._changed:
-            while call in self._line[self._at_once :] and not self._is_over(call):
+            while task in self._queue[self._at_once :] and not self._is_over(task):
                 self._changed.wait()
 
-    def _attempt(self, call: _Call, errand: Callable[[], T], choose: Callable[[], ChildProcess]) -> T:
-        """Have the errand done by the child that `choose` returns, and that does nothing else meanwhile."""
-        with self._changed:
-            if self._is_over(call):
-                raise StoppedError("it was stopped")
-            child = call.child = choose()
+    def _run_twice_at_most(self, task: _Task, function: Callable[[], T]) -> T:
+        """Run a task; when its process dies, run it again in a new one."""
         try:
-            with _ended_after(self._limit_s, child):
-                child.send(errand)
-            outcome: T = child.answer(self._limit_s)
-        except LostError:
-            if self._is_over(call):
-                raise StoppedError("it was stopped") from None
+            return self._run_once(task, function, self._take_any if task in self._queue else self._take_ready)
+        except ProcessDiedError as error:
+            _LOG.warning("task lost, run again", extra=fields(job=task.job, why=str(error)))
+        try:
+            return self._run_once(task, function, ChildProcess)
+        except ProcessDiedError as error:
+            raise ProcessDiedError(f"{error}, twice") from error
+
+    def _run_once(self, task: _Task, function: Callable[[], T], take: Callable[[], ChildProcess]) -> T:
+        """Run the task in the process that `take` returns, which has no other task meanwhile."""
+        with self._changed:
+            if self._is_over(task):
+                raise TaskCancelledError("it was cancelled")
+            process = task.process = take()
+        try:
+            with _ended_after(self._limit_s, process):
+                process.send(function)
+            result: T = process.answer(self._limit_s)
+        except ProcessDiedError:
+            if self._is_over(task):
+                raise TaskCancelledError("it was cancelled") from None
             raise
         finally:
             with self._changed:
-                call.child = None
-        self._give_back(child)
-        return outcome
+                task.process = None
+        self._give_back(process)
+        return result
 
-    def _is_over(self, call: _Call) -> bool:
-        return call.is_stopped or self._is_closed
+    def _is_over(self, task: _Task) -> bool:
+        return task.is_cancelled or self._is_closed
 
-    # ----------------------------------------------------------------------------------------------- life
-
-    def expect(self, errand: Callable[[], None]) -> None:
-        """See `Errands.expect`: an idle child, or a new one if none is idle, does it as the first thing."""
+    def preload(self, function: Callable[[], None]) -> None:
+        """Have an idle process, or a new one, run what makes later tasks quicker; nobody waits for it."""
         with self._changed:
             if self._is_closed:
                 return
             try:
-                child = self._taken()
-            except LostError as error:
-                _LOG.warning("no child process ahead", extra=fields(why=str(error)))
+                process = self._take_any()
+            except ProcessDiedError as error:
+                _LOG.warning("no process started ahead", extra=fields(why=str(error)))
                 return
-        child.send(errand, is_awaited=False)
-        self._give_back(child)
+        process.send(function, is_awaited=False)
+        self._give_back(process)
 
-    def stop(self, job: str) -> None:
-        """See `Errands.stop`."""
+    def cancel(self, job: str) -> None:
+        """End the tasks of a job at once."""
         with self._changed:
-            self._stopped.append(job)
-            for call in self._calls:
-                if call.job == job:
-                    self._end(call)
+            self._cancelled.append(job)
+            for task in self._tasks:
+                if task.job == job:
+                    self._end(task)
             self._changed.notify_all()
 
     def close(self) -> None:
-        """See `Errands.close`; waits, within limits, until all processes are gone."""
+        """End all tasks at once and wait, within limits, until all processes are gone; later tasks are cancelled."""
         with self._changed:
             self._is_closed = True
-            children = [*self._idle, *(call.child for call in self._calls if call.child is not None)]
+            processes = [*self._idle, *(task.process for task in self._tasks if task.process is not None)]
             self._idle.clear()
-            for call in self._calls:
-                self._end(call)
+            for task in self._tasks:
+                self._end(task)
             self._changed.notify_all()
             if self._timer is not None:
                 self._timer.cancel()
-        for child in children:
-            child.kill("the coordinator ended")
-        for child in children:
-            child.wait()
+        for process in processes:
+            process.kill("the coordinator ended")
+        for process in processes:
+            process.wait()
 
-    def _end(self, call: _Call) -> None:
-        call.is_stopped = True
-        if call.child is not None:
-            call.child.kill("it was stopped")
+    def _end(self, task: _Task) -> None:
+        task.is_cancelled = True
+        if task.process is not None:
+            task.process.kill("it was cancelled")
 
-    def _free(self) -> ChildProcess:
-        """Return an idle child that need not be waited for, or a new one; raises LostError.
+    # ----------------------------------------------------------------------------------------- processes
+
+    def _take_ready(self) -> ChildProcess:
+        """Return an idle process that is not busy, or a new one; raises ProcessDiedError.
 
         One that was started ahead is waited for: a new one would not be quicker.
         """
-        return self._chosen(lambda child: not child.is_busy or child.done == 0)
+        return self._take(lambda process: not process.is_busy or process.done == 0)
 
-    def _taken(self) -> ChildProcess:
-        """Return an idle child, best one that need not be waited for, or a new one; raises LostError."""
-        is_there_a_free_one = any(child.is_alive and not child.is_busy for child in self._idle)
-        return self._chosen(lambda child: not (is_there_a_free_one and child.is_busy))
+    def _take_any(self) -> ChildProcess:
+        """Return an idle process, best one that is not busy, or a new one; raises ProcessDiedError."""
+        is_one_ready = any(process.is_alive and not process.is_busy for process in self._idle)
+        return self._take(lambda process: not (is_one_ready and process.is_busy))
 
-    def _chosen(self, suits: Callable[[ChildProcess], bool]) -> ChildProcess:
-        """Return the idle child that worked last of those that suit, or a new one; raises LostError."""
-        self._idle = [child for child in self._idle if child.is_alive]
-        for child in reversed(self._idle):
-            if suits(child):
-                self._idle.remove(child)
-                return child
+    def _take(self, is_suitable: Callable[[ChildProcess], bool]) -> ChildProcess:
+        """Return the suitable idle process that worked last, or a new one; raises ProcessDiedError."""
+        self._idle = [process for process in self._idle if process.is_alive]
+        for process in reversed(self._idle):
+            if is_suitable(process):
+                self._idle.remove(process)
+                return process
         return ChildProcess()
 
-    def _give_back(self, child: ChildProcess) -> None:
-        """Keep the child for what comes next, for a while and unless it has done enough."""
-        is_spent = child.done >= MAX_ERRANDS or child.memory_bytes >= MAX_MEMORY
+    def _give_back(self, process: ChildProcess) -> None:
+        """Keep the process for later tasks, for a while and unless it has done enough."""
+        is_spent = process.done >= MAX_TASKS or process.memory_bytes >= MAX_MEMORY
         with self._changed:
             if self._is_closed or is_spent or len(self._idle) >= self._at_once:
-                child.kill("it is not needed any more")
+                process.kill("it is not needed any more")
                 return
-            self._idle.append(child)
-            self._begin_to_wait()
+            self._idle.append(process)
+            self._start_timer()
 
-    def _begin_to_wait(self) -> None:
+    def _start_timer(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
-        self._timer = threading.Timer(self._idle_s, self._let_go)
+        self._timer = threading.Timer(self._idle_s, self._end_idle)
         self._timer.daemon = True
-        with contextlib.suppress(RuntimeError):  # the system starts no more threads; children stay a while longer
+        with contextlib.suppress(RuntimeError):  # the system starts no more threads; processes stay a while longer
             self._timer.start()
 
-    def _let_go(self) -> None:
-        """End all children that have nothing to do."""
+    def _end_idle(self) -> None:
+        """End all processes that have nothing to do."""
         with self._changed:
-            idle = [child for child in self._idle if not child.is_busy]
-            self._idle = [child for child in self._idle if child.is_busy]
+            idle = [process for process in self._idle if not process.is_busy]
+            self._idle = [process for process in self._idle if process.is_busy]
             if self._idle and not self._is_closed:
-                self._begin_to_wait()
-        for child in idle:
-            child.kill("it had nothing to do")
+                self._start_timer()
+        for process in idle:
+            process.kill("it had nothing to do")
 
 
 @contextlib.contextmanager
-def _ended_after(limit_s: float, child: ChildProcess) -> Iterator[None]:
-    """End a child that does not take in within `limit_s` seconds what it is sent; raises LostError without a thread."""
-    timer = threading.Timer(limit_s, child.kill, (f"its process took in nothing for {limit_s:,.0f} s and was ended",))
+def _ended_after(limit_s: float, process: ChildProcess) -> Iterator[None]:
+    """End a process that does not take in within `limit_s` seconds what it is sent; raises ProcessDiedError."""
+    why = f"its process took in nothing for {limit_s:,.0f} s and was ended"
+    timer = threading.Timer(limit_s, process.kill, (why,))
     timer.daemon = True
     try:
         timer.start()
     except RuntimeError as error:
-        child.kill("it could not be watched")
-        raise LostError(f"no thread could be started for it: {error}") from error
+        process.kill("it could not be watched")
+        raise ProcessDiedError(f"no thread could be started for it: {error}") from error
     try:
         yield
     finally:

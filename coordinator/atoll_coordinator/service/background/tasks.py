@@ -1,4 +1,4 @@
-"""Errands: what takes long for one job, preparing and refining. Plain functions, found by name in a child process."""
+"""The functions that prepare and refine one job. A child process finds them by name; each returns an outcome."""
 
 import hashlib
 import logging
@@ -14,13 +14,19 @@ from atoll_coordinator.model.inference.refinement import Pools, Refinement
 from atoll_coordinator.model.report.known import known_entries, with_remarks
 from atoll_coordinator.service.jobs.defaults import resolve
 from atoll_coordinator.service.jobs.job import Fault, Prepared
-from atoll_coordinator.service.ports import Preparer, Refiner
 
 _LOG = logging.getLogger(__name__)
 
+Preparer = Callable[[bytes, JobConfig], Preparation]
+"""Turns an uploaded table into regression problems and a recording; raises DataError or UsageError with a sentence for
+the user."""
+
+Refiner = Callable[[Preparation, JobConfig, Pools], Refinement]
+"""Makes the equations that are shown from the search's pools; see `atoll_coordinator.model.pipeline.refine_all`."""
+
 
 @dataclass(frozen=True, slots=True)
-class Ready:
+class JobPrepared:
     """Posted when a job is prepared: its dataset, also as bytes."""
 
     job: str
@@ -29,7 +35,7 @@ class Ready:
 
 
 @dataclass(frozen=True, slots=True)
-class Unprepared:
+class PreparationFailed:
     """Posted when a job cannot be prepared: why there is no dataset."""
 
     job: str
@@ -38,15 +44,36 @@ class Unprepared:
 
 
 @dataclass(frozen=True, slots=True)
-class Refined:
+class JobRefined:
     """Posted when a job is refined: what was made of its pools."""
 
     job: str
     refinement: Refinement
 
 
-def prepare_job(preparer: Preparer, job: str, table: bytes, config: JobConfig) -> Ready | Unprepared:
-    """Smooth and differentiate, or say why not."""
+def prepare_table(table: bytes, config: JobConfig) -> Preparation:
+    """Smooth and differentiate an uploaded table.
+
+    Raises:
+        DataError: The measurements cannot be used as they are.
+        UsageError: Options contradict each other or name columns that are not there.
+        RemoteProtocolError: The bytes are not those of a table.
+    """
+    from atoll.data.table import Table
+    from atoll_coordinator.data.prepare import prepare
+
+    return prepare(Table.from_bytes(table), config)
+
+
+def refine(preparation: Preparation, config: JobConfig, pools: Pools) -> Refinement:
+    """See `atoll_coordinator.model.pipeline.refine_all`, whose kernels are loaded no sooner."""
+    from atoll_coordinator.model.pipeline import refine_all
+
+    return refine_all(preparation, config, pools)
+
+
+def prepare_job(preparer: Preparer, job: str, table: bytes, config: JobConfig) -> JobPrepared | PreparationFailed:
+    """Prepare the table of a job, or say why that cannot be done."""
     try:
         preparation = preparer(table, config)
         data = dataset_to_bytes(preparation.dataset)
@@ -54,36 +81,28 @@ def prepare_job(preparer: Preparer, job: str, table: bytes, config: JobConfig) -
         resolved = resolve(config, preparation.dataset)
         known = known_entries(preparation.dataset, resolved)
         preparation = with_remarks(preparation, resolved)
-        return Ready(job, Prepared(preparation, resolved, blob, len(data), known), data)
+        return JobPrepared(job, Prepared(preparation, resolved, blob, len(data), known), data)
     except (DataError, UsageError, RemoteProtocolError) as error:
-        return Unprepared(job, "data", str(error))
+        return PreparationFailed(job, "data", str(error))
     except Exception as error:  # the job fails with it, the coordinator goes on
-        _LOG.exception("preparing broke", extra=fields(job=job))
-        return not_prepared(job, f"{type(error).__name__}: {error}")
+        _LOG.exception("preparing failed", extra=fields(job=job))
+        return preparation_failed(job, f"{type(error).__name__}: {error}")
 
 
-def not_prepared(job: str, why: str) -> Unprepared:
-    """Return that preparing a job broke."""
-    return Unprepared(job, "internal", f"preparing the data broke ({why})")
+def preparation_failed(job: str, why: str) -> PreparationFailed:
+    """Return the outcome of a preparation that ended with an error of ours or of this machine."""
+    return PreparationFailed(job, "internal", f"preparing the data broke ({why})")
 
 
-def refine_job(refiner: Refiner, job: str, preparation: Preparation, config: JobConfig, pools: Pools) -> Refined:
-    """Make the equations. When that breaks, the selected members stay as they are."""
+def refine_job(refiner: Refiner, job: str, preparation: Preparation, config: JobConfig, pools: Pools) -> JobRefined:
+    """Make the equations of a job. When that fails, the selected members stay as they are."""
     try:
-        return Refined(job, refiner(preparation, config, pools))
+        return JobRefined(job, refiner(preparation, config, pools))
     except Exception as error:  # the job is done all the same
-        _LOG.exception("refining broke", extra=fields(job=job))
-        return not_refined(job, f"{type(error).__name__}: {error}")
+        _LOG.exception("refining failed", extra=fields(job=job))
+        return refinement_failed(job, f"{type(error).__name__}: {error}")
 
 
-def not_refined(job: str, why: str) -> Refined:
-    """Return that refining a job broke: the selected members stay as they are."""
-    return Refined(job, Refinement(warnings=(f"Refining broke ({why}); equations are as found.",)))
-
-
-def make_ready(warm_up: Callable[[], None]) -> None:
-    """Have ready what later errands need; a trouble is logged, for they meet it too and tell it."""
-    try:
-        warm_up()
-    except Exception:
-        _LOG.exception("warm-up failed")
+def refinement_failed(job: str, why: str) -> JobRefined:
+    """Return the outcome of a refinement that failed: the selected members stay as they are."""
+    return JobRefined(job, Refinement(warnings=(f"Refining broke ({why}); equations are as found.",)))

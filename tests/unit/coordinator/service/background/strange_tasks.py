@@ -1,4 +1,4 @@
-"""Errands for tests of child processes, which find them by name: they die, hang, print and log."""
+"""Tasks for tests of child processes, which find them by name: they die, hang, print and log."""
 
 import logging
 import os
@@ -55,7 +55,7 @@ def log() -> None:
 
 
 def fail() -> None:
-    raise RuntimeError("an error that no errand should let through")
+    raise RuntimeError("an error that no task should let through")
 
 
 def refine_or_die(folder: Path, times: int, *_: Any) -> Any:
