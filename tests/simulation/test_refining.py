@@ -3,7 +3,7 @@
 from atoll.config import BudgetConfig, JobConfig
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.inference.refinement import Constant, Pools, Refined, Refinement
+from atoll_coordinator.model.refinement import Constant, Pools, Refined, Refinement
 from atoll_coordinator.service.monitoring.views import ended_view
 from tests.simulation.world import World
 

@@ -14,7 +14,7 @@ from atoll.config import JobConfig
 from atoll.wire.bus.interface import Event
 from atoll.wire.bus.simulated_bus import SimulatedBus, SimulatedNetwork
 from atoll.wire.messages.workers import EpochReport
-from atoll_coordinator.model.inference.refinement import Refinement
+from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_island_worker.session.events import Computed

@@ -22,15 +22,15 @@ from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prior_knowledge import known_programs
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.inference.conclusion import concluded
-from atoll_coordinator.model.inference.refinement import LOOSE, NORMAL_95, Constant, Pools, Refined, Refinement
+from atoll_coordinator.model.refinement import LOOSE, NORMAL_95, Constant, Pools, Refined, Refinement
 from atoll_coordinator.model.regression.criterion import Criterion
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import Polisher
 from atoll_coordinator.model.regression.rounding import snapped
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
 from atoll_coordinator.model.selection.front import enough, may_be_shown
-from atoll_coordinator.model.selection.selection import Field
-from atoll_coordinator.model.shooting.segments import chosen
+from atoll_coordinator.model.selection.joint_search import Field
+from atoll_coordinator.model.selection.piece_lengths import chosen
 from atoll_coordinator.model.structure.gathering import gathered
 from atoll_coordinator.model.structure.rewriting import constant_places, structure, tidied
 

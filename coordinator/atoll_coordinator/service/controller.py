@@ -27,7 +27,7 @@ from atoll.wire.messages.workers import (
     States,
     WorkerStatus,
 )
-from atoll_coordinator.model.inference.refinement import Refinement
+from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.effects import Outlet
 from atoll_coordinator.service.jobs.job import Conclude, Fault, Job, JobAction, KeepCuts, Prepared, Refine, TellCommit
 from atoll_coordinator.service.jobs.queue import next_job

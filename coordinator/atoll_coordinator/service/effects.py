@@ -13,7 +13,7 @@ from atoll.wire.messages.workers import (
     PullStates,
     Shutdown,
 )
-from atoll_coordinator.model.inference.refinement import Pools
+from atoll_coordinator.model.refinement import Pools
 from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.service.search.archipelago import Checkpoint
 

@@ -34,7 +34,7 @@ from atoll.wire.messages.workers import (
 )
 from atoll.wire.rejects import Rejects
 from atoll.wire.security.access_control import Roster
-from atoll_coordinator.model.inference.refinement import Pools
+from atoll_coordinator.model.refinement import Pools
 from atoll_coordinator.service.background.runner import CheckpointWritten, TaskRunner
 from atoll_coordinator.service.background.tasks import JobPrepared, JobRefined, PreparationFailed
 from atoll_coordinator.service.controller import Controller

@@ -8,7 +8,6 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.program import Program
-from atoll_coordinator.model.inference.refinement import Contender, Pool, Refined, Refinement, Simulated, Simulation
 from atoll_coordinator.model.inference.uncertainty import (
     Errors,
     Known,
@@ -23,15 +22,16 @@ from atoll_coordinator.model.inference.uncertainty import (
     spread_of,
 )
 from atoll_coordinator.model.inference.verdict import Evidence, judge
+from atoll_coordinator.model.refinement import Contender, Pool, Refined, Refinement, Simulated, Simulation
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.selection.alternatives import VALIDATED_NATS, Race, decided
 from atoll_coordinator.model.selection.comparison import Contest, Standing
+from atoll_coordinator.model.selection.joint_search import Chosen, Field
 from atoll_coordinator.model.selection.origins import Origins
-from atoll_coordinator.model.selection.selection import Chosen, Field
+from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks
+from atoll_coordinator.model.selection.rounding import rounded
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import Shot
-from atoll_coordinator.model.shooting.rounding import rounded
-from atoll_coordinator.model.shooting.segments import on_all_rows, remarks
 from atoll_coordinator.model.structure.gathering import gathered
 from atoll_coordinator.model.structure.rewriting import constant_places, structure, tidied
 from atoll_coordinator.model.structure.unit_coefficients import Opened, as_it_is, opened

@@ -12,8 +12,9 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program
-from atoll_coordinator.model.inference.refinement import LOOSE, Constant, Correlation, Implied, Simulated
-from atoll_coordinator.model.selection.comparison import Contest, Standing, bounded_covariance, covariance
+from atoll_coordinator.model.refinement import LOOSE, Constant, Correlation, Implied, Simulated
+from atoll_coordinator.model.selection.comparison import Contest, Standing
+from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import Shot
 from atoll_coordinator.model.structure.rewriting import constant_places

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from atoll.data.dataset import FloatArray
-from atoll_coordinator.model.inference.refinement import Constant, Grade
 from atoll_coordinator.model.inference.residuals import Check, check
+from atoll_coordinator.model.refinement import Constant, Grade
 from atoll_coordinator.model.selection.front import ALWAYS_CONVERGED
 
 CLEAN: Final = 1e-5

@@ -22,7 +22,7 @@ from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
 from atoll.search.pareto import FrontEntry
 from atoll.wire.messages.views import JobState
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.inference.refinement import Constant, Origin, Refined, Refinement
+from atoll_coordinator.model.refinement import Constant, Origin, Refined, Refinement
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.report.diagnostics import noise, smoothing
 from atoll_coordinator.model.report.digest import result_digest

@@ -13,7 +13,8 @@ from atoll.data.dataset import Dataset, FloatArray, Target
 from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
 from atoll.wire.messages.views import FINAL_STATES, JobState
 from atoll_coordinator.data.recording import Recording
-from atoll_coordinator.model.inference.refinement import (
+from atoll_coordinator.model.inference.verdict import Evidence, judge
+from atoll_coordinator.model.refinement import (
     NORMAL_95,
     Contender,
     Correlation,
@@ -21,7 +22,6 @@ from atoll_coordinator.model.inference.refinement import (
     Simulated,
     Simulation,
 )
-from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.report.numbers import curve, finite, thinned
 
 MOST_POINTS: Final = 200

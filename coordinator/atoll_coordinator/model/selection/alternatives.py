@@ -15,9 +15,9 @@ from atoll.expression.program import Program
 from atoll_coordinator.model.regression.gradient import values_of
 from atoll_coordinator.model.selection.comparison import Contest, Standing
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
-from atoll_coordinator.model.selection.selection import Chosen
+from atoll_coordinator.model.selection.joint_search import Chosen
+from atoll_coordinator.model.selection.local_search import LEAST
 from atoll_coordinator.model.selection.structure_length import structure_nats
-from atoll_coordinator.model.structure.local_search import LEAST
 from atoll_coordinator.model.structure.rewriting import structure
 
 CONTENDERS: Final = 8

@@ -9,8 +9,9 @@ from atoll.data.dataset import Problem
 from atoll.expression.program import Program
 from atoll_coordinator.model.regression.fit import Polisher
 from atoll_coordinator.model.selection.comparison import Contest, distinct
+from atoll_coordinator.model.selection.elimination import eliminated
 from atoll_coordinator.model.structure.rewriting import structure, tidied
-from atoll_coordinator.model.structure.term_libraries import Term, eliminated
+from atoll_coordinator.model.structure.term_libraries import Term
 
 KEPT: Final = 60
 """Candidates of which longer segments are fitted, the best by short ones."""

@@ -13,7 +13,6 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program
 from atoll_coordinator.model.selection.structure_length import structure_nats
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter, Shot, misfit, staged
@@ -28,15 +27,6 @@ FIRST_LENGTHS: Final = (8, 25, None)
 
 AT_ONCE: Final = 64
 """Systems that are fitted between two looks at the work that has been done."""
-
-_FLOOR: Final = 1e-11
-"""Eigenvalues of the normal matrix with a unit diagonal that are smaller are those of rounding."""
-
-_LOADING: Final = 1e-6
-"""Squared component of a constant along a direction that is not determined, from which it is not determined itself."""
-
-_CANCELLED: Final = 1e-13
-"""Share of its diagonal that is left of the normal matrix by rounding where initial states stand in for a constant."""
 
 _REPEATED: Final = 1e-6
 
@@ -175,35 +165,3 @@ def distinct(standings: Iterable[Standing]) -> list[Standing]:
             kept.append(each)
             insort(misfits, its)
     return kept
-
-
-def covariance(shot: Shot) -> FloatArray:
-    """Return the covariance (P, P) of the fitted constants, initial states eliminated.
-
-    The variance is infinite of a constant that the others, or the initial states, can stand in for.
-    """
-    found, is_open = _spread(shot)
-    found[np.diag_indices_from(found)] = np.where(is_open, math.inf, np.diag(found))
-    return found
-
-
-def bounded_covariance(shot: Shot) -> FloatArray:
-    """Return the same with large variances in the place of infinite ones: a positive definite matrix."""
-    return _spread(shot)[0]
-
-
-def _spread(shot: Shot) -> tuple[FloatArray, FloatArray]:
-    """Return the bounded covariance, and which constants load on directions that the data do not determine."""
-    normal, reduced = np.diag(shot.normal), shot.reduced
-    least = np.maximum(_CANCELLED * np.nan_to_num(normal), 1e-100)
-    scale = np.sqrt(np.clip(np.nan_to_num(np.diag(reduced)), least, 1e100))
-    with np.errstate(all="ignore"):
-        unit = np.nan_to_num(reduced / np.outer(scale, scale), posinf=0.0, neginf=0.0)
-    try:
-        values, vectors = np.linalg.eigh(unit)
-    except np.linalg.LinAlgError:
-        values, vectors = np.zeros(len(scale)), np.eye(len(scale))
-    is_open = (vectors[:, values < _FLOOR] ** 2 > _LOADING).any(axis=1)
-    with np.errstate(all="ignore"):
-        found = (vectors / np.maximum(values, _FLOOR)) @ vectors.T / np.outer(scale, scale)
-    return np.asarray(found), np.asarray(is_open)

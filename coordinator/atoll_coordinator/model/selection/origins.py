@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from atoll.expression.program import Program
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prior_knowledge import guessed_programs
-from atoll_coordinator.model.inference.refinement import Origin, Pool
-from atoll_coordinator.model.selection.selection import Field
+from atoll_coordinator.model.refinement import Origin, Pool
+from atoll_coordinator.model.selection.joint_search import Field
 from atoll_coordinator.model.structure.rewriting import structure, tidied
 
 

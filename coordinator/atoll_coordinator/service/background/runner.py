@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from atoll.config import JobConfig
-from atoll_coordinator.model.inference.refinement import Pools
+from atoll_coordinator.model.refinement import Pools
 from atoll_coordinator.service.background.child_main import load_refinement
 from atoll_coordinator.service.background.tasks import preparation_failed, prepare_job, refine_job, refinement_failed
 from atoll_coordinator.service.jobs.job import Prepared

@@ -10,7 +10,7 @@ from atoll.errors import DataError, RemoteProtocolError, UsageError
 from atoll.logs import fields
 from atoll.wire.codec import dataset_to_bytes
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.inference.refinement import Pools, Refinement
+from atoll_coordinator.model.refinement import Pools, Refinement
 from atoll_coordinator.model.report.known import known_entries, with_remarks
 from atoll_coordinator.service.jobs.defaults import resolve
 from atoll_coordinator.service.jobs.job import Fault, Prepared

@@ -14,7 +14,7 @@ from atoll.wire.messages.limits import chunk_count
 from atoll.wire.messages.views import FINAL_STATES, JobState
 from atoll.wire.messages.workers import Commit, EpochReport, JobAnnouncement
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.inference.refinement import Pool, Refinement
+from atoll_coordinator.model.refinement import Pool, Refinement
 from atoll_coordinator.model.selection.front import count_constants, description_length
 from atoll_coordinator.service.jobs.defaults import stagnation_of
 from atoll_coordinator.service.search.archipelago import Archipelago

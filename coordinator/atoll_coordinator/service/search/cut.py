@@ -6,7 +6,7 @@ from pydantic import Field
 
 from atoll.config import Model
 from atoll.search.pareto import FrontEntry
-from atoll_coordinator.model.inference.refinement import Pool
+from atoll_coordinator.model.refinement import Pool
 
 Why = Literal["target", "stagnation", "max-epochs", "max-time", "cancelled"]
 

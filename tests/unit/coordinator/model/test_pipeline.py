@@ -10,8 +10,8 @@ from atoll.config import BudgetConfig, EvolutionConfig, SpaceConfig
 from atoll.expression.program import Program
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.inference.refinement import Pool, Refined
 from atoll_coordinator.model.pipeline import refine, refine_all
+from atoll_coordinator.model.refinement import Pool, Refined
 from atoll_coordinator.model.regression import shortening as shorten
 from atoll_coordinator.model.regression.criterion import Criterion
 from atoll_coordinator.model.regression.fit import Polisher

@@ -14,10 +14,10 @@ from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.inference import conclusion as conclude
 from atoll_coordinator.model.inference.conclusion import _deviation, _no_elaborations
-from atoll_coordinator.model.inference.refinement import Contender, Pool
 from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
+from atoll_coordinator.model.refinement import Contender, Pool
+from atoll_coordinator.model.selection import joint_search as model
 from atoll_coordinator.model.selection import origins
-from atoll_coordinator.model.selection import selection as model
 from atoll_coordinator.model.structure.rewriting import constant_places
 from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, pools, table
 

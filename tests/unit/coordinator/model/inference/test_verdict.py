@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from atoll.data.dataset import FloatArray
-from atoll_coordinator.model.inference.refinement import Constant
 from atoll_coordinator.model.inference.verdict import Evidence, judge
+from atoll_coordinator.model.refinement import Constant
 
 KNOWN = (Constant(3.0, 2.98, 0.02, (2.94, 3.02)), Constant(1.0, 1.01, 0.02, (0.97, 1.05)))
 

@@ -16,7 +16,7 @@ from atoll.expression.simplification import complexity
 from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.inference.refinement import (
+from atoll_coordinator.model.refinement import (
     Constant,
     Correlation,
     Refined,

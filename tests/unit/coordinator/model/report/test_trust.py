@@ -10,7 +10,7 @@ import pytest
 from atoll.data.dataset import Dataset, Target
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.recording import Recording, Smoothing
-from atoll_coordinator.model.inference.refinement import Contender, Correlation, Refined, Simulated, Simulation
+from atoll_coordinator.model.refinement import Contender, Correlation, Refined, Simulated, Simulation
 from atoll_coordinator.model.report.trust import MOST_POINTS, candidates, correlations, simulation, verdict
 
 VALUES = np.linspace(-1.0, 1.0, 20)

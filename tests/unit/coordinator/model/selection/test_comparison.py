@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from atoll.expression.program import Program
-from atoll_coordinator.model.selection.comparison import Contest, Standing, bounded_covariance, covariance, distinct
+from atoll_coordinator.model.selection.comparison import Contest, Standing, distinct
 from atoll_coordinator.model.selection.structure_length import structure_nats
+from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter
 from atoll_coordinator.model.structure.rewriting import structure
 from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, contest, measurements

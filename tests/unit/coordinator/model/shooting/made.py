@@ -14,7 +14,7 @@ from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, Trajectory
-from atoll_coordinator.model.inference.refinement import Pool
+from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.regression.gradient import values_of
 from atoll_coordinator.model.selection.comparison import Contest
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of

@@ -1,26 +1,22 @@
-"""Sums of library terms, and how the least significant go one after another."""
+"""Libraries of terms, and their sums."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.data.dataset import Problem, Target
 from atoll.expression.operators import ADD, BY_NAME, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT
 from atoll_coordinator.model.regression.gradient import values_of
-from atoll_coordinator.model.structure import term_libraries as its_module
 from atoll_coordinator.model.structure.rewriting import constant_places
 from atoll_coordinator.model.structure.term_libraries import (
     MOST_TERMS,
     Divisor,
     Factor,
     column_of,
-    eliminated,
     fractions,
     libraries,
     sum_of,
 )
-from tests.unit.coordinator.model.shooting.made import SWING, Known, contest, measurements_of, recording
 
 PLAIN = (ADD, MULTIPLY)
 
@@ -71,63 +67,6 @@ def test_a_sum_has_the_values_of_its_columns(terms, seed):
     assert len(constant_places(program)) == len(terms)
 
 
-TIMES = 0.1 * np.arange(40.0)
-DUFFING = Known(("x", "y"), lambda _, z: [z[1], -1.5 * z[0] - 0.7 * z[0] ** 3 - 0.2 * z[1]])
-
-
-def duffing(noise):
-    """Return the contest of y alone, and its problem as a smoother would make it."""
-    whole = recording(DUFFING, ([1.0, 1.0], [-1.5, 0.5], [0.4, -2.0]), TIMES, noise=noise)
-    rows = measurements_of(whole, [1])
-    alone = contest(DUFFING, rows, 1e-5)
-    inputs = np.concatenate([part.smoothed for part in whole.trajectories], axis=1)
-    slopes = np.concatenate([part.slopes[1] for part in whole.trajectories])
-    labels = slopes + noise * np.random.default_rng(3).standard_normal(len(slopes))
-    return alone, Problem(DUFFING.names, inputs, Target("y", "dy/dt", labels, 0.01, float(labels.std()), noise))
-
-
-def test_elimination_goes_past_the_truth():
-    alone, problem = duffing(0.02)
-    (terms,) = (each for each in libraries([0, 1], PLAIN) if len(each) == 10)
-    found = eliminated(alone, problem, terms)
-    assert [len(constant_places(each.programs[0])) for each in found] == list(range(10, 0, -1))
-    best = min(found, key=lambda each: each.nats)
-    assert sorted(best.shot.system.values.tolist()) == pytest.approx([-1.5, -0.7, -0.2], abs=0.06)
-    text = DUFFING.text(best.programs[0])
-    assert (text.count("x"), text.count("y")) == (2, 1) or (text.count("x"), text.count("y")) == (4, 1)
-
-
-def test_where_a_sum_cannot_be_simulated_the_smallest_term_goes(monkeypatch):
-    alone, problem = duffing(0.02)
-    monkeypatch.setattr(alone, "stand", lambda *_: None)
-    seen = []
-    monkeypatch.setattr(
-        its_module, "_fitted", lambda columns, scales, target: seen.append(len(scales)) or [1.0] * len(scales)
-    )
-    assert eliminated(alone, problem, [(), (X,), (Y,)]) == []
-    assert seen == [3, 2, 1]
-
-
-def test_columns_that_repeat_each_other_are_no_trouble():
-    """With y = 0 the products of y have no part in the fit, and their coefficients none in the program."""
-    alone, problem = duffing(0.02)
-    inputs = problem.inputs.copy()
-    inputs[1] = 0.0
-    flat = Problem(problem.names, inputs, problem.target)
-    assert eliminated(alone, flat, [(), (X,), (Y,), (X, Y)])
-
-
-def test_a_linear_system_is_found_alone():
-    whole = recording(SWING, ([1.0, 1.0], [-1.5, 0.5]), TIMES, noise=0.01)
-    alone = contest(SWING, measurements_of(whole, [1]), 1e-5)
-    inputs = np.concatenate([part.smoothed for part in whole.trajectories], axis=1)
-    slopes = np.concatenate([part.slopes[1] for part in whole.trajectories])
-    problem = Problem(SWING.names, inputs, Target("y", "dy/dt", slopes, 0.01, float(slopes.std()), 0.01))
-    found = eliminated(alone, problem, SQUARES)
-    best = min(found, key=lambda each: each.nats)
-    assert sorted(best.shot.system.values.tolist()) == pytest.approx([-2.0, -0.3], abs=0.03)
-
-
 ALLOWED = [its.code for its in BY_NAME.values()]
 
 
@@ -162,26 +101,3 @@ def test_terms_with_equal_denominators_have_one_constant_in_common(place):
     columns = np.array([column_of(term, inputs) for term in terms])
     assert values_of(program, inputs) == pytest.approx(coefficients @ columns, rel=1e-9)
     assert len(constant_places(program)) == len(terms) + (place < 8)
-
-
-PREY = Known(("x", "y"), lambda _, z: [4.0 * z[0] - z[0] ** 2 - z[0] * z[1] / (1.0 + z[0]), 0.5 * z[1]])
-
-
-def test_elimination_goes_past_a_law_that_saturates():
-    """Its half-saturation is found from elsewhere, and goes on from where the fit before has left it."""
-    whole = recording(PREY, ([5.0, 1.0], [0.5, 2.0], [2.0, 3.0]), TIMES, noise=0.01)
-    alone = contest(PREY, measurements_of(whole, [0]), 1e-5)
-    inputs = np.concatenate([part.smoothed for part in whole.trajectories], axis=1)
-    slopes = np.concatenate([part.slopes[0] for part in whole.trajectories])
-    problem = Problem(PREY.names, inputs, Target("x", "dx/dt", slopes, 0.01, float(slopes.std()), 0.01))
-    found = eliminated(alone, problem, next(fractions([0, 1], PLAIN_AND_DIVIDE, [3.0, 3.0])))
-    best = min(found, key=lambda each: each.nats)
-    assert sorted(best.shot.system.values.tolist()) == pytest.approx([-1.0, -1.0, 1.0, 4.0], abs=0.15)
-
-
-def test_what_has_no_value_is_left_out():
-    alone, problem = duffing(0.02)
-    inputs = problem.inputs.copy()
-    inputs[1, 0] = 0.0
-    flat = Problem(problem.names, inputs, problem.target)
-    assert eliminated(alone, flat, [(), (X, Factor(1, divisor=Divisor(1)))]) == []

@@ -59,7 +59,7 @@ def fail() -> None:
 
 
 def refine_or_die(folder: Path, times: int, *_: Any) -> Any:
-    from atoll_coordinator.model.inference.refinement import Refinement
+    from atoll_coordinator.model.refinement import Refinement
 
     return Refinement(warnings=(f"try {die(folder, times)}",))
 

@@ -12,7 +12,7 @@ from atoll.search.pareto import FrontEntry
 from atoll.wire.messages.views import FINAL_STATES
 from atoll.wire.messages.workers import Addition, EpochReport, Holding, IslandReport, Placement, Tally
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.inference.refinement import Pool, Refinement
+from atoll_coordinator.model.refinement import Pool, Refinement
 from atoll_coordinator.service.jobs.job import (
     JOB_TRANSITIONS,
     Conclude,

@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 
 from atoll.expression.program import Program
-from atoll_coordinator.model.selection.comparison import Contest, Standing, covariance
+from atoll_coordinator.model.selection.comparison import Contest, Standing
+from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.structure.rewriting import constant_places, reductions, tidied
 
 LEAST: Final = 0.01

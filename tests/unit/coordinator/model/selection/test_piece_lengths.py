@@ -7,9 +7,9 @@ import pytest
 
 from atoll.config import JobConfig, SpaceConfig
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.selection import selection as model
-from atoll_coordinator.model.selection.selection import Field
-from atoll_coordinator.model.shooting.segments import SHORTER, chosen, on_all_rows, remarks
+from atoll_coordinator.model.selection import joint_search as model
+from atoll_coordinator.model.selection.joint_search import Field
+from atoll_coordinator.model.selection.piece_lengths import SHORTER, chosen, on_all_rows, remarks
 from tests.unit.coordinator.model.shooting.made import SWING, Known, pools, table
 
 CONFIG = JobConfig(space=SpaceConfig(operators=("-", "*")))
@@ -58,7 +58,7 @@ def test_chaotic_ones_are_simulated_in_pieces_and_that_is_said():
 
 
 def test_when_the_work_is_used_up_no_shorter_pieces_are_tried(monkeypatch):
-    monkeypatch.setattr("atoll_coordinator.model.shooting.segments.LADDER_WORK", 1)
+    monkeypatch.setattr("atoll_coordinator.model.selection.piece_lengths.LADDER_WORK", 1)
     field, its = chaotic()
     assert chosen(field, its, {}).field.piece == field.piece
 

@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 
 from atoll.expression.program import Program
-from atoll_coordinator.model.inference.refinement import Pool, Refined
+from atoll_coordinator.model.refinement import Pool, Refined
 from atoll_coordinator.model.selection.comparison import Contest, Standing
-from atoll_coordinator.model.selection.selection import Chosen, Field, candidates_of, selected
+from atoll_coordinator.model.selection.joint_search import Chosen, Field, candidates_of, selected
 
 SHORTER: Final = (100, 30)
 """Rows of the pieces that are tried when longer ones cannot be fitted."""

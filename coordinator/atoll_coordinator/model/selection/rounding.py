@@ -10,8 +10,9 @@ from typing import Final
 from atoll.expression.program import Program
 from atoll_coordinator.model.regression.rounding import Decision, decisions
 from atoll_coordinator.model.regression.simple_numbers import fitted_length, simple_numbers
-from atoll_coordinator.model.selection.comparison import Contest, Standing, bounded_covariance
+from atoll_coordinator.model.selection.comparison import Contest, Standing
 from atoll_coordinator.model.selection.structure_length import structure_nats
+from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.structure.rewriting import constant_places, tidied, with_constants
 
 MOST_CONSTANTS: Final = 16

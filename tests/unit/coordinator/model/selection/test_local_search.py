@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from atoll.expression.operators import BY_NAME
+from atoll_coordinator.model.selection.local_search import LEAST, Descent
 from atoll_coordinator.model.structure.extensions import extensions
-from atoll_coordinator.model.structure.local_search import LEAST, Descent
 from atoll_coordinator.model.structure.rewriting import structure
 from tests.unit.coordinator.model.shooting.made import SWING, Known, contest, measurements
 

@@ -5,8 +5,8 @@ import pytest
 
 from atoll.config import BudgetConfig, JobConfig, SpaceConfig
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.inference.refinement import Refined
-from atoll_coordinator.model.selection.selection import Field, candidates_of
+from atoll_coordinator.model.refinement import Refined
+from atoll_coordinator.model.selection.joint_search import Field, candidates_of
 from atoll_coordinator.model.structure.rewriting import structure, tidied
 from tests.unit.coordinator.model.shooting.made import Known, pools, table
 

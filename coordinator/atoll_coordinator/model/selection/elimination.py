@@ -1,0 +1,88 @@
+"""Backward elimination: the least significant terms of a library leave a sum one after another (Wald's test).
+
+The sum of all terms is fitted to one state's trajectories, the others as smoothed; then the term of least coefficient
+over standard error is left out, and so on. Every sum on the way is a candidate.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray, Problem
+from atoll.expression.operators import ARITY, CONSTANT, DIVIDE
+from atoll.expression.program import Program
+from atoll_coordinator.model.selection.comparison import Contest, Standing
+from atoll_coordinator.model.shooting.covariance import covariance
+from atoll_coordinator.model.structure.term_libraries import Factor, Term, column_of, sum_of
+
+
+def eliminated(contest: Contest, problem: Problem, terms: list[Term], steps: int = 6) -> list[Standing]:
+    """Return the fits on the way from the sum of all `terms` to a single one; `contest` is for this state alone.
+
+    Nothing where a term has no value somewhere.
+    """
+    found: list[Standing] = []
+    while terms:
+        columns = np.array([column_of(term, problem.inputs) for term in terms])
+        if not np.isfinite(columns).all():
+            break
+        scales = [max(float(np.abs(column).max()), 1e-300) for column in columns]
+        coefficients = _fitted(columns, scales, problem.target.values)
+        standing = contest.stand([sum_of(terms, coefficients)], steps, (10,))
+        if standing is not None:
+            found.append(standing)
+        index = _least(standing, columns, coefficients)
+        terms = _moved([*terms[:index], *terms[index + 1 :]], standing)
+    return found
+
+
+def _moved(terms: list[Term], standing: Standing | None) -> list[Term]:
+    """Return the terms with the constant of their denominators where the fit has left it, if that is positive."""
+    if standing is None:
+        return terms
+    program = standing.programs[0]
+    shifts = [float(program.constants[place]) for place in sorted(_below(program))]
+    if len(shifts) != 1 or not 0.0 < shifts[0] < math.inf:
+        return terms
+
+    def moved(factor: Factor) -> Factor:
+        divisor = factor.divisor
+        return replace(factor, divisor=replace(divisor, shift=shifts[0])) if divisor and divisor.shift else factor
+
+    return [tuple(map(moved, term)) for term in terms]
+
+
+def _below(program: Program) -> set[int]:
+    """Return the nodes of the constants that denominators are made of."""
+    found: set[int] = set()
+    for index in range(len(program) - 1, -1, -1):
+        code = int(program.operators[index])
+        arguments = [int(program.left[index]), int(program.right[index])][: ARITY[code]]
+        if index in found:
+            found |= set(arguments)
+        elif code == DIVIDE:
+            found.add(arguments[1])
+    return {index for index in found if program.operators[index] == CONSTANT}
+
+
+def _fitted(columns: FloatArray, scales: Sequence[float], target: FloatArray) -> list[float]:
+    """Return least-squares coefficients, a little off the numbers that would not stay."""
+    unit = columns / np.array(scales)[:, None]
+    solution, *_ = np.linalg.lstsq(unit.T, target, rcond=1e-10)
+    return [float(value / scale) + 1e-9 * float(np.abs(target).max()) / scale
+            for value, scale in zip(solution, scales, strict=True)]  # fmt: skip
+
+
+def _least(standing: Standing | None, columns: FloatArray, coefficients: Sequence[float]) -> int:
+    """Return the index of the least significant term: by its fit, without one by its size."""
+    by_size = int(np.argmin(np.abs(coefficients) * columns.std(axis=1)))
+    if standing is None:
+        return by_size
+    its = standing.shot.system
+    is_factor = ~np.isin(its.places, sorted(_below(standing.programs[0])))
+    if int(is_factor.sum()) != len(coefficients):
+        return by_size
+    errors = np.sqrt(np.maximum(np.diag(covariance(standing.shot))[is_factor], 1e-300))
+    return int(np.argmin(np.abs(its.values[is_factor]) / errors))
