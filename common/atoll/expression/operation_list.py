@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from atoll.errors import UsageError
+from atoll.expression.builder import ProgramBuilder, live_nodes
 from atoll.expression.operators import (
     ADD,
     ARITY,
@@ -21,7 +22,7 @@ from atoll.expression.operators import (
     SQUARE,
     SUBTRACT,
 )
-from atoll.expression.program import Program
+from atoll.expression.program import Node, Program
 from atoll.expression.simplification import simplify_program
 from atoll.expression.text.parsing import from_infix
 
@@ -69,9 +70,9 @@ def placed(program: Program, operators: Collection[int], terminals: int, operato
         UsageError: other operators would be needed, or more nodes; a sentence without its subject, such as
             ``has 30 operators, …``.
     """
-    rows = _Writing(frozenset(operators)).written(simplify_program(program, merges_constants=False))
-    leaves = [index for index, row in enumerate(rows) if not ARITY[row[0]]]
-    inner = [index for index, row in enumerate(rows) if ARITY[row[0]]]
+    nodes = _Rewriting(frozenset(operators)).rewritten(simplify_program(program, merges_constants=False))
+    leaves = [index for index, node in enumerate(nodes) if not ARITY[node[0]]]
+    inner = [index for index, node in enumerate(nodes) if ARITY[node[0]]]
     for found, possible, what in (
         (len(leaves), terminals, "different variables and constants"),
         (len(inner), operator_nodes, "operators"),
@@ -81,62 +82,40 @@ def placed(program: Program, operators: Collection[int], terminals: int, operato
     end = terminals + operator_nodes
     place = {old: new for new, old in enumerate(leaves)}
     place |= {old: end - len(inner) + number for number, old in enumerate(inner)}
-    return tuple(_moved(rows[old], new, place) for old, new in place.items())
+    return tuple(_moved(nodes[old], new, place) for old, new in place.items())
 
 
-_Row = tuple[int, int, int, float]
-
-
-def _moved(row: _Row, index: int, place: dict[int, int]) -> PlacedNode:
-    code, left, right, value = row
+def _moved(node: Node, index: int, place: dict[int, int]) -> PlacedNode:
+    code, left, right, value = node
     if not ARITY[code]:
         return PlacedNode(index, code, left, 0, value)
     return PlacedNode(index, code, place[left], place[right] if ARITY[code] == 2 else 0, 0.0)
 
 
-class _Writing:
-    """Writes a program anew with the operators at hand; equal nodes are written once, but for its constants."""
+class _Rewriting(ProgramBuilder):
+    """Builds a program with the operators at hand; each constant of the given one stays a node of its own."""
 
     def __init__(self, operators: frozenset[int]) -> None:
+        super().__init__()
         self._operators = operators
-        self._rows: list[_Row] = []
-        self._known: dict[tuple[int, int, int, str], int] = {}
 
-    def written(self, program: Program) -> list[_Row]:
-        """Return the rows, the output last; raises UsageError."""
-        place: list[int] = []
-        columns = (program.operators, program.left, program.right, program.constants)
-        for code, left, right, value in zip(*(column.tolist() for column in columns), strict=True):
+    def rewritten(self, program: Program) -> list[Node]:
+        """Return the nodes, the output last; raises UsageError."""
+        places: list[int] = []
+        for code, left, right, value in program.nodes():
             if ARITY[code]:
-                place.append(self._operation(code, place[left], place[right] if ARITY[code] == 2 else 0))
+                places.append(self.operate(code, places[left], places[right] if ARITY[code] == 2 else 0))
             else:
-                place.append(self._number(value) if code == CONSTANT else self._add(code, left))
-        if not ARITY[self._rows[place[-1]][0]]:
-            place[-1] = self._unchanged(place[-1])
-        return self._live(place[-1])
+                places.append(self._own_constant(value) if code == CONSTANT else self.add(code, left))
+        output = places[-1]
+        if not ARITY[self.nodes[output][0]]:
+            output = self._unchanged(output)
+        return live_nodes(self.nodes, output)
 
-    def _add(self, code: int, left: int, right: int = 0, value: float = 0.0) -> int:
-        key = (code, left, right, value.hex())
-        if key not in self._known:
-            self._known[key] = len(self._rows)
-            self._rows.append((code, left, right, value))
-        return self._known[key]
-
-    def _number(self, value: float) -> int:
-        """Return a new constant, which is fitted apart from equal ones."""
-        self._rows.append((CONSTANT, 0, 0, value))
-        return len(self._rows) - 1
-
-    def _constant(self, value: float) -> int:
-        """Return the constant that stands for an operator wherever it is needed."""
-        return self._add(CONSTANT, 0, 0, value)
-
-    def _value(self, node: int) -> float | None:
-        return self._rows[node][3] if self._rows[node][0] == CONSTANT else None
-
-    def _operation(self, code: int, left: int, right: int) -> int:
+    def operate(self, code: int, left: int, right: int = 0) -> int:
+        """Return the index of a node with the value of an operator, which may be written with others."""
         if code in self._operators:
-            return self._add(code, left, right)
+            return self.add(code, left, right)
         substitute = _SUBSTITUTES.get(code)
         node = substitute(self, left, right) if substitute is not None else None
         if node is None:
@@ -146,71 +125,61 @@ class _Writing:
             )
         return node
 
+    def _own_constant(self, value: float) -> int:
+        """Return a new constant, which is fitted apart from equal ones."""
+        return self.append(CONSTANT, value=value)
+
+    def _value(self, node: int) -> float | None:
+        return self.nodes[node][3] if self.nodes[node][0] == CONSTANT else None
+
     def _product(self, left: int, right: int) -> int | None:
         if MULTIPLY in self._operators:
-            return self._add(MULTIPLY, left, right)
-        return self._add(SQUARE, left) if left == right and SQUARE in self._operators else None
+            return self.add(MULTIPLY, left, right)
+        return self.add(SQUARE, left) if left == right and SQUARE in self._operators else None
 
     def _negated(self, node: int) -> int | None:
         value = self._value(node)
         if value is not None:
-            return self._number(-value)
+            return self._own_constant(-value)
         if NEGATE in self._operators:
-            return self._add(NEGATE, node)
+            return self.add(NEGATE, node)
         if MULTIPLY in self._operators:
-            return self._add(MULTIPLY, self._constant(-1.0), node)
-        return self._add(SUBTRACT, self._constant(0.0), node) if SUBTRACT in self._operators else None
+            return self.add(MULTIPLY, self.constant(-1.0), node)
+        return self.add(SUBTRACT, self.constant(0.0), node) if SUBTRACT in self._operators else None
 
     def _joined(self, code: int, left: int, right: int) -> int | None:
         """Return ``left - right`` as a sum, or ``left + right`` as a difference; `code` is the operator to use."""
         negated = self._negated(right) if code in self._operators else None
-        return None if negated is None else self._add(code, left, negated)
+        return None if negated is None else self.add(code, left, negated)
 
     def _quotient(self, left: int, right: int) -> int | None:
         value = self._value(right)
         if value and abs(1.0 / value) < float("inf"):
-            return self._product(left, self._number(1.0 / value))
+            return self._product(left, self._own_constant(1.0 / value))
         if INVERSE not in self._operators:
             return None
-        inverse = self._add(INVERSE, right)
+        inverse = self.add(INVERSE, right)
         return inverse if self._value(left) == 1.0 else self._product(left, inverse)
 
     def _inverse(self, node: int) -> int | None:
-        return self._add(DIVIDE, self._constant(1.0), node) if DIVIDE in self._operators else None
+        return self.add(DIVIDE, self.constant(1.0), node) if DIVIDE in self._operators else None
 
     def _unchanged(self, leaf: int) -> int:
         """Return an operation with the value of a variable or constant: the output of a list is no terminal."""
         for code, value in ((MULTIPLY, 1.0), (ADD, 0.0), (SUBTRACT, 0.0), (DIVIDE, 1.0)):
             if code in self._operators:
-                return self._add(code, leaf, self._constant(value))
+                return self.add(code, leaf, self.constant(value))
         raise UsageError(f"is a single variable or number, which {_names(self._operators)} cannot leave as it is")
 
-    def _live(self, output: int) -> list[_Row]:
-        """Return the rows on which `output` depends, in their order."""
-        needed = {output}
-        for index in range(output, -1, -1):
-            if index in needed:
-                code, left, right, _ = self._rows[index]
-                needed.update((left, right)[: ARITY[code]])
-        place = {old: new for new, old in enumerate(sorted(needed))}
-        return [self._renumbered(self._rows[old], place) for old in place]
 
-    @staticmethod
-    def _renumbered(row: _Row, place: dict[int, int]) -> _Row:
-        code, left, right, value = row
-        if not ARITY[code]:
-            return row
-        return (code, place[left], place[right] if ARITY[code] == 2 else 0, value)
-
-
-_SUBSTITUTES: Final[dict[int, Callable[[_Writing, int, int], int | None]]] = {
-    SQUARE: lambda its, left, _: its._product(left, left),
-    MULTIPLY: lambda its, left, right: its._product(left, right),
-    NEGATE: lambda its, left, _: its._negated(left),
-    SUBTRACT: lambda its, left, right: its._joined(ADD, left, right),
-    ADD: lambda its, left, right: its._joined(SUBTRACT, left, right),
-    DIVIDE: lambda its, left, right: its._quotient(left, right),
-    INVERSE: lambda its, left, _: its._inverse(left),
+_SUBSTITUTES: Final[dict[int, Callable[[_Rewriting, int, int], int | None]]] = {
+    SQUARE: lambda builder, left, _: builder._product(left, left),
+    MULTIPLY: lambda builder, left, right: builder._product(left, right),
+    NEGATE: lambda builder, left, _: builder._negated(left),
+    SUBTRACT: lambda builder, left, right: builder._joined(ADD, left, right),
+    ADD: lambda builder, left, right: builder._joined(SUBTRACT, left, right),
+    DIVIDE: lambda builder, left, right: builder._quotient(left, right),
+    INVERSE: lambda builder, left, _: builder._inverse(left),
 }
 
 

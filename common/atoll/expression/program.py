@@ -5,7 +5,7 @@ output. Here every node is live; evolution's own lists, with dead nodes, are tho
 """
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,9 @@ from atoll.errors import RemoteProtocolError
 from atoll.expression.operators import ARITY, CONSTANT, VARIABLE
 
 MAX_NODES = 240
+
+Node = tuple[int, int, int, float]
+"""Operator code, arguments (or the variable's index; 0 where there is none), value of a constant."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +33,17 @@ class Program:
     left: npt.NDArray[np.int16]
     right: npt.NDArray[np.int16]
     constants: npt.NDArray[np.float64]
+
+    @classmethod
+    def of(cls, nodes: Iterable[Node]) -> "Program":
+        """Return the program of these nodes as they stand; at least one."""
+        codes, lefts, rights, values = zip(*nodes, strict=True)
+        return cls(np.array(codes, np.int8), np.array(lefts, np.int16), np.array(rights, np.int16), np.array(values))
+
+    def nodes(self) -> list[Node]:
+        """Return the nodes, whose last is the output."""
+        columns = (self.operators, self.left, self.right, self.constants)
+        return list(zip(*(column.tolist() for column in columns), strict=True))
 
     def __len__(self) -> int:
         return len(self.operators)
@@ -61,6 +75,24 @@ class Program:
     def validate(self, variables: int) -> None:
         """Check that the list is acyclic and refers to existing inputs; raises RemoteProtocolError."""
         _check_nodes(self.operators.tolist(), self.left.tolist(), self.right.tolist(), variables)
+
+
+def constant_places(program: Program) -> list[int]:
+    """Return the indices of the constants of `program`."""
+    return np.flatnonzero(program.operators == np.int8(CONSTANT)).tolist()
+
+
+def with_constants(program: Program, values: Mapping[int, float]) -> Program:
+    """Return `program` with other values at the constants of these indices, otherwise as it is."""
+    constants = program.constants.copy()
+    for place, value in values.items():
+        constants[place] = value
+    return Program(program.operators, program.left, program.right, constants)
+
+
+def structure(program: Program) -> bytes:
+    """Return what tells programs apart that differ in more than the values of their constants."""
+    return program.operators.tobytes() + program.left.tobytes() + program.right.tobytes()
 
 
 def check_program_bytes(data: bytes, variables: int) -> None:

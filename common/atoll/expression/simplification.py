@@ -29,9 +29,8 @@ from atoll.expression.operators import (
     TANH,
     VARIABLE,
 )
-from atoll.expression.program import Program
+from atoll.expression.program import Node, Program
 
-_Node = tuple[int, int, int, float]
 _COMMUTATIVE: Final = frozenset({ADD, MULTIPLY})
 _ELEMENTARY: Final = {SIN: "sin", COS: "cos", EXP: "exp", LOG: "log", TANH: "tanh", POW: "pow"}
 
@@ -43,37 +42,25 @@ def simplify_program(program: Program, *, merges_constants: bool = True) -> Prog
     equal nodes become one, where ``a + b`` equals ``b + a`` and ``a*a`` equals ``a**2``; equal constants, too, unless
     they are to be fitted apart. Pure and deterministic.
     """
-    return simplified(_nodes_of(program), merges_constants=merges_constants)
+    return simplified(program.nodes(), merges_constants=merges_constants)
 
 
-def simplified(given: Iterable[_Node], *, merges_constants: bool = True) -> Program:
+def simplified(given: Iterable[Node], *, merges_constants: bool = True) -> Program:
     """Return the same of the program with these nodes: code, arguments (or the variable's index), constant."""
     nodes, output = _distinct_nodes(given, merges_constants)
     order = _reading_order(nodes, output)
     place = {index: position for position, index in enumerate(order)}
-    rows = [_moved(nodes[index], place) for index in order]
-    codes, lefts, rights, values = zip(*rows, strict=True)
-    return Program(
-        np.array(codes, dtype=np.int8),
-        np.array(lefts, dtype=np.int16),
-        np.array(rights, dtype=np.int16),
-        np.array(values, dtype=np.float64),
-    )
+    return Program.of(_moved(nodes[index], place) for index in order)
 
 
 def complexity(program: Program) -> int:
     """Return the number of nodes, operators and terminals, of the canonical program."""
-    return len(_reading_order(*_distinct_nodes(_nodes_of(program))))
+    return len(_reading_order(*_distinct_nodes(program.nodes())))
 
 
-def _nodes_of(program: Program) -> Iterable[_Node]:
-    columns = (program.operators, program.left, program.right, program.constants)
-    return zip(*(column.tolist() for column in columns), strict=True)
-
-
-def _distinct_nodes(given: Iterable[_Node], merges_constants: bool = True) -> tuple[list[_Node], int]:
+def _distinct_nodes(given: Iterable[Node], merges_constants: bool = True) -> tuple[list[Node], int]:
     """Return folded nodes without duplicates, and the index of the output among them."""
-    nodes: list[_Node] = []
+    nodes: list[Node] = []
     known: dict[tuple[int, int, int, str | None], int] = {}
     place: list[int] = []
     for code, left, right, value in given:
@@ -94,7 +81,7 @@ def _distinct_nodes(given: Iterable[_Node], merges_constants: bool = True) -> tu
     return nodes, place[-1]
 
 
-def _key(node: _Node) -> tuple[int, int, int, str | None]:
+def _key(node: Node) -> tuple[int, int, int, str | None]:
     """Return what makes two nodes equal; constants by their bits, so that 0.0 and -0.0 differ."""
     code, left, right, value = node
     if code == CONSTANT:
@@ -106,7 +93,7 @@ def _key(node: _Node) -> tuple[int, int, int, str | None]:
     return (code, left, right, None)
 
 
-def _folded(node: _Node, nodes: list[_Node]) -> _Node:
+def _folded(node: Node, nodes: list[Node]) -> Node:
     """Return a constant in place of an operator on constants, unless its value is not finite."""
     code, left, right, _ = node
     if nodes[left][0] != CONSTANT or (ARITY[code] == 2 and nodes[right][0] != CONSTANT):
@@ -147,7 +134,7 @@ def _elementary(code: int, a: float, b: float) -> float:
         return float(function(np.float64(a), np.float64(b)) if code == POW else function(np.float64(a)))
 
 
-def _reading_order(nodes: list[_Node], output: int) -> list[int]:
+def _reading_order(nodes: list[Node], output: int) -> list[int]:
     """Return the live nodes, operands before operators and left before right."""
     order: list[int] = []
     done: set[int] = set()
@@ -170,7 +157,7 @@ def _reading_order(nodes: list[_Node], output: int) -> list[int]:
     return order
 
 
-def _moved(node: _Node, place: dict[int, int]) -> _Node:
+def _moved(node: Node, place: dict[int, int]) -> Node:
     code, left, right, value = node
     arity = ARITY[code]
     if arity == 0:

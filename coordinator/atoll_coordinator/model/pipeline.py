@@ -17,7 +17,7 @@ import numpy.typing as npt
 from atoll.config import JobConfig
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.operators import BY_NAME
-from atoll.expression.program import Program
+from atoll.expression.program import Program, constant_places, structure
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prior_knowledge import known_programs
 from atoll_coordinator.data.recording import Preparation
@@ -31,8 +31,8 @@ from atoll_coordinator.model.regression.shortening import Candidate, Shortening
 from atoll_coordinator.model.selection.front import enough, may_be_shown
 from atoll_coordinator.model.selection.joint_search import Field
 from atoll_coordinator.model.selection.piece_lengths import chosen
-from atoll_coordinator.model.structure.gathering import gathered
-from atoll_coordinator.model.structure.rewriting import constant_places, structure, tidied
+from atoll_coordinator.model.structure.algebra import tidied
+from atoll_coordinator.model.structure.like_terms import gathered
 
 COMPARED_ROWS: Final = 2_000
 """Structures are compared on at most so many rows, spread evenly; constants are then decided on more."""

@@ -56,8 +56,7 @@ class _Display:
 
     def show(self, program: Program) -> str:
         sums: list[_Sum] = []
-        columns = (program.operators, program.left, program.right, program.constants)
-        for code, left, right, value in zip(*(column.tolist() for column in columns), strict=True):
+        for code, left, right, value in program.nodes():
             if code == VARIABLE:
                 sums.append(_factor(self._names[left]))
             elif code == CONSTANT:

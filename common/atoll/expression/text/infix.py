@@ -98,8 +98,7 @@ _TWO: Final = _Piece(_CONSTANT, "2.0")
 
 def _exact(program: Program, names: Sequence[str]) -> str:
     pieces: list[_Piece] = []
-    columns = (program.operators, program.left, program.right, program.constants)
-    for code, left, right, value in zip(*(column.tolist() for column in columns), strict=True):
+    for code, left, right, value in program.nodes():
         if code == VARIABLE:
             pieces.append(_Piece(_ATOM, names[left]))
         elif code == CONSTANT:

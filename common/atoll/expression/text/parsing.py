@@ -13,9 +13,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal, NoReturn, cast
 
-import numpy as np
-
 from atoll.errors import UsageError
+from atoll.expression.builder import ProgramBuilder
 from atoll.expression.operators import (
     ABS,
     ADD,
@@ -64,45 +63,6 @@ def from_infix(text: str, names: Sequence[str], *, merges_constants: bool = True
     return _Parser(text, names, merges_constants).parse()
 
 
-class _Nodes:
-    """The operation list under construction; equal nodes are made once, constants only if they are to be merged."""
-
-    def __init__(self, merges_constants: bool) -> None:
-        self._merges_constants = merges_constants
-        self.rows: list[tuple[int, int, int, float]] = []
-        self._known: dict[tuple[int, int, int, str], int] = {}
-
-    def add(self, code: int, left: int = 0, right: int = 0, value: float = 0.0) -> int:
-        key = (code, left, right, value.hex())
-        if key not in self._known or (code == CONSTANT and not self._merges_constants):
-            self._known[key] = len(self.rows)
-            self.rows.append((code, left, right, value))
-        return self._known[key]
-
-    def program(self, output: int) -> Program:
-        """Return the nodes on which `output` depends, in their order."""
-        live = self._live(output)
-        place = {index: position for position, index in enumerate(live)}
-        rows = [self.rows[index] for index in live]
-        return Program(
-            np.array([code for code, _, _, _ in rows], dtype=np.int8),
-            np.array([place[left] if code > CONSTANT else left for code, left, _, _ in rows], dtype=np.int16),
-            np.array([place[right] if code in _TWO_SIDED else 0 for code, _, right, _ in rows], dtype=np.int16),
-            np.array([value for _, _, _, value in rows], dtype=np.float64),
-        )
-
-    def _live(self, output: int) -> list[int]:
-        needed = {output}
-        for index in range(output, -1, -1):
-            code, left, right, _ = self.rows[index]
-            if index in needed and code > CONSTANT:
-                needed.update((left, right) if code in _TWO_SIDED else (left,))
-        return sorted(needed)
-
-
-_TWO_SIDED: Final = frozenset(code for _, code in _BINARY.values())
-
-
 @dataclass(frozen=True, slots=True)
 class _Token:
     kind: _Kind
@@ -116,7 +76,8 @@ class _Parser:
     def __init__(self, text: str, names: Sequence[str], merges_constants: bool) -> None:
         self._text = text
         self._variables = {name: index for index, name in enumerate(names)}
-        self._nodes = _Nodes(merges_constants)
+        self._merges_constants = merges_constants
+        self._builder = ProgramBuilder()
         self._values: list[int] = []
         self._pending: list[_Token] = []
 
@@ -124,7 +85,7 @@ class _Parser:
         expects_value = True
         for token in _tokens(self._text):
             expects_value = self._value(token) if expects_value else self._continuation(token)
-        program = self._nodes.program(self._values[-1])
+        program = self._builder.program(self._values[-1])
         if len(program) > MAX_NODES:
             raise UsageError(f"the expression has {len(program)} different parts; at most {MAX_NODES} are possible")
         return program
@@ -164,17 +125,20 @@ class _Parser:
         self._pending.append(token)
         return True
 
+    def _constant(self, value: float) -> int:
+        return self._builder.constant(value) if self._merges_constants else self._builder.append(CONSTANT, value=value)
+
     def _number(self, token: _Token) -> int:
         value = float(token.text)
         if math.isinf(value):
             raise UsageError(f"the number {token.text} {self._where(token)} is too large; the largest is 1.8e308")
-        return self._nodes.add(CONSTANT, value=value)
+        return self._constant(value)
 
     def _named(self, token: _Token) -> int:
         if token.text in self._variables:
-            return self._nodes.add(VARIABLE, self._variables[token.text])
+            return self._builder.add(VARIABLE, self._variables[token.text])
         if token.text == "pi":
-            return self._nodes.add(CONSTANT, value=math.pi)
+            return self._constant(math.pi)
         known = ", ".join(self._variables)
         raise UsageError(f"{token.text!r} {self._where(token)} is unknown; known: {known}")
 
@@ -188,12 +152,12 @@ class _Parser:
 
     def _call(self, token: _Token, argument: int) -> int:
         if token.text in _CALLS:
-            return self._nodes.add(_CALLS[token.text], argument)
+            return self._builder.add(_CALLS[token.text], argument)
         if token.text not in ("tan", "cot"):
             known = ", ".join(sorted({*_CALLS, "tan", "cot"}))
             raise UsageError(f"{token.text!r} {self._where(token)} is no known function; known: {known}")
-        parts = (self._nodes.add(SIN, argument), self._nodes.add(COS, argument))
-        return self._nodes.add(DIVIDE, *(parts if token.text == "tan" else parts[::-1]))
+        parts = (self._builder.add(SIN, argument), self._builder.add(COS, argument))
+        return self._builder.add(DIVIDE, *(parts if token.text == "tan" else parts[::-1]))
 
     def _reduce(self, level: int) -> None:
         """Apply the pending operators that bind at least as tightly as `level`, back to the last bracket."""
@@ -205,20 +169,20 @@ class _Parser:
         if token.text == _MINUS:
             self._values.append(self._negated(right))
         else:
-            self._values.append(self._nodes.add(_BINARY[token.text][1], self._values.pop(), right))
+            self._values.append(self._builder.add(_BINARY[token.text][1], self._values.pop(), right))
 
     def _negated(self, index: int) -> int:
-        code, _, _, value = self._nodes.rows[index]
-        return self._nodes.add(CONSTANT, value=-value) if code == CONSTANT else self._nodes.add(NEGATE, index)
+        code, _, _, value = self._builder.nodes[index]
+        return self._constant(-value) if code == CONSTANT else self._builder.add(NEGATE, index)
 
     def _natural_power(self, base: int, exponent: int) -> int:
         if not 1 <= exponent <= LARGEST_POWER:
-            return self._nodes.add(POW, base, self._nodes.add(CONSTANT, value=float(exponent)))
+            return self._builder.add(POW, base, self._constant(float(exponent)))
         if exponent == 1:
             return base
-        power = self._nodes.add(SQUARE, base)
+        power = self._builder.add(SQUARE, base)
         for _ in range(exponent - 2):
-            power = self._nodes.add(MULTIPLY, power, base)
+            power = self._builder.add(MULTIPLY, power, base)
         return power
 
     def _fail(self, token: _Token, expected: str) -> NoReturn:

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray, Problem
-from atoll.expression.program import Program
+from atoll.expression.program import Program, constant_places, structure
 from atoll_coordinator.model.inference.uncertainty import (
     Errors,
     Known,
@@ -32,8 +32,8 @@ from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks
 from atoll_coordinator.model.selection.rounding import rounded
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import Shot
-from atoll_coordinator.model.structure.gathering import gathered
-from atoll_coordinator.model.structure.rewriting import constant_places, structure, tidied
+from atoll_coordinator.model.structure.algebra import tidied
+from atoll_coordinator.model.structure.like_terms import gathered
 from atoll_coordinator.model.structure.unit_coefficients import Opened, as_it_is, opened
 
 _STEPS: Final = 20

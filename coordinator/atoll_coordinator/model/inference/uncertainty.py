@@ -11,13 +11,12 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program
+from atoll.expression.program import Program, constant_places
 from atoll_coordinator.model.refinement import LOOSE, Constant, Correlation, Implied, Simulated
 from atoll_coordinator.model.selection.comparison import Contest, Standing
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import Shot
-from atoll_coordinator.model.structure.rewriting import constant_places
 from atoll_coordinator.model.structure.unit_coefficients import ONE, Opened
 
 HIGH: Final = 0.95

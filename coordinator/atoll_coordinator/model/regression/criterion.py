@@ -14,11 +14,10 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray, Target
 from atoll.expression.operators import ARITY
-from atoll.expression.program import Program
+from atoll.expression.program import Program, constant_places
 from atoll_coordinator.model.regression.fit import Fitted
 from atoll_coordinator.model.regression.simple_numbers import fitted_length
 from atoll_coordinator.model.selection.front import SMALLEST_FLOOR
-from atoll_coordinator.model.structure.rewriting import constant_places
 
 NODE_NATS: Final = math.log(8.0)
 USE_NATS: Final = 1.0

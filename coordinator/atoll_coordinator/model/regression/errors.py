@@ -7,8 +7,8 @@ import numpy as np
 
 from atoll.config import Loss
 from atoll.data.dataset import Problem
+from atoll.expression.evaluation import values_of
 from atoll.expression.program import Program
-from atoll_coordinator.model.regression.gradient import values_of
 
 AT_A_TIME: Final = 100_000
 """Rows that are evaluated at a time, to save memory."""

@@ -12,9 +12,8 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray, Problem
-from atoll.expression.program import Program
-from atoll_coordinator.model.regression.gradient import gradient_of, node_values, values_of
-from atoll_coordinator.model.structure.rewriting import constant_places, with_constants
+from atoll.expression.evaluation import gradient_of, node_values, values_of
+from atoll.expression.program import Program, constant_places, with_constants
 
 MOST_STEPS: Final = 40
 OVERHEAD: Final = 500

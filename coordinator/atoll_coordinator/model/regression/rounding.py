@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program
+from atoll.expression.program import Program, constant_places, with_constants
 from atoll_coordinator.model.regression.criterion import Criterion, program_length
 from atoll_coordinator.model.regression.fit import Fitted, Polisher
 from atoll_coordinator.model.regression.simple_numbers import fitted_length, simple_numbers
-from atoll_coordinator.model.structure.rewriting import constant_places, tidied, with_constants
+from atoll_coordinator.model.structure.algebra import tidied
 
 BEAM: Final = 12
 MEASURED: Final = 12

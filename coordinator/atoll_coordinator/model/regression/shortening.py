@@ -14,12 +14,13 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray, Problem
-from atoll.expression.program import Program
+from atoll.expression.program import Program, structure
 from atoll_coordinator.model.regression.criterion import Criterion, program_length
 from atoll_coordinator.model.regression.fit import Fitted, Polisher
 from atoll_coordinator.model.regression.rounding import Model, snapped
-from atoll_coordinator.model.structure.neighbours import neighbours
-from atoll_coordinator.model.structure.rewriting import reductions, structure, tidied
+from atoll_coordinator.model.structure.algebra import tidied
+from atoll_coordinator.model.structure.moves.neighbours import neighbours
+from atoll_coordinator.model.structure.moves.reductions import reductions
 
 MARGIN: Final = 40.0
 """Members are left out whose description is longer than the shortest by more nats."""

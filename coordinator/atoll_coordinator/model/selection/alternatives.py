@@ -11,14 +11,13 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program
-from atoll_coordinator.model.regression.gradient import values_of
+from atoll.expression.evaluation import values_of
+from atoll.expression.program import Program, structure
 from atoll_coordinator.model.selection.comparison import Contest, Standing
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
 from atoll_coordinator.model.selection.joint_search import Chosen
 from atoll_coordinator.model.selection.local_search import LEAST
 from atoll_coordinator.model.selection.structure_length import structure_nats
-from atoll_coordinator.model.structure.rewriting import structure
 
 CONTENDERS: Final = 8
 """Contenders of a variable that are reported, at most."""

@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import Problem
-from atoll.expression.program import Program
+from atoll.expression.program import Program, structure
 from atoll_coordinator.model.regression.fit import Polisher
 from atoll_coordinator.model.selection.comparison import Contest, distinct
 from atoll_coordinator.model.selection.elimination import eliminated
-from atoll_coordinator.model.structure.rewriting import structure, tidied
+from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.term_libraries import Term
 
 KEPT: Final = 60

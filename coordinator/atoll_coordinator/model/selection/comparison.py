@@ -13,11 +13,10 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from atoll.expression.program import Program
+from atoll.expression.program import Program, constant_places, structure
 from atoll_coordinator.model.selection.structure_length import structure_nats
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter, Shot, misfit, staged
 from atoll_coordinator.model.shooting.system import System, split, system_of
-from atoll_coordinator.model.structure.rewriting import constant_places, structure
 
 EXACT: Final = 1e-8
 """Errors below this share of a state's standard deviation are those of the integration, not of the model."""

@@ -10,11 +10,11 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray
+from atoll.expression.program import constant_places
 from atoll_coordinator.model.selection.comparison import Contest, Standing
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter, nats_of
 from atoll_coordinator.model.shooting.system import split
-from atoll_coordinator.model.structure.rewriting import constant_places
 
 LEAST_TRAJECTORIES: Final = 3
 """With fewer, too little is left to fit constants to."""

@@ -27,9 +27,9 @@ from atoll_coordinator.model.selection.structure_length import is_function
 from atoll_coordinator.model.shooting.measurements import PIECE, Measurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter
 from atoll_coordinator.model.shooting.system import variable_program
-from atoll_coordinator.model.structure.extensions import extensions, leaps
-from atoll_coordinator.model.structure.neighbours import neighbours
-from atoll_coordinator.model.structure.rewriting import tidied
+from atoll_coordinator.model.structure.algebra import tidied
+from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
+from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.term_libraries import Term, fractions, libraries
 
 COMPARED_ROWS: Final = 1_200

@@ -5,10 +5,11 @@ from typing import Final
 
 import numpy as np
 
-from atoll.expression.program import Program
+from atoll.expression.program import Program, constant_places
 from atoll_coordinator.model.selection.comparison import Contest, Standing
 from atoll_coordinator.model.shooting.covariance import covariance
-from atoll_coordinator.model.structure.rewriting import constant_places, reductions, tidied
+from atoll_coordinator.model.structure.algebra import tidied
+from atoll_coordinator.model.structure.moves.reductions import reductions
 
 LEAST: Final = 0.01
 """Nats by which a description must get shorter to count."""

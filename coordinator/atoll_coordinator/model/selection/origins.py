@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 
-from atoll.expression.program import Program
+from atoll.expression.program import Program, structure
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prior_knowledge import guessed_programs
 from atoll_coordinator.model.refinement import Origin, Pool
 from atoll_coordinator.model.selection.joint_search import Field
-from atoll_coordinator.model.structure.rewriting import structure, tidied
+from atoll_coordinator.model.structure.algebra import tidied
 
 
 class Origins:

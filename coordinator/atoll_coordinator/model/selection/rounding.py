@@ -7,13 +7,13 @@ of the constants, by which a beam of decisions is built up; the best whole decis
 from collections.abc import Sequence
 from typing import Final
 
-from atoll.expression.program import Program
+from atoll.expression.program import Program, constant_places, with_constants
 from atoll_coordinator.model.regression.rounding import Decision, decisions
 from atoll_coordinator.model.regression.simple_numbers import fitted_length, simple_numbers
 from atoll_coordinator.model.selection.comparison import Contest, Standing
 from atoll_coordinator.model.selection.structure_length import structure_nats
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
-from atoll_coordinator.model.structure.rewriting import constant_places, tidied, with_constants
+from atoll_coordinator.model.structure.algebra import tidied
 
 MOST_CONSTANTS: Final = 16
 _STEPS: Final = 12

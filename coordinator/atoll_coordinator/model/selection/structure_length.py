@@ -10,8 +10,7 @@ from typing import Final
 import numpy as np
 
 from atoll.expression.operators import ARITY, CONSTANT, DIVIDE, INVERSE, MULTIPLY, NEGATE, POW, SQUARE, VARIABLE
-from atoll.expression.program import Program
-from atoll_coordinator.model.structure.rewriting import structure
+from atoll.expression.program import Program, structure
 
 LEAF: Final = 1.4
 PLAIN: Final = 1.4

@@ -14,9 +14,10 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray
-from atoll.expression.operators import ADD, CONSTANT, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
+from atoll.expression.builder import Expression
+from atoll.expression.operators import ADD, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
 from atoll.expression.program import Program
-from atoll_coordinator.model.structure.rewriting import Node, tidied
+from atoll_coordinator.model.structure.algebra import AlgebraicBuilder
 
 MOST_TERMS: Final = 24
 """Larger libraries are not tried."""
@@ -115,38 +116,28 @@ def _powers(factors: Sequence[Factor], degree: int) -> list[Term]:
 
 def sum_of(terms: Sequence[Term], coefficients: Sequence[float]) -> Program:
     """Return the tidied program of the sum of `terms` with these coefficients, none of which is 0, 1 or -1."""
-    nodes: list[Node] = []
-    total: int | None = None
+    total: Expression | None = None
     for term, coefficient in zip(terms, coefficients, strict=True):
-        nodes.append((CONSTANT, 0, 0, float(coefficient)))
-        part = len(nodes) - 1
+        part: Expression = float(coefficient)
         for factor in term:
-            _put(factor, nodes)
-            nodes.append((DIVIDE if factor.divisor else MULTIPLY, part, len(nodes) - 1, 0.0))
-            part = len(nodes) - 1
-        if total is not None:
-            nodes.append((ADD, total, part, 0.0))
-        total = len(nodes) - 1
-    codes, lefts, rights, values = zip(*nodes, strict=True)
-    return tidied(
-        Program(np.array(codes, np.int8), np.array(lefts, np.int16), np.array(rights, np.int16), np.array(values))
-    )
+            part = (DIVIDE if factor.divisor else MULTIPLY, part, _expression(factor))
+        total = part if total is None else (ADD, total, part)
+    assert total is not None
+    builder = AlgebraicBuilder()
+    return builder.program(builder.build(total))
 
 
-def _put(factor: Factor, nodes: list[Node]) -> None:
-    """Append the nodes of a factor, or of what a term is divided by."""
-    nodes.append((VARIABLE, factor.variable, 0, 0.0))
+def _expression(factor: Factor) -> Expression:
+    """Return a factor, or what a term is divided by."""
+    found: Expression = (VARIABLE, factor.variable)
     if factor.divisor is not None:
         if factor.divisor.power == 2:
-            nodes.append((MULTIPLY, len(nodes) - 1, len(nodes) - 1, 0.0))
+            found = (MULTIPLY, found, found)
         if factor.divisor.shift:
-            nodes.append((CONSTANT, 0, 0, factor.divisor.shift))
-            nodes.append((ADD, len(nodes) - 2, len(nodes) - 1, 0.0))
+            found = (ADD, found, factor.divisor.shift)
     if factor.other is not None:
-        nodes.append((VARIABLE, factor.other, 0, 0.0))
-        nodes.append((factor.join, len(nodes) - 2, len(nodes) - 1, 0.0))
-    if factor.function is not None:
-        nodes.append((factor.function, len(nodes) - 1, 0, 0.0))
+        found = (factor.join, found, (VARIABLE, factor.other))
+    return found if factor.function is None else (factor.function, found)
 
 
 def column_of(term: Term, inputs: FloatArray) -> FloatArray:

@@ -5,15 +5,13 @@ such factors together, before any of them was made simple: each term of a sum ha
 not part of a sum. Factors inside functions are not opened, nor is one of those that would only scale each other.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
+from atoll.expression.builder import ProgramBuilder
 from atoll.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SUBTRACT
-from atoll.expression.program import Program
-from atoll_coordinator.model.structure.rewriting import Node, nodes_of
+from atoll.expression.program import Node, Program
 
 ONE: Final = 1.0
 
@@ -33,7 +31,7 @@ class Opened:
 
 def opened(program: Program) -> Opened:
     """Return `program` with its factors of one as constants; the same function."""
-    draft = _Draft(nodes_of(program))
+    draft = _Draft(program.nodes())
     output = draft.open(len(program) - 1, has_factor=False)
     return draft.finished(output)
 
@@ -51,7 +49,7 @@ class _Draft:
         self._numbers = {
             place: number for number, place in enumerate(index for index, node in enumerate(old) if node[0] == CONSTANT)
         }
-        self._new: list[Node] = []
+        self._new = ProgramBuilder()
         self._copies: dict[int, int] = {}
         self._origins: dict[int, int | None] = {}
         self._terms: dict[int, int] = {}
@@ -64,26 +62,26 @@ class _Draft:
         if code in (ADD, SUBTRACT):
             return self._sum(index, next(self._without_factor(index), None) if has_factor else None)
         if code == NEGATE:
-            return self._add((NEGATE, self.open(left, has_factor=has_factor), 0, 0.0))
+            return self._new.append(NEGATE, self.open(left, has_factor=has_factor))
         if code == MULTIPLY:
             return self._product(index, has_factor=has_factor)
         if code == DIVIDE:
             above = self.open(left, has_factor=has_factor)
-            return self._add((DIVIDE, above, self._scaled(right), 0.0))
+            return self._new.append(DIVIDE, above, self._scaled(right))
         return self._copy(index) if has_factor else self._factored(self._copy(index))
 
     def finished(self, output: int) -> Opened:
         """Return what was opened."""
-        program = self._program(output)
-        places = [index for index, node in enumerate(self._new[: output + 1]) if node[0] == CONSTANT]
-        terms = [self._program(self._terms[place]) for place in places if self._origins[place] is None]
+        program = self._new.program(output)
+        places = [index for index, node in enumerate(self._new.nodes[: output + 1]) if node[0] == CONSTANT]
+        terms = [self._new.program(self._terms[place]) for place in places if self._origins[place] is None]
         return Opened(program, tuple(self._origins[place] for place in places), tuple(terms))
 
     def _sum(self, index: int, spared: int | None) -> int:
         """Open a sum; a term that is `spared` keeps its factor of one, since another constant scales the whole."""
         code, left, right, _ = self._old[index]
         if code in (ADD, SUBTRACT):
-            return self._add((code, self._sum(left, spared), self._sum(right, spared), 0.0))
+            return self._new.append(code, self._sum(left, spared), self._sum(right, spared))
         return self.open(index, has_factor=index == spared)
 
     def _without_factor(self, index: int) -> Iterator[int]:
@@ -99,11 +97,11 @@ class _Draft:
         """Open a product: its constant takes the factor if it has one, else a sum in it, else the whole gets one."""
         _, left, right, _ = self._old[index]
         if has_factor or self._holds_factor(index):
-            return self._add((MULTIPLY, self._scaled(left), self._scaled(right), 0.0))
+            return self._new.append(MULTIPLY, self._scaled(left), self._scaled(right))
         first, second = (left, right) if self._holds_sum(left) else (right, left)
         if not self._holds_sum(first):
             return self._factored(self._copy(index))
-        return self._add((MULTIPLY, self.open(first, has_factor=False), self._scaled(second), 0.0))
+        return self._new.append(MULTIPLY, self.open(first, has_factor=False), self._scaled(second))
 
     def _scaled(self, index: int) -> int:
         """Return the new place of a node that is scaled already."""
@@ -134,41 +132,13 @@ class _Draft:
             if ARITY[code]:
                 left = self._copy(left)
                 right = self._copy(right) if ARITY[code] == 2 else 0
-            self._copies[index] = self._add((code, left, right, value))
+            self._copies[index] = self._new.append(code, left, right, value)
             if code == CONSTANT:
                 self._origins[self._copies[index]] = self._numbers[index]
         return self._copies[index]
 
     def _factored(self, place: int) -> int:
-        factor = self._add((CONSTANT, 0, 0, ONE))
+        factor = self._new.append(CONSTANT, value=ONE)
         self._origins[factor] = None
         self._terms[factor] = place
-        return self._add((MULTIPLY, factor, place, 0.0))
-
-    def _add(self, node: Node) -> int:
-        self._new.append(node)
-        return len(self._new) - 1
-
-    def _program(self, output: int) -> Program:
-        """Return the program of a new node, without nodes that it does not need."""
-        needed = _needed(self._new, output)
-        place = {index: number for number, index in enumerate(needed)}
-        codes, lefts, rights, values = [], [], [], []
-        for index in needed:
-            code, left, right, value = self._new[index]
-            codes.append(code)
-            lefts.append(place[left] if ARITY[code] else left)
-            rights.append(place[right] if ARITY[code] == 2 else 0)
-            values.append(value)
-        return Program(
-            np.array(codes, np.int8), np.array(lefts, np.int16), np.array(rights, np.int16), np.array(values, float)
-        )
-
-
-def _needed(nodes: Sequence[Node], output: int) -> list[int]:
-    needed = {output}
-    for index in range(output, -1, -1):
-        if index in needed:
-            code, left, right, _ = nodes[index]
-            needed |= {left, right} if ARITY[code] == 2 else {left} if ARITY[code] else set()
-    return sorted(needed)
+        return self._new.append(MULTIPLY, factor, place)

@@ -6,12 +6,12 @@ import numpy as np
 
 from atoll.config import JobConfig
 from atoll.data.dataset import Dataset, FloatArray, Problem, Target
+from atoll.expression.evaluation import values_of
 from atoll.expression.program import Program
 from atoll.expression.simplification import complexity, simplify_program
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
-from atoll_coordinator.model.regression.gradient import values_of
 
 NAMES = ("x", "y")
 

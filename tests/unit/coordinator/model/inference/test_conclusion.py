@@ -9,6 +9,7 @@ import pytest
 from atoll.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll.data.dataset import Dataset, Target
 from atoll.expression.operators import BY_NAME
+from atoll.expression.program import constant_places
 from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prepare import prepare
@@ -18,7 +19,6 @@ from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.refinement import Contender, Pool
 from atoll_coordinator.model.selection import joint_search as model
 from atoll_coordinator.model.selection import origins
-from atoll_coordinator.model.structure.rewriting import constant_places
 from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, pools, table
 
 TIMES = 0.1 * np.arange(40.0)
@@ -48,7 +48,7 @@ def refined(known, starts, pool, *, times=TIMES, noise=0.0, seed=0, config=None)
 def is_same(known, refinement, **truths):
     """Tell whether equations have the truths' functions, with simple constants."""
     draw = np.random.default_rng(5).uniform(0.5, 2.0, (len(known.names), 20))
-    from atoll_coordinator.model.regression.gradient import values_of
+    from atoll.expression.evaluation import values_of
 
     return all(
         np.allclose(values_of(refinement.equations[name].program, draw), values_of(known.parsed(text), draw), rtol=1e-9)

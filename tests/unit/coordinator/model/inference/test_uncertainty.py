@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from atoll.expression.program import constant_places
 from atoll_coordinator.model.inference import uncertainty as assess
 from atoll_coordinator.model.inference.uncertainty import (
     bands,
@@ -17,7 +18,6 @@ from atoll_coordinator.model.inference.uncertainty import (
 )
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter
-from atoll_coordinator.model.structure.rewriting import constant_places
 from atoll_coordinator.model.structure.unit_coefficients import as_it_is
 from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, Known, contest, recording
 

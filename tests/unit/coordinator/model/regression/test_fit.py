@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from atoll.data.dataset import Problem, Target
+from atoll.expression.program import constant_places
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.regression.criterion import Criterion, program_length
 from atoll_coordinator.model.regression.fit import Polisher
-from atoll_coordinator.model.structure.rewriting import constant_places
 from tests.unit.coordinator.model.fitting import parsed, problem
 
 

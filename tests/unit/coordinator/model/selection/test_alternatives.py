@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from atoll.config import JobConfig
+from atoll.expression.program import structure
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection import alternatives as rivals
 from atoll_coordinator.model.selection.alternatives import CONTENDERS, decided
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
 from atoll_coordinator.model.selection.joint_search import Chosen, Field
-from atoll_coordinator.model.structure.rewriting import structure
 from tests.unit.coordinator.model.shooting.made import SWING, table
 
 TIMES = 0.1 * np.arange(30.0)

@@ -5,8 +5,8 @@ import pytest
 
 from atoll.data.dataset import Problem, Target
 from atoll.expression.operators import BY_NAME
+from atoll.expression.program import structure
 from atoll_coordinator.model.selection.candidates import ranked
-from atoll_coordinator.model.structure.rewriting import structure
 from atoll_coordinator.model.structure.term_libraries import libraries
 from tests.unit.coordinator.model.shooting.made import SWING, contest, measurements_of, recording
 

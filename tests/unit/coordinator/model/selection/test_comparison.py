@@ -6,12 +6,11 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from atoll.expression.program import Program
+from atoll.expression.program import Program, structure
 from atoll_coordinator.model.selection.comparison import Contest, Standing, distinct
 from atoll_coordinator.model.selection.structure_length import structure_nats
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter
-from atoll_coordinator.model.structure.rewriting import structure
 from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, contest, measurements
 
 TIMES = 0.1 * np.arange(40.0)

@@ -5,9 +5,9 @@ import pytest
 
 from atoll.data.dataset import Problem, Target
 from atoll.expression.operators import ADD, DIVIDE, MULTIPLY
+from atoll.expression.program import constant_places
 from atoll_coordinator.model.selection import elimination
 from atoll_coordinator.model.selection.elimination import eliminated
-from atoll_coordinator.model.structure.rewriting import constant_places
 from atoll_coordinator.model.structure.term_libraries import Divisor, Factor, fractions, libraries
 from tests.unit.coordinator.model.shooting.made import SWING, Known, contest, measurements_of, recording
 

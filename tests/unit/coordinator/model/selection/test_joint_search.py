@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from atoll.config import BudgetConfig, JobConfig, SpaceConfig
+from atoll.expression.program import structure
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection.joint_search import Field, candidates_of
-from atoll_coordinator.model.structure.rewriting import structure, tidied
+from atoll_coordinator.model.structure.algebra import tidied
 from tests.unit.coordinator.model.shooting.made import Known, pools, table
 
 DRAG = Known(("v",), lambda _, z: [-0.05 * z[0] ** 2])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from atoll.expression.operators import BY_NAME
+from atoll.expression.program import structure
 from atoll_coordinator.model.selection.local_search import LEAST, Descent
-from atoll_coordinator.model.structure.extensions import extensions
-from atoll_coordinator.model.structure.rewriting import structure
+from atoll_coordinator.model.structure.moves.extensions import extensions
 from tests.unit.coordinator.model.shooting.made import SWING, Known, contest, measurements
 
 TIMES = 0.1 * np.arange(40.0)

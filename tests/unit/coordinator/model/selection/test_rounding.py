@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from atoll.expression.program import constant_places, structure
 from atoll_coordinator.model.selection.rounding import MOST_CONSTANTS, rounded
 from atoll_coordinator.model.shooting.covariance import covariance
-from atoll_coordinator.model.structure.rewriting import constant_places, structure
 from tests.unit.coordinator.model.shooting.made import LOTKA, LOTKA_TEXT, Known, contest, measurements
 
 TIMES = 0.25 * np.arange(60.0)

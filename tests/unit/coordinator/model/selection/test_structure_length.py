@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from atoll.expression.program import with_constants
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.selection.structure_length import structure_nats
-from atoll_coordinator.model.structure.extensions import extensions
-from atoll_coordinator.model.structure.rewriting import with_constants
+from atoll_coordinator.model.structure.moves.extensions import extensions
 from tests.unit.coordinator.model.fitting import parsed
 
 

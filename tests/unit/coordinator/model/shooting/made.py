@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 from atoll.data.dataset import FloatArray, Problem
 from atoll.data.table import Table
+from atoll.expression.evaluation import values_of
 from atoll.expression.program import Program
 from atoll.expression.simplification import complexity, simplify_program
 from atoll.expression.text.infix import to_infix
@@ -15,11 +16,10 @@ from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, Trajectory
 from atoll_coordinator.model.refinement import Pool
-from atoll_coordinator.model.regression.gradient import values_of
 from atoll_coordinator.model.selection.comparison import Contest
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter
-from atoll_coordinator.model.structure.rewriting import tidied
+from atoll_coordinator.model.structure.algebra import tidied
 
 Rates = Callable[[float, Sequence[float]], Sequence[float]]
 Wave = Callable[[FloatArray], FloatArray]

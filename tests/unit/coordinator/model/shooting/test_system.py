@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from atoll.expression.operators import CONSTANT, VARIABLE
+from atoll.expression.program import constant_places
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.shooting.kernels.rates import rates
 from atoll_coordinator.model.shooting.system import split, system_of, variable_program
-from atoll_coordinator.model.structure.rewriting import constant_places
 from tests.oracles.evaluate import evaluate
 
 NAMES = ("x", "y", "u")

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from atoll.expression.evaluation import values_of
 from atoll.expression.operators import ADD, BY_NAME, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT
-from atoll_coordinator.model.regression.gradient import values_of
-from atoll_coordinator.model.structure.rewriting import constant_places
+from atoll.expression.program import constant_places
 from atoll_coordinator.model.structure.term_libraries import (
     MOST_TERMS,
     Divisor,

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.regression.gradient import values_of
-from atoll_coordinator.model.structure.rewriting import constant_places, tidied
+from atoll.expression.evaluation import values_of
+from atoll.expression.program import constant_places
+from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.unit_coefficients import opened
 from tests.unit.coordinator.model.fitting import parsed, shown
 

@@ -12,13 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from atoll.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, OPERATORS, POW, VARIABLE
-from atoll.expression.program import Program
+from atoll.expression.program import Program, with_constants
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, shoot
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter
 from atoll_coordinator.model.shooting.system import system_of
 from atoll_coordinator.model.shooting.warmup import PRECISIONS
-from atoll_coordinator.model.structure.rewriting import with_constants
 from tests.oracles.integration import integrate
 from tests.unit.coordinator.model.shooting.made import DECAY, measurements
 from tests.unit.documents import ROOT

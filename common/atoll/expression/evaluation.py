@@ -105,9 +105,8 @@ def node_values(program: Program, inputs: FloatArray) -> list[FloatArray]:
     """Return the values of every node of `program` at all rows of `inputs` (V, R), each of shape (R,)."""
     rows = inputs.shape[1]
     values: list[FloatArray] = []
-    columns = (program.operators, program.left, program.right, program.constants)
     with np.errstate(all="ignore"):
-        for code, left, right, constant in zip(*(column.tolist() for column in columns), strict=True):
+        for code, left, right, constant in program.nodes():
             if code == VARIABLE:
                 values.append(inputs[left])
             elif code == CONSTANT:

@@ -3,9 +3,11 @@
 from collections.abc import Collection, Iterator
 from typing import Final
 
+from atoll.expression.builder import Expression
 from atoll.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
-from atoll.expression.program import Program
-from atoll_coordinator.model.structure.rewriting import FRESH, Node, changed, nodes_of, turned
+from atoll.expression.program import Node, Program
+from atoll_coordinator.model.structure.moves.reductions import FRESH
+from atoll_coordinator.model.structure.moves.replacement import cofunctions, replace_each
 
 _NEAR_ONE: Final = 1.001
 _NEAR_ZERO: Final = 0.001
@@ -21,8 +23,8 @@ def neighbours(program: Program, variables: Collection[int], operators: Collecti
     At one node a leaf is exchanged for another, an operator for its relative, or a constant or variable is joined to
     it. Only `variables` (their indices) and `operators` (codes) are brought in.
     """
-    nodes = nodes_of(program)
-    yield from changed(
+    nodes = program.nodes()
+    yield from replace_each(
         program,
         nodes,
         operators,
@@ -30,30 +32,26 @@ def neighbours(program: Program, variables: Collection[int], operators: Collecti
     )
 
 
-def _exchanged(nodes: list[Node], index: int, variables: Collection[int]) -> Iterator[list[Node]]:
+def _exchanged(nodes: list[Node], index: int, variables: Collection[int]) -> Iterator[Expression]:
     code, left, right, _ = nodes[index]
     if code in (VARIABLE, CONSTANT):
-        yield from ([(VARIABLE, other, 0, 0.0)] for other in variables if (code, left) != (VARIABLE, other))
+        yield from ((VARIABLE, other) for other in variables if (code, left) != (VARIABLE, other))
     if code == VARIABLE:
-        yield [(CONSTANT, 0, 0, FRESH)]
+        yield FRESH
     if code in _EXCHANGED:
-        yield [(_EXCHANGED[code], left, right, 0.0)]
+        yield (_EXCHANGED[code], *(left, right)[: ARITY[code]])
     if code in (SUBTRACT, DIVIDE):
-        yield [(code, right, left, 0.0)]
+        yield (code, right, left)
     if code in (SIN, COS) and ARITY[nodes[left][0]] == 2:
-        yield from turned(code, index, nodes[left])
+        yield from cofunctions(code, nodes[left])
 
 
-def _joined(index: int, variables: Collection[int]) -> Iterator[list[Node]]:
-    made = index + 1
-    yield [(CONSTANT, 0, 0, _NEAR_ZERO), (ADD, index, made, 0.0)]
-    yield [(CONSTANT, 0, 0, _NEAR_ONE), (MULTIPLY, made, index, 0.0)]
+def _joined(node: int, variables: Collection[int]) -> Iterator[Expression]:
+    yield (ADD, node, _NEAR_ZERO)
+    yield (MULTIPLY, _NEAR_ONE, node)
     for variable in variables:
-        leaf = (VARIABLE, variable, 0, 0.0)
-        small = (CONSTANT, 0, 0, _NEAR_ZERO)
-        yield [leaf, small, (MULTIPLY, made + 1, made, 0.0), (ADD, index, made + 2, 0.0)]
-        yield [leaf, small, (DIVIDE, made + 1, made, 0.0), (ADD, index, made + 2, 0.0)]
-        yield [leaf, (MULTIPLY, index, made, 0.0)]
-        yield [leaf, (DIVIDE, index, made, 0.0)]
-        yield [leaf, (ADD, index, made, 0.0)]
-        yield [leaf, (SUBTRACT, index, made, 0.0)]
+        leaf = (VARIABLE, variable)
+        yield (ADD, node, (MULTIPLY, _NEAR_ZERO, leaf))
+        yield (ADD, node, (DIVIDE, _NEAR_ZERO, leaf))
+        for join in (MULTIPLY, DIVIDE, ADD, SUBTRACT):
+            yield (join, node, leaf)

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll_coordinator.model.regression.gradient import values_of
-from atoll_coordinator.model.structure.gathering import gathered
-from atoll_coordinator.model.structure.rewriting import tidied
+from atoll.expression.evaluation import values_of
+from atoll_coordinator.model.structure.algebra import tidied
+from atoll_coordinator.model.structure.like_terms import gathered
 from tests.unit.coordinator.model.fitting import parsed, shown
 
 INPUTS = np.random.default_rng(1).uniform(0.5, 2.0, (2, 30))

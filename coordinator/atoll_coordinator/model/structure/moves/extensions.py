@@ -4,6 +4,7 @@ import math
 from collections.abc import Collection, Iterator, Sequence
 from typing import Final
 
+from atoll.expression.builder import Expression, ProgramBuilder
 from atoll.expression.operators import (
     ABS,
     ADD,
@@ -20,8 +21,8 @@ from atoll.expression.operators import (
     SUBTRACT,
     VARIABLE,
 )
-from atoll.expression.program import Program
-from atoll_coordinator.model.structure.rewriting import Node, changed, nodes_of
+from atoll.expression.program import Node, Program
+from atoll_coordinator.model.structure.moves.replacement import replace_each
 
 SMALL: Final = 1e-3
 """Size of a new part beside what it is joined to."""
@@ -43,9 +44,9 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
         scales: the size of each variable; 0 for those that may not be used.
         operators: codes of operators that may be brought in.
     """
-    nodes = _with_own_leaves(nodes_of(program))
+    nodes = _with_own_leaves(program.nodes())
     sizes = _sizes(nodes, scales)
-    yield from changed(program, nodes, operators, lambda index: _joined(index, scales, sizes[index]))
+    yield from replace_each(program, nodes, operators, lambda index: _joined(index, scales, sizes[index]))
 
 
 def leaps(program: Program, operators: Collection[int]) -> Iterator[Program]:
@@ -54,34 +55,31 @@ def leaps(program: Program, operators: Collection[int]) -> Iterator[Program]:
     A variable becomes its sine or cosine; a sine or cosine the beginning of its Taylor series, with constants of its
     own. Only the `operators` (codes) that are allowed are brought in.
     """
-    nodes = _with_own_leaves(nodes_of(program))
-    yield from changed(program, nodes, operators, lambda index: _opened(nodes, index))
+    nodes = _with_own_leaves(program.nodes())
+    yield from replace_each(program, nodes, operators, lambda index: _leaps_at(nodes, index))
 
 
-def _joined(index: int, scales: Sequence[float], size: float) -> Iterator[list[Node]]:
-    """Yield the nodes to put behind node `index`, of that size, the first of which is `index` + 1."""
-    a, b, c, d, e = range(index + 1, index + 6)
+def _joined(node: int, scales: Sequence[float], size: float) -> Iterator[Expression]:
+    """Yield what a node of that size may become."""
     little = SMALL * size
-    yield [(CONSTANT, 0, 0, little), (ADD, index, a, 0.0)]
+    yield (ADD, node, little)
     for v, scale in enumerate(scales):
         if not scale > 0.0:
             continue
-        leaf: Node = (VARIABLE, v, 0, 0.0)
-        yield [(CONSTANT, 0, 0, little / scale), leaf, (MULTIPLY, a, b, 0.0), (ADD, index, c, 0.0)]
-        part: list[Node] = [(CONSTANT, 0, 0, SMALL / scale), leaf, (MULTIPLY, a, b, 0.0)]
-        yield [*part, (CONSTANT, 0, 0, _NEAR_ONE), (ADD, d, c, 0.0), (DIVIDE, index, e, 0.0)]
-        yield [*part, (CONSTANT, 0, 0, _NEAR_ONE), (ADD, d, c, 0.0), (MULTIPLY, index, e, 0.0)]
-        yield [(CONSTANT, 0, 0, little * scale), leaf, (DIVIDE, a, b, 0.0), (ADD, index, c, 0.0)]
+        leaf: Expression = (VARIABLE, v)
+        yield (ADD, node, (MULTIPLY, little / scale, leaf))
+        factor: Expression = (ADD, _NEAR_ONE, (MULTIPLY, SMALL / scale, leaf))
+        yield (DIVIDE, node, factor)
+        yield (MULTIPLY, node, factor)
+        yield (ADD, node, (DIVIDE, little * scale, leaf))
         for code in (SIN, COS):
-            yield [(CONSTANT, 0, 0, little), leaf, (code, b, 0, 0.0), (MULTIPLY, a, c, 0.0), (ADD, index, d, 0.0)]
+            yield (ADD, node, (MULTIPLY, little, (code, leaf)))
         for code in (SIN, COS):
             for join in (MULTIPLY, DIVIDE):
-                yield [leaf, (code, a, 0, 0.0), (join, index, b, 0.0)]
+                yield (join, node, (code, leaf))
         for w, other in enumerate(scales[: v + 1]):
             if other > 0.0:
-                factor: Node = (CONSTANT, 0, 0, little / (scale * other))
-                pair: list[Node] = [factor, leaf, (VARIABLE, w, 0, 0.0), (MULTIPLY, b, c, 0.0), (MULTIPLY, a, d, 0.0)]
-                yield [*pair, (ADD, index, e, 0.0)]
+                yield (ADD, node, (MULTIPLY, little / (scale * other), (MULTIPLY, leaf, (VARIABLE, w))))
 
 
 def _sizes(nodes: Sequence[Node], scales: Sequence[float]) -> list[float]:
@@ -118,32 +116,23 @@ def _size_of(code: int, first: float, second: float) -> float:
 
 def _with_own_leaves(nodes: list[Node]) -> list[Node]:
     """Return the nodes with a leaf of its own for every use of one, so that a single use can be changed."""
-    found: list[Node] = []
-    place: list[int] = []
+    builder = ProgramBuilder()
+    places: list[int] = []
     for code, left, right, value in nodes:
-        arguments: list[int] = []
-        for argument in (left, right)[: ARITY[code]]:
-            if ARITY[nodes[argument][0]]:
-                arguments.append(place[argument])
-            else:
-                found.append(nodes[argument])
-                arguments.append(len(found) - 1)
-        first, second, *_ = (*arguments, 0, 0) if ARITY[code] else (left, right)
-        found.append((code, first, second, value))
-        place.append(len(found) - 1)
-    return found
+        arguments = [
+            places[argument] if ARITY[nodes[argument][0]] else builder.append(*nodes[argument])
+            for argument in (left, right)[: ARITY[code]]
+        ]
+        places.append(builder.append(code, *arguments) if arguments else builder.append(code, left, right, value))
+    return builder.nodes
 
 
-def _opened(nodes: list[Node], index: int) -> Iterator[list[Node]]:
+def _leaps_at(nodes: list[Node], index: int) -> Iterator[Expression]:
     """Yield the sine and the cosine of a variable; the beginnings of the Taylor series of a sine and of a cosine."""
-    kind, n, *_ = nodes[index]
-    a, b, c, d, e = range(index + 1, index + 6)
-    if kind == VARIABLE:
-        for code in (SIN, COS):
-            yield [(code, index, 0, 0.0)]
-    if kind == COS:
-        yield [(CONSTANT, 0, 0, -0.5), (MULTIPLY, n, n, 0.0), (MULTIPLY, a, b, 0.0), (CONSTANT, 0, 0, _NEAR_ONE),
-               (ADD, d, c, 0.0)]  # fmt: skip
-    if kind == SIN:
-        yield [(CONSTANT, 0, 0, -1.0 / 6.0), (MULTIPLY, n, n, 0.0), (MULTIPLY, a, b, 0.0), (CONSTANT, 0, 0, _NEAR_ONE),
-               (ADD, d, c, 0.0), (MULTIPLY, n, e, 0.0)]  # fmt: skip
+    code, u, *_ = nodes[index]
+    if code == VARIABLE:
+        yield from ((function, index) for function in (SIN, COS))
+    if code == COS:
+        yield (ADD, _NEAR_ONE, (MULTIPLY, -0.5, (MULTIPLY, u, u)))
+    if code == SIN:
+        yield (MULTIPLY, u, (ADD, _NEAR_ONE, (MULTIPLY, -1.0 / 6.0, (MULTIPLY, u, u))))

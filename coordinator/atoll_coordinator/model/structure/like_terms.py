@@ -1,14 +1,13 @@
 """Like terms gathered under one constant: ``x + x`` becomes ``2*x``, whose constant has an error and an interval.
 
-As real algebra allows, like `atoll_coordinator.model.structure.rewriting`; for equations that are shown, not for
+As real algebra allows, like `atoll_coordinator.model.structure.algebra`; for equations that are shown, not for
 candidates.
 """
 
-import numpy as np
-
+from atoll.expression.builder import ProgramBuilder
 from atoll.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, NEGATE, SUBTRACT
-from atoll.expression.program import Program
-from atoll_coordinator.model.structure.rewriting import Node, nodes_of, tidied
+from atoll.expression.program import Node, Program
+from atoll_coordinator.model.structure.algebra import tidied
 
 _Term = tuple[float, int]
 """A coefficient and the new node that it is a factor of, -1 for the constant term."""
@@ -16,19 +15,18 @@ _Term = tuple[float, int]
 
 def gathered(program: Program) -> Program:
     """Return `program` with terms of a sum that differ by a factor alone as one term; itself where there are none."""
-    draft = _Gathering(nodes_of(program))
-    output = draft.copy(len(program) - 1)
-    return tidied(draft.program(output)) if draft.has_gathered else program
+    gathering = _Gathering(program.nodes())
+    output = gathering.copy(len(program) - 1)
+    return tidied(gathering.builder.program(output)) if gathering.has_gathered else program
 
 
 class _Gathering:
-    """A program under construction: equal nodes are one, and sums are made of their terms."""
+    """Copies a program node by node and joins the terms of its sums."""
 
     def __init__(self, old: list[Node]) -> None:
         self.has_gathered = False
+        self.builder = ProgramBuilder()
         self._old = old
-        self._new: list[Node] = []
-        self._places: dict[Node, int] = {}
         self._copies: dict[int, int] = {}
 
     def copy(self, index: int) -> int:
@@ -37,29 +35,21 @@ class _Gathering:
             self._copies[index] = self._copied(index)
         return self._copies[index]
 
-    def program(self, output: int) -> Program:
-        """Return the program of a new node."""
-        codes, lefts, rights, values = zip(*self._new[: output + 1], strict=True)
-        return Program(
-            np.array(codes, np.int8), np.array(lefts, np.int16), np.array(rights, np.int16), np.array(values)
-        )
-
     def _copied(self, index: int) -> int:
         code, left, right, value = self._old[index]
         if code not in (ADD, SUBTRACT):
             first = self.copy(left) if ARITY[code] else left
-            return self._add((code, first, self.copy(right) if ARITY[code] == 2 else right, value))
+            return self.builder.add(code, first, self.copy(right) if ARITY[code] == 2 else right, value)
         terms = self._terms(index, 1.0)
         bases = [base for _, base in terms]
         if len(set(bases)) == len(bases):
-            return self._add((code, self.copy(left), self.copy(right), 0.0))
+            return self.builder.add(code, self.copy(left), self.copy(right))
         self.has_gathered = True
-        sums = {base: sum(factor for factor, other in terms if other == base) for base in bases}
         output: int | None = None
-        for base, factor in sums.items():
-            constant = self._add((CONSTANT, 0, 0, factor))
-            term = constant if base < 0 else self._add((MULTIPLY, constant, base, 0.0))
-            output = term if output is None else self._add((ADD, output, term, 0.0))
+        for base in dict.fromkeys(bases):
+            term = self.builder.constant(sum(factor for factor, other in terms if other == base))
+            term = term if base < 0 else self.builder.add(MULTIPLY, term, base)
+            output = term if output is None else self.builder.add(ADD, output, term)
         assert output is not None
         return output
 
@@ -77,9 +67,3 @@ class _Gathering:
                 if self._old[factor][0] == CONSTANT:
                     return [(sign * self._old[factor][3], self.copy(rest))]
         return [(sign, self.copy(index))]
-
-    def _add(self, node: Node) -> int:
-        if node not in self._places:
-            self._places[node] = len(self._new)
-            self._new.append(node)
-        return self._places[node]

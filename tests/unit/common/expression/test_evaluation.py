@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
+from atoll.expression.evaluation import gradient_of, node_values, value_of, values_of
 from atoll.expression.operators import CONSTANT, OPERATORS
-from atoll.expression.program import Program
+from atoll.expression.program import Program, constant_places, with_constants
 from atoll.expression.text.parsing import from_infix
-from atoll_coordinator.model.regression.gradient import gradient_of, node_values, value_of, values_of
-from atoll_coordinator.model.structure.rewriting import constant_places, with_constants
 from tests.oracles.evaluate import evaluate
 
 EVERY_OPERATOR = (

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from atoll.expression.evaluation import values_of
 from atoll.expression.operators import ADD, ARITY, BY_NAME, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SQUARE, SUBTRACT
-from atoll_coordinator.model.regression.gradient import values_of
-from atoll_coordinator.model.structure.extensions import SMALL, extensions, leaps
-from atoll_coordinator.model.structure.rewriting import constant_places, structure, tidied
+from atoll.expression.program import constant_places, structure
+from atoll_coordinator.model.structure.algebra import tidied
+from atoll_coordinator.model.structure.moves.extensions import SMALL, extensions, leaps
 from tests.unit.coordinator.model.fitting import parsed, shown
 
 ALL = [its.code for its in BY_NAME.values()]

@@ -1,0 +1,71 @@
+"""Smaller programs: what is left of a program when a part of it is left out."""
+
+from collections.abc import Iterator
+from typing import Final
+
+from atoll.expression.builder import Expression
+from atoll.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SUBTRACT
+from atoll.expression.program import Node, Program, structure
+from atoll_coordinator.model.structure.moves.replacement import cofunctions, replace_node
+
+FRESH: Final = 1.5
+"""Value of a constant that is going to be fitted; not a neutral one, which would not stay."""
+
+_NEUTRAL: Final = (0.0, 1.0, -1.0)
+
+
+def reductions(program: Program) -> Iterator[Program]:
+    """Yield smaller programs, tidied, whose constants want to be fitted; each structure once, from the output down.
+
+    An operator gives way to an argument or a constant, a constant to 0, 1 or -1; a factor that two terms share is
+    taken out of their sum; the cosine of a multiple becomes a square.
+    """
+    nodes = program.nodes()
+    known = {structure(program)}
+    for index in range(len(nodes) - 1, -1, -1):
+        for replacement in _reduced_at(nodes, index):
+            reduced = replace_node(nodes, index, replacement)
+            if _weight(reduced) < _weight(program) and structure(reduced) not in known:
+                known.add(structure(reduced))
+                yield reduced
+
+
+def _weight(program: Program) -> tuple[int, int]:
+    """Return the number of nodes and that of their uses."""
+    return len(program), sum(ARITY[code] for code in program.operators.tolist())
+
+
+def _reduced_at(nodes: list[Node], index: int) -> Iterator[Expression]:
+    """Yield what may take the place of node `index`."""
+    code, left, right, _ = nodes[index]
+    if code == CONSTANT:
+        yield from _NEUTRAL
+    if not ARITY[code]:
+        return
+    yield from dict.fromkeys((left, right)[: ARITY[code]])
+    yield FRESH
+    if code == SUBTRACT:
+        yield (NEGATE, right)
+    if code in (ADD, SUBTRACT):
+        yield from _factored(nodes, index)
+    if code in (SIN, COS) and ARITY[nodes[left][0]] == 2:
+        yield from cofunctions(code, nodes[left])
+
+
+def _factored(nodes: list[Node], index: int) -> Iterator[Expression]:
+    """Yield f (a + b) for a sum f a + f b, where a and b may be 1, and likewise for differences and quotients."""
+    code, left, right, _ = nodes[index]
+    for factor, join, a in _factors(nodes, left):
+        for other, other_join, b in _factors(nodes, right):
+            if (factor, join) == (other, other_join):
+                yield (join, (code, a, b), factor)
+
+
+def _factors(nodes: list[Node], node: int) -> list[tuple[int, int, Expression]]:
+    """Return (f, MULTIPLY or DIVIDE, a) for each way to write the node as a f or a/f; a may be 1."""
+    code, left, right, _ = nodes[node]
+    if code == MULTIPLY:
+        return [(left, MULTIPLY, right), (right, MULTIPLY, left), (node, MULTIPLY, 1.0)]
+    if code == DIVIDE:
+        return [(right, DIVIDE, left), (node, MULTIPLY, 1.0)]
+    return [(node, MULTIPLY, 1.0)]

@@ -1,0 +1,56 @@
+"""One node of a program replaced by an expression, which every structural move does."""
+
+from collections.abc import Callable, Collection, Iterable, Iterator
+
+from atoll.expression.builder import Expression, operators_in
+from atoll.expression.operators import ADD, COS, MULTIPLY, NEGATE, SIN, SUBTRACT
+from atoll.expression.program import Node, Program, structure
+from atoll_coordinator.model.structure.algebra import AlgebraicBuilder
+
+
+def replace_node(nodes: list[Node], index: int, replacement: Expression) -> Program:
+    """Return the tidied program in which `replacement` stands for node `index`.
+
+    Nodes in `replacement` are those up to `index`, the old one included.
+    """
+    builder = AlgebraicBuilder()
+    places = builder.copy(nodes[: index + 1])
+    places[index] = builder.build(replacement, places)
+    return builder.program(builder.copy(nodes[index + 1 :], places)[-1])
+
+
+def replace_each(
+    program: Program, nodes: list[Node], operators: Collection[int], replacements: Callable[[int], Iterable[Expression]]
+) -> Iterator[Program]:
+    """Yield the programs in which one node gives way to one of its `replacements`, tidied; each structure once.
+
+    Args:
+        program: the one to be changed, which is not yielded itself.
+        nodes: its nodes.
+        operators: codes; nothing else is brought in.
+        replacements: by the index of a node, what may take its place, see `replace_node`.
+    """
+    known = {structure(program)}
+    for index in range(len(nodes)):
+        for replacement in replacements(index):
+            if any(code not in operators for code in operators_in(replacement)):
+                continue
+            changed = replace_node(nodes, index, replacement)
+            if structure(changed) not in known:
+                known.add(structure(changed))
+                yield changed
+
+
+def cofunctions(code: int, argument: Node) -> Iterator[Expression]:
+    """Yield what the sine or cosine of a sum or a product may be: its cofunction, its negative, or a square.
+
+    For sin(u + pi/2) = cos u, sin(u + pi) = -sin u, and cos 2u = 2 cos^2 u - 1.
+    """
+    kind, *parts, _ = argument
+    for part in parts:
+        if kind in (ADD, SUBTRACT):
+            for function in (SIN, COS):
+                yield (function, part)
+                yield (NEGATE, (function, part))
+        if code == COS:
+            yield (MULTIPLY, (COS, part), (COS, part))
