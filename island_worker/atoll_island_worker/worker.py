@@ -21,6 +21,7 @@ from atoll.wire.messages.limits import MAX_MESSAGE
 from atoll.wire.messages.views import WorkerState
 from atoll.wire.messages.workers import (
     Close,
+    CloseJob,
     Commit,
     Control,
     Introduce,
@@ -49,6 +50,7 @@ from atoll_island_worker.session.events import (
     Closed,
     Committed,
     Computed,
+    JobClosed,
     JobReady,
     Mailed,
     Placed,
@@ -237,7 +239,9 @@ class Worker:
         _LOG.info("kernels ready", extra=fields(seconds=item.seconds, fingerprint=item.fingerprint))
         self._attendance.kernels_ready(item.fingerprint)
 
-    def _on_control(self, body: JobAnnouncement | Placements | Commit | Close | Shutdown | Introduce) -> None:
+    def _on_control(
+        self, body: JobAnnouncement | Placements | Commit | Close | CloseJob | Shutdown | Introduce
+    ) -> None:
         match body:
             case JobAnnouncement():
                 self._datasets.announced(body)
@@ -247,9 +251,10 @@ class Worker:
             case Commit():
                 self._tell(Committed(body))
             case Close():
-                self._tell(Closed(body))  # first the islands, then what they are computed from
-                if body.variable is None:
-                    self._forget_job(body.job)
+                self._tell(Closed(body))
+            case CloseJob():
+                self._tell(JobClosed(body.job))  # first the islands, then what they are computed from
+                self._forget_job(body.job)
             case Shutdown():
                 self._attendance.shut_down(body)
             case Introduce():

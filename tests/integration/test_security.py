@@ -19,7 +19,7 @@ from atoll.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 from atoll.wire.codec import encode
 from atoll.wire.messages.clients import Ask, Jobs
 from atoll.wire.messages.handshake import Greeting, Hello
-from atoll.wire.messages.workers import Close, Control, Shutdown
+from atoll.wire.messages.workers import CloseJob, Control, Shutdown
 from atoll.wire.security.access_control import Roster, read_roster
 from atoll.wire.security.credentials import Credentials, load
 from atoll_coordinator.cli.main import main
@@ -209,7 +209,7 @@ QUESTIONS = 5
 def speak_for_others(hostile: ZenohBus, realm: str) -> None:
     """Say what only others may say; on the first turn also listen, serve, announce and ask where only others may."""
     for key in (topics.control(realm), topics.control(realm, "lab1-0")):
-        hostile.put(key, encode(Control(body=Close(job="job"))))
+        hostile.put(key, encode(Control(body=CloseJob(job="job"))))
         hostile.put(key, encode(Control(body=Shutdown())))
     for part in ("status", "report"):
         hostile.put(topics.worker(realm, "lab1-0", part), b"nonsense")  # type: ignore[arg-type]

@@ -18,6 +18,7 @@ from atoll.wire.messages.handshake import Hello
 from atoll.wire.messages.views import FINAL_STATES, JobView
 from atoll.wire.messages.workers import (
     Close,
+    CloseJob,
     EpochReport,
     Introduce,
     JobAnnouncement,
@@ -333,7 +334,9 @@ class Controller:
     def _keep_cuts(self, job: Job, cuts: Sequence[Cut]) -> None:
         self._store.commit_cuts(job.id, {cut.variable: encode(cut) for cut in cuts})
         for cut in cuts:
-            self._outlet.tell(Close(job=job.id, variable=cut.variable))
+            placement = job.archipelagos[cut.variable].placement
+            if placement is not None:
+                self._outlet.tell(Close(job=job.id, variable=cut.variable, term=placement.term))
             self.watch.cut(job.id, cut)
 
     def _live_view(self, job: Job, now: float) -> JobView:
@@ -344,7 +347,7 @@ class Controller:
         self._store.update_job(job.id, elapsed=now - job.submitted_at)
         is_poison = job.fault == "poison"
         self._store.commit_result(job.id, job.state, text, job.reason, self._clock(), keeps_checkpoints=is_poison)
-        self._outlet.tell(Close(job=job.id))
+        self._outlet.tell(CloseJob(job=job.id))
         self._outlet.stop(job.id)
         self.ended[job.id] = replace_workers(self._live_view(job, now))
         del self.jobs[job.id]

@@ -5,6 +5,7 @@ from typing import Protocol
 from atoll.config import JobConfig
 from atoll.wire.messages.workers import (
     Close,
+    CloseJob,
     Commit,
     Introduce,
     JobAnnouncement,
@@ -17,7 +18,7 @@ from atoll_coordinator.model.refinement import Pools
 from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.service.search.archipelago import Checkpoint
 
-WorkerWord = JobAnnouncement | Placements | Commit | Close | Introduce | Shutdown
+WorkerWord = JobAnnouncement | Placements | Commit | Close | CloseJob | Introduce | Shutdown
 
 
 class Outlet(Protocol):

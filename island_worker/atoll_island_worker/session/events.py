@@ -54,9 +54,16 @@ class Committed:
 
 @dataclass(frozen=True, slots=True)
 class Closed:
-    """The coordinator needs an archipelago, or a whole job, no more."""
+    """The coordinator needs an archipelago under one term and the ones before no more."""
 
     close: Close
+
+
+@dataclass(frozen=True, slots=True)
+class JobClosed:
+    """A job has ended."""
+
+    job: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,6 +171,7 @@ SessionEvent = (
     | Unloadable
     | Committed
     | Closed
+    | JobClosed
     | Mailed
     | PullAsked
     | PullAnswered

@@ -1,5 +1,6 @@
 """Mail of terms whose placement has not come yet. Pure; what is dropped can be pulled."""
 
+import math
 from typing import Final
 
 from atoll_island_worker.session.events import Mailed
@@ -25,12 +26,16 @@ class EarlyMail:
     def take(self, job: str, variable: str) -> list[Mailed]:
         """Hand over the messages of an archipelago; they are kept no more."""
         taken = [each for each in self._kept if (each.body.job, each.body.variable) == (job, variable)]
-        self.forget(job, variable)
+        self._kept = [each for each in self._kept if each not in taken]
         return taken
 
-    def forget(self, job: str, variable: str | None = None) -> None:
-        """Forget the messages of an archipelago, or of all of a job (None)."""
-        self._kept = [each for each in self._kept if each.body.job != job or variable not in (None, each.body.variable)]
+    def forget(self, job: str, variable: str | None = None, term: float = math.inf) -> None:
+        """Forget the messages of an archipelago, or of all of a job (`variable` None), up to a term."""
+        self._kept = [
+            each
+            for each in self._kept
+            if each.body.job != job or variable not in (None, each.body.variable) or each.body.term > term
+        ]
 
     def clear(self) -> None:
         """Forget all messages."""

@@ -32,6 +32,7 @@ from atoll_island_worker.session.events import (
     Closed,
     Committed,
     Computed,
+    JobClosed,
     JobReady,
     Mailed,
     Placed,
@@ -183,14 +184,20 @@ class Session:
 
     @_on.register
     def _closed(self, event: Closed) -> list[Action]:
-        job, variable = event.close.job, event.close.variable
-        keys = [key for key in self._shares if key[0] == job and variable in (None, key[1])]
+        close = event.close
+        self._early.forget(close.job, close.variable, close.term)
+        share = self._shares.get((close.job, close.variable))
+        return self._drop((close.job, close.variable)) if share and share.placement.term <= close.term else []
+
+    @_on.register
+    def _job_closed(self, event: JobClosed) -> list[Action]:
+        keys = [key for key in self._shares if key[0] == event.job]
         actions: list[Action] = [action for key in keys for action in self._drop(key)]
-        self._early.forget(job, variable)
-        if variable is None and self._jobs.get(job, "unknown") != "unknown":
-            self._step_job(job, "close")
-            del self._jobs[job]
-            actions.append(DiscardJob(job))
+        self._early.forget(event.job)
+        if self._jobs.get(event.job, "unknown") != "unknown":
+            self._step_job(event.job, "close")
+            del self._jobs[event.job]
+            actions.append(DiscardJob(event.job))
         return actions
 
     @_on.register

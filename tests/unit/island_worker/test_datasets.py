@@ -8,7 +8,7 @@ from atoll.config import JobConfig
 from atoll.errors import RemoteProtocolError
 from atoll.wire.codec import encode
 from atoll.wire.messages.limits import CHUNK_SIZE
-from atoll.wire.messages.workers import Close, Control, JobAnnouncement
+from atoll.wire.messages.workers import CloseJob, Control, JobAnnouncement
 from atoll_island_worker.datasets import Datasets, Download
 
 DATA = bytes(2 * CHUNK_SIZE) + b"rest"
@@ -128,8 +128,8 @@ def test_a_job_that_was_not_announced_is_asked_for_as_long_as_it_is_wanted() -> 
 
 
 def test_another_answer_than_the_announcement_is_refused() -> None:
-    with pytest.raises(RemoteProtocolError, match="'close' came"):
-        Datasets(Recorder()).announcement_came("j", encode(Control(body=Close(job="j"))))
+    with pytest.raises(RemoteProtocolError, match="'close-job' came"):
+        Datasets(Recorder()).announcement_came("j", encode(Control(body=CloseJob(job="j"))))
 
 
 def test_a_lost_chunk_is_asked_for_after_a_pause_and_an_unwanted_one_is_dropped() -> None:

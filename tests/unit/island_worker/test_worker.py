@@ -8,18 +8,18 @@ import pytest
 from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll.config import JobConfig
 from atoll.errors import AtollError
-from atoll.search.commit_order import Course
+from atoll.search.commit_order import CommitOrder
 from atoll.wire import topics
 from atoll.wire.bus.interface import Event, Query
 from atoll.wire.bus.simulated_bus import SimulatedNetwork
 from atoll.wire.codec import encode
 from atoll.wire.messages.handshake import GreetingAnswer, Welcome
-from atoll.wire.messages.workers import Close, Control, JobAnnouncement, Placement, Placements
+from atoll.wire.messages.workers import CloseJob, Control, JobAnnouncement, Placement, Placements
 from atoll_island_worker.compute.compute import ComputeFailed, WarmedUp
 from atoll_island_worker.session.events import JobReady
 from atoll_island_worker.worker import Worker
 
-ControlBody = JobAnnouncement | Placements | Close
+ControlBody = JobAnnouncement | Placements | CloseJob
 DATASET = b"a dataset"
 ANNOUNCEMENT = JobAnnouncement(
     job="job", config=JobConfig(), variables=("x",), blob=sha256(DATASET).hexdigest(), size=len(DATASET), chunks=1
@@ -89,7 +89,7 @@ class Pair:
 
 
 def placement(term: int) -> Placement:
-    order = Course(generations=100, stride=10, joining=8)
+    order = CommitOrder(generations=100, stride=10, joining=8)
     return Placement(
         incarnation=1, term=term, job="job", variable="x", workers=("w",), epochs=10, interval=8, course=order
     )
@@ -112,5 +112,5 @@ def test_a_worker_ends_with_an_error_when_its_compute_thread_fails(pair: Pair) -
 def test_of_a_closed_job_the_islands_are_discarded_before_the_dataset(pair: Pair) -> None:
     pair.place()
     assert [name for name, *_ in pair.compute.calls] == ["load", "advance"]
-    pair.control(Close(job="job"))
+    pair.control(CloseJob(job="job"))
     assert [name for name, *_ in pair.compute.calls] == ["load", "advance", "discard", "discard_job"]

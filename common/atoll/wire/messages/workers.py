@@ -117,11 +117,19 @@ class Commit(Model):
 
 
 class Close(Model):
-    """A hint to cease work and forget: on one archipelago, or on all of the job (`variable` None)."""
+    """Stop computing one archipelago, as far as it is placed under `term` or a lower one, and forget it."""
 
     kind: Literal["close"] = "close"
     job: Id
-    variable: Variable | None = None
+    variable: Variable
+    term: Term
+
+
+class CloseJob(Model):
+    """Stop computing a job, which has ended, and forget it."""
+
+    kind: Literal["close-job"] = "close-job"
+    job: Id
 
 
 class Shutdown(Model):
@@ -141,7 +149,9 @@ class Introduce(Model):
 class Control(Model):
     """From the coordinator to workers."""
 
-    body: Annotated[JobAnnouncement | Placements | Commit | Close | Shutdown | Introduce, Field(discriminator="kind")]
+    body: Annotated[
+        JobAnnouncement | Placements | Commit | Close | CloseJob | Shutdown | Introduce, Field(discriminator="kind")
+    ]
 
 
 # ---------------------------------------------------------------------------------------------- heartbeat

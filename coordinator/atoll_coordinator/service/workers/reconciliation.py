@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from atoll.wire.messages.workers import Close, Holding, Placements, WorkerStatus
+from atoll.wire.messages.workers import Close, CloseJob, Holding, Placements, WorkerStatus
 from atoll_coordinator.service.effects import Outlet
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.monitor import Watch
@@ -37,9 +37,9 @@ class Holdings:
         archipelago = self._archipelago(holding.job, holding.variable)
         if archipelago is None or archipelago.cut is not None:
             if not self._is_open(holding.job):
-                self._outlet.tell(Close(job=holding.job), worker)
+                self._outlet.tell(CloseJob(job=holding.job), worker)
             elif archipelago is not None:
-                self._outlet.tell(Close(job=holding.job, variable=holding.variable), worker)
+                self._outlet.tell(Close(job=holding.job, variable=holding.variable, term=holding.term), worker)
             return
         placement = archipelago.placement
         if placement is None:
@@ -52,7 +52,7 @@ class Holdings:
     def _check_dataset(self, worker: str, job_id: str) -> None:
         """Have a dataset forgotten that is needed no more."""
         if not self._is_open(job_id):
-            self._outlet.tell(Close(job=job_id), worker)
+            self._outlet.tell(CloseJob(job=job_id), worker)
 
     def _is_open(self, job_id: str) -> bool:
         """Tell whether islands of a job are computed now or will be: what is said to be closed may arrive late."""

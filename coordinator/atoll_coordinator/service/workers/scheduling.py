@@ -65,7 +65,7 @@ class Terms:
         workers = self._placer.choose(archipelago, first, now)
         if workers is None and held is not None:
             for worker in dict.fromkeys(held.workers):
-                self._outlet.tell(Close(job=job.id, variable=archipelago.variable), worker)
+                self._outlet.tell(Close(job=job.id, variable=archipelago.variable, term=held.term), worker)
         return workers
 
     def _plan(self, archipelago: Archipelago, now: float) -> None:

@@ -47,6 +47,7 @@ from atoll_island_worker.session.events import (
     Closed,
     Committed,
     Computed,
+    JobClosed,
     JobReady,
     Mailed,
     Placed,
@@ -483,7 +484,7 @@ def test_what_broke_is_told_until_it_is_closed(session: Session) -> None:
     begun(session, "me", "peer")
     session.handle(Broken(key(0, 0), "division by a fish"))
     assert [(each.island, each.sentence) for each in session.troubles()] == [(0, "division by a fish")]
-    session.handle(Closed(Close(job="job")))
+    session.handle(JobClosed("job"))
     assert session.troubles() == ()
 
 
@@ -505,16 +506,26 @@ def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
 def test_closing_one_variable_keeps_the_others(session: Session) -> None:
     begun(session, "me")
     session.handle(placed("me", variable="y"))
-    assert session.handle(Closed(Close(job="job", variable="x"))) == [Discard(ShareKey("job", "x", 1))]
+    assert session.handle(Closed(Close(job="job", variable="x", term=1))) == [Discard(ShareKey("job", "x", 1))]
     assert [each.variable for each in session.holdings()] == ["y"]
     assert session.wants("job")
 
 
+def test_a_close_of_a_lower_term_that_arrives_late_closes_nothing(session: Session) -> None:
+    begun(session, "me")
+    session.handle(placed("me", term=2))
+    assert session.handle(mail(0, (1, 0, b"early"), term=3)) == [FetchPlacements("job")]
+    assert session.handle(Closed(Close(job="job", variable="x", term=1))) == []
+    assert [each.term for each in session.holdings()] == [2]
+    assert session.handle(mail(0, (1, 0, b"more"), term=3)) == []
+    assert session.handle(Closed(Close(job="job", variable="x", term=3))) == [Discard(ShareKey("job", "x", 2))]
+
+
 def test_closing_a_job_forgets_all_of_it(session: Session) -> None:
     begun(session, "me")
-    assert session.handle(Closed(Close(job="job"))) == [Discard(ShareKey("job", "x", 1)), DiscardJob("job")]
+    assert session.handle(JobClosed("job")) == [Discard(ShareKey("job", "x", 1)), DiscardJob("job")]
     assert not session.wants("job")
-    assert session.handle(Closed(Close(job="job"))) == []
+    assert session.handle(JobClosed("job")) == []
     assert session.handle(placed("me")) == []
     session.handle(Abandoned(key(0, 0)))
 
@@ -678,7 +689,7 @@ def test_early_mail_is_forgotten_when_its_job_is_closed_or_its_placement_has_bee
     asked = [FetchPlacements("job")]
     assert session.handle(mail(0, (1, 0, b"early"))) == asked
     assert session.handle(mail(0, (1, 0, b"more"))) == []
-    session.handle(Closed(Close(job="job")))
+    session.handle(JobClosed("job"))
     assert session.handle(mail(0, (1, 0, b"late"))) == asked
     session.forget_early("job")
     assert session.handle(mail(0, (1, 0, b"again"))) == asked

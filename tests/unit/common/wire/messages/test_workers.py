@@ -13,6 +13,7 @@ from atoll.wire.messages.workers import (
     Addition,
     Block,
     Close,
+    CloseJob,
     Commit,
     Control,
     EpochReport,
@@ -85,7 +86,8 @@ ALL = [
     Control(body=JobAnnouncement(job="j", config=JobConfig(), variables=("θ", "x"), blob=DIGEST, size=9, chunks=1)),
     Control(body=Placements(placements=(PLACEMENT,))),
     Control(body=Commit(**AT, epoch=16, schedule=Schedule(next=32, last=33, holds=True), reported=20)),
-    Control(body=Close(job="j")),
+    Control(body=Close(**AT)),
+    Control(body=CloseJob(job="j")),
     STATUS,
     REPORT,
     Mail(body=MIGRANTS),
@@ -132,7 +134,7 @@ def test_a_message_for_another_envelope_is_refused() -> None:
 @pytest.mark.parametrize("job", ["", "a/b", "x" * 65, "*"])
 def test_ids_are_checked(job: str) -> None:
     with pytest.raises(ValueError, match="job"):
-        Close(job=job)
+        CloseJob(job=job)
 
 
 def test_numbers_that_are_not_finite_are_refused() -> None:
