@@ -34,7 +34,7 @@ def test_a_job_that_is_kept_has_its_submitter(before: bool) -> None:
         service = Service(network.bus("coordinator", is_router=True), store, roster=Roster({"ann": "submitter"}))
         disk.die_at(commits, before)
         try:
-            service._answers.answer(Query(topics.client(store.realm, "ann-1"), ask, None))
+            service._requests.answer(Query(topics.client(store.realm, "ann-1"), ask, None))
             is_over = True
         except CoordinatorDied:
             is_over = False

@@ -1,4 +1,4 @@
-"""The coordinator at work: the only loop. Bus events go to controller and desk, their words to the bus.
+"""The only loop of the coordinator: bus events go to the controller and the request router, and their messages out.
 
 `Service.step` takes one event and never blocks for long; `Service.run` is the thin loop around `Bus.receive`.
 """
@@ -41,10 +41,10 @@ from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.effects import WorkerWord
 from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.service.ports import Ports, StorePort
-from atoll_coordinator.service.requests.authorization import Admission
-from atoll_coordinator.service.requests.clients import Desk
-from atoll_coordinator.service.requests.handshake import Greeter
-from atoll_coordinator.service.requests.router import Answers
+from atoll_coordinator.service.requests.authorization import Authorization
+from atoll_coordinator.service.requests.clients import ClientRequests
+from atoll_coordinator.service.requests.handshake import Handshake
+from atoll_coordinator.service.requests.router import RequestRouter
 from atoll_coordinator.service.search.archipelago import Checkpoint
 from atoll_coordinator.service.workers.membership import ABSENCE_S
 
@@ -95,10 +95,10 @@ class Service:
         self._is_linked = True
         self._asked: dict[int, tuple[str, PullReports | PullStates]] = {}
         self.controller: Final = Controller(store, self, self._ports.clock, expected_workers)
-        admission = Admission(roster, store)
-        desk = Desk(self.controller, store, bus.now, self.view)
-        greeter = Greeter(self.controller, store, admission, self.rejects, bus.now, self._ports.clock)
-        self._answers = Answers(self.controller, store, greeter, desk, admission, self.rejects)
+        authorization = Authorization(roster, store)
+        clients = ClientRequests(self.controller, store, authorization, bus.now, self.view)
+        handshake = Handshake(self.controller, store, authorization, self.rejects, bus.now, self._ports.clock)
+        self._requests = RequestRouter(self.controller, store, handshake, clients, self.rejects)
 
     # ------------------------------------------------------------------------------------------- life
 
@@ -285,10 +285,10 @@ class Service:
     @_on.register
     def _on_query(self, event: Query) -> None:
         try:
-            answer = self._answers.answer(event)
+            answer = self._requests.answer(event)
         except RemoteProtocolError:
             self._bus.reply(event, None)
             raise
         self._bus.reply(event, answer)
-        if self._answers.broken is not None:  # whoever asked has been told; now this is the end
-            raise self._answers.broken
+        if self._requests.store_error is not None:  # whoever asked has been told; now this is the end
+            raise self._requests.store_error

@@ -1,0 +1,8 @@
+"""Queries that the coordinator answers.
+
+``router`` takes every query and tells by its key what it asks for; it answers workers that ask for a job, a placement,
+states or a dataset. ``handshake`` answers greetings, ``clients`` what the command line asks, ``authorization`` decides
+who may take part as what and who may cancel or delete which job.
+
+Service (bus) -> `router.RequestRouter.answer` -> `clients.ClientRequests` or `handshake.Handshake` -> controller.
+"""

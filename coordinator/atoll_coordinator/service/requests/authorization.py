@@ -1,7 +1,7 @@
-"""Who is let in, where certificates prove names: the second look, behind the router's access rules, with a sentence.
+"""Authorization where certificates prove names: who may take part as what, and who may cancel which job.
 
-The rules drop what they do not allow without a word. So a program whose role does not fit hears it here, as the answer
-to its greeting; and who may cancel which job, which no rule on keys can say, is decided here alone.
+The router's access rules drop what they do not allow without an answer. Here a program whose role does not fit is told
+so, as the answer to its greeting. Who may cancel which job cannot be said by rules on keys and is decided here alone.
 """
 
 from typing import Final, Protocol
@@ -25,8 +25,8 @@ class Submitters(Protocol):
     def submitter(self, job: str) -> str | None: ...
 
 
-class Admission:
-    """Answers by a roster; without one (None) everybody may do everything."""
+class Authorization:
+    """Decides by a roster; without one (None) everybody may do everything."""
 
     def __init__(self, roster: Roster | None, submitters: Submitters) -> None:
         self._roster = roster

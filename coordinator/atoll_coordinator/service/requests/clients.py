@@ -1,4 +1,4 @@
-"""Answers clients: uploads, submissions, questions about jobs and workers. Whatever is wrong becomes a Failure."""
+"""Requests of clients: uploads, submissions, questions about jobs and workers. Whatever is wrong becomes a Failure."""
 
 import hashlib
 from collections.abc import Callable
@@ -27,6 +27,7 @@ from atoll.wire.messages.clients import (
 from atoll.wire.messages.views import CoordinatorView, JobView
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.ports import StorePort
+from atoll_coordinator.service.requests.authorization import Authorization
 
 MAX_STORED_BYTES: Final = 16 * 1024**3
 """Uploads are refused when all tables and datasets together would take more than this."""
@@ -34,27 +35,31 @@ MAX_STORED_BYTES: Final = 16 * 1024**3
 Body = Uploaded | JobList | JobStatus | WorkerList | Result | EventList | Failure
 
 
-class Desk:
-    """One answer for each question."""
+class ClientRequests:
+    """Answers the questions of clients, one by one."""
 
     def __init__(
-        self, controller: Controller, store: StorePort, now: Callable[[], float],
+        self, controller: Controller, store: StorePort, authorization: Authorization, now: Callable[[], float],
         coordinator: Callable[[], CoordinatorView | None] = lambda: None,
     ) -> None:  # fmt: skip
-        """`coordinator` gives the view of the coordinator itself."""
+        """`now` gives the bus's seconds, `coordinator` the view of the coordinator itself."""
         self._controller = controller
         self._store = store
+        self._authorization = authorization
         self._now = now
         self._coordinator = coordinator
 
-    def answer(self, ask: Ask, submitter: str | None = None) -> Body:
-        """Return the answer to a client's question; `submitter`: as whose job one is kept that is submitted.
+    def answer(self, client: str, ask: Ask) -> Body:
+        """Return the answer to a question of `client`.
 
         Raises:
             StoreError: A job was to be cancelled, and that could not be made durable.
         """
+        refusal = self._authorization.refuse_ask(client, ask)
+        if refusal is not None:
+            return Failure(failure="refused", sentence=refusal)
         try:
-            return self._answer(ask, submitter)
+            return self._answer(ask, self._authorization.submitter(client))
         except (RefusedError, RemoteProtocolError) as error:
             return Failure(failure="refused", sentence=str(error)[:4000])
         except AtollError as error:

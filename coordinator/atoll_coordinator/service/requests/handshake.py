@@ -1,4 +1,4 @@
-"""Answers greetings: with a welcome, or with a sentence on why a worker or a client cannot take part."""
+"""The handshake: a greeting is answered with a welcome, or with a sentence on why a program cannot take part."""
 
 import logging
 from collections.abc import Callable
@@ -13,23 +13,23 @@ from atoll.wire.messages.limits import MAX_MESSAGE
 from atoll.wire.rejects import Rejects
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.ports import StorePort
-from atoll_coordinator.service.requests.authorization import Admission
+from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.workers.membership import version_refusal
 
 _LOG = logging.getLogger(__name__)
 
 
-class Greeter:
-    """Says who is welcome."""
+class Handshake:
+    """Answers the greetings of workers and clients."""
 
     def __init__(
-        self, controller: Controller, store: StorePort, admission: Admission, rejects: Rejects,
+        self, controller: Controller, store: StorePort, authorization: Authorization, rejects: Rejects,
         now: Callable[[], float], clock: Callable[[], str],
     ) -> None:  # fmt: skip
         """`now` gives the bus's seconds, `clock` the time of day as ISO text. What is not understood is counted."""
         self._controller = controller
         self._store = store
-        self._admission = admission
+        self._authorization = authorization
         self._rejects = rejects
         self._now = now
         self._clock = clock
@@ -61,7 +61,7 @@ class Greeter:
     def _refuse(self, hello: Hello, name: str | None) -> str | None:
         if name not in (None, hello.name):
             return f"{hello.name!r} greeted under the name {name!r}; install the same version on both sides"
-        refusal = version_refusal(hello) or self._admission.refuse_role(hello)
+        refusal = version_refusal(hello) or self._authorization.refuse_role(hello)
         if refusal is not None or hello.role == "client" or name is None:
             return refusal
         return self._controller.greet(hello, self._now())

@@ -1,4 +1,4 @@
-"""What the coordinator answers to queries of workers and clients, by the key that they ask for."""
+"""Routes the queries of workers and clients by their key, and answers those for jobs, states and datasets."""
 
 from atoll.errors import RemoteProtocolError, StoreError
 from atoll.wire import topics
@@ -12,26 +12,23 @@ from atoll.wire.rejects import Rejects
 from atoll.wire.state_transfer import cut
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.ports import StorePort
-from atoll_coordinator.service.requests.authorization import Admission
-from atoll_coordinator.service.requests.clients import Body, Desk
-from atoll_coordinator.service.requests.handshake import Greeter
+from atoll_coordinator.service.requests.clients import Body, ClientRequests
+from atoll_coordinator.service.requests.handshake import Handshake
 
 
-class Answers:
-    """Hands each query to whom it concerns."""
+class RequestRouter:
+    """Hands each query to the one who answers it."""
 
     def __init__(
-        self, controller: Controller, store: StorePort, greeter: Greeter, desk: Desk, admission: Admission,
-        rejects: Rejects,
-    ) -> None:  # fmt: skip
+        self, controller: Controller, store: StorePort, handshake: Handshake, clients: ClientRequests, rejects: Rejects
+    ) -> None:
         """`rejects` counts questions of clients that are not understood."""
         self._controller = controller
         self._store = store
-        self._greeter = greeter
-        self._desk = desk
-        self._admission = admission
+        self._handshake = handshake
+        self._clients = clients
         self._rejects = rejects
-        self.broken: StoreError | None = None
+        self.store_error: StoreError | None = None
         """Why the store failed in the midst of a question, when it did: nothing can go on from there."""
 
     def answer(self, event: Query) -> bytes | None:
@@ -43,7 +40,7 @@ class Answers:
         key = topics.parse(event.key)
         match key:
             case topics.HelloKey():
-                return encode(GreetingAnswer(body=self._greeter.answer(event.payload, key.name)))
+                return encode(GreetingAnswer(body=self._handshake.answer(event.payload, key.name)))
             case topics.JobKey():
                 announcement = self._controller.announcement(key.job)
                 return encode(Control(body=announcement)) if announcement is not None else None
@@ -54,7 +51,7 @@ class Answers:
             case topics.BlobKey():
                 return self._chunk(key)
             case topics.ClientKey():
-                return encode(Answer(body=self._serve_client(event, key.client)))
+                return encode(Answer(body=self._answer_client(event, key.client)))
             case _:
                 raise RemoteProtocolError(f"nothing is served on key {event.key}")
 
@@ -79,17 +76,14 @@ class Answers:
             return None
         return encode(PullAnswer(body=States(pieces=pieces)))
 
-    def _serve_client(self, event: Query, client: str) -> Body:
+    def _answer_client(self, event: Query, client: str) -> Body:
         try:
             ask = decode(event.payload, Ask, MAX_MESSAGE)
         except RemoteProtocolError as error:
             self._rejects.note(event.key, error)
             return Failure(failure="protocol", sentence=f"the coordinator did not understand the question: {error}")
-        refusal = self._admission.refuse_ask(client, ask)
-        if refusal is not None:
-            return Failure(failure="refused", sentence=refusal)
         try:
-            return self._desk.answer(ask, self._admission.submitter(client))
+            return self._clients.answer(client, ask)
         except StoreError as error:
-            self.broken = error
+            self.store_error = error
             return Failure(failure="internal", sentence=str(error)[:4000])

@@ -23,8 +23,9 @@ from atoll.wire.messages.clients import (
     Workers,
 )
 from atoll_coordinator.service.controller import Controller
-from atoll_coordinator.service.requests import clients as desk_module
-from atoll_coordinator.service.requests.clients import Desk
+from atoll_coordinator.service.requests import clients as clients_module
+from atoll_coordinator.service.requests.authorization import Authorization
+from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.store.store import JobRecord, Store
 
 TABLE = b"t,x\n0,1\n"
@@ -56,9 +57,10 @@ def outlet() -> Silent:
 
 
 @pytest.fixture
-def desk(outlet: Silent) -> Iterator[Desk]:
+def clients(outlet: Silent) -> Iterator[ClientRequests]:
     with Store.open(None) as store:
-        yield Desk(Controller(store, outlet, lambda: "2026-01-01T00:00:00"), store, lambda: 5.0)
+        controller = Controller(store, outlet, lambda: "2026-01-01T00:00:00")
+        yield ClientRequests(controller, store, Authorization(None, store), lambda: 5.0)
 
 
 def chunk(data: bytes = TABLE, **changes: object) -> Ask:
@@ -71,12 +73,12 @@ def failure(answer: object) -> Failure:
     return answer
 
 
-def test_a_table_is_uploaded_in_chunks_any_number_of_times(desk: Desk) -> None:
+def test_a_table_is_uploaded_in_chunks_any_number_of_times(clients: ClientRequests) -> None:
     question = Ask(body=Upload(blob=BLOB, size=len(TABLE)))
-    assert desk.answer(question) == Uploaded(blob=BLOB, missing=(0,))
+    assert clients.answer("ann", question) == Uploaded(blob=BLOB, missing=(0,))
     for _ in range(2):
-        assert desk.answer(chunk()) == Uploaded(blob=BLOB, missing=())
-    assert desk.answer(question) == Uploaded(blob=BLOB, missing=())
+        assert clients.answer("ann", chunk()) == Uploaded(blob=BLOB, missing=())
+    assert clients.answer("ann", question) == Uploaded(blob=BLOB, missing=())
 
 
 @pytest.mark.parametrize(
@@ -88,49 +90,53 @@ def test_a_table_is_uploaded_in_chunks_any_number_of_times(desk: Desk) -> None:
         (chunk(blob="0" * 64), "digest"),
     ],
 )
-def test_chunks_that_are_not_what_they_claim_are_refused(desk: Desk, ask: Ask, said: str) -> None:
-    assert said in failure(desk.answer(ask)).sentence
+def test_chunks_that_are_not_what_they_claim_are_refused(clients: ClientRequests, ask: Ask, said: str) -> None:
+    assert said in failure(clients.answer("ann", ask)).sentence
 
 
-def test_an_upload_that_does_not_fit_the_store_is_refused(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(desk_module, "MAX_STORED_BYTES", 5)
-    answer = failure(desk.answer(Ask(body=Upload(blob=BLOB, size=len(TABLE)))))
+def test_an_upload_that_does_not_fit_the_store_is_refused(
+    clients: ClientRequests, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clients_module, "MAX_STORED_BYTES", 5)
+    answer = failure(clients.answer("ann", Ask(body=Upload(blob=BLOB, size=len(TABLE)))))
     assert "at most 5" in answer.sentence
 
 
-def test_a_submitted_job_is_prepared_and_listed(desk: Desk, outlet: Silent) -> None:
-    desk.answer(chunk())
-    answer = desk.answer(Ask(body=Submit(job="j", name="n", config=JobConfig(seed=3), table=BLOB)))
+def test_a_submitted_job_is_prepared_and_listed(clients: ClientRequests, outlet: Silent) -> None:
+    clients.answer("ann", chunk())
+    answer = clients.answer("ann", Ask(body=Submit(job="j", name="n", config=JobConfig(seed=3), table=BLOB)))
     assert isinstance(answer, JobStatus)
     assert (answer.job.state, answer.job.seed) == ("preparing", 3)
     assert outlet.said == [("j", TABLE)]
-    listed = desk.answer(Ask(body=Jobs()))
+    listed = clients.answer("ann", Ask(body=Jobs()))
     assert isinstance(listed, JobList)
     assert [view.job for view in listed.jobs] == ["j"]
-    assert failure(desk.answer(Ask(body=GetResult(job="j")))).failure == "too-early"
+    assert failure(clients.answer("ann", Ask(body=GetResult(job="j")))).failure == "too-early"
 
 
-def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(desk: Desk, outlet: Silent) -> None:
-    desk.answer(chunk())
+def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(
+    clients: ClientRequests, outlet: Silent
+) -> None:
+    clients.answer("ann", chunk())
     for name in ("a", "b"):
-        answer = desk.answer(Ask(body=Submit(job=name, name="", config=JobConfig(), table=BLOB)))
+        answer = clients.answer("ann", Ask(body=Submit(job=name, name="", config=JobConfig(), table=BLOB)))
     assert isinstance(answer, JobStatus)
     assert (answer.job.state, answer.job.reason) == ("queued", "waits for its turn (it is next; 1 job is under way)")
-    cancelled = desk.answer(Ask(body=Cancel(job="a")))
+    cancelled = clients.answer("ann", Ask(body=Cancel(job="a")))
     assert isinstance(cancelled, JobStatus)
     assert cancelled.job.state == "cancelled"
     assert ("b", TABLE) in outlet.said
     assert (None, "stop a") in outlet.said  # it may be at work still
-    assert "before its search began" in failure(desk.answer(Ask(body=GetResult(job="a")))).sentence
+    assert "before its search began" in failure(clients.answer("ann", Ask(body=GetResult(job="a")))).sentence
 
 
-def test_questions_about_unknown_jobs_say_so(desk: Desk) -> None:
+def test_questions_about_unknown_jobs_say_so(clients: ClientRequests) -> None:
     for body in (Status(job="j"), GetResult(job="j"), Cancel(job="j")):
-        assert failure(desk.answer(Ask(body=body))).failure == "unknown-job"
+        assert failure(clients.answer("ann", Ask(body=body))).failure == "unknown-job"
 
 
-def test_without_workers_the_list_is_empty(desk: Desk) -> None:
-    assert desk.answer(Ask(body=Workers())) == WorkerList(workers=())
+def test_without_workers_the_list_is_empty(clients: ClientRequests) -> None:
+    assert clients.answer("ann", Ask(body=Workers())) == WorkerList(workers=())
 
 
 def test_a_stored_job_that_is_not_understood_fails_and_the_others_go_on(outlet: Silent) -> None:
@@ -152,29 +158,29 @@ def test_a_stored_job_that_is_not_understood_fails_and_the_others_go_on(outlet: 
 
 
 def test_a_job_that_a_full_disk_kept_from_being_prepared_is_prepared_later(
-    desk: Desk, outlet: Silent, monkeypatch: pytest.MonkeyPatch
+    clients: ClientRequests, outlet: Silent, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def is_full(*_: object, **__: object) -> bool:
         raise StoreError("the disk is full")
 
-    desk.answer(chunk())
+    clients.answer("ann", chunk())
     with monkeypatch.context() as full:
         full.setattr(Store, "update_job", is_full)
         ask = Ask(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB))
-        assert "full" in failure(desk.answer(ask)).sentence
+        assert "full" in failure(clients.answer("ann", ask)).sentence
     assert outlet.said == []
-    desk._controller.tick(6.0)
+    clients._controller.tick(6.0)
     assert outlet.said == [("j", TABLE)]
 
 
 def test_a_cancellation_that_cannot_be_made_durable_ends_the_coordinator(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch
+    clients: ClientRequests, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def is_full(*_: object, **__: object) -> bool:
         raise StoreError("the disk is full")
 
-    desk.answer(chunk())
-    desk.answer(Ask(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
+    clients.answer("ann", chunk())
+    clients.answer("ann", Ask(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
     monkeypatch.setattr(Store, "update_job", is_full)
     with pytest.raises(StoreError, match="full"):
-        desk.answer(Ask(body=Cancel(job="j")))
+        clients.answer("ann", Ask(body=Cancel(job="j")))
