@@ -19,6 +19,9 @@ FloatArray = npt.NDArray[np.float64]
 CLEAN_UNCERTAINTY: Final = 1e-3
 """Targets known better than this, relative to their spread, count as noise-free."""
 
+EXACT_ERROR: Final = 1e-9
+"""Normalized error at which an equation of noise-free data has converged: rounding."""
+
 
 @dataclass(frozen=True, eq=False)
 class Target:
@@ -40,6 +43,17 @@ class Target:
     def is_noisy(self) -> bool:
         """Whether the truth itself would miss these values by so much that errors alone cannot tell it."""
         return self.noise > 0.0 or self.uncertainty >= CLEAN_UNCERTAINTY
+
+    def convergence_threshold(self, target_error: float | None = None) -> float:
+        """Return the normalized error at most which an equation of this target has converged.
+
+        That is `target_error` if the job has one, else twice the uncertainty, but not less than `EXACT_ERROR`.
+        """
+        return target_error if target_error is not None else max(EXACT_ERROR, 2.0 * self.uncertainty)
+
+    def convergence_error(self, target_error: float | None = None) -> float:
+        """Return the error at most which an equation of this target has converged, in the unit of `values`."""
+        return self.convergence_threshold(target_error) * self.standard_deviation
 
 
 @dataclass(frozen=True, eq=False)

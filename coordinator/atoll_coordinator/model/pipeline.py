@@ -28,7 +28,7 @@ from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import Polisher
 from atoll_coordinator.model.regression.rounding import snapped
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
-from atoll_coordinator.model.selection.front import enough, may_be_shown
+from atoll_coordinator.model.selection.front import may_be_shown
 from atoll_coordinator.model.selection.joint_search import Field
 from atoll_coordinator.model.selection.piece_lengths import chosen
 from atoll_coordinator.model.structure.algebra import tidied
@@ -81,7 +81,7 @@ def refine(
     nothing shorter does. Pure. Takes about a second for a few hundred noisy rows, less for exact ones.
     """
     programs = [Program.from_bytes(entry.program, len(problem.names)) for entry in front]
-    limit = enough(problem.target, config.budget.target_error)
+    limit = problem.target.convergence_error(config.budget.target_error)
     has_converged = any(entry.error <= limit for entry in front)
     if has_converged:
         kept = [index for index, entry in enumerate(front) if entry.error <= limit]

@@ -29,9 +29,6 @@ from atoll_island_worker.evolution.structures import (
 LEAST_INNER = 2
 """Constants inside terms that may be fitted on few rows all the same, beyond a quarter of their number (ADR 0005)."""
 
-EXACT_TARGET = 1e-9
-"""Normalized error below which an equation counts as found when nothing else is asked for."""
-
 LEAST_SHARE = 2
 """Runners-up of each complexity that an island keeps at least, if so many are wanted."""
 
@@ -136,7 +133,7 @@ def target_error(config: JobConfig, target: Target) -> float:
     asked = config.budget.target_error
     if asked is not None:
         return asked
-    return UNREACHABLE_TARGET if target.is_noisy else max(EXACT_TARGET, 2.0 * target.uncertainty)
+    return UNREACHABLE_TARGET if target.is_noisy else target.convergence_threshold()
 
 
 def _space(problem: Problem, config: JobConfig) -> Space:

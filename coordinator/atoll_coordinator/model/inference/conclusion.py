@@ -165,7 +165,8 @@ def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None,
     its = final.contest.shooter.measurements
     evidence = Evidence(
         error=error / problem.target.standard_deviation,
-        floor=problem.target.uncertainty,
+        target_uncertainty=problem.target.uncertainty,
+        convergence_threshold=problem.target.convergence_threshold(),
         target_r2=1.0 - mse / variance if variance else None,
         residuals=_residuals(its, final.held.shot, index),
         parameters=(len(final.free.shot.system.places) + final.free.shot.starts.size) / len(its.observed),

@@ -10,13 +10,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from atoll.data.dataset import FloatArray
+from atoll.data.dataset import EXACT_ERROR, FloatArray
 from atoll_coordinator.model.inference.residuals import Check, check
 from atoll_coordinator.model.refinement import Constant, Grade
-from atoll_coordinator.model.selection.front import ALWAYS_CONVERGED
 
 CLEAN: Final = 1e-5
-"""Noise, or the floor of a target, below this share of the deviation is none."""
+"""Noise, or the uncertainty of a target, below this share of the standard deviation is none."""
 EXACT: Final = 1e-6
 """Residuals below this share of the deviation are those of the integration; or they are noise, if that is as small."""
 NEGLIGIBLE: Final = 1e-3
@@ -42,8 +41,9 @@ LEAST_TARGET_R2: Final = 0.1
 class Evidence:
     """What is known of the equation of one variable. Defaults stand for what is not known.
 
-    Of the target, on the rows of the search: `error` is the normalized error, `floor` the target's; `target_r2` is the
-    share of the target's variance that is explained.
+    Of the target, on the rows of the search: `error` is the normalized error, `target_uncertainty` that of the target
+    and `convergence_threshold` the normalized error at most which an equation has converged when the job asks for none;
+    `target_r2` is the share of the target's variance that is explained.
 
     Of the simulation: `residuals` has (R,) numbers for each trajectory that was fitted and could be simulated to its
     end, measured minus simulated values of this state; `failed` counts the others. `parameters` is how many numbers
@@ -57,7 +57,7 @@ class Evidence:
     """
 
     error: float = math.inf
-    floor: float = 0.0
+    target_uncertainty: float = 0.0
     target_r2: float | None = None
     residuals: Sequence[FloatArray] = ()
     failed: int = 0
@@ -70,6 +70,7 @@ class Evidence:
     constants: Sequence[Constant] = ()
     rival: float | None = None
     is_known: bool = False
+    convergence_threshold: float = EXACT_ERROR
 
     @property
     def is_simulated(self) -> bool:
@@ -102,11 +103,11 @@ def _by_simulation(its: Evidence) -> tuple[Grade, str]:
 
 
 def _by_target(its: Evidence) -> tuple[Grade, str]:
-    if its.floor <= CLEAN and its.error <= max(ALWAYS_CONVERGED, 2.0 * its.floor):
+    if its.target_uncertainty <= CLEAN and its.error <= its.convergence_threshold:
         return "exact", f"The error, {its.error:.1g} of the target's deviation, is at the level of rounding."
     if not math.isfinite(its.error):
         return "no model", "Its error is not finite."
-    is_at_floor = its.error <= 2.0 * its.floor
+    is_at_floor = its.error <= 2.0 * its.target_uncertainty
     r2 = its.target_r2
     if r2 is not None and r2 < LEAST_TARGET_R2:
         what = (
@@ -145,8 +146,8 @@ def _doubts_of_simulation(its: Evidence, found: Check) -> Iterator[str]:
 def _doubts_of_target(its: Evidence, *, is_at_floor: bool) -> Iterator[str]:
     if its.target_r2 is not None and its.target_r2 < GOOD_R2 and not is_at_floor:
         yield f"it explains the target with R2 {_r2(its.target_r2)} only"
-    if its.floor > LARGEST_FLOOR:
-        yield f"the target itself is uncertain by {_percent(its.floor)} of its deviation"
+    if its.target_uncertainty > LARGEST_FLOOR:
+        yield f"the target itself is uncertain by {_percent(its.target_uncertainty)} of its deviation"
 
 
 def _doubts_of_model(its: Evidence) -> Iterator[str]:
@@ -176,7 +177,7 @@ def _unseen(its: Evidence) -> str:
 
 def _praise_of_target(its: Evidence, *, is_at_floor: bool) -> str:
     if is_at_floor:
-        return f"the error is that of the target itself, {_percent(its.floor)} of its deviation"
+        return f"the error is that of the target itself, {_percent(its.target_uncertainty)} of its deviation"
     if its.target_r2 is None:
         return f"the error is {_percent(its.error)} of the target's deviation"
     return f"it explains the target with R2 {_r2(its.target_r2)}; how much of the rest is noise is not known"

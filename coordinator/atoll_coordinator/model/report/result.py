@@ -28,7 +28,7 @@ from atoll_coordinator.model.report.diagnostics import noise, smoothing
 from atoll_coordinator.model.report.digest import result_digest
 from atoll_coordinator.model.report.numbers import finite
 from atoll_coordinator.model.report.trust import candidates, correlations, simulation, verdict
-from atoll_coordinator.model.selection.front import select, threshold
+from atoll_coordinator.model.selection.front import select
 
 SCHEMA: Final = 1
 KNOWN: Final = "known"
@@ -149,7 +149,7 @@ def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, s
         **verdict(shown, target, state, is_known=outcome.why == KNOWN),
         **_course(None if member is None else outcome.front[member], outcome, config),
         "derivative_floor": finite(target.uncertainty),
-        "target_error": threshold(target, config.budget.target_error),
+        "target_error": target.convergence_threshold(config.budget.target_error),
         "candidates": candidates(shown.contenders if shown is not None else (), dataset),
         "front": [
             {
@@ -203,7 +203,7 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
         "error": finite(shown.error),
         "normalized_error": finite(normalized),
         "r2": _r2(shown.mse, target),
-        "converged": normalized <= threshold(target, config.budget.target_error),
+        "converged": normalized <= target.convergence_threshold(config.budget.target_error),
         "constants": _constants(shown.program, shown.constants),
         "implied": [{"of": to_infix(each.of, dataset.names), **_constant(each.constant)} for each in shown.implied],
     }

@@ -51,7 +51,14 @@ def _on_target(shown: Refined, target: Target, is_known: bool) -> Evidence:
     error = shown.error / target.standard_deviation if target.standard_deviation else math.inf
     variance = target.standard_deviation * target.standard_deviation
     r2 = 1.0 - shown.mse / variance if variance else math.nan
-    return Evidence(error, target.uncertainty, finite(r2), constants=shown.constants, is_known=is_known)
+    return Evidence(
+        error,
+        target.uncertainty,
+        finite(r2),
+        constants=shown.constants,
+        is_known=is_known,
+        convergence_threshold=target.convergence_threshold(),
+    )
 
 
 def candidates(contenders: Sequence[Contender], dataset: Dataset) -> list[dict[str, Any]]:

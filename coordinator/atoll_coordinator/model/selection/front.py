@@ -19,9 +19,6 @@ from atoll.search.pareto import FrontEntry
 SMALLEST_FLOOR: Final = 1e-12
 """Errors below this share of the target's standard deviation are rounding, not merit."""
 
-ALWAYS_CONVERGED: Final = 1e-9
-"""Normalized error at which an equation of noise-free data counts as found."""
-
 _LN2: Final = 0.6931471805599453
 _LN8: Final = 2.0794415416798357
 _SQRT_HALF: Final = 0.7071067811865476
@@ -37,19 +34,9 @@ def select(front: Sequence[FrontEntry], rows: int, target: Target, target_error:
     Raises:
         ValueError: the front is empty.
     """
-    limit = enough(target, target_error)
+    limit = target.convergence_error(target_error)
     met = [index for index, entry in enumerate(front) if entry.error <= limit]
     return min(met or range(len(front)), key=lambda index: (_length(front[index], rows, target), index))
-
-
-def threshold(target: Target, target_error: float | None) -> float:
-    """Return the normalized error at most which the equation of `target` counts as found: it has converged."""
-    return target_error if target_error is not None else max(ALWAYS_CONVERGED, 2.0 * target.uncertainty)
-
-
-def enough(target: Target, target_error: float | None) -> float:
-    """Return the error at most which the equation of `target` counts as found, in the target's units."""
-    return threshold(target, target_error) * target.standard_deviation
 
 
 def may_be_shown(program: Program, largest: int | None) -> bool:

@@ -21,7 +21,7 @@ from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.refinement import Pool, Refined
 from atoll_coordinator.model.selection.candidates import ranked
 from atoll_coordinator.model.selection.comparison import Contest, Standing
-from atoll_coordinator.model.selection.front import enough, may_be_shown
+from atoll_coordinator.model.selection.front import may_be_shown
 from atoll_coordinator.model.selection.local_search import LEAST, Descent
 from atoll_coordinator.model.selection.structure_length import is_function
 from atoll_coordinator.model.shooting.measurements import PIECE, Measurements, measurements_of
@@ -168,7 +168,7 @@ def _candidates(field: Field, name: str, pools: Mapping[str, Pool], settled: Map
     target = field.dataset.problem(name).target
     if name in settled and not target.is_noisy:
         its = settled[name]
-        if its.error <= enough(target, field.config.budget.target_error):
+        if its.error <= target.convergence_error(field.config.budget.target_error):
             return [tidied(its.program)]
     return _compared(field, name, pools, settled)
 

@@ -14,7 +14,6 @@ from atoll.wire.messages.views import JobState, JobView, VariableView
 from atoll_coordinator.model.report.numbers import finite
 from atoll_coordinator.model.report.result import KNOWN, Account, VariableOutcome, build_result, equation_of
 from atoll_coordinator.model.report.trust import verdict
-from atoll_coordinator.model.selection.front import threshold
 from atoll_coordinator.service.jobs.job import Job, Prepared
 from atoll_coordinator.service.jobs.queue import ahead_of, waits_for_turn
 from atoll_coordinator.service.search.archipelago import Archipelago
@@ -170,7 +169,7 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState
             "normalized_error": normalized,
             "complexity": len(shown.program),
             "expression": to_infix(shown.program, prepared.dataset.names),
-            "converged": normalized is not None and normalized <= threshold(target, target_error),
+            "converged": normalized is not None and normalized <= target.convergence_threshold(target_error),
         }
     )
 

@@ -3,8 +3,8 @@
 import pytest
 
 from atoll.config import BudgetConfig, JobConfig
-from atoll.data.dataset import Target
-from atoll_island_worker.evolution.setting import EXACT_TARGET, UNREACHABLE_TARGET, island_share, target_error
+from atoll.data.dataset import EXACT_ERROR, Target
+from atoll_island_worker.evolution.setting import UNREACHABLE_TARGET, island_share, target_error
 
 
 def target(floor=0.0, noise=0.0):
@@ -20,7 +20,7 @@ def test_islands_share_the_runners_up_and_keep_twice_as_many_together(runners_up
 
 
 def test_a_clean_target_s_search_ends_where_it_has_converged_and_a_noisy_one_s_nowhere():
-    assert target_error(JobConfig(), target()) == EXACT_TARGET
+    assert target_error(JobConfig(), target()) == EXACT_ERROR
     assert target_error(JobConfig(), target(floor=1e-4)) == 2e-4
     assert target_error(JobConfig(), target(floor=1e-3)) == UNREACHABLE_TARGET < 0.0
     assert target_error(JobConfig(), target(noise=0.01)) == UNREACHABLE_TARGET

@@ -96,7 +96,7 @@ def test_a_simulation_that_explains_little_or_does_not_end_is_no_model(change: d
     ("evidence", "grade", "said"),
     [
         (Evidence(3e-14, 0.0, 1.0), "exact", "level of rounding"),
-        (Evidence(1e-7, 1e-7, 1.0), "exact", "level of rounding"),
+        (Evidence(1e-7, 1e-7, 1.0, convergence_threshold=2e-7), "exact", "level of rounding"),
         (Evidence(0.009, 0.008, 0.99, constants=KNOWN), "good", "that of the target itself"),
         (Evidence(0.05, 0.04, 0.99, constants=KNOWN), "doubtful", "uncertain by 4 %"),
         (Evidence(0.05, 0.0, 0.99, constants=KNOWN), "good", "R2 0.99; how much of the rest is noise"),

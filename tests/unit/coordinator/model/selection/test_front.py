@@ -15,7 +15,6 @@ from atoll_coordinator.model.selection.front import (
     description_length,
     may_be_shown,
     select,
-    threshold,
 )
 
 
@@ -70,12 +69,6 @@ def test_equals_are_decided_by_their_place():
 def test_an_empty_front_has_no_selection():
     with pytest.raises(ValueError, match="empty"):
         select((), 100, target())
-
-
-def test_the_threshold_follows_the_floor_unless_it_is_given():
-    assert threshold(target(), None) == 1e-9
-    assert threshold(target(floor=0.05), None) == 0.1
-    assert threshold(target(floor=0.05), 1e-4) == 1e-4
 
 
 def test_scaling_the_target_does_not_change_the_choice():
