@@ -18,6 +18,7 @@ from atoll.config import JobConfig
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.operators import BY_NAME
 from atoll.expression.program import Program, constant_places, structure
+from atoll.machine.cores import usable_cores
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prior_knowledge import known_programs
 from atoll_coordinator.data.recording import Preparation
@@ -60,7 +61,7 @@ def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Ref
     settled = {name: refined for name, refined in clean.items() if refined is not None}
     known = known_programs(preparation.dataset, config)
     variables = tuple(name for name in preparation.dataset.variables if name in pools or name in known)
-    with ThreadPoolExecutor(_threads()) as executor:
+    with ThreadPoolExecutor(usable_cores(os.environ)[0]) as executor:
         field = Field(preparation.dataset, preparation.recording, config, variables, known, executor)
         choice = chosen(field, pools, settled)
         model = None if choice is None else concluded(choice, pools)
@@ -102,10 +103,6 @@ def refine(
         if refined.error <= limit and may_be_shown(refined.program, config.space.max_size):
             return _as_found(refined, front, programs)
     return None
-
-
-def _threads() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _with_intervals(refined: Refined) -> Refined:

@@ -23,11 +23,6 @@ _STOP_LIMIT_S: Final = 5.0
 _OPEN_LIMIT_S: Final = 20.0
 
 
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def free_endpoint() -> str:
     """Return an address of this machine, for this machine alone, on which nobody listens."""
     return str(bindable(parse_address("tcp/127.0.0.1:0")))

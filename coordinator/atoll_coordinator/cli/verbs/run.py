@@ -6,6 +6,7 @@ The workers are started first of all, and only then is loaded what this process 
 import argparse
 import contextlib
 import logging
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,9 +14,10 @@ from typing import Final
 
 from atoll.errors import DataError, UsageError
 from atoll.logs import configure
+from atoll.machine.cores import usable_cores
 from atoll_coordinator.cli.exit_codes import BAD_INPUT, INTERRUPTED
 from atoll_coordinator.cli.job_ids import job_id
-from atoll_coordinator.cli.local.cluster import Workers, cores, free_endpoint
+from atoll_coordinator.cli.local.cluster import Workers, free_endpoint
 from atoll_coordinator.cli.signals import raising_interrupts
 from atoll_coordinator.cli.terminal.output import refuse_existing_result
 
@@ -41,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace, folder: Path, started: float) -> int:
-    endpoint, number = free_endpoint(), options.workers or cores()
+    endpoint, number = free_endpoint(), options.workers or usable_cores(os.environ)[0]
     with raising_interrupts(), Workers(endpoint, number, folder / _WORKER_LOG) as workers:
         from atoll_coordinator.cli.local.local_run import LocalRun
 

@@ -205,3 +205,19 @@ def test_operators_and_variables_of_one_equation_hold_for_its_refinement():
     for space in (SpaceConfig(operators_of={"label": ("*", "/")}), SpaceConfig(variables_of={"label": ("x",)})):
         refined = refine(its, CONFIG.model_copy(update={"space": space}), [entry("1.7*x", its)])
         assert refined is None or "y" not in shown(refined.program)
+
+
+def test_threads_are_as_many_as_the_cores_that_may_be_used(monkeypatch):
+    class Begun(Exception):
+        pass
+
+    def executor(threads):
+        raise Begun(threads)
+
+    monkeypatch.setenv("SLURM_CPUS_PER_TASK", "1")
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(8)))
+    monkeypatch.setattr("atoll_coordinator.model.pipeline.ThreadPoolExecutor", executor)
+    preparation = Preparation(dataset(lotka, rows=20), recording=object())
+    with pytest.raises(Begun) as begun:
+        refine_all(preparation, CONFIG, {})
+    assert begun.value.args == (1,)
