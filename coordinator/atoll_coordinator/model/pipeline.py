@@ -22,13 +22,14 @@ from atoll.machine.cores import usable_cores
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prior_knowledge import known_programs
 from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.inference.conclusion import concluded
 from atoll_coordinator.model.refinement import LOOSE, NORMAL_95, Constant, Pools, Refined, Refinement
-from atoll_coordinator.model.regression.criterion import Criterion
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import Polisher
 from atoll_coordinator.model.regression.rounding import snapped
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
+from atoll_coordinator.model.regression.standard_errors import standard_errors
 from atoll_coordinator.model.selection.front import may_be_shown
 from atoll_coordinator.model.selection.joint_search import Field
 from atoll_coordinator.model.selection.piece_lengths import chosen
@@ -124,14 +125,17 @@ def _finished(
     """Decide the constants on more rows where there are more; measure errors and standard errors."""
     program = candidate.model.program
     decisive = _spread(problem, DECIDING_ROWS)
-    criterion, polisher = Criterion.of(decisive.target), Polisher(decisive, _spread_weights(weights, DECIDING_ROWS))
+    criterion, polisher = (
+        RegressionCriterion.of(decisive.target),
+        Polisher(decisive, _spread_weights(weights, DECIDING_ROWS)),
+    )
     if len(problem.target.values) > COMPARED_ROWS:
         program = snapped(polisher.fit(candidate.fitted.program), criterion, polisher).program
     if may_be_shown(gathered(program), config.space.max_size):
         program = gathered(program)
     error, mse = errors_on(problem, program, config.evolution.loss)
     fitted = polisher.fit(program).program
-    std_errors = criterion.errors(polisher.fit(program, steps=0))
+    std_errors = standard_errors(polisher.fit(program, steps=0), criterion)
     return Refined(member, program, error, mse, _constants(program, fitted, std_errors))
 
 

@@ -14,9 +14,10 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, with_constants
-from atoll_coordinator.model.regression.criterion import Criterion, program_length
+from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.regression.fit import Fitted, Polisher
 from atoll_coordinator.model.regression.simple_numbers import fitted_length, simple_numbers
+from atoll_coordinator.model.regression.standard_errors import covariance_of, description_length, standard_errors
 from atoll_coordinator.model.structure.algebra import tidied
 
 BEAM: Final = 12
@@ -52,13 +53,13 @@ class Decision:
         return self.decided + sum(map(fitted_length, self.means.tolist(), errors))
 
 
-def snapped(fitted: Fitted, criterion: Criterion, polisher: Polisher) -> Model:
+def snapped(fitted: Fitted, criterion: RegressionCriterion, polisher: Polisher) -> Model:
     """Return the shortest model that comes from `fitted` by making constants simple; itself when none is shorter."""
-    best = Model(fitted.program, criterion.length(fitted), fitted.mse)
+    best = Model(fitted.program, description_length(fitted, criterion), fitted.mse)
     places = constant_places(fitted.program)
     if not 0 < len(places) <= MOST_CONSTANTS or not math.isfinite(best.length):
         return best
-    for decision in decisions(fitted.program.constants[places], criterion.covariance(fitted)):
+    for decision in decisions(fitted.program.constants[places], covariance_of(fitted, criterion)):
         model = _measured(fitted.program, places, decision, criterion, polisher)
         if model.length <= best.length:
             best = model
@@ -107,7 +108,7 @@ def _decided(decision: Decision, k: int, index: int, number: float, nats: float)
 
 
 def _measured(
-    program: Program, places: list[int], decision: Decision, criterion: Criterion, polisher: Polisher
+    program: Program, places: list[int], decision: Decision, criterion: RegressionCriterion, polisher: Polisher
 ) -> Model:
     """Return the model of a decision, its open constants fitted and its neutral ones gone."""
     values = {places[index]: number for index, number in decision.numbers}
@@ -115,9 +116,9 @@ def _measured(
     values |= {places[index]: float(mean) for index, mean in zip(decision.open, decision.means, strict=True)}
     refitted = polisher.fit(with_constants(program, values), [places[index] for index, _ in decision.numbers])
     opened = refitted.program.constants[[places[index] for index in decision.open]].tolist()
-    prices |= dict(zip(opened, map(fitted_length, opened, criterion.errors(refitted)), strict=True))
+    prices |= dict(zip(opened, map(fitted_length, opened, standard_errors(refitted, criterion)), strict=True))
     shown = tidied(refitted.program)
     mse = polisher.mse(shown)
     remaining = set(np.abs(shown.constants[constant_places(shown)]).tolist())
     numbers = sum(price for number, price in prices.items() if abs(number) in remaining)
-    return Model(shown, criterion.misfit(mse) + program_length(shown) + numbers, mse)
+    return Model(shown, criterion.length(mse, shown, numbers), mse)

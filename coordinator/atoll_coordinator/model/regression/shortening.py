@@ -15,9 +15,10 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.program import Program, structure
-from atoll_coordinator.model.regression.criterion import Criterion, program_length
+from atoll_coordinator.model.criteria import RegressionCriterion, program_length
 from atoll_coordinator.model.regression.fit import Fitted, Polisher
 from atoll_coordinator.model.regression.rounding import Model, snapped
+from atoll_coordinator.model.regression.standard_errors import description_length
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.moves.reductions import reductions
@@ -68,7 +69,7 @@ class Shortening:
 
         `weights` (R,) of the rows are 1 on average; None: all alike.
         """
-        self.criterion: Final = Criterion.of(problem.target)
+        self.criterion: Final = RegressionCriterion.of(problem.target)
         self.polisher: Final = Polisher(problem, weights)
         self._variables = range(len(problem.names)) if variables is None else variables
         self._operators = operators
@@ -99,7 +100,7 @@ class Shortening:
         return sorted(found.values(), key=lambda each: each.rank)
 
     def _is_exact(self, candidate: Candidate) -> bool:
-        return candidate.fitted.mse <= self.criterion.limit
+        return candidate.fitted.mse <= self.criterion.least_variance
 
     def _simplicity(self, candidate: Candidate, best: Candidate) -> tuple[bool, int, tuple[float, int, bytes]]:
         """Return what the smallest program has the least of whose model is nearly as short as the best."""
@@ -111,7 +112,8 @@ class Shortening:
         fits = {structure(program): (index, program) for index, program in reversed([*enumerate(map(tidied, front))])}
         polished = [(index, self._fitted(program)) for index, program in fits.values()]
         priced = sorted(
-            ((self.criterion.length(fitted), index, fitted) for index, fitted in polished), key=lambda each: each[:2]
+            ((description_length(fitted, self.criterion), index, fitted) for index, fitted in polished),
+            key=lambda each: each[:2],
         )
         limit = priced[0][0] + MARGIN if priced else 0.0
         return [(index, fitted) for length, index, fitted in priced[:MOST_MEMBERS] if length <= limit]
@@ -134,7 +136,7 @@ class Shortening:
     def _tried(self, program: Program, length: float) -> tuple[float, Fitted]:
         """Return `program` fitted and its length, which is of interest when it is less than `length`."""
         fitted = self._fitted(program, self.criterion.mse_of(length - program_length(program)))
-        return self.criterion.length(fitted), fitted
+        return description_length(fitted, self.criterion), fitted
 
     def _reduced(self, fitted: Fitted) -> Fitted:
         """Follow the reductions, each time the one that leaves the shortest description, until none is shorter."""
@@ -151,7 +153,7 @@ class Shortening:
         return end
 
     def _best_reduction(self, fitted: Fitted) -> Fitted | None:
-        best, least = None, self.criterion.length(fitted)
+        best, least = None, description_length(fitted, self.criterion)
         for program in reductions(fitted.program):
             if self._is_exhausted():
                 break
@@ -166,7 +168,7 @@ class Shortening:
         Of those with equal errors, which say the same in other words, the shortest is taken; but of those that say the
         same as `best`, the shortest for each collection of operators, since their constants may be simpler.
         """
-        most = self.criterion.length(best.fitted) + NEARLY
+        most = description_length(best.fitted, self.criterion) + NEARLY
         found: dict[tuple[str, bytes], tuple[float, Fitted]] = {}
         for program in neighbours(best.fitted.program, self._variables, self._operators):
             if self._is_exhausted():

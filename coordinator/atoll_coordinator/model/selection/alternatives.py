@@ -13,11 +13,11 @@ import numpy as np
 from atoll.data.dataset import FloatArray
 from atoll.expression.evaluation import values_of
 from atoll.expression.program import Program, structure
+from atoll_coordinator.model.criteria import validated_length
 from atoll_coordinator.model.selection.comparison import Contest, Standing
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
 from atoll_coordinator.model.selection.joint_search import Chosen
 from atoll_coordinator.model.selection.local_search import LEAST
-from atoll_coordinator.model.selection.structure_length import structure_nats
 
 CONTENDERS: Final = 8
 """Contenders of a variable that are reported, at most."""
@@ -94,20 +94,16 @@ def _winner(standing: Standing, own: Validated, rivals: Sequence[Sequence[Rival]
 
     Those with more constants are left out: what these gain on few trajectories is chance as often as not.
     """
-    best, winner = own.misfit + _structures(standing) - CLEARLY, None
+    best, winner = validated_length(own.misfit, standing.programs) - CLEARLY, None
     for each in (rival for its in rivals for rival in its):
         if each.validated is None or each.standing.nats > standing.nats + DECIDED_NATS:
             continue
         if len(each.standing.shot.system.places) > len(standing.shot.system.places):
             continue
-        nats = each.validated.misfit + _structures(each.standing)
+        nats = validated_length(each.validated.misfit, each.standing.programs)
         if nats < best:
             best, winner = nats, each
     return winner
-
-
-def _structures(standing: Standing) -> float:
-    return sum(map(structure_nats, standing.programs))
 
 
 def _validated(validation: Validation, rivals: Sequence[Standing], best: Standing) -> list[Rival]:

@@ -14,8 +14,8 @@ from typing import Final, TypeVar
 import numpy as np
 
 from atoll.expression.program import Program, constant_places, structure
-from atoll_coordinator.model.selection.structure_length import structure_nats
-from atoll_coordinator.model.shooting.multiple_shooting import Shooter, Shot, misfit, staged
+from atoll_coordinator.model.criteria import constant_nats_of, system_length, trajectory_misfit
+from atoll_coordinator.model.shooting.multiple_shooting import Shooter, Shot, staged
 from atoll_coordinator.model.shooting.system import System, split, system_of
 
 EXACT: Final = 1e-8
@@ -67,7 +67,7 @@ class Contest:
         self.counts: Final = its.weights.sum(axis=1)
         self.floors: Final = EXACT * its.scales[its.observed]
         self.coherence: Final = its.coherence
-        self.constant_nats: Final = 0.5 * math.log(max(its.rows / its.coherence, 2.0))
+        self.constant_nats: Final = constant_nats_of(its.rows / its.coherence)
         self._map: Final = map if executor is None else executor.map
 
     def map(self, work: Callable[[Item], Standing | None], items: Iterable[Item]) -> list[Standing]:
@@ -136,8 +136,8 @@ class Contest:
 
     def measured(self, programs: Sequence[Program], shot: Shot) -> Standing:
         """Return the standing of a fit of `programs`."""
-        its = misfit(shot, self.floors, self.counts / self.coherence)
-        nats = its + sum(map(structure_nats, programs)) + self.constant_nats * len(shot.system.places)
+        its = trajectory_misfit(shot.squares, self.floors, self.counts / self.coherence)
+        nats = system_length(its, programs, len(shot.system.places), self.constant_nats)
         fitted = split(shot.system, [*self.leading, *programs])[len(self.leading) :]
         return Standing(tuple(fitted), shot, its, nats)
 

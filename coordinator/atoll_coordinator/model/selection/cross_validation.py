@@ -11,9 +11,10 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import constant_places
+from atoll_coordinator.model.criteria import trajectory_misfit
 from atoll_coordinator.model.selection.comparison import Contest, Standing
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.multiple_shooting import Shooter, nats_of
+from atoll_coordinator.model.shooting.multiple_shooting import Shooter
 from atoll_coordinator.model.shooting.system import split
 
 LEAST_TRAJECTORIES: Final = 3
@@ -60,7 +61,7 @@ class Validation:
             spread += _spread(its.part(left_out))
         r2 = [1.0 - left / whole if whole > 0.0 else None for left, whole in zip(squares, spread, strict=True)]
         counts = self._contest.counts
-        misfit = nats_of(squares / counts, self._contest.floors, counts / self._contest.coherence)
+        misfit = trajectory_misfit(squares / counts, self._contest.floors, counts / self._contest.coherence)
         return Validated(tuple(r2), misfit)
 
     def _left(self, standing: Standing, left_out: frozenset[int]) -> FloatArray | None:

@@ -18,12 +18,12 @@ from atoll.expression.operators import BY_NAME
 from atoll.expression.program import Program
 from atoll_coordinator.data.prior_knowledge import guessed_programs
 from atoll_coordinator.data.recording import Recording
+from atoll_coordinator.model.criteria import is_function
 from atoll_coordinator.model.refinement import Pool, Refined
 from atoll_coordinator.model.selection.candidates import ranked
 from atoll_coordinator.model.selection.comparison import Contest, Standing
 from atoll_coordinator.model.selection.front import may_be_shown
 from atoll_coordinator.model.selection.local_search import LEAST, Descent
-from atoll_coordinator.model.selection.structure_length import is_function
 from atoll_coordinator.model.shooting.measurements import PIECE, Measurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter
 from atoll_coordinator.model.shooting.system import variable_program

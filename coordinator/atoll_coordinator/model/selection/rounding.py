@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from typing import Final
 
 from atoll.expression.program import Program, constant_places, with_constants
+from atoll_coordinator.model.criteria import rounded_system_length
 from atoll_coordinator.model.regression.rounding import Decision, decisions
 from atoll_coordinator.model.regression.simple_numbers import fitted_length, simple_numbers
 from atoll_coordinator.model.selection.comparison import Contest, Standing
-from atoll_coordinator.model.selection.structure_length import structure_nats
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.structure.algebra import tidied
 
@@ -27,8 +27,7 @@ def rounded(contest: Contest, standing: Standing) -> tuple[Program, ...]:
         return standing.programs
     means, spread = shot.system.values, contest.coherence * bounded_covariance(shot)
     errors = [float(variance) ** 0.5 for variance in spread.diagonal().clip(0.0)]
-    structures = sum(map(structure_nats, standing.programs))
-    best = standing.misfit + structures + sum(map(fitted_length, means.tolist(), errors))
+    best = rounded_system_length(standing.misfit, standing.programs, map(fitted_length, means.tolist(), errors))
     shown = standing.programs
     for decision in decisions(means, spread)[:_REMEASURED]:
         measured = _measured(contest, standing, decision)
@@ -49,12 +48,11 @@ def _measured(contest: Contest, standing: Standing, decision: Decision) -> tuple
     open_errors = [
         float(variance) ** 0.5 for variance in (contest.coherence * bounded_covariance(shot)).diagonal().clip(0.0)
     ]
-    lengths = sum(map(fitted_length, shot.system.values.tolist(), open_errors))
-    lengths += sum(_price(number) for number in numbers.values())
+    lengths = [sum(map(fitted_length, shot.system.values.tolist(), open_errors)), sum(map(_price, numbers.values()))]
     shown = tuple(
         program if index in contest.fixed else tidied(program) for index, program in enumerate(after.programs)
     )
-    return after.misfit + sum(map(structure_nats, shown)) + lengths, shown
+    return rounded_system_length(after.misfit, shown, lengths), shown
 
 
 def _price(number: float) -> float:

@@ -338,23 +338,6 @@ def _inverses(own: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.inv(unit) / (scale[:, :, None] * scale[:, None, :]))
 
 
-def misfit(shot: Shot, floors: FloatArray, counts: FloatArray) -> float:
-    """Return minus the log-likelihood in nats, up to a constant: each state's variance fitted, never below its floor.
-
-    `floors` (O,) are standard deviations, `counts` (O,) the numbers measured of each state.
-    """
-    return nats_of(shot.squares, floors, counts)
-
-
-def nats_of(squares: FloatArray, floors: FloatArray, counts: FloatArray) -> float:
-    """Return the same of mean squares (O,) of errors."""
-    total = 0.0
-    for square, floor, count in zip(squares.tolist(), floors.tolist(), counts.tolist(), strict=True):
-        variance = max(square, floor * floor)
-        total += 0.5 * count * (math.log(variance) + square / variance - 1.0)
-    return total
-
-
 def staged(shooter: Shooter, system: System, lengths: Sequence[int | None], steps: int) -> Shot | None:
     """Return `system` fitted to segments of growing `lengths`, each fit begun where the one before ended."""
     shot: Shot | None = None

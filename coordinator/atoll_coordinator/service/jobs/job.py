@@ -14,8 +14,9 @@ from atoll.wire.messages.limits import chunk_count
 from atoll.wire.messages.views import FINAL_STATES, JobState
 from atoll.wire.messages.workers import Commit, EpochReport, JobAnnouncement
 from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.model.criteria import front_length
 from atoll_coordinator.model.refinement import Pool, Refinement
-from atoll_coordinator.model.selection.front import count_constants, description_length
+from atoll_coordinator.model.selection.front import count_constants
 from atoll_coordinator.service.jobs.defaults import stagnation_of
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.checkpoints import StoredProgress
@@ -285,7 +286,7 @@ def measure_of(target: Target) -> Measure:
 
     def least(front: tuple[FrontEntry, ...]) -> float:
         lengths = (
-            description_length(entry, rows, floor, target.standard_deviation, count_constants(entry.program))
+            front_length(entry, rows, floor, target.standard_deviation, count_constants(entry.program))
             for entry in front
         )
         return min(lengths, default=float("inf"))

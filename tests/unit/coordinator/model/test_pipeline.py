@@ -10,12 +10,13 @@ from atoll.config import BudgetConfig, EvolutionConfig, SpaceConfig
 from atoll.expression.program import Program
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.pipeline import refine, refine_all
 from atoll_coordinator.model.refinement import Pool, Refined
 from atoll_coordinator.model.regression import shortening as shorten
-from atoll_coordinator.model.regression.criterion import Criterion
 from atoll_coordinator.model.regression.fit import Polisher
 from atoll_coordinator.model.regression.rounding import snapped
+from atoll_coordinator.model.regression.standard_errors import description_length
 from tests.unit.coordinator.model.fitting import CONFIG, dataset, entry, parsed, problem, shown
 
 
@@ -193,9 +194,9 @@ def test_the_work_is_bounded(monkeypatch):
 
 def test_a_snapped_model_is_never_longer():
     its = problem(lotka, 0.1)
-    criterion, polisher = Criterion.of(its.target), Polisher(its)
+    criterion, polisher = RegressionCriterion.of(its.target), Polisher(its)
     fitted = polisher.fit(parsed("2.9*x - 2.0*x*y - x*x"))
-    assert snapped(fitted, criterion, polisher).length <= criterion.length(fitted)
+    assert snapped(fitted, criterion, polisher).length <= description_length(fitted, criterion)
 
 
 def test_operators_and_variables_of_one_equation_hold_for_its_refinement():

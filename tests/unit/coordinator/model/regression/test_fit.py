@@ -8,8 +8,9 @@ import pytest
 from atoll.data.dataset import Problem, Target
 from atoll.expression.program import constant_places
 from atoll.expression.text.parsing import from_infix
-from atoll_coordinator.model.regression.criterion import Criterion, program_length
+from atoll_coordinator.model.criteria import RegressionCriterion, program_length
 from atoll_coordinator.model.regression.fit import Polisher
+from atoll_coordinator.model.regression.standard_errors import description_length, standard_errors
 from tests.unit.coordinator.model.fitting import parsed, problem
 
 
@@ -33,7 +34,8 @@ def test_a_linear_fit_is_that_of_the_normal_equations():
     expected, *_ = np.linalg.lstsq(its.inputs.T, its.target.values, rcond=None)
     assert constants(fitted.program) == pytest.approx(expected.tolist(), rel=1e-7)
     variance = np.linalg.inv(its.inputs @ its.inputs.T) * fitted.mse
-    assert Criterion.of(its.target).errors(fitted) == pytest.approx(np.sqrt(np.diag(variance)).tolist(), rel=1e-7)
+    errors = standard_errors(fitted, RegressionCriterion.of(its.target))
+    assert errors == pytest.approx(np.sqrt(np.diag(variance)).tolist(), rel=1e-7)
 
 
 def test_what_is_fixed_stays():
@@ -56,17 +58,17 @@ def test_a_hopeless_fit_is_given_up_early():
 def test_a_program_without_a_finite_value_stays_and_has_infinite_error():
     fitted = Polisher(problem(truth)).fit(parsed("2.0*log(y)"))
     assert fitted.mse == math.inf
-    assert Criterion.of(problem(truth).target).length(fitted) == math.inf
+    assert description_length(fitted, RegressionCriterion.of(problem(truth).target)) == math.inf
 
 
 def test_constants_that_the_data_cannot_tell_apart_have_large_errors():
     its = problem(lambda x, y: 6.0 * x, noise=0.1)
-    errors = Criterion.of(its.target).errors(Polisher(its).fit(parsed("(2.0*(3.0*sin(x)))")))
+    errors = standard_errors(Polisher(its).fit(parsed("(2.0*(3.0*sin(x)))")), RegressionCriterion.of(its.target))
     assert min(errors) > 1e3
 
 
 def test_the_misfit_is_flat_below_the_floor_and_inverts_above():
-    criterion = Criterion(100, 0.01)
+    criterion = RegressionCriterion(100, 0.01)
     assert criterion.misfit(0.04) == pytest.approx(50.0 * math.log(0.04))
     assert criterion.misfit(0.0) == pytest.approx(50.0 * (math.log(0.01) - 1.0))
     assert criterion.mse_of(criterion.misfit(0.04)) == pytest.approx(0.04)

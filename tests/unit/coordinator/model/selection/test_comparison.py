@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from atoll.expression.program import Program, structure
+from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.selection.comparison import Contest, Standing, distinct
-from atoll_coordinator.model.selection.structure_length import structure_nats
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter
 from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, contest, measurements
@@ -36,7 +36,7 @@ def test_a_standing_has_the_nats_of_misfit_programs_and_constants():
     squares = (standing.shot.residuals**2).mean(axis=1)
     misfit = 0.5 * 120 * float(np.log(squares).sum())
     assert standing.misfit == pytest.approx(misfit)
-    programs = structure_nats(TRUTH) + structure_nats(OTHER)
+    programs = structure_length(TRUTH) + structure_length(OTHER)
     assert standing.nats == pytest.approx(misfit + programs + 0.5 * math.log(120) * len(standing.shot.system.places))
     assert standing.shot.segments.tolist() == [[0, 40], [40, 80], [80, 120]]
 

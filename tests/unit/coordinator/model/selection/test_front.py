@@ -9,10 +9,9 @@ import pytest
 from atoll.data.dataset import Target
 from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
+from atoll_coordinator.model.criteria import _log, front_length
 from atoll_coordinator.model.selection.front import (
-    _log,
     count_constants,
-    description_length,
     may_be_shown,
     select,
 )
@@ -28,16 +27,16 @@ def target(floor: float = 0.0, deviation: float = 1.0) -> Target:
 
 def test_description_length_is_the_published_formula():
     expected = 50.0 * math.log(0.04) + 7 * math.log(8.0) + 1.5 * math.log(100.0)
-    assert description_length(entry(7, 0.2), 100, 0.0, 1.0, 3) == pytest.approx(expected, rel=1e-15)
+    assert front_length(entry(7, 0.2), 100, 0.0, 1.0, 3) == pytest.approx(expected, rel=1e-15)
 
 
 def test_errors_below_the_floor_earn_nothing():
-    lengths = {description_length(entry(7, rmse), 100, 0.01, 5.0, 0) for rmse in (0.05, 0.01, 1e-9, 0.0)}
+    lengths = {front_length(entry(7, rmse), 100, 0.01, 5.0, 0) for rmse in (0.05, 0.01, 1e-9, 0.0)}
     assert len(lengths) == 1
 
 
 def test_an_exact_equation_has_a_finite_length():
-    assert math.isfinite(description_length(entry(3, 0.0), 100, 0.0, 0.0, 0))
+    assert math.isfinite(front_length(entry(3, 0.0), 100, 0.0, 0.0, 0))
 
 
 def test_a_better_error_is_worth_nodes_only_when_it_is_much_better():

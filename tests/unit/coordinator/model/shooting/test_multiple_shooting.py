@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from atoll_coordinator.model.criteria import trajectory_misfit
 from atoll_coordinator.model.shooting.measurements import measurements_of
-from atoll_coordinator.model.shooting.multiple_shooting import BRIEF, Shooter, misfit, staged
+from atoll_coordinator.model.shooting.multiple_shooting import BRIEF, Shooter, staged
 from atoll_coordinator.model.shooting.system import system_of, variable_program
 from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, recording
 
@@ -177,10 +178,10 @@ def test_the_misfit_is_the_likelihood_with_fitted_variances_above_the_floor():
     shot = fitted_lotka(its)
     counts, none = its.weights.sum(axis=1), np.zeros(2)
     variances = (shot.residuals**2).mean(axis=1)
-    assert misfit(shot, none, counts) == pytest.approx(0.5 * 150 * np.log(variances).sum())
+    assert trajectory_misfit(shot.squares, none, counts) == pytest.approx(0.5 * 150 * np.log(variances).sum())
     floors = np.array([1.0, 0.0])
     expected = 0.5 * 150 * (variances[0] - 1.0) + 0.5 * 150 * np.log(variances[1])
-    assert misfit(shot, floors, counts) == pytest.approx(expected)
+    assert trajectory_misfit(shot.squares, floors, counts) == pytest.approx(expected)
 
 
 def test_an_unmeasured_velocity_is_fitted_from_positions():

@@ -6,13 +6,13 @@ from hypothesis import strategies as st
 
 from atoll.expression.program import with_constants
 from atoll.expression.text.parsing import from_infix
-from atoll_coordinator.model.selection.structure_length import structure_nats
+from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.structure.moves.extensions import extensions
 from tests.unit.coordinator.model.fitting import parsed
 
 
 def nats(text):
-    return structure_nats(from_infix(text, ("x", "y")))
+    return structure_length(from_infix(text, ("x", "y")))
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_using_a_part_again_is_cheaper_than_writing_it_twice():
 def test_the_values_of_constants_do_not_count(value):
     program = parsed("3.5*x + sin(2.5*y)")
     places = [index for index, code in enumerate(program.operators.tolist()) if code == 1]
-    assert structure_nats(with_constants(program, dict.fromkeys(places, value))) == structure_nats(program)
+    assert structure_length(with_constants(program, dict.fromkeys(places, value))) == structure_length(program)
 
 
 @pytest.mark.parametrize("text", ["x", "3.0*x - 2.0*x*y", "sin(x)/y"])
@@ -68,4 +68,4 @@ def test_every_extension_that_is_one_costs_more(text):
     program = parsed(text)
     for extended in extensions(program, [1.0, 1.0], range(2, 17)):
         if len(extended) > len(program):  # sin(x)/y over sin(x) is shorter
-            assert structure_nats(extended) > structure_nats(program)
+            assert structure_length(extended) > structure_length(program)

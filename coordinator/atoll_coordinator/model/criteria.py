@@ -1,0 +1,238 @@
+"""The four criteria by which equations are compared, side by side: description lengths in nats; the shortest wins.
+
+Each is the length of the data given the model plus the length of the model (Rissanen 1978). They differ in what the
+data are, in how operators are priced and in how constants are; a number of one is never compared with one of another.
+
+- `front_length`: errors on the target; each node costs ln 8, each constant 1/2 ln n. It says which member of a front
+  is shown while the search runs, and whether the search stagnates.
+- `RegressionCriterion`: errors on the target; each node costs ln 8, each further use of one 1, each constant the
+  digits that its standard error leaves it. It says which equation is shown where there are no trajectories.
+- `system_length`: errors of simulated states; operators cost by their kind (`structure_length`), each constant
+  1/2 ln N. It says which equations together are the model.
+- `rounded_system_length`: as before, but constants cost their digits, or what it takes to write a simple number. It
+  says which constants of the model are made simple.
+
+`validated_length` is `system_length` with trajectories left out in the place of constants, which stand for them.
+Letters: n rows, N rows over their correlation length, k constants, O measured states.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray, Target
+from atoll.expression.operators import ARITY, CONSTANT, DIVIDE, INVERSE, MULTIPLY, NEGATE, POW, SQUARE, VARIABLE
+from atoll.expression.program import Program, structure
+from atoll.search.pareto import FrontEntry
+
+SMALLEST_UNCERTAINTY: Final = 1e-12
+"""Errors below this share of the target's standard deviation are rounding, not merit."""
+
+# ------------------------------------------------------------------------------------------ a member of a front
+
+_LN2: Final = 0.6931471805599453
+_LN8: Final = 2.0794415416798357
+_SQRT_HALF: Final = 0.7071067811865476
+_SMALLEST: Final = 2.2250738585072014e-308
+
+
+def front_length(entry: FrontEntry, rows: int, uncertainty: float, standard_deviation: float, constants: int) -> float:
+    """Return the description length of a front member in nats, up to a term common to all members (ADR 0009).
+
+        n/2 ln(max(MSE, u^2)) + nodes ln 8 + k/2 ln n
+
+    with the uncertainty u in the target's unit; a constant costs as in Schwarz (1978). The number decides what a user
+    is shown and takes part in the digest, so it is computed with + - * / alone: the same bits on every machine.
+
+    Args:
+        entry: complexity and mean squared error are read from it.
+        rows: n, number of rows on which the error was measured.
+        uncertainty: mean uncertainty of the target over its standard deviation.
+        standard_deviation: that of the target, in its unit.
+        constants: k.
+    """
+    limit = max(uncertainty, SMALLEST_UNCERTAINTY) * standard_deviation
+    misfit = max(entry.mse, limit * limit, _SMALLEST)
+    return 0.5 * rows * _log(misfit) + entry.complexity * _LN8 + 0.5 * constants * _log(float(rows))
+
+
+def _log(value: float) -> float:
+    """Return ln(value), value > 0, by the series of artanh; equal on every machine, unlike the C library's."""
+    mantissa, exponent = math.frexp(value)
+    if mantissa < _SQRT_HALF:
+        mantissa, exponent = 2.0 * mantissa, exponent - 1
+    ratio = (mantissa - 1.0) / (mantissa + 1.0)
+    square = ratio * ratio
+    series = 0.0
+    for odd in range(23, 0, -2):
+        series = series * square + 1.0 / odd
+    return exponent * _LN2 + 2.0 * ratio * series
+
+
+# ------------------------------------------------------------------------------------ an equation without trajectories
+
+_NODE_NATS: Final = math.log(8.0)
+_USE_NATS: Final = 1.0
+_TINY: Final = 1e-290
+
+
+def program_length(program: Program) -> float:
+    """Return nodes ln 8 + 1 for each further use of a node: a program without the values of its constants, in nats."""
+    codes: list[int] = program.operators.tolist()
+    uses = sum(ARITY[code] for code in codes)
+    return _NODE_NATS * len(program) + _USE_NATS * (uses + 1 - len(program))
+
+
+@dataclass(frozen=True)
+class RegressionCriterion:
+    """Description lengths of the models of one target with n `rows` (Rissanen 1978).
+
+        n/2 (ln v + MSE/v - 1) + nodes ln 8 + 1 for each further use of a node + length of each constant
+
+    The misfit is minus the log-likelihood of independent Gaussian errors, up to a constant; their variance v is fitted,
+    but not less than `least_variance`, the square of the target's uncertainty: v = max(MSE, least variance).
+    """
+
+    rows: int
+    least_variance: float
+
+    @classmethod
+    def of(cls, target: Target) -> "RegressionCriterion":
+        """Return the criterion for the models of `target`."""
+        uncertainty = max(target.uncertainty, SMALLEST_UNCERTAINTY) * target.standard_deviation
+        return cls(len(target.values), max(uncertainty * uncertainty, _TINY))
+
+    def variance(self, mse: float) -> float:
+        """Return the variance of an error on one row."""
+        return max(mse, self.least_variance)
+
+    def misfit(self, mse: float) -> float:
+        """Return the nats of the errors."""
+        if not math.isfinite(mse):
+            return math.inf
+        variance = self.variance(mse)
+        return 0.5 * self.rows * (math.log(variance) + mse / variance - 1.0)
+
+    def mse_of(self, misfit: float) -> float:
+        """Return the mean squared error of a misfit, the inverse of `misfit`; not below twice the least variance."""
+        return max(math.exp(min(2.0 * misfit / self.rows, 700.0)), 2.0 * self.least_variance)
+
+    def length(self, mse: float, program: Program, constants: float) -> float:
+        """Return the description length; `constants` is the length of the constants' values."""
+        return self.misfit(mse) + program_length(program) + constants
+
+
+# -------------------------------------------------------------------------------------- a system along trajectories
+
+
+def system_length(misfit: float, programs: Sequence[Program], constants: int, constant_nats: float) -> float:
+    """Return the description length of a fitted system: misfit + structures + k/2 ln N (Schwarz 1978).
+
+    Args:
+        misfit: see `trajectory_misfit`.
+        programs: the equations that were sought.
+        constants: k, how many were fitted.
+        constant_nats: nats of each of them, see `constant_nats_of`.
+    """
+    return misfit + sum(map(structure_length, programs)) + constant_nats * constants
+
+
+def constant_nats_of(rows: float) -> float:
+    """Return the nats of a fitted constant that so many rows decide, each counted over its correlation length."""
+    return 0.5 * math.log(max(rows, 2.0))
+
+
+def trajectory_misfit(squares: FloatArray, least: FloatArray, counts: FloatArray) -> float:
+    """Return minus the log-likelihood of the errors of a simulation, up to a constant: sum n/2 (ln v + s/v - 1).
+
+    Args:
+        squares: s, mean squares (O,) of the errors.
+        least: standard deviations (O,) below which errors are those of the integration: v = max(s, least^2).
+        counts: n, the numbers measured of each state (O,).
+    """
+    total = 0.0
+    for square, smallest, count in zip(squares.tolist(), least.tolist(), counts.tolist(), strict=True):
+        variance = max(square, smallest * smallest)
+        total += 0.5 * count * (math.log(variance) + square / variance - 1.0)
+    return total
+
+
+def validated_length(misfit: float, programs: Sequence[Program]) -> float:
+    """Return the description length with the `misfit` to trajectories left out, and no price of constants."""
+    return misfit + sum(map(structure_length, programs))
+
+
+# ------------------------------------------------------------------------------------ a system with simple constants
+
+
+def rounded_system_length(misfit: float, programs: Sequence[Program], constants: Iterable[float]) -> float:
+    """Return the description length of a system whose constants' values have the lengths `constants`.
+
+    Fitted constants cost the digits that their standard errors leave them, simple numbers what it takes to write them
+    down, see `atoll_coordinator.model.regression.simple_numbers`.
+    """
+    return misfit + sum(map(structure_length, programs)) + sum(constants)
+
+
+# --------------------------------------------------------------------------------------------- the price of operators
+
+_PLAIN: Final = range(2, 5)
+
+_LEAF: Final = 1.4
+_SIMPLE: Final = 1.4
+_QUOTIENT: Final = 2.1
+_FUNCTION: Final = 3.5
+_NESTED: Final = 5.0
+_FURTHER_USE: Final = 1.4
+
+
+def structure_length(program: Program) -> float:
+    """Return the nats of a program without the values of its constants: the simpler, the more plausible.
+
+    Sums, products and whole powers are common in equations of motion, functions less so, functions inside functions
+    rare (compare the counts of Guimerà et al. 2020 in a corpus of named equations).
+    """
+    return _structure_length(structure(program), len(program))
+
+
+@lru_cache(maxsize=20_000)
+def _structure_length(key: bytes, size: int) -> float:
+    """Return the nats of a structure of so many nodes: a local search meets the same one many times."""
+    codes = np.frombuffer(key, np.int8, size).tolist()
+    lefts, rights = np.frombuffer(key, np.int16, 2 * size, size).reshape(2, size).tolist()
+    total = 0.0
+    has_function: list[bool] = []
+    uses = [0] * size
+    for code, left, right in zip(codes, lefts, rights, strict=True):
+        arguments = (left, right)[: ARITY[code]]
+        inner = any(has_function[argument] for argument in arguments)
+        calls = is_function(code)
+        has_function.append(inner or calls)
+        total += _operator_length(code) + (_NESTED if inner and calls else 0.0)
+        for argument in arguments:
+            uses[argument] += 1
+    leaves = [code in (VARIABLE, CONSTANT) for code in codes]
+    return total + sum(
+        (_LEAF if leaf else _FURTHER_USE) * max(count - 1, 0) for count, leaf in zip(uses, leaves, strict=True)
+    )
+
+
+def is_function(code: int) -> bool:
+    """Tell whether an operator is a function such as a sine, neither algebra nor a leaf."""
+    return ARITY[code] == 1 and code not in (SQUARE, NEGATE, INVERSE)
+
+
+def _operator_length(code: int) -> float:
+    if not ARITY[code]:
+        return _LEAF
+    if code == NEGATE:
+        return 0.0
+    if code in (DIVIDE, INVERSE):
+        return _QUOTIENT
+    if code in _PLAIN or code in (SQUARE, MULTIPLY):
+        return _SIMPLE
+    return _FUNCTION if is_function(code) or code == POW else _SIMPLE
