@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.faults import main
+from benchmarks.operations.faults import main
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.systems import trajectories, write_csv
+from benchmarks.harness.systems import trajectories, write_csv
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMIT_S = 200

@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from benchmarks.fuzz import Mutator, Overheard, Score, fuzz_decoder, fuzz_sessions, overhear
+from benchmarks.operations.fuzz import Mutator, Overheard, Score, fuzz_decoder, fuzz_sessions, overhear
 
 KINDS = {"Answer", "Ask", "Control", "EpochReport", "Greeting", "GreetingAnswer", "Mail", "Pull", "PullAnswer"}
 

@@ -3,7 +3,7 @@
 Only IEEE 754 double + - * /, comparisons, selections and integer operations on the bit pattern: no fused
 multiply-add, no call of a mathematical library, no table and no branch, so that a plain loop in a `kernel` becomes
 packed instructions. Largest errors measured, in ulp: sin 1.6, cos 1.4, exp 1.0, log 0.8, tanh 2.5, pow 1.1
-(``benchmarks/elementary.py``; it prints the speed as well).
+(``benchmarks/kernels/elementary.py``; it prints the speed as well).
 
 Each function takes and returns a float64 (or, with the JIT off, a float and an ``np.float64``; overflow then warns
 unless ``np.errstate`` silences it). Signs, zeros, infinities and NaN follow IEEE 754's recommended functions, but for

@@ -1,0 +1,286 @@
+"""Is a model exact in form? The checker behind every claim that an equation was found.
+
+``python -m benchmarks.judging.forms MODEL TRUTH [--data FILE.csv]``
+
+Model and truth are written as fractions of polynomials (`benchmarks.judging.rewriting`). Terms that contribute less
+than `NEGLIGIBLE` of the target's standard deviation on the data are dropped. The model is exact in form when it equals,
+within the same `NEGLIGIBLE` per term, a fraction with the truth's monomials and no others, whose coefficients, after
+dividing by one that the truth has, all lie within the tolerance of the truth's.
+
+A model may have a polynomial factor in numerator and denominator that cancels, as a sum of two fractions has. So the
+fraction N'/D' with the truth's monomials is sought that makes N D' - D N' vanish, N/D being the model: a linear problem
+in the coefficients of N' and D'. Its residual must be negligible monomial by monomial, not only in sum over the data:
+a model that merely approximates the truth does not pass. A factor that cancels only nearly leaves a residual, too.
+Constants inside sin, cos and other functions are coefficients like all others: they may differ by the tolerance.
+The truth must be written in lowest terms.
+"""
+
+import argparse
+import csv
+import math
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from atoll.errors import UsageError
+from atoll.expression.text.parsing import from_infix
+from benchmarks.judging.evaluation import evaluate
+from benchmarks.judging.fractions import (
+    Atoms,
+    FloatArray,
+    Fraction,
+    Monomial,
+    Polynomial,
+    TooLargeError,
+    UndefinedError,
+)
+from benchmarks.judging.rewriting import Rewritten, rewrite
+
+NEGLIGIBLE: Final = 1e-6
+"""Share of the target's standard deviation below which a term counts as absent."""
+
+FRESH_POINTS: Final = 1_000
+SLACK: Final = 3.0
+"""How often the effect of a small change of the truth's angles the same change of the model's angles may have."""
+
+
+@dataclass(frozen=True)
+class FormVerdict:
+    """Whether a model is exact in form, and why not.
+
+    `constants_error` is the largest relative difference of a coefficient (None when the monomials differ),
+    `function_error` the root mean square difference of model and truth on fresh points in the data's range, over the
+    standard deviation of the truth there (None when it is not finite).
+    """
+
+    exact: bool
+    reason: str
+    constants_error: float | None
+    function_error: float | None
+
+
+class _DifferentError(Exception):
+    """Raised with the sentence that says why the forms differ."""
+
+
+def compare(
+    model: str, truth: str, data: Mapping[str, FloatArray], target_sd: float, tolerance: float = 0.01
+) -> FormVerdict:
+    """Compare `model` with `truth`, both infix text over the names of `data`.
+
+    Args:
+        model: the expression that was found.
+        truth: the expression sought, in lowest terms.
+        data: the rows on which contributions are measured: by name, R values each.
+        target_sd: standard deviation of the target, in its units.
+        tolerance: largest relative difference of a coefficient.
+
+    Raises:
+        UsageError: one of the texts is no expression over `data`'s names.
+    """
+    with np.errstate(all="ignore"):
+        function_error = _function_error(model, truth, data)
+        try:
+            difference = _constants_error(model, truth, data, target_sd, tolerance)
+        except _DifferentError as different:
+            return FormVerdict(False, str(different), None, function_error)
+        except TooLargeError:
+            return FormVerdict(False, "too many terms to compare", None, function_error)
+        except UndefinedError:
+            return FormVerdict(False, "a division by zero", None, function_error)
+    if not difference <= tolerance:
+        return FormVerdict(False, f"a constant differs by {difference:.3g}", difference, function_error)
+    return FormVerdict(True, "the same form", difference, function_error)
+
+
+def _constants_error(
+    model: str, truth: str, data: Mapping[str, FloatArray], target_sd: float, tolerance: float
+) -> float:
+    """Return the largest relative difference of a coefficient; raises _DifferentError."""
+    both = rewrite(truth, model, data, tolerance)
+    scale = _Scale(both.atoms, target_sd)
+    sought, found = scale.without_negligible(both.truth), scale.without_negligible(both.model)
+    if not sought.numerator or not found.numerator:
+        raise _DifferentError("a term is missing: everything" if sought.numerator else "the truth is zero")
+    _check_arguments(model, data, both, found, scale)
+    if not _has_same_monomials(found, sought):
+        found = _in_form_of(sought, found, scale)
+    return max(_largest_difference(found, sought, scale), both.angle_difference, both.argument_difference)
+
+
+class _Scale:
+    """Measures how much a term contributes on the data, as root mean square over the target's deviation."""
+
+    def __init__(self, atoms: Atoms, target_sd: float) -> None:
+        self.atoms = atoms
+        self._target_sd = target_sd
+
+    def values(self, fraction: Fraction) -> FloatArray:
+        return self.atoms.evaluate(fraction.numerator) / self.atoms.evaluate(fraction.denominator)
+
+    def contribution(self, values: FloatArray) -> float:
+        finite = values[np.isfinite(values)]
+        return float(np.sqrt(np.mean(finite**2))) / self._target_sd if len(finite) else math.inf
+
+    def contributions(self, polynomial: Polynomial, factor: FloatArray) -> Polynomial:
+        return {
+            monomial: self.contribution(coefficient * self.atoms.value(monomial) * factor)
+            for monomial, coefficient in polynomial.items()
+        }
+
+    def sensitivity(self, fraction: Fraction, difference: float) -> float:
+        """Return what a relative `difference` of each base angle contributes, summed over the angles."""
+        before = self.values(fraction)
+        total = 0.0
+        for number in self.atoms.scalable:
+            self.atoms.scale_argument(number, 1.0 + difference)
+            total += self.contribution(self.values(fraction) - before)
+            self.atoms.scale_argument(number, 1.0)
+        return total
+
+    def without_negligible(self, fraction: Fraction) -> Fraction:
+        below = 1.0 / self.atoms.evaluate(fraction.denominator)
+        above = self._kept(fraction.numerator, below)
+        return Fraction(above, self._kept(fraction.denominator, self.values(fraction) * below))
+
+    def _kept(self, polynomial: Polynomial, factor: FloatArray) -> Polynomial:
+        sizes = self.contributions(polynomial, factor)
+        return {monomial: value for monomial, value in polynomial.items() if sizes[monomial] >= NEGLIGIBLE}
+
+
+def _check_arguments(
+    model: str, data: Mapping[str, FloatArray], both: Rewritten, found: Fraction, scale: _Scale
+) -> None:
+    """Refuse a model whose angles or other arguments differ from the truth's by little, but to great effect.
+
+    A difference of two sines of nearly equal angles vanishes when both are taken for the same angle.
+    """
+    if max(both.angle_difference, both.argument_difference) <= NEGLIGIBLE:
+        return
+    actual = evaluate(from_infix(model, tuple(data)), tuple(data.values()))
+    error = scale.contribution(actual - scale.values(found))
+    allowed = SLACK * (scale.sensitivity(found, both.angle_difference) + both.argument_difference) + NEGLIGIBLE
+    if not error <= allowed:
+        raise _DifferentError(f"arguments differ from the truth's, by {error:.3g} of the target's deviation")
+
+
+def _has_same_monomials(left: Fraction, right: Fraction) -> bool:
+    return left.numerator.keys() == right.numerator.keys() and left.denominator.keys() == right.denominator.keys()
+
+
+def _in_form_of(form: Fraction, model: Fraction, scale: _Scale) -> Fraction:
+    """Return the fraction with the monomials of `form` that equals `model`; raises _DifferentError if there is none."""
+    above, below = sorted(form.numerator), sorted(form.denominator)
+    products = [scale.atoms.multiply(model.numerator, {monomial: 1.0}) for monomial in below]
+    products += [scale.atoms.multiply(model.denominator, {monomial: -1.0}) for monomial in above]
+    monomials = sorted({monomial for product in products for monomial in product})
+    size = 1.0 / (scale.atoms.evaluate(model.denominator) * scale.atoms.evaluate(form.denominator))
+    weights = scale.contributions(dict.fromkeys(monomials, 1.0), size)
+    matrix = np.array([[weights[row] * product.get(row, 0.0) for product in products] for row in monomials])
+    solution = _null_vector(matrix)
+    found = Fraction(
+        dict(zip(above, solution[len(below) :], strict=True)), dict(zip(below, solution[: len(below)], strict=True))
+    )
+    _check_residual(matrix @ solution, monomials, _normalizer(found, form, scale), scale.atoms)
+    return found
+
+
+def _null_vector(matrix: FloatArray) -> list[float]:
+    """Return the vector of length one in scaled columns that `matrix` makes smallest."""
+    lengths = np.sqrt((matrix**2).sum(axis=0))
+    if not np.isfinite(lengths).all() or not lengths.all():
+        raise _DifferentError("terms that are not finite on the data")
+    columns = matrix / lengths
+    square = np.vstack([columns, np.zeros((max(0, columns.shape[1] - columns.shape[0]), columns.shape[1]))])
+    _, _, directions = np.linalg.svd(square, full_matrices=False)
+    return [float(value) for value in directions[-1] / lengths]
+
+
+def _check_residual(residual: FloatArray, monomials: Sequence[Monomial], normalizer: float, atoms: Atoms) -> None:
+    """Refuse when a monomial is left over that contributes."""
+    worst = int(np.argmax(np.abs(residual)))
+    left = abs(float(residual[worst])) * abs(normalizer)
+    if not left < NEGLIGIBLE:
+        name = atoms.text(monomials[worst])
+        raise _DifferentError(f"not the truth's terms: {name} is left over, {left:.3g} of the target's deviation")
+
+
+def _normalizer(found: Fraction, form: Fraction, scale: _Scale) -> float:
+    """Return the factor that makes the largest coefficient of the denominator equal to that of `form`."""
+    size = scale.contributions(form.denominator, np.ones(scale.atoms.rows))
+    pivot = max(sorted(size), key=lambda monomial: size[monomial])
+    value = found.denominator.get(pivot, 0.0)
+    return form.denominator[pivot] / value if value else math.inf
+
+
+def _largest_difference(found: Fraction, sought: Fraction, scale: _Scale) -> float:
+    factor = _normalizer(found, sought, scale)
+    largest = 0.0
+    for part, whole in ((found.numerator, sought.numerator), (found.denominator, sought.denominator)):
+        for monomial, coefficient in whole.items():
+            relative = factor * part.get(monomial, 0.0) / coefficient
+            if not abs(relative) > NEGLIGIBLE:
+                raise _DifferentError(f"a term is missing: {scale.atoms.text(monomial)}")
+            largest = max(largest, abs(relative - 1.0))
+    return largest
+
+
+def _function_error(model: str, truth: str, data: Mapping[str, FloatArray]) -> float | None:
+    """Return the difference on fresh points, drawn uniformly from the range of each column."""
+    generator = np.random.default_rng(0)
+    fresh = [generator.uniform(np.min(column), np.max(column), FRESH_POINTS) for column in data.values()]
+    found, sought = (evaluate(from_infix(text, tuple(data)), fresh) for text in (model, truth))
+    defined = np.isfinite(sought)
+    error = (
+        float(np.sqrt(np.mean((found - sought)[defined] ** 2)) / np.std(sought[defined])) if defined.any() else math.nan
+    )
+    return error if math.isfinite(error) else None
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Compare two expressions on the command line; exit code 0 when they have the same form, else 1."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.judging.forms", description="Is a model exact in form?")
+    parser.add_argument("model")
+    parser.add_argument("truth")
+    parser.add_argument("--data", type=Path, help="CSV with the variables as columns; default: uniform on [0.5, 2.5]")
+    parser.add_argument("--deviation", type=float, help="standard deviation of the target; default: the truth's")
+    parser.add_argument("--tolerance", type=float, default=0.01, help="relative, for each coefficient (0.01)")
+    options = parser.parse_args(arguments)
+    data = _read(options.data) if options.data else _uniform(options.model, options.truth)
+    try:
+        deviation = options.deviation or float(
+            np.std(evaluate(from_infix(options.truth, tuple(data)), [*data.values()]))
+        )
+        verdict = compare(options.model, options.truth, data, deviation, options.tolerance)
+    except UsageError as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(f"{'exact in form' if verdict.exact else 'not exact in form'}: {verdict.reason}")
+    print(f"largest difference of a constant: {_shown(verdict.constants_error)}")
+    print(f"error on fresh points: {_shown(verdict.function_error)}")
+    return 0 if verdict.exact else 1
+
+
+def _shown(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _read(file: Path) -> dict[str, FloatArray]:
+    with file.open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+
+
+def _uniform(*texts: str) -> dict[str, FloatArray]:
+    generator = np.random.default_rng(1)
+    names = dict.fromkeys(name for text in texts for name in re.findall(r"[^\W\d]\w*(?!\w*\s*\()", text))
+    return {name: generator.uniform(0.5, 2.5, 200) for name in names if name != "pi"}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

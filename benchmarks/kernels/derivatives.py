@@ -1,0 +1,109 @@
+"""How good the derivatives are that a search is given: the truth's error beside the estimated floor.
+
+``python -m benchmarks.kernels.derivatives --step 0.02 --seeds 0-4`` prints, per system, data seed and equation: the
+rows kept, the truth's normalized mean absolute error, the floor, their ratio (a search counts as converged at max(1e-9,
+twice the floor), so the ratio must stay below 2), and the share of the range of each derivative that the kept rows
+still cover.
+"""
+
+import argparse
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from atoll.config import PRESETS, JobConfig
+from atoll.data.dataset import Dataset
+from atoll.data.table import Table
+from atoll_coordinator.data.prepare import prepare
+from benchmarks.harness.systems import SYSTEMS, TABLE_III, FloatArray, Sampled, trajectories
+
+SMALLEST = 1e-9
+"""Normalized error that always counts as converged."""
+
+
+def table_of(sampled: Sampled) -> Table:
+    """Return the table that a file with these trajectories would be read as."""
+    times = np.concatenate(sampled.times)
+    lengths = [len(each) for each in sampled.times]
+    columns = np.ascontiguousarray(np.column_stack((times, np.concatenate(sampled.values))).T)
+    starts = tuple(int(start) for start in np.cumsum([0, *lengths[:-1]]))
+    rows = np.arange(len(times), dtype=np.int64)
+    names = ("t", *sampled.names)
+    return Table(names, ("",) * len(names), columns, starts, ("sampled",), np.zeros_like(rows), rows + 2)
+
+
+def truth_of(system: str, dataset: Dataset) -> FloatArray:
+    """Return the true right-hand sides (S, R) at the rows of `dataset`."""
+    x, y = dataset.inputs
+    with np.errstate(all="ignore"):
+        slopes = np.array([SYSTEMS[system].field(*state) for state in zip(x, y, strict=True)]).T
+    return slopes[-1:] if SYSTEMS[system].measured else slopes
+
+
+def report(system: str, step: float, seed: int, noise: float, config: JobConfig) -> list[float]:
+    """Print one line per equation of a system and return the ratios of truth error to floor."""
+    sampled = trajectories(system, step, seed, noise)
+    begun = time.perf_counter()
+    dataset = prepare(table_of(sampled), config).dataset
+    seconds = time.perf_counter() - begun
+    truths = truth_of(system, dataset)
+    everything = sum(len(each) for each in sampled.times)
+    ratios = []
+    for target, truth in zip(dataset.targets, truths, strict=True):
+        error = np.abs(target.values - truth) / target.standard_deviation
+        ratio = float(error.mean()) / max(0.5 * SMALLEST, target.uncertainty)
+        ratios.append(ratio)
+        covered = _covered(system, sampled, truth, target.variable)
+        print(
+            f"{system:22} {seed:4} {target.lhs:12} {len(truth) / everything:6.3f} {error.mean():9.1e} "
+            f"{target.uncertainty:9.1e} "
+            f"{ratio:7.3f} {error.max():9.1e} {target.noise:8.1e} {covered:6.2f} {seconds:6.3f}"
+        )
+    return ratios
+
+
+def _covered(system: str, sampled: Sampled, kept: FloatArray, variable: str) -> float:
+    """Return the range of the derivative on the rows kept over its range between the 1 % quantiles of all rows."""
+    if SYSTEMS[system].measured:
+        return float("nan")
+    values = np.concatenate(sampled.values)
+    with np.errstate(all="ignore"):
+        slopes = np.array([SYSTEMS[system].field(x, y) for x, y in values])
+    everything = slopes[:, sampled.names.index(variable)]
+    low, high = np.quantile(everything, [0.01, 0.99])
+    return float((kept.max() - kept.min()) / (high - low))
+
+
+def _seeds(text: str) -> list[int]:
+    first, _, last = text.partition("-")
+    return list(range(int(first), int(last or first) + 1))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table for all systems and seeds, and the worst ratio."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.kernels.derivatives", description=__doc__.split("\n")[0]
+    )
+    parser.add_argument("--step", type=float, default=0.02)
+    parser.add_argument("--seeds", type=_seeds, default=_seeds("0-4"), help="one seed or a range such as 0-4")
+    parser.add_argument("--noise", type=float, default=0.0)
+    parser.add_argument("--preset", choices=PRESETS, default="default")
+    parser.add_argument("--system", choices=SYSTEMS, action="append", help="repeat for several; default: Table III")
+    options = parser.parse_args(arguments)
+    print(
+        f"{'system':22} {'seed':>4} {'equation':12} {'kept':>6} {'truth':>9} {'floor':>9} {'ratio':>7} {'worst':>9} "
+        f"{'noise':>8} {'range':>6} {'s':>6}"
+    )
+    ratios: list[float] = []
+    for system in options.system or TABLE_III:
+        config = PRESETS[options.preset]
+        order = 2 if SYSTEMS[system].measured else 1
+        config = config.model_copy(update={"data": config.data.model_copy(update={"order": order})})
+        for seed in options.seeds:
+            ratios += report(system, options.step, seed, options.noise, config)
+    print(f"largest ratio {max(ratios):.3f}; {sum(ratio > 1.0 for ratio in ratios)} of {len(ratios)} above 1")
+
+
+if __name__ == "__main__":
+    main()

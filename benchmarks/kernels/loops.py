@@ -1,0 +1,204 @@
+"""The compiled loops that ``benchmarks.kernels`` times, and their plain numpy counterpart.
+
+`measure_into` is what the benchmark of the corpus measures: everything from operation lists to fitness, many lists at
+once; `measure_singly_into` does the same one list after the other, as the search does. Each loop has a twin that
+repeats it many times, so that a call from the interpreter does not count.
+"""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from atoll.compilation.jit import inlined, kernel
+from atoll.expression.kernels.lanes import fill, place
+from atoll.expression.kernels.tape import LANES, forward, reverse_block
+from atoll.expression.operators import ARITY, CONSTANT, VARIABLE
+from atoll_island_worker.evolution.kernels.batch import Batch, empty_batch, measure_lists
+from atoll_island_worker.evolution.kernels.fit import errors, residual_of
+from atoll_island_worker.evolution.kernels.tape import compile_tape
+from atoll_island_worker.evolution.structures import Floats, Lists, Rows, Tape, Work, empty_tape, empty_work
+from benchmarks.judging.evaluation import OPERATIONS, FloatArray
+
+REGISTER_STEPS: Final = 4
+"""Multiplications, and additions, that `in_registers_into` does with each number."""
+
+_ZERO: Final = np.int64(0)
+_ONE: Final = np.int64(1)
+
+Instructions = list[tuple[int, int, int, float]]
+"""Live nodes of one list: code, left, right (indices among them, or the variable's), constant."""
+
+
+class Room(NamedTuple):
+    """Scratch of the loops."""
+
+    tape: Tape
+    work: Work
+    result: Floats
+    """(2,) the errors of one individual."""
+    batch: Batch
+    terminals: int
+    """Nodes at the beginning of every list that are terminals; all others are operators."""
+
+
+def room_for(nodes: int, rows: Rows, terminals: int = 0) -> Room:
+    """Return scratch for lists of `nodes` nodes on `rows`."""
+    return Room(empty_tape(nodes), empty_work(nodes, rows.length), np.zeros(2), empty_batch(nodes, rows), terminals)
+
+
+@kernel
+def measure_into(fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
+    """Write the mean absolute error of each list on `rows`: find their live nodes, evaluate them, compare."""
+    measure_lists(fitness, lists, room.terminals, rows, _ZERO, room.batch)
+
+
+@kernel
+def measure_repeatedly(times: int, fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
+    """Do `measure_into` so many times."""
+    for _ in range(times):
+        measure_into(fitness, lists, rows, room)
+
+
+@inlined
+def _evaluate(count: int, rows: Rows, room: Room) -> None:
+    """Evaluate all of the tape's nodes."""
+    tape = room.tape
+    forward(
+        count, tape.code, tape.left, tape.right, tape.constants, tape.wanted, rows.inputs, rows.waves, rows.length,
+        room.work.values, room.work.functions,
+    )  # fmt: skip
+
+
+@inlined
+def _error(lists: Lists, p: int, count: int, rows: Rows, room: Room) -> float:
+    """Return the mean absolute error of the list that stands on the tape, evaluated."""
+    room.work.terms[0] = count - 1
+    residual_of(_ONE, rows, room.work, lists.scale[p])
+    errors(rows, room.work, room.result)
+    return room.result[0]
+
+
+@kernel
+def measure_singly_into(fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
+    """Do what `measure_into` does, one list after the other."""
+    for p in range(fitness.shape[0]):
+        count = compile_tape(lists, p, room.tape)
+        _evaluate(count, rows, room)
+        fitness[p] = _error(lists, p, count, rows, room)
+
+
+@kernel
+def measure_singly_repeatedly(times: int, fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
+    """Do `measure_singly_into` so many times."""
+    for _ in range(times):
+        measure_singly_into(fitness, lists, rows, room)
+
+
+@inlined
+def _sweep(count: int, tape: Tape, rows: Rows, work: Work) -> None:
+    """Carry the adjoint 1 of the last node down to all that `tape.depends` marks, over all rows."""
+    for start in range(_ZERO, rows.length, LANES):
+        for i in range(count):
+            if tape.depends[i]:
+                fill(place(work.adjoints, i, _ZERO), 0.0)
+        fill(place(work.adjoints, count - 1, _ZERO), 1.0)
+        reverse_block(
+            count, tape.code, tape.left, tape.right, tape.depends, work.values, start, work.adjoints, work.functions
+        )
+
+
+@kernel
+def differentiate_into(fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
+    """Do what `measure_singly_into` does and a reverse sweep to every live constant of each list."""
+    tape = room.tape
+    for p in range(fitness.shape[0]):
+        count = compile_tape(lists, p, tape)
+        _evaluate(count, rows, room)
+        for i in range(count):
+            op = tape.code[i]
+            tape.depends[i] = op == CONSTANT
+            if op > CONSTANT:
+                tape.depends[i] = tape.depends[tape.left[i]] or tape.depends[tape.right[i]]
+        _sweep(count, tape, rows, room.work)
+        fitness[p] = _error(lists, p, count, rows, room)
+
+
+@kernel
+def differentiate_repeatedly(times: int, fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
+    """Do `differentiate_into` so many times."""
+    for _ in range(times):
+        differentiate_into(fitness, lists, rows, room)
+
+
+@kernel
+def forward_repeatedly(times: int, count: int, rows: Rows, room: Room) -> None:
+    """Evaluate the first `count` nodes of the tape so many times."""
+    for _ in range(times):
+        _evaluate(count, rows, room)
+
+
+@kernel
+def gradient_repeatedly(times: int, count: int, rows: Rows, room: Room) -> None:
+    """Evaluate the tape and sweep back over it so many times."""
+    for _ in range(times):
+        _evaluate(count, rows, room)
+        _sweep(count, room.tape, rows, room.work)
+
+
+@kernel
+def multiply_add_repeatedly(times: int, out: Floats, x: Floats) -> None:
+    """Replace each of `out` by half of it and `x`, so many times: one load more than a node, and its store."""
+    for _ in range(times):
+        for k in range(x.shape[0]):
+            out[k] = out[k] * 0.5 + x[k]
+
+
+@kernel
+def in_registers_repeatedly(times: int, out: Floats, x: Floats) -> None:
+    """Replace each of `out` by a polynomial in `x` of degree `REGISTER_STEPS`, so many times."""
+    for _ in range(times):
+        for k in range(x.shape[0]):
+            value = out[k]
+            for _step in range(REGISTER_STEPS):
+                value = value * x[k] + 0.5
+            out[k] = value
+
+
+def instructions(lists: Lists, p: int, tape: Tape) -> Instructions:
+    """Return the live nodes of list `p`, for `fitness_by_numpy`."""
+    count = compile_tape(lists, p, tape)
+    parts = (tape.code, tape.left, tape.right, tape.constants)
+    return list(zip(*(part[:count].tolist() for part in parts), strict=True))
+
+
+def values_by_numpy(program: Instructions, inputs: FloatArray) -> FloatArray:
+    """Return the output of a list on `inputs` (V, R), one numpy call for each node."""
+    values: list[FloatArray] = []
+    for code, left, right, constant in program:
+        if code == VARIABLE:
+            values.append(inputs[left])
+        elif code == CONSTANT:
+            values.append(np.full(inputs.shape[1], constant))
+        else:
+            values.append(OPERATIONS[code](values[left], values[right if ARITY[code] > 1 else left]))
+    return values[-1]
+
+
+def fitness_by_numpy(programs: Sequence[Instructions], inputs: FloatArray, target: FloatArray) -> FloatArray:
+    """Return the mean absolute error of each list on the rows of `inputs` (V, R) and `target` (R,), NaN included."""
+    with np.errstate(all="ignore"):
+        return np.array([np.abs(values_by_numpy(each, inputs) - target).mean() for each in programs])
+
+
+def operator_tape(code: int, nodes: int, tape: Tape) -> int:
+    """Write two variables and then `nodes` nodes that apply `code` to them onto `tape`; return its length.
+
+    All are marked as depending on what is fitted, so that a reverse sweep has work at each.
+    """
+    count = 2 + nodes
+    tape.code[:2], tape.code[2:count] = VARIABLE, code
+    tape.left[:count], tape.right[:count] = 0, 1
+    tape.left[1] = 1
+    tape.depends[:count] = True
+    return count

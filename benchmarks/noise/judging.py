@@ -1,0 +1,194 @@
+"""How one search on noisy data came out, equation by equation: form, constants, intervals, and what it foretells.
+
+An equation is found when it is exact in form (`benchmarks.judging.forms`), its constants being free to differ by up to
+their own size; without noise they must be right as well. Bacterial respiration, whose constants noise leaves
+undetermined, is found when its function error on fresh points is small.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.errors import UsageError
+from atoll.expression.text.parsing import from_infix
+from benchmarks.judging.coverage import Covered, covered
+from benchmarks.judging.evaluation import evaluate
+from benchmarks.judging.forms import FormVerdict, compare
+from benchmarks.judging.generalisation import foretold, is_foretold
+from benchmarks.judging.verdict import SMALL_ERROR
+from benchmarks.noise.data import Case, Key
+
+FREE: Final = 1.0
+"""Largest relative error of a constant of an equation that is exact in form: it has the truth's sign."""
+
+EXACT_CONSTANTS: Final = 1e-4
+"""Largest relative error of a constant where there is no noise."""
+
+BY_FUNCTION: Final = frozenset({"bacterial_respiration"})
+"""Systems whose equations are judged by their function error at any noise."""
+
+MOST_CONTENDERS: Final = 100
+"""So many equations of a front and of the contenders are looked at for the truth."""
+
+
+@dataclass(frozen=True)
+class EquationOutcome:
+    """How one equation came out.
+
+    `found` is what counts, `in_form` whether it is exact in form. `constants_error` is the largest relative error of a
+    constant of the normal form that the truth and the equation have in common (None when their terms differ),
+    `own_error` that of a constant as it stands in the equation; `function_error` is the error on fresh points in the
+    range of the data, `path_error` that along the fresh trajectory, over the target's deviation there. `elsewhere` says
+    where the true form is when it is not the one shown: "front", "contenders" (and how much longer the description of
+    the data is with it), or None. `constants` are those whose true
+    values are known (None: the structure has none). `r2` is that of the state's simulation from fresh initial
+    conditions.
+    """
+
+    variable: str
+    expression: str | None
+    found: bool
+    in_form: bool
+    reason: str
+    constants_error: float | None
+    own_error: float | None
+    function_error: float | None
+    path_error: float | None
+    elsewhere: str | None
+    constants: tuple[Covered, ...] | None
+    r2: float | None
+    grade: str | None = None
+    grade_reason: str | None = None
+    contenders: int | None = None
+    floor: float | None = None
+    error: float | None = None
+    complexity: int | None = None
+    why: str | None = None
+    epochs: int | None = None
+
+    @property
+    def is_foretold(self) -> bool:
+        """Whether the state is foretold from fresh initial conditions."""
+        return is_foretold(self.r2)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one search came out. `seconds` are those of the whole job, `phases` those of its states as they were seen."""
+
+    key: Key
+    equations: tuple[EquationOutcome, ...]
+    seconds: float
+    phases: Mapping[str, float]
+    digest: str | None = None
+    failure: str | None = None
+
+    @property
+    def found(self) -> int:
+        """Number of equations found."""
+        return sum(each.found for each in self.equations)
+
+
+def outcome(key: Key, case: Case, result: Mapping[str, Any], phases: Mapping[str, float]) -> Outcome:
+    """Judge `result`, the contents of a result.json (parts that a version does not have may be missing)."""
+    equations = {equation["variable"]: equation for equation in result["equations"]}
+    texts = {name: equations.get(name, {}).get("expression") for name in case.truths}
+    r2 = foretold(texts, case.names, case.fresh)
+    outcomes = tuple(_equation(key, case, name, equations.get(name, {}), r2[name]) for name in case.truths)
+    seconds = float(result.get("seconds") or 0.0)
+    return Outcome(key, outcomes, seconds, phases, result.get("digest"), result.get("reason"))
+
+
+def failed(key: Key, case: Case, failure: str, seconds: float) -> Outcome:
+    """Return the outcome of a search that gave nothing, with the sentence that says why."""
+    nothing = tuple(_equation(key, case, name, {"reason": failure}, None) for name in case.truths)
+    return Outcome(key, nothing, seconds, {}, failure=failure)
+
+
+def _equation(key: Key, case: Case, name: str, equation: Mapping[str, Any], r2: float | None) -> EquationOutcome:
+    text = equation.get("expression")
+    form = _form(case, name, text)
+    constants = _constants(case, name, equation) if form.exact and key.system not in BY_FUNCTION else None
+    own = [abs(each.value / each.truth - 1.0) for each in constants or () if each.truth]
+    candidates = equation.get("candidates") or []
+    return EquationOutcome(
+        variable=name,
+        expression=text,
+        found=_is_found(key, form),
+        in_form=form.exact,
+        reason=form.reason,
+        constants_error=_finite(form.constants_error),
+        own_error=max(own, default=None),
+        function_error=form.function_error,
+        path_error=_path_error(case, name, text),
+        elsewhere=None if form.exact else _elsewhere(case, name, equation),
+        constants=constants,
+        r2=_finite(r2),
+        grade=equation.get("verdict"),
+        grade_reason=equation.get("reason"),
+        contenders=len(candidates) or None,
+        floor=equation.get("derivative_floor"),
+        error=equation.get("normalized_error"),
+        complexity=equation.get("complexity"),
+        why=equation.get("why"),
+        epochs=equation.get("epoch"),
+    )
+
+
+def _is_found(key: Key, form: FormVerdict) -> bool:
+    if key.level == 0.0:
+        return form.exact and form.constants_error is not None and form.constants_error <= EXACT_CONSTANTS
+    if key.system in BY_FUNCTION:
+        return form.function_error is not None and form.function_error < SMALL_ERROR
+    return form.exact
+
+
+def _form(case: Case, name: str, text: str | None) -> FormVerdict:
+    if text is None:
+        return FormVerdict(False, "no equation was found", None, None)
+    slope = case.slope(name)
+    deviation = float(np.std(slope[np.isfinite(slope)]))
+    try:
+        return compare(text, case.truths[name], case.clean, deviation, FREE)
+    except UsageError as error:
+        return FormVerdict(False, str(error), None, None)
+
+
+def _constants(case: Case, name: str, equation: Mapping[str, Any]) -> tuple[Covered, ...] | None:
+    listed = [each for each in equation.get("constants") or [] if each.get("value") is not None]
+    try:
+        found = covered(equation["expression"], listed, case.clean, case.slope(name))
+    except UsageError:  # too long to be read back with constants that are all different
+        return None
+    return None if found is None else tuple(found)
+
+
+def _path_error(case: Case, name: str, text: str | None) -> float | None:
+    """Return the root mean square error along the fresh trajectory over the deviation of the truth there."""
+    if text is None:
+        return None
+    inputs = [np.array([signal(time) for time in case.fresh.times.tolist()]) for signal in case.fresh.inputs]
+    columns = [*case.fresh.states.T, *inputs]
+    try:
+        with np.errstate(all="ignore"):
+            found, truth = (evaluate(from_infix(each, case.names), columns) for each in (text, case.truths[name]))
+            return _finite(float(np.sqrt(np.mean((found - truth) ** 2)) / np.std(truth)))
+    except UsageError:
+        return None
+
+
+def _elsewhere(case: Case, name: str, equation: Mapping[str, Any]) -> str | None:
+    """Say where the true form is among what was not shown."""
+    for place, key in (("contenders", "candidates"), ("front", "front")):
+        for each in (equation.get(key) or [])[:MOST_CONTENDERS]:
+            if _form(case, name, each.get("expression")).exact:
+                nats = each.get("nats")
+                return place if nats is None else f"{place} ({nats:+.1f} nats)"
+    return None
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None

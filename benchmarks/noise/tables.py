@@ -1,0 +1,245 @@
+"""Tables of what searches on noisy data came to, level by level and equation by equation."""
+
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from atoll_coordinator.cli.terminal.output import clipped, error_text, shortened, table
+from benchmarks.noise.judging import BY_FUNCTION, EquationOutcome, Outcome
+
+GRADES: Final = ("exact", "good", "doubtful", "no model", "-")
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What the searches of one kind came to: one method, manner of sampling and level of noise.
+
+    Counts are medians over seeds, of `equations` each, `least_found` and `least_foretold` minima over seeds.
+    `elsewhere` is how many equations over all seeds were not shown
+    in the true form although it was among the contenders or on the front. Errors are over all equations found, those
+    judged by their function apart: the median of the largest error of a constant, and the value below which 90 % lie.
+    `intervals` counts the constants with an interval, `covered` those of them whose interval holds the truth, `without`
+    the constants that have none, `unmatched` the found equations whose constants have no known truth.
+    """
+
+    method: str
+    variant: str
+    level: float
+    seeds: int
+    equations: float
+    found: float
+    in_form: float
+    foretold: float
+    least_found: float
+    least_foretold: float
+    elsewhere: int
+    constants_error: float | None
+    constants_error_90: float | None
+    own_error: float | None
+    function_error: float | None
+    intervals: int
+    covered: int
+    without: int
+    unmatched: int
+    relative_width: float | None
+    seconds: float
+    longest_s: float
+    refining_s: float | None
+
+    @property
+    def coverage(self) -> float | None:
+        """Share of the intervals that hold the truth."""
+        return self.covered / self.intervals if self.intervals else None
+
+
+def summarized(outcomes: Sequence[Outcome]) -> list[Summary]:
+    """Return a summary for each level, manner of sampling and method, by rising level."""
+    kinds = dict.fromkeys((each.key.level, each.key.variant, each.key.method) for each in outcomes)
+    return [
+        _summary([each for each in outcomes if (each.key.level, each.key.variant, each.key.method) == kind])
+        for kind in sorted(kinds, key=lambda kind: kind[0])
+    ]
+
+
+def _summary(outcomes: Sequence[Outcome]) -> Summary:
+    key = outcomes[0].key
+    equations = [(each.key.system, its) for each in outcomes for its in each.equations]
+    fair = [its for system, its in equations if its.in_form and system not in BY_FUNCTION]
+    constants = [constant for its in fair for constant in its.constants or ()]
+    errors = [its.constants_error for its in fair if its.constants_error is not None]
+    with_interval = [constant for constant in constants if constant.has_interval]
+    widths = [constant.relative_width for constant in with_interval if constant.relative_width is not None]
+    refining = [each.phases["refining"] for each in outcomes if "refining" in each.phases]
+    return Summary(
+        method=key.method,
+        variant=key.variant,
+        level=key.level,
+        seeds=len({each.key.seed for each in outcomes}),
+        equations=_by_seed(outcomes, lambda its: True),
+        found=_by_seed(outcomes, lambda its: its.found),
+        in_form=_by_seed(outcomes, lambda its: its.in_form),
+        foretold=_by_seed(outcomes, lambda its: its.is_foretold),
+        least_found=min(_counts(outcomes, lambda its: its.found)),
+        least_foretold=min(_counts(outcomes, lambda its: its.is_foretold)),
+        elsewhere=sum(its.elsewhere is not None for _, its in equations),
+        constants_error=_median(errors),
+        constants_error_90=float(np.quantile(errors, 0.9)) if errors else None,
+        own_error=_median([its.own_error for its in fair if its.own_error is not None]),
+        function_error=_median([its.function_error for _, its in equations if its.function_error is not None]),
+        intervals=len(with_interval),
+        covered=sum(constant.is_covered for constant in with_interval),
+        without=len(constants) - len(with_interval),
+        unmatched=sum(its.constants is None for its in fair),
+        relative_width=_median(widths),
+        seconds=statistics.median(each.seconds for each in outcomes),
+        longest_s=max(each.seconds for each in outcomes),
+        refining_s=_median(refining),
+    )
+
+
+def _by_seed(outcomes: Sequence[Outcome], counts: Callable[[EquationOutcome], bool]) -> float:
+    """Return the median over seeds of the number of equations that count."""
+    return statistics.median(_counts(outcomes, counts))
+
+
+def _counts(outcomes: Sequence[Outcome], counts: Callable[[EquationOutcome], bool]) -> list[int]:
+    """Return for each seed the number of equations that count."""
+    seeds = dict.fromkeys(each.key.seed for each in outcomes)
+    return [sum(counts(its) for each in outcomes if each.key.seed == seed for its in each.equations) for seed in seeds]
+
+
+def _median(values: Sequence[float]) -> float | None:
+    return statistics.median(values) if values else None
+
+
+HEADS: Final = (
+    "noise",
+    "sampling",
+    "method",
+    "seeds",
+    "found",
+    "in form",
+    "elsewhere",
+    "foretold",
+    "constants",
+    "90 %",
+    "own",
+    "function",
+    "intervals",
+    "covered",
+    "without",
+    "unmatched",
+    "width",
+    "job s",
+    "longest s",
+)
+
+
+def by_level(summaries: Sequence[Summary]) -> str:
+    """Return a table with a row for each summary."""
+    return table(HEADS, [_cells(each) for each in summaries])
+
+
+def _cells(its: Summary) -> tuple[str, ...]:
+    return (
+        f"{its.level:g}",
+        its.variant,
+        its.method,
+        str(its.seeds),
+        f"{its.found:g} of {its.equations:g}",
+        f"{its.in_form:g}",
+        str(its.elsewhere),
+        f"{its.foretold:g}",
+        percent(its.constants_error),
+        percent(its.constants_error_90),
+        percent(its.own_error),
+        percent(its.function_error),
+        str(its.intervals),
+        percent(its.coverage),
+        str(its.without),
+        str(its.unmatched),
+        percent(its.relative_width),
+        f"{its.seconds:.1f}",
+        f"{its.longest_s:.1f}",
+    )
+
+
+def percent(share: float | None) -> str:
+    """Return a share in % with three digits, ``-`` for None."""
+    return "-" if share is None else f"{100.0 * share:.3g} %"
+
+
+def by_equation(outcomes: Sequence[Outcome]) -> str:
+    """Return a table with a row for each equation, and in how many searches it was found at each level."""
+    kinds = dict.fromkeys((each.key.method, each.key.variant) for each in outcomes)
+    levels = sorted({each.key.level for each in outcomes})
+    rows = []
+    for method, variant in kinds:
+        chosen = [each for each in outcomes if (each.key.method, each.key.variant) == (method, variant)]
+        names = dict.fromkeys((each.key.system, its.variable) for each in chosen for its in each.equations)
+        for system, name in names:
+            cells = [_share(chosen, system, name, level) for level in levels]
+            rows.append((method, variant, f"{system} {name}", *cells))
+    return table(("method", "sampling", "equation", *(f"noise {level:g}" for level in levels)), rows)
+
+
+def _share(outcomes: Sequence[Outcome], system: str, name: str, level: float) -> str:
+    its = [
+        equation
+        for each in outcomes
+        if (each.key.system, each.key.level) == (system, level)
+        for equation in each.equations
+        if equation.variable == name
+    ]
+    if not its:
+        return "-"
+    found, foretold = sum(each.found for each in its), sum(each.is_foretold for each in its)
+    error = _median([each.constants_error for each in its if each.found and each.constants_error is not None])
+    return f"{found}/{len(its)}, R² {foretold}/{len(its)}, {percent(error)}"
+
+
+def by_grade(outcomes: Sequence[Outcome]) -> str:
+    """Return a table that sets the verdicts of the results beside what is true."""
+    rows = []
+    equations = [its for each in outcomes for its in each.equations]
+    for grade in GRADES:
+        its = [each for each in equations if (each.grade or "-") == grade]
+        if its:
+            found, foretold = sum(each.found for each in its), sum(each.is_foretold for each in its)
+            rows.append((grade, str(len(its)), str(found), str(foretold)))
+    return table(("verdict", "equations", "found", "foretold"), rows)
+
+
+def misses(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return a sentence for each equation that was not found."""
+    return [
+        f"{each.key.method}: {each.key.title} {its.variable}: {miss(its)}"
+        for each in outcomes
+        for its in each.equations
+        if not its.found
+    ]
+
+
+def miss(its: EquationOutcome) -> str:
+    """Return what was found instead of the truth, and why it does not count."""
+    elsewhere = f"; the truth is among the {its.elsewhere}" if its.elsewhere else ""
+    grade = f"; verdict {its.grade}: {its.grade_reason}" if its.grade else ""
+    text = clipped(shortened(its.expression or "-", 4), 90)
+    function = error_text(its.function_error)
+    return f"{its.reason}{elsewhere}, function error {function}, R² {_two(its.r2)}{grade}: {text}"
+
+
+def line(outcome: Outcome) -> str:
+    """Return how one search came out, for following a long run."""
+    marks = ", ".join(
+        f"{its.variable} {'found' if its.found else 'MISSED'} R² {_two(its.r2)}" for its in outcome.equations
+    )
+    phases = " + ".join(f"{name} {seconds:.1f}" for name, seconds in outcome.phases.items())
+    return f"{outcome.key.method}: {outcome.key.title}: {marks}; {outcome.seconds:.1f} s ({phases or '-'})"
+
+
+def _two(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"

@@ -1,0 +1,129 @@
+"""A large data set on its way to many workers: how long that takes, and the most memory that any process has.
+
+``python -m benchmarks.operations.big_data --megabytes 50 --workers 8`` writes a file whose table takes as much, has
+`coordinator submit` read and upload it, waits until every worker has loaded it and computes, and cancels the job. The
+most memory that a process ever had is what the system says of it (Linux, ``VmHWM``); that of `submit` is what it says
+at its end. Returns 1 when a process had more than 1 GB, else 0.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import polars
+
+from atoll.errors import AtollError, UnreachableError
+from atoll_coordinator.cli.local.cluster import worker_command
+from atoll_coordinator.cli.terminal.output import say, table
+from atoll_coordinator.client import Client, connected
+from benchmarks.harness.figures import write_figures
+from benchmarks.harness.options import whole
+from benchmarks.harness.reporting import load, plain_errors
+from benchmarks.harness.services import CONNECT_LIMIT_S, Coordinating, coordinating
+
+COLUMNS: Final = 5
+GOAL_BYTES: Final = 10**9
+READY_LIMIT_S: Final = 600.0
+LOAD_LIMIT_S: Final = 300.0
+JOB: Final = "big"
+_LOOK_S: Final = 0.2
+
+
+def write_data(file: Path, megabytes: int) -> int:
+    """Write a table of so many megabytes as float64, and return its number of rows."""
+    rows = megabytes * 1_000_000 // (8 * COLUMNS)
+    place = np.arange(rows, dtype=np.float64)
+    columns = [np.sin(place * (1e-3 + 1e-4 * number)) * (1.0 + number) for number in range(COLUMNS - 1)]
+    columns.append(columns[0] * columns[1] + 0.5 * columns[2])
+    names = [*(f"x{number}" for number in range(COLUMNS - 1)), "y"]
+    polars.DataFrame(dict(zip(names, columns, strict=True))).write_csv(file)
+    return rows
+
+
+def peak(pid: int, processes: Path = Path("/proc")) -> int:
+    """Return the most bytes that a process has had in memory so far; raises AtollError when that is not known."""
+    for line in (processes / str(pid) / "status").read_text("ascii", "replace").splitlines():
+        if line.startswith("VmHWM:"):
+            return int(line.split()[1]) * 1024
+    raise AtollError(f"the system does not say how much memory process {pid} had")
+
+
+def submitted(its: Coordinating, file: Path) -> int:
+    """Submit by the command line, in a process of its own; return the most bytes that it had."""
+    words = ["submit", str(file), "--target", "y", "--id", JOB, "--no-wait", "--connect", its.address]
+    process = subprocess.Popen([sys.executable, "-m", "atoll_coordinator", *words], stdout=its.log, stderr=its.log)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise AtollError(f"submit ended with {process.returncode}: {(its.folder / 'log').read_text('utf-8')[-300:]}")
+    return usage.ru_maxrss * 1024
+
+
+def wait_for(client: Client, workers: int, states: Sequence[str], limit_s: float) -> None:
+    """Wait until so many workers are in one of the states; raises UnreachableError."""
+    end = client.now() + limit_s
+    while sum(each.state in states for each in client.workers()) < workers:
+        view = client.status(JOB) if JOB in {each.job for each in client.jobs()} else None
+        if view is not None and view.state in ("failed", "cancelled", "done"):
+            raise AtollError(f"the job is {view.state} before all workers had its data: {view.reason}")
+        if client.now() > end:
+            raise UnreachableError(f"{workers} workers were not {' or '.join(states)} within {limit_s:.0f} s")
+        client.pause(_LOOK_S)
+
+
+def measured(megabytes: int, workers: int) -> tuple[dict[str, int], float]:
+    """Return the most bytes by process, and the seconds from the upload's start until all workers computed."""
+    with ExitStack() as stack:
+        its = stack.enter_context(coordinating())
+        commands = [worker_command(its.address, f"w{index}") for index in range(workers)]
+        processes = [stack.enter_context(its.started(each)) for each in commands]
+        client = stack.enter_context(connected(its.address, CONNECT_LIMIT_S))
+        wait_for(client, workers, ("ready",), READY_LIMIT_S)
+        file = its.folder / "big.csv"
+        write_data(file, megabytes)
+        begun = time.monotonic()
+        most = {"submit": submitted(its, file)}
+        wait_for(client, workers, ("computing", "waiting"), LOAD_LIMIT_S)
+        client.pause(2.0)
+        seconds = time.monotonic() - begun - 2.0
+        most["coordinator"] = peak(its.process.pid)
+        most.update({f"worker {index}": peak(each.pid) for index, each in enumerate(processes)})
+        client.cancel(JOB)
+    return most, seconds
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and print."""
+    options = _parser().parse_args(arguments)
+    with plain_errors("benchmarks.operations.big_data"):
+        most, seconds = measured(options.megabytes, options.workers)
+    words = sys.argv[1:] if arguments is None else arguments
+    write_figures(options.out, "bigdata", words, {"most_bytes": most, "seconds": seconds})
+    say(table(("process", "most MB in memory"), [(name, f"{size / 1e6:.0f}") for name, size in most.items()]))
+    say(
+        f"\n{options.megabytes} MB reached {options.workers} workers, which computed, {seconds:.1f} s after submit was "
+        f"started; the most that a process had is {max(most.values()) / 1e6:.0f} MB (goal {GOAL_BYTES / 1e6:.0f}); "
+        f"load {load():.1f}"
+    )
+    return 0 if max(most.values()) <= GOAL_BYTES else 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.operations.big_data", description=__doc__.split("\n")[0]
+    )
+    parser.add_argument("--megabytes", type=whole, default=50, help="size of the data set (%(default)s)")
+    parser.add_argument("--workers", type=whole, default=8, help="worker processes (%(default)s)")
+    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

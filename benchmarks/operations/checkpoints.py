@@ -1,0 +1,190 @@
+"""What checkpoints cost: the same searches with them and without, in turn, and bytes per island.
+
+``python -m benchmarks.operations.checkpoints --epochs 60 --seeds 0-5`` gives one service of `--workers` the same jobs
+twice, once without checkpoints, with odd seeds the other way round. The very same processes do both: two processes of
+the same program may differ by several percent in how fast their kernels run, according to where in memory these came to
+lie. No target ends a search, and the digest must be the same.
+
+Compared is the processor time of coordinator and workers while the islands are under way; unlike seconds of a clock it
+hardly depends on what else the machine does. The cost is the share of throughput that is missing with checkpoints.
+Returns 1 when a digest differs or the median cost is above the goal, else 0.
+"""
+
+import argparse
+import os
+import re
+import statistics
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from atoll.config import PRESETS, JobConfig
+from atoll.wire.messages.views import JobView
+from atoll_coordinator.cli.terminal.output import note, say, table
+from benchmarks.harness.figures import write_figures
+from benchmarks.harness.options import whole
+from benchmarks.harness.reporting import load, plain_errors, seeds
+from benchmarks.harness.services import TIED_COORDINATOR, Searches, searching
+from benchmarks.harness.systems import SYSTEMS, trajectories
+from benchmarks.kernels.derivatives import table_of
+
+GOAL: Final = 0.03
+UNMET: Final = 1e-300
+"""A target error that ends no search."""
+
+NEVER: Final = 10**9
+PLAIN: Final = "plain"
+"""What the ids of jobs begin with that take no checkpoint."""
+
+PROGRAM: Final = f"""
+from atoll_coordinator.service.search.archipelago import Archipelago
+begin = Archipelago.__init__
+def chosen(self, job, *rest):
+    begin(self, job, *rest)
+    if job.startswith("{PLAIN}-"):
+        self.interval = {NEVER}
+Archipelago.__init__ = chosen
+{TIED_COORDINATOR}"""
+"""The coordinator's program; the first checkpoint of plain jobs lies beyond the end of every search."""
+
+PROCESSES: Final = Path("/proc")
+_COMMITTED: Final = re.compile(r"\bcommit .*\bjob=(\S+) .*\bislands=(\d+) bytes=(\d+)")
+
+
+def processor_seconds(pid: int, processes: Path = PROCESSES) -> float:
+    """Return the processor time that a process has taken so far, in seconds (Linux)."""
+    fields = (processes / str(pid) / "stat").read_text("ascii", "replace").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+@dataclass
+class Spent:
+    """Processor time of some processes from a job's first complete epoch to the end of its search."""
+
+    pids: tuple[int, ...]
+    processes: Path = PROCESSES
+    begun: float | None = None
+    ended: float = 0.0
+
+    def look(self, view: JobView) -> None:
+        """Take in the state of the job; called again and again."""
+        if view.state == "running" and any(its.epoch for its in view.variables):
+            self.ended = sum(processor_seconds(pid, self.processes) for pid in self.pids)
+            self.begun = self.ended if self.begun is None else self.begun
+
+    @property
+    def seconds(self) -> float:
+        """Seconds from the first look to the last."""
+        return self.ended - (self.begun or 0.0)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One search with checkpoints and without.
+
+    Processor seconds, seconds of the clock, how many checkpoints were committed, and bytes of a state in the mean.
+    """
+
+    seed: int
+    with_cpu: float
+    without_cpu: float
+    with_seconds: float
+    without_seconds: float
+    checkpoints: int
+    bytes_per_island: float
+    is_same: bool
+
+    @property
+    def cost(self) -> float:
+        """The share of throughput that is missing with checkpoints."""
+        return 1.0 - self.without_cpu / self.with_cpu
+
+
+def measured(its: Searches, options: argparse.Namespace, seed: int) -> Pair:
+    """Search for the same with checkpoints and without."""
+    found: dict[bool, tuple[dict[str, Any], float]] = {}
+    for kept in (False, True) if seed % 2 else (True, False):
+        spent = Spent(its.pids)
+        sampled = table_of(trajectories(options.system, seed=seed))
+        prefix = "kept" if kept else PLAIN
+        result = its.solve(f"seed {seed}", sampled, _config(options, seed), spent.look, prefix)
+        found[kept] = (result, spent.seconds)
+    (one, with_cpu), (other, without_cpu) = found[True], found[False]
+    sizes = committed(its.log.read_text("utf-8") if its.log is not None else "", one["job"])
+    pair = Pair(
+        seed,
+        with_cpu,
+        without_cpu,
+        one["search_seconds"],
+        other["search_seconds"],
+        len(sizes),
+        statistics.fmean(sizes) if sizes else 0.0,
+        one["digest"] == other["digest"],
+    )
+    note(f"  seed {seed}: {with_cpu:.2f} s of processor time beside {without_cpu:.2f} s, cost {pair.cost:.1%}")
+    return pair
+
+
+def committed(log: str, job: str) -> list[float]:
+    """Return, for each checkpoint of a job that a coordinator's log mentions, the bytes of one island."""
+    return [int(size) / int(islands) for its, islands, size in _COMMITTED.findall(log) if its == job]
+
+
+def _config(options: argparse.Namespace, seed: int) -> JobConfig:
+    config = PRESETS["default"]
+    changes = {"target_error": UNMET, "max_epochs": options.epochs, "stagnation": NEVER}
+    return config.model_copy(update={"seed": seed, "budget": config.budget.model_copy(update=changes)})
+
+
+def pairs_table(pairs: Sequence[Pair]) -> str:
+    """Return one line for each search."""
+    heads = ("seed", "cpu s with", "without", "cost", "s with", "without", "checkpoints", "KB per island", "digest")
+    rows = [
+        (
+            str(its.seed),
+            f"{its.with_cpu:.2f}",
+            f"{its.without_cpu:.2f}",
+            f"{its.cost:.1%}",
+            f"{its.with_seconds:.2f}",
+            f"{its.without_seconds:.2f}",
+            str(its.checkpoints),
+            f"{its.bytes_per_island / 1e3:.1f}",
+            "same" if its.is_same else "DIFFERS",
+        )
+        for its in pairs
+    ]
+    return table(heads, rows)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and print; return 1 when a digest differs or the cost is above the goal, else 0."""
+    options = _parser().parse_args(arguments)
+    pairs: list[Pair] = []
+    words = sys.argv[1:] if arguments is None else arguments
+    with plain_errors("benchmarks.operations.checkpoints"), searching(options.workers, program=PROGRAM) as its:
+        for seed in options.seeds:
+            pairs.append(measured(its, options, seed))
+            figures = [{**asdict(pair), "cost": pair.cost} for pair in pairs]
+            write_figures(options.out, "checkpoints", words, {"pairs": figures})
+    say(pairs_table(pairs))
+    cost = statistics.median(its.cost for its in pairs)
+    say(f"\ncost {cost:.1%} in the median, goal at most {GOAL:.0%}; load {load():.1f}")
+    return 0 if cost <= GOAL and all(its.is_same for its in pairs) else 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.operations.checkpoints", description=(__doc__ or "").split("\n")[0]
+    )
+    parser.add_argument("--system", choices=sorted(SYSTEMS), default="predator_prey", help="default: %(default)s")
+    parser.add_argument("--epochs", type=whole, default=60, help="of every search (default: %(default)s)")
+    parser.add_argument("--workers", type=whole, default=2, help="of the service (default: %(default)s)")
+    parser.add_argument("--seeds", type=seeds, default=range(6), help="such as 0-4 (default: 0-5)")
+    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

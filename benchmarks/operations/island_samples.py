@@ -1,0 +1,86 @@
+"""What real islands send: their reports of some epochs, and how many bytes an emigrant and a snapshot take."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from atoll.config import PRESETS
+from atoll.wire.codec import dataset_to_bytes, decode, encode
+from atoll.wire.messages.workers import EpochReport, IslandReport, Reports
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.service.jobs.defaults import resolve
+from atoll_coordinator.service.jobs.job import commit_order_of
+from atoll_island_worker.compute.engine import Engine
+from atoll_island_worker.session.events import Computed
+from atoll_island_worker.session.tasks import Task, TaskKey
+from benchmarks.harness.systems import trajectories
+from benchmarks.kernels.derivatives import table_of
+
+SYSTEM: Final = "predator_prey"
+ISLANDS: Final = 8
+EPOCHS: Final = 4
+UNMET: Final = 1e-300
+_JOB: Final = "sample"
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Reports by epoch and island; bytes of an emigrant, with its share of what a block has besides; of a snapshot."""
+
+    reports: tuple[EpochReport, ...]
+    emigrant: int
+    snapshot: int
+
+    def report(self, epoch: int, island: int) -> IslandReport:
+        """Return a real report of that epoch, or, once the samples are used up, of one of those after the first."""
+        last = len(self.reports) - 1
+        reports = self.reports[epoch if epoch <= last else 1 + (epoch - 1) % last].islands
+        return reports[island % len(reports)]
+
+    def save(self, folder: Path) -> Path:
+        """Write them to a file and return it."""
+        file = folder / f"samples-{self.emigrant}-{self.snapshot}"
+        file.write_bytes(encode(Reports(reports=self.reports)))
+        return file
+
+    @classmethod
+    def load(cls, file: Path) -> "Samples":
+        """Return what `save` wrote."""
+        _, emigrant, snapshot = file.name.split("-")
+        return cls(decode(file.read_bytes(), Reports).reports, int(emigrant), int(snapshot))
+
+
+def sampled(noise: float = 0.0) -> Samples:
+    """Compute some epochs of an archipelago, with measurements to which noise of that share of sd was added."""
+    config = PRESETS["default"]
+    config = config.model_copy(
+        update={
+            "evolution": config.evolution.model_copy(update={"islands": ISLANDS}),
+            "budget": config.budget.model_copy(update={"target_error": UNMET}),
+        }
+    )
+    prepared = prepare(table_of(trajectories(SYSTEM, 0.1, 0, noise)), config)
+    config = resolve(config, prepared.dataset)
+    engine = Engine()
+    engine.load(_JOB, config, dataset_to_bytes(prepared.dataset))
+    variable, course = prepared.dataset.targets[0].variable, commit_order_of(config)
+    blocks: Mapping[int, Mapping[int, bytes] | None] = dict.fromkeys(range(ISLANDS))
+    reports, done = [], []
+    for epoch in range(EPOCHS):
+        keys = [TaskKey(_JOB, variable, 1, island, epoch) for island in range(ISLANDS)]
+        done = [_computed(engine, Task(key, blocks[key.island], False, course)) for key in keys]
+        blocks = {to: {at: each.emigrants[to] for at, each in enumerate(done) if to in each.emigrants} for to in blocks}
+        islands = tuple(each.report for each in done)
+        reports.append(EpochReport(job=_JOB, variable=variable, term=1, epoch=epoch, islands=islands))
+    sent = sum(len(block) for each in done for block in each.emigrants.values())
+    key = TaskKey(_JOB, variable, 1, 0, EPOCHS)
+    last = engine.begin(Task(key, blocks[0], False, course, takes_snapshot=True))
+    return Samples(tuple(reports), round(sent / (ISLANDS * config.evolution.population)), len(last.snapshot or b""))
+
+
+def _computed(engine: Engine, task: Task) -> Computed:
+    work = engine.begin(task)
+    while not work.advance():
+        pass
+    return work.computed()

@@ -1,0 +1,126 @@
+"""Many jobs submitted at once to few workers: all end, and with the digests that they have alone.
+
+``python -m benchmarks.operations.many_jobs --jobs 8 --workers 2`` starts a coordinator and workers, submits as many
+jobs as asked for without waiting, and follows them to their ends; then submits them again under other ids, each alone.
+Returns 1 when a job does not end well or a digest differs, else 0.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.config import PRESETS, JobConfig
+from atoll.data.table import Table
+from atoll.errors import AtollError, UnreachableError
+from atoll.wire.messages.views import FINAL_STATES
+from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll_coordinator.client import Client, connected
+from benchmarks.harness.figures import write_figures
+from benchmarks.harness.options import whole
+from benchmarks.harness.reporting import load, plain_errors
+from benchmarks.harness.services import CONNECT_LIMIT_S, Searches, searching
+
+LIMIT_S: Final = 600.0
+ROWS: Final = 200
+EPOCHS: Final = 6
+_LOOK_S: Final = 0.2
+
+
+@dataclass(frozen=True)
+class Ended:
+    """One job: when it ended, in seconds since the first was submitted; whether its digest is the one it has alone."""
+
+    seed: int
+    state: str
+    seconds: float
+    is_same: bool
+
+
+def measurements() -> Table:
+    """Return a table of two inputs and a target that no short expression meets."""
+    a, b = np.linspace(0.1, 3.0, ROWS), np.cos(np.linspace(0.0, 7.0, ROWS))
+    y = a * np.exp(-b) + np.sin(a * b)
+    rows = np.arange(ROWS, dtype=np.int64)
+    columns = np.ascontiguousarray(np.stack([a, b, y]))
+    return Table(("a", "b", "y"), ("",) * 3, columns, (0,), ("measured",), np.zeros_like(rows), rows + 2)
+
+
+def configured(seed: int) -> JobConfig:
+    """Return the configuration of a search of a fixed number of epochs."""
+    config = PRESETS["default"]
+    budget = config.budget.model_copy(update={"max_epochs": EPOCHS, "target_error": 1e-300})
+    data = config.data.model_copy(update={"target": "y"})
+    return config.model_copy(update={"seed": seed, "budget": budget, "data": data})
+
+
+def all_at_once(client: Client, digest: str, jobs: int) -> dict[str, float]:
+    """Submit all, follow them, and return when each ended."""
+    begun = client.now()
+    names = [f"crowd-{seed}" for seed in range(jobs)]
+    for seed, name in enumerate(names):
+        client.submit(name, name, configured(seed), digest)
+    ends: dict[str, float] = {}
+    while len(ends) < jobs:
+        if client.now() - begun > LIMIT_S:
+            missing = ", ".join(sorted(set(names) - set(ends)))
+            raise UnreachableError(f"jobs {missing} did not end within {LIMIT_S:.0f} s")
+        for view in client.jobs():
+            if view.job in names and view.job not in ends and view.state in FINAL_STATES:
+                ends[view.job] = client.now() - begun
+                note(f"  {view.job} is {view.state} after {ends[view.job]:.1f} s")
+        client.pause(_LOOK_S)
+    return ends
+
+
+def measured(searches: Searches, jobs: int) -> list[Ended]:
+    """Run the jobs at once, then each alone."""
+    data = measurements()
+    with connected(searches.address, CONNECT_LIMIT_S) as client:
+        ends = all_at_once(client, client.upload(data.to_bytes()), jobs)
+        found: list[Ended] = []
+        for seed in range(jobs):
+            name = f"crowd-{seed}"
+            state = client.status(name).state
+            digest = client.result(name)["digest"] if state == "done" else ""
+            alone: dict[str, Any] = searches.solve(f"seed {seed} alone", data, configured(seed))
+            found.append(Ended(seed, state, ends[name], digest == alone["digest"]))
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and print."""
+    options = _parser().parse_args(arguments)
+    began = time.monotonic()
+    with plain_errors("benchmarks.operations.many_jobs"):
+        with searching(options.workers) as searches:
+            found = measured(searches, options.jobs)
+        if not found:
+            raise AtollError("no job was measured")
+    words = sys.argv[1:] if arguments is None else arguments
+    write_figures(options.out, "manyjobs", words, {"jobs": [asdict(each) for each in found]})
+    rows = [(str(e.seed), e.state, f"{e.seconds:.1f}", "same" if e.is_same else "DIFFERS") for e in found]
+    say(table(("seed", "state", "ended after s", "digest"), rows))
+    good = sum(each.state == "done" and each.is_same for each in found)
+    say(f"\n{good} of {len(found)} jobs on {options.workers} workers done with the digest that they have alone; "
+        f"{time.monotonic() - began:.0f} s in all, load {load():.1f}")  # fmt: skip
+    return 0 if good == len(found) else 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.operations.many_jobs", description=__doc__.split("\n")[0]
+    )
+    parser.add_argument("--jobs", type=whole, default=8, help="how many at once (%(default)s)")
+    parser.add_argument("--workers", type=whole, default=2, help="worker processes (%(default)s)")
+    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,284 @@
+"""What a coordinator takes by number of islands, with workers whose islands only pretend (`simulated_islands`).
+
+The coordinator is a real one in a process of its own; its processor time and memory are read from the system's
+account. Islands are those of several jobs with several variables, as many of each as it takes; workers have eight
+islands each, spread over as many archipelagos.
+"""
+
+import contextlib
+import json
+import math
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.config import PRESETS, JobConfig
+from atoll.data.table import Table
+from atoll.errors import AtollError, UnreachableError
+from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll_coordinator.client import Client, connected
+from benchmarks.harness.figures import write_figures
+from benchmarks.harness.reporting import load
+from benchmarks.harness.services import CONNECT_LIMIT_S, Coordinating, coordinating
+from benchmarks.operations.island_samples import Samples, sampled
+
+ISLANDS_EACH: Final = 8
+"""Islands of an archipelago, and of a worker."""
+
+MOST_JOBS: Final = 4
+WORKERS_EACH: Final = 16
+"""Workers of a process that pretends."""
+
+GOAL_ISLANDS: Final = 1000
+READY_LIMIT_S: Final = 180.0
+_ROWS: Final = 200
+_NEVER: Final = 10**9
+_LOOK_S: Final = 0.5
+
+
+@dataclass(frozen=True)
+class Load:
+    """What a coordinator took with so many islands, in the mean over `seconds`.
+
+    `cores`: processor time of its process over time, `loop`: that of its main thread; `resident`: bytes in memory at
+    the end; `epochs`: of an island in a second; `wait_50`, `wait_99`: milliseconds between an island's epochs.
+    """
+
+    islands: int
+    workers: int
+    archipelagos: int
+    seconds: float
+    epochs: float
+    reports: float
+    mails: float
+    mail_bytes: float
+    report_bytes: float
+    cores: float
+    loop: float
+    resident: int
+    wait_50: float
+    wait_99: float
+    machine_load: float
+
+    @property
+    def microseconds(self) -> float:
+        """Processor time of the coordinator for each epoch of an island."""
+        return 1e6 * self.cores / (self.epochs * self.islands)
+
+
+def shape(islands: int) -> tuple[int, int]:
+    """Return how many jobs of how many variables give that many islands; raises AtollError when none do."""
+    archipelagos = islands // ISLANDS_EACH
+    jobs = next((jobs for jobs in (1, 2, MOST_JOBS) if archipelagos / jobs <= 16), MOST_JOBS)
+    if islands % (ISLANDS_EACH * jobs) or not archipelagos:
+        raise AtollError(f"{islands} islands cannot be simulated; ask for a multiple of {ISLANDS_EACH * jobs}")
+    return jobs, archipelagos // jobs
+
+
+def signals(count: int) -> Table:
+    """Return a table of `count` variables that move smoothly."""
+    times = np.linspace(0.0, 10.0, _ROWS)
+    values = [np.sin((0.5 + 0.01 * number) * times + number) for number in range(count)]
+    names = ("t", *(f"v{number}" for number in range(count)))
+    rows = np.arange(_ROWS, dtype=np.int64)
+    columns = np.ascontiguousarray(np.stack([times, *values]))
+    return Table(names, ("",) * len(names), columns, (0,), ("signals",), np.zeros_like(rows), rows + 2)
+
+
+def configured(seed: int) -> JobConfig:
+    """Return the configuration of a search that nothing ends."""
+    config = PRESETS["default"]
+    budget = config.budget.model_copy(
+        update={"target_error": 1e-300, "max_epochs": 1_000_000, "stagnation": _NEVER, "max_time": None}
+    )
+    evolution = config.evolution.model_copy(update={"islands": ISLANDS_EACH})
+    return config.model_copy(update={"seed": seed, "budget": budget, "evolution": evolution})
+
+
+@dataclass(frozen=True)
+class Account:
+    """What a process has taken so far: seconds of processor time, those of its main thread, bytes in memory."""
+
+    cpu_s: float
+    loop_s: float
+    resident: int
+    at: float
+
+    @classmethod
+    def of(cls, pid: int, processes: Path = Path("/proc")) -> "Account":
+        """Read the system's account of a process (Linux)."""
+        ticks = os.sysconf("SC_CLK_TCK")
+        resident = int((processes / str(pid) / "statm").read_text("ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+        whole, main = (_ticks(processes / str(pid) / place) for place in ("stat", f"task/{pid}/stat"))
+        return cls(whole / ticks, main / ticks, resident, time.monotonic())
+
+
+def _ticks(file: Path) -> int:
+    words = file.read_text("utf-8", "replace").rpartition(")")[2].split()
+    return int(words[11]) + int(words[12])
+
+
+class Hosts:
+    """The processes that pretend, and what they count."""
+
+    def __init__(self, processes: Sequence[subprocess.Popen[str]]) -> None:
+        self._lines: queue.SimpleQueue[Mapping[str, Any]] = queue.SimpleQueue()
+        for process in processes:
+            threading.Thread(target=self._read, args=(process,), daemon=True).start()
+
+    def _read(self, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
+            self._lines.put(json.loads(line))
+
+    def between(self, first: float, last: float) -> list[Mapping[str, Any]]:
+        """Return the lines of the seconds that ended between two moments; the earlier ones are forgotten."""
+        lines = []
+        while not self._lines.empty():
+            lines.append(self._lines.get())
+        return [line for line in lines if first < line["at"] <= last]
+
+
+@contextmanager
+def pretending(its: Coordinating, samples: Path, workers: int, period: float) -> Iterator[Hosts]:
+    """Start processes with so many workers altogether."""
+    with ExitStack() as stack:
+        processes = []
+        for first in range(0, workers, WORKERS_EACH):
+            words = ["--connect", its.address, "--samples", str(samples), "--period", str(period)]
+            words += ["--first", str(first), "--workers", str(min(WORKERS_EACH, workers - first))]
+            command = [sys.executable, "-m", "benchmarks.operations.simulated_islands", *words]
+            processes.append(stack.enter_context(its.started(command)))
+        yield Hosts(processes)
+
+
+def measured(islands: int, samples: Samples, period: float, seconds: float) -> Load:
+    """Run that many islands for a while, once all are under way, and return what the coordinator took."""
+    jobs, variables = shape(islands)
+    workers = max(2, islands // ISLANDS_EACH)
+    with (
+        coordinating() as its,
+        pretending(its, samples.save(its.folder), workers, period) as hosts,
+        connected(its.address, CONNECT_LIMIT_S) as client,
+    ):
+        _until(client, lambda: len(client.workers()) == workers, f"{workers} workers")
+        names = [f"scale-{number}" for number in range(jobs)]
+        digest = client.upload(signals(variables).to_bytes())
+        for number, name in enumerate(names):
+            client.submit(name, name, configured(number), digest)
+        _until(client, lambda: _is_under_way(client, names), f"all islands of {jobs} jobs in their third epoch")
+        note(f"  {islands} islands are under way")
+        before = Account.of(its.process.pid)
+        client.pause(seconds)
+        after = Account.of(its.process.pid)
+        client.pause(2.0)
+        lines = hosts.between(before.at, after.at)
+        for name in names:
+            client.cancel(name)
+    return load_of(islands, workers, jobs * variables, (before, after), lines)
+
+
+def load_of(
+    islands: int, workers: int, archipelagos: int, accounts: tuple[Account, Account], lines: Sequence[Mapping[str, Any]]
+) -> Load:
+    """Return the mean over a time between two accounts of a coordinator, with what its workers counted meanwhile."""
+    before, after = accounts
+    seconds = after.at - before.at
+    rate = {name: sum(line[name] for line in lines) / seconds for name in _RATES}
+    waits = np.array([wait for line in lines for wait in line["waits"]] or [math.nan])
+    return Load(
+        islands=islands,
+        workers=workers,
+        archipelagos=archipelagos,
+        seconds=seconds,
+        epochs=rate["epochs"] / islands,
+        reports=rate["reports"],
+        mails=rate["mails"],
+        mail_bytes=rate["mail_bytes"],
+        report_bytes=rate["report_bytes"],
+        cores=(after.cpu_s - before.cpu_s) / seconds,
+        loop=(after.loop_s - before.loop_s) / seconds,
+        resident=after.resident,
+        wait_50=float(np.percentile(waits, 50)),
+        wait_99=float(np.percentile(waits, 99)),
+        machine_load=load(),
+    )
+
+
+_RATES: Final = ("epochs", "reports", "mails", "mail_bytes", "report_bytes")
+
+
+def _is_under_way(client: Client, names: Sequence[str]) -> bool:
+    views = [client.status(name) for name in names]
+    return all(view.variables and all(each.epoch >= 2 for each in view.variables) for view in views)
+
+
+def _until(client: Client, condition: Any, what: str) -> None:
+    end = client.now() + READY_LIMIT_S
+    while True:
+        with contextlib.suppress(UnreachableError):  # while it places everything at once, it may not answer in time
+            if condition():
+                return
+        if client.now() > end:
+            raise UnreachableError(f"{what} were not there within {READY_LIMIT_S:.0f} s")
+        client.pause(_LOOK_S)
+
+
+def loads_table(loads: Sequence[Load]) -> str:
+    """Return one line for each number of islands."""
+    heads = (
+        "islands", "workers", "archipelagos", "epochs/s", "reports/s", "migrant messages/s", "MB/s", "cores",
+        "of which loop", "us per epoch", "MB in memory", "wait ms median", "99 %", "load",
+    )  # fmt: skip
+    rows = [
+        (
+            str(its.islands), str(its.workers), str(its.archipelagos), f"{its.epochs:.2f}", f"{its.reports:.0f}",
+            f"{its.mails:.0f}", f"{(its.mail_bytes + its.report_bytes) / 1e6:.1f}", f"{its.cores:.3f}",
+            f"{its.loop:.3f}", f"{its.microseconds:.0f}", f"{its.resident / 2**20:.0f}", f"{its.wait_50:.1f}",
+            f"{its.wait_99:.0f}", f"{its.machine_load:.1f}",
+        )
+        for its in loads
+    ]  # fmt: skip
+    return table(heads, rows)
+
+
+def growth(loads: Sequence[Load]) -> float | None:
+    """Return by which power of the number of islands the coordinator's processor time per second grows, fitted.
+
+    The time is that for one epoch a second of every island. None with fewer than two numbers of islands.
+    """
+    if len({its.islands for its in loads}) < 2:
+        return None
+    x = [math.log(its.islands) for its in loads]
+    y = [math.log(its.cores / its.epochs) for its in loads]
+    mean_x, mean_y = sum(x) / len(x), sum(y) / len(y)
+    steep = sum((a - mean_x) * (b - mean_y) for a, b in zip(x, y, strict=True))
+    return steep / sum((a - mean_x) ** 2 for a in x)
+
+
+def measure_scale(islands: Sequence[int], options: Any, arguments: Sequence[str]) -> int:
+    """Measure each number of islands and print; return 1 when a core does not hold `GOAL_ISLANDS`, else 0."""
+    note("computing what real islands send")
+    samples = sampled(options.noise)
+    loads: list[Load] = []
+    for number in islands:
+        loads.append(measured(number, samples, options.period, options.seconds))
+        figures = {"loads": [{**asdict(its), "microseconds": its.microseconds} for its in loads]}
+        write_figures(options.out, "scale", arguments, {**figures, "growth": growth(loads)})
+    say(loads_table(loads))
+    power = growth(loads)
+    if power is not None:
+        say(f"\nprocessor time grows with the number of islands to the power of {power:.2f}")
+    held = 1e6 / loads[-1].microseconds
+    say(f"a core holds {held:.0f} islands at one epoch a second (goal {GOAL_ISLANDS})")
+    return 0 if held >= GOAL_ISLANDS else 1

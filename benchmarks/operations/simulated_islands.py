@@ -1,0 +1,272 @@
+"""Workers whose islands only pretend: they wait for the time of an epoch, and send what real islands send.
+
+The program of one process with many workers, started by `benchmarks.operations.scale`. Everything but the computing is
+real: sessions on the bus, greetings, heartbeats, placements, reports, emigrants, pulls. An island sends each island of
+its archipelago, itself included, the same number of emigrants, and waits for all of them.
+
+Once a second a line of JSON says what happened in it: see `Counts`.
+"""
+
+import argparse
+import hashlib
+import heapq
+import itertools
+import json
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from atoll.config import JobConfig
+from atoll.search.commit_order import CommitOrder, Position
+from atoll.wire.bus.interface import Bus
+from atoll.wire.bus.zenoh_bus import open_client
+from atoll.wire.messages.workers import Addition, IslandReport
+from atoll_island_worker.compute.compute import WarmedUp
+from atoll_island_worker.session.events import Computed, JobReady, Snapshot
+from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
+from atoll_island_worker.worker import Worker
+from benchmarks.operations.island_samples import Samples
+
+CONNECT_LIMIT_S: Final = 30.0
+WAIT_S: Final = 60.0
+FINGERPRINT: Final = "simulated"
+TICK_S: Final = 1.0
+
+
+@dataclass
+class Counts:
+    """What the workers of a process did until the second `at` (monotonic, the same in all processes).
+
+    `epochs` of islands that ended; messages and bytes of reports and of mail; `waits`: milliseconds from the end of an
+    island's epoch to the beginning of its next one.
+    """
+
+    at: float = 0.0
+    epochs: int = 0
+    reports: int = 0
+    report_bytes: int = 0
+    mails: int = 0
+    mail_bytes: int = 0
+    waits: list[float] = field(default_factory=list)
+
+
+class Books:
+    """The counts of this second, from many threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._counts = Counts()
+
+    def note_put(self, key: str, size: int) -> None:
+        """Count one message."""
+        with self._lock:
+            if key.endswith("/report"):
+                self._counts.reports += 1
+                self._counts.report_bytes += size
+            elif "/to/" in key:
+                self._counts.mails += 1
+                self._counts.mail_bytes += size
+
+    def note_epoch(self) -> None:
+        """Count one island's epoch."""
+        with self._lock:
+            self._counts.epochs += 1
+
+    def note_wait(self, seconds: float) -> None:
+        """Note how long an island waited between two epochs."""
+        with self._lock:
+            self._counts.waits.append(round(1e3 * seconds, 2))
+
+    def take(self) -> Counts:
+        """Return the counts since the last time."""
+        with self._lock:
+            taken, self._counts = self._counts, Counts()
+        taken.at = time.monotonic()
+        return taken
+
+
+class CountedBus:
+    """A bus that counts what is put on it."""
+
+    def __init__(self, bus: Bus, books: Books) -> None:
+        self._bus = bus
+        self._books = books
+
+    def put(self, key: str, payload: bytes) -> None:
+        """See `Bus.put`."""
+        self._books.note_put(key, len(payload))
+        self._bus.put(key, payload)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._bus, name)
+
+
+class Pacer:
+    """One thread that does things at their time."""
+
+    def __init__(self) -> None:
+        self._due: list[tuple[float, int, Callable[[], None]]] = []
+        self._order = itertools.count()
+        self._changed = threading.Condition()
+        threading.Thread(target=self._run, name="pacer", daemon=True).start()
+
+    def at(self, moment: float, act: Callable[[], None]) -> None:
+        """Have `act` done at a monotonic second."""
+        with self._changed:
+            heapq.heappush(self._due, (moment, next(self._order), act))
+            if self._due[0][0] == moment:
+                self._changed.notify()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                while not self._due or (left := self._due[0][0] - time.monotonic()) > 0.0:
+                    self._changed.wait(left if self._due else None)
+                _, _, act = heapq.heappop(self._due)
+            act()
+
+
+class PacedCompute:
+    """A `atoll_island_worker.compute.compute.Compute` whose islands take `period_s` an epoch."""
+
+    def __init__(self, samples: Samples, period_s: float, pacer: Pacer, books: Books) -> None:
+        self.progress = 0
+        self.doing: TaskKey | None = None
+        self._samples = samples
+        self._period_s = period_s
+        self._pacer = pacer
+        self._books = books
+        self._post: Callable[[object], None] = lambda _: None
+        self._ended: dict[tuple[ShareKey, int], float] = {}
+        self._dropped: set[ShareKey] = set()
+        self._config: dict[str, JobConfig] = {}
+
+    def attach(self, post: Callable[[object], None]) -> None:
+        """See `Compute.attach`."""
+        self._post = post
+        post(WarmedUp(0.0, FINGERPRINT))
+
+    def warm_up(self) -> None:
+        """See `Compute.warm_up`."""
+
+    def load(self, job: str, config: JobConfig, dataset: bytes, weight: float = 1.0) -> None:
+        """See `Compute.load`."""
+        self._config[job] = config
+        self._post(JobReady(job))
+
+    def advance(self, task: Task) -> None:
+        """See `Compute.advance`. The first epochs of different archipelagos end at different times."""
+        now, key = time.monotonic(), task.key
+        self.doing = key
+        if task.takes_snapshot:
+            self._post(Snapshot(key, _bytes_of(key, self._samples.snapshot), task.is_held))
+        if task.is_held:
+            return
+        before = self._ended.pop((key.share, key.island), None)
+        if before is not None:
+            self._books.note_wait(now - before)
+        share = 1.0 if key.epoch else _fraction(f"{key.job}/{key.variable}")
+        self._pacer.at(now + share * self._period_s, lambda: self._end(task))
+
+    def stop_at(self, share: ShareKey, hit: Position, course: CommitOrder) -> None:
+        """See `Compute.stop_at`; nothing is ever hit."""
+
+    def discard(self, share: ShareKey) -> None:
+        """See `Compute.discard`."""
+        self._dropped.add(share)
+
+    def discard_job(self, job: str) -> None:
+        """See `Compute.discard_job`."""
+
+    def close(self) -> None:
+        """See `Compute.close`."""
+
+    def _end(self, task: Task) -> None:
+        key = task.key
+        if key.share in self._dropped:
+            return
+        evolution = self._config[key.job].evolution
+        report = pretended(self._samples, key.epoch, key.island, f"{key.job}/{key.variable}/{key.island}/{key.epoch}")
+        block = bytes(self._samples.emigrant * max(1, evolution.population // evolution.islands))
+        emigrants = {} if task.is_last else dict.fromkeys(range(evolution.islands), block)
+        self.progress += 1
+        self._books.note_epoch()
+        self._ended[key.share, key.island] = time.monotonic()
+        self._post(Computed(key, report, emigrants, frozenset(emigrants) - {key.island}))
+
+
+def pretended(samples: Samples, epoch: int, island: int, name: str) -> IslandReport:
+    """Return a real report as it would be another island's: with its number, and errors a little different."""
+    report = samples.report(epoch, island)
+    digest = hashlib.sha256(name.encode()).hexdigest()
+    factor = 0.9 + 0.2 * _fraction(name)
+    change = {
+        "island": island,
+        "digest": digest,
+        "additions": _scaled(report.additions, factor),
+        "runners_up": _scaled(report.runners_up, factor),
+    }
+    return report.model_copy(update=change)
+
+
+def _scaled(additions: Sequence[Addition], factor: float) -> tuple[Addition, ...]:
+    return tuple(
+        each.model_copy(update={"error": each.error * factor, "mse": each.mse * factor * factor}) for each in additions
+    )
+
+
+def _bytes_of(key: TaskKey, count: int) -> bytes:
+    """Return so many bytes, the same for the same island and epoch, that no compression makes fewer."""
+    return hashlib.shake_128(f"{key.job}/{key.variable}/{key.island}/{key.epoch}".encode()).digest(count)
+
+
+def _fraction(name: str) -> float:
+    """Return a number from 0 to 1 that looks random."""
+    return int.from_bytes(hashlib.sha256(name.encode()).digest()[:4]) / 2.0**32
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the workers until SIGTERM; return 0."""
+    options = _parser().parse_args(arguments)
+    samples, books, pacer, stop = Samples.load(options.samples), Books(), Pacer(), threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with ExitStack() as stack:
+        workers = []
+        for number in range(options.first, options.first + options.workers):
+            bus: Any = CountedBus(stack.enter_context(open_client(options.connect, CONNECT_LIMIT_S)), books)
+            compute = PacedCompute(samples, options.period, pacer, books)
+            workers.append(Worker(bus, compute, f"s{number:04}", WAIT_S))
+        threads = [threading.Thread(target=worker.run, name=worker.name, daemon=True) for worker in workers]
+        for thread in threads:
+            thread.start()
+        while not stop.wait(TICK_S):
+            sys.stdout.write(json.dumps(asdict(books.take())) + "\n")
+            sys.stdout.flush()
+        for worker in workers:
+            worker.exit_code = 0
+        for thread in threads:
+            thread.join()
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.operations.simulated_islands", description=__doc__.split("\n")[0]
+    )
+    parser.add_argument("--connect", required=True, help="address of the coordinator")
+    parser.add_argument("--samples", type=Path, required=True, help="file of what real islands sent")
+    parser.add_argument("--first", type=int, required=True, help="number of the first worker")
+    parser.add_argument("--workers", type=int, required=True, help="how many")
+    parser.add_argument("--period", type=float, required=True, help="seconds of an epoch")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,146 @@
+"""What guesses are worth: the work to find hard equations with a good guess, a part of the truth, a wrong one.
+
+``python -m benchmarks.paper.guesses --seeds 0-4`` searches equations of the paper's seven systems, their derivatives
+exact, and prints the median number of point evaluations until an equation is found, all islands together. A search that
+needs more than ``--limit`` of them counts as that many.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from statistics import geometric_mean, median
+from typing import Final
+
+import numpy as np
+
+from atoll.config import PRESETS, JobConfig, PriorConfig
+from atoll.data.dataset import Dataset, Problem, Target
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.cli.terminal.output import count, note, say, table
+from atoll_coordinator.service.jobs.defaults import resolve
+from benchmarks.harness.options import positive
+from benchmarks.harness.reporting import plain_errors, seeds
+from benchmarks.harness.runs import Figures, in_parallel
+from benchmarks.harness.runs import add_options as add_run_options
+from benchmarks.harness.systems import TRUTH, trajectories
+from benchmarks.judging.evaluation import evaluate
+from benchmarks.paper.archipelago import Archipelago
+
+STRIDE: Final = 10
+KINDS: Final = ("none", "form", "part", "wrong")
+
+
+@dataclass(frozen=True)
+class Guessed:
+    """One equation and guesses for it: its `form` with other constants, a `part` of it, and a `wrong` one."""
+
+    system: str
+    variable: str
+    form: str
+    part: str
+    wrong: str
+
+
+EQUATIONS: Final = (
+    Guessed("glider", "theta", "2*v - 3*cos(theta)/v", "v", "v*sin(theta) + theta"),
+    Guessed("bacterial_respiration", "x", "5 - 2*x - x*y/(2 + x**2)", "20 - x", "x*(3 - y) + y**2/x"),
+    Guessed("predator_prey", "x", "x*(1 - 2*x - 3*y/(2 + x))", "x*(4 - x)", "20 - x*y + sin(x)"),
+    Guessed("predator_prey", "y", "y*(x/(3 + x) - 2*y)", "x*y/(1 + x)", "x - y*sin(x)"),
+    Guessed("bar_magnets", "theta1", "2*sin(theta1 - theta2) - 3*sin(theta1)", "sin(theta1)", "theta1*(3 - theta2)"),
+    Guessed("shear_flow", "phi", "(2*cos(phi)**2 + sin(phi)**2)*sin(theta)", "sin(theta)", "phi - theta*cos(phi)"),
+    Guessed("van_der_pol", "x", "y - x**3 + x", "y - x", "x*sin(y) + cos(x)"),
+)
+
+
+@dataclass(frozen=True)
+class Task:
+    """One search: the place of the equation in `EQUATIONS`, the kind of guess, the seed, most point evaluations."""
+
+    equation: int
+    kind: str
+    seed: int
+    limit: float
+
+
+@dataclass(frozen=True)
+class Found:
+    """How a search ended: `evaluations` of the task's limit when nothing was found."""
+
+    task: Task
+    evaluations: float
+    has_hit: bool
+
+
+def problem_of(guessed: Guessed, seed: int, step: float = 0.1) -> Problem:
+    """Return the equation's problem: sampled states, and the truth's values there."""
+    sampled = trajectories(guessed.system, step, seed)
+    inputs = np.ascontiguousarray(np.concatenate(sampled.values).T)
+    values = evaluate(from_infix(TRUTH[guessed.system][guessed.variable], sampled.names), list(inputs))
+    target = Target(guessed.variable, f"d{guessed.variable}/dt", values, 0.0, float(values.std()))
+    return Problem(sampled.names, inputs, target)
+
+
+def config_of(guessed: Guessed, kind: str, seed: int, problem: Problem) -> JobConfig:
+    """Return the resolved configuration of a search that begins with that kind of guess."""
+    guesses = {} if kind == "none" else {guessed.variable: (str(getattr(guessed, kind)),)}
+    config = PRESETS["default"].model_copy(update={"seed": seed, "prior": PriorConfig(guesses=guesses)})
+    symbols = {name: name for name in problem.names}
+    return resolve(config, Dataset(problem.names, problem.inputs, (problem.target,), symbols))
+
+
+def search(task: Task) -> Found:
+    """Search until an island meets the target or the limit is reached."""
+    guessed = EQUATIONS[task.equation]
+    problem = problem_of(guessed, task.seed)
+    archipelago = Archipelago(problem, config_of(guessed, task.kind, task.seed, problem))
+    for stride in archipelago.strides(STRIDE):
+        if any(entry.error <= 1e-9 * problem.target.standard_deviation for entry in stride.additions):
+            return Found(task, stride.evaluations, True)
+        if stride.evaluations > task.limit:
+            break
+    return Found(task, task.limit, False)
+
+
+def rows(results: Sequence[Found]) -> Iterator[tuple[str, ...]]:
+    """Yield the table's rows: for each equation the medians by kind of guess, then their geometric means."""
+    medians: dict[str, list[float]] = {kind: [] for kind in KINDS}
+    for index, guessed in enumerate(EQUATIONS):
+        cells = [f"{guessed.system} {guessed.variable}"]
+        for kind in KINDS:
+            its = [each for each in results if (each.task.equation, each.task.kind) == (index, kind)]
+            medians[kind].append(median(each.evaluations for each in its))
+            cells.append(f"{count(medians[kind][-1])} ({sum(each.has_hit for each in its)} of {len(its)})")
+        yield tuple(cells)
+    yield ("geometric mean", *(count(geometric_mean(medians[kind])) for kind in KINDS))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the benchmark and print its table."""
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.paper.guesses", description=__doc__.split("\n")[0])
+    add_run_options(parser)
+    parser.add_argument("--limit", type=positive, default=3e8, help="point evaluations of one search (%(default)g)")
+    parser.set_defaults(seeds=seeds("0-4"))
+    options = parser.parse_args(words)
+    with plain_errors("benchmarks.paper.guesses"):
+        figures = Figures("guesses", words, options.out)
+        tasks = [
+            Task(index, kind, seed, options.limit)
+            for index in range(len(EQUATIONS))
+            for kind in KINDS
+            for seed in options.seeds
+        ]
+        results = []
+        for found in in_parallel(search, tasks, options.workers):
+            results.append(found)
+            its = found.task
+            note(f"{EQUATIONS[its.equation].system} {its.kind} seed {its.seed}: {count(found.evaluations)}")
+        say(table(("equation", *KINDS), list(rows(results))))
+        figures.write(
+            results=[vars(each.task) | {"evaluations": each.evaluations, "found": each.has_hit} for each in results]
+        )
+
+
+if __name__ == "__main__":
+    main()

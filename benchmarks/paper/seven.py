@@ -1,0 +1,127 @@
+"""The seven systems of Table III, noise-free: how many of the 14 equations are found exactly, and in what time.
+
+``python -m benchmarks.paper.seven --step 0.02 --seeds 0-4`` generates each system with data seed k, searches it with
+seed k on a coordinator and two workers, and compares each equation with the truth. ``--extras`` searches a pendulum
+known by its angle alone, and a Lotka-Volterra system in micro- and mega-units with times around 1900.
+
+A run in which a trajectory passes a singularity is flagged and judged by its function error alone: the derivative of
+an interpolating quintic spline is then off by more than `SINGULAR` of the true derivative's deviation, on average.
+"""
+
+import argparse
+import dataclasses
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Final
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from atoll.config import PRESETS, JobConfig
+from atoll_coordinator.data.prepare import prepare
+from benchmarks.harness.reporting import Report, add_common, plain_errors
+from benchmarks.harness.services import Searches, searching
+from benchmarks.harness.systems import SYSTEMS, TABLE_III, TRUTH, FloatArray, Sampled, trajectories
+from benchmarks.judging.verdict import Question, judged
+from benchmarks.kernels.derivatives import table_of
+
+SINGULAR: Final = 1e-3
+SCALES: Final = (1e-6, 1e6)
+OFFSET: Final = 1900.0
+SCALED_TRUTH: Final = {
+    "x": f"3*x - {2 / SCALES[1]!r}*x*y - {1 / SCALES[0]!r}*x**2",
+    "y": f"2*y - {1 / SCALES[0]!r}*x*y - {1 / SCALES[1]!r}*y**2",
+}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Case:
+    """One search: what is measured, and the truth by variable."""
+
+    name: str
+    seed: int
+    sampled: Sampled
+    truths: dict[str, str]
+    singular: frozenset[str]
+    order: int = 1
+
+
+def case(system: str, step: float, seed: int) -> Case:
+    """Return a system of Table III with data and search seed `seed`."""
+    sampled = trajectories(system, step, seed)
+    return Case(system, seed, sampled, TRUTH[system], singular(system, sampled))
+
+
+def pendulum(step: float, seed: int) -> Case:
+    """Return the damped pendulum of which only the angle is measured."""
+    truths = {"theta": TRUTH["pendulum"]["theta_dot"]}
+    return Case("pendulum", seed, trajectories("pendulum", step, seed), truths, frozenset(), order=2)
+
+
+def scaled(step: float, seed: int) -> Case:
+    """Return Lotka-Volterra with x in units of 1e6, y in units of 1e-6 and times that begin at 1900."""
+    plain = trajectories("lotka_volterra", step, seed)
+    times = tuple(each + OFFSET for each in plain.times)
+    values = tuple(each * np.array(SCALES) for each in plain.values)
+    return Case("lotka_volterra scaled", seed, Sampled(plain.names, times, values), SCALED_TRUTH, frozenset())
+
+
+def singular(system: str, sampled: Sampled) -> frozenset[str]:
+    """Return the states of `system` that an interpolating quintic spline does not follow."""
+    slopes = [_field(system, values) for values in sampled.values]
+    deviation = np.concatenate(slopes).std(axis=0)
+    errors = [
+        np.abs(make_interp_spline(times, values, k=5, axis=0).derivative()(times) - slope)
+        for times, values, slope in zip(sampled.times, sampled.values, slopes, strict=True)
+    ]
+    relative = np.concatenate(errors).mean(axis=0) / deviation
+    return frozenset(name for name, error in zip(sampled.names, relative, strict=True) if not error <= SINGULAR)
+
+
+def _field(system: str, values: FloatArray) -> FloatArray:
+    return np.array([SYSTEMS[system].field(*state) for state in values])
+
+
+def configured(config: JobConfig, seed: int, order: int, max_time: float) -> JobConfig:
+    """Return `config` with a seed, an order of the derivative and a limit of time."""
+    data = config.data.model_copy(update={"order": order})
+    budget = config.budget.model_copy(update={"max_time": max_time})
+    return config.model_copy(update={"seed": seed, "data": data, "budget": budget})
+
+
+def search(searches: Searches, case: Case, max_time: float, report: Report) -> None:
+    """Search one case and add the verdicts on its equations to `report`."""
+    config = configured(PRESETS["default"], case.seed, case.order, max_time)
+    table = table_of(case.sampled)
+    result = searches.solve(f"{case.name} seed {case.seed}", table, config)
+    question = Question(case.name, case.seed, case.truths, prepare(table, config).dataset, case.singular)
+    report.add(judged(question, result))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Search all cases, print the table; return 0 when every equation was found, else 1."""
+    options = _parser().parse_args(arguments)
+    report = Report("seven", sys.argv[1:] if arguments is None else arguments, options.out)
+    makers: list[Callable[[float, int], Case]] = [partial(case, name) for name in options.system or TABLE_III]
+    if options.extras:
+        makers = [pendulum, scaled]
+    with plain_errors("benchmarks.paper.seven"), searching(options.workers) as searches:
+        for make in makers:
+            for seed in options.seeds:
+                search(searches, make(options.step, seed), options.max_time, report)
+    report.show()
+    return 0 if all(verdict.found for verdict in report.verdicts) else 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.paper.seven", description=__doc__.split("\n")[0])
+    parser.add_argument("--step", type=float, default=0.02, help="sampling step (%(default)s; the paper's is 0.1)")
+    parser.add_argument("--system", choices=TABLE_III, action="append", help="repeat for several; default: all seven")
+    parser.add_argument("--extras", action="store_true", help="the pendulum and the scaled system instead")
+    add_common(parser, "0-4", 120.0)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

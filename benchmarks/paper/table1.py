@@ -1,0 +1,278 @@
+"""Table I of the paper: how often a search converges within the point evaluations of published algorithms.
+
+``python -m benchmarks.paper.table1 --picture table1.png --out table1.json`` runs the rows of
+`benchmarks.paper.published` with both presets, and draws convergence as a function of point evaluations beside the
+published figures. A run has converged when the error of an equation on its front is below 1e-6 at each of 1,000 fresh
+points in range; it ends then, or when its point evaluations are used up. Everything is counted: offspring, fits,
+refits, coevolution, all islands. An island is looked at every few generations, and what it has used by then counts.
+
+A ``cos 2x`` found as a sine of 2x with a phase is counted apart. Preset ``paper`` is judged by whether its share can be
+told from the paper's own (two-sided, 5 %, by the binomial deviations of both).
+"""
+
+import argparse
+import itertools
+import math
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.config import PRESETS, Preset
+from atoll.data.dataset import FloatArray
+from atoll.expression.operators import SIN
+from atoll.expression.program import Program
+from atoll.expression.text.infix import to_infix
+from atoll_coordinator.cli.terminal.output import count, note, say, table
+from benchmarks.harness.reporting import plain_errors
+from benchmarks.harness.runs import Figures, add_options, canvas, in_parallel, positive, save
+from benchmarks.judging.evaluation import evaluate, node_values
+from benchmarks.paper.archipelago import Archipelago, configured, problem_of
+from benchmarks.paper.published import FRESH, LARGEST_ERROR, ROWS, USUAL, Row
+
+TARGET_ERROR: Final = 1e-13
+"""Normalized error at which an island stops by itself: below what a wrong equation can have on so few points."""
+
+UNSOLVED: Final = 1e-6
+"""Mean error on its own points from which on an equation is not tried on fresh ones."""
+
+HEADS: Final = ("row", "preset", "runs", "converged %", "apart %", "at", "%", "median", "most", "paper", "others", "")
+
+
+@dataclass(frozen=True)
+class Task:
+    """One run: names of row and preset, seed, and a budget of point evaluations."""
+
+    row: str
+    preset: Preset
+    seed: int
+    budget: int
+
+
+@dataclass(frozen=True)
+class Run:
+    """How it ended: `evaluations` until it converged, or all it used; `expression` only where it converged."""
+
+    task: Task
+    converged: bool
+    is_shifted: bool
+    evaluations: int
+    generations: int
+    expression: str | None
+    complexity: int | None
+
+
+def run(task: Task) -> Run:
+    """Search until convergence or the end of the budget. Pure: the seed decides everything."""
+    row = ROWS[task.row]
+    x, fresh = row.points(task.seed, "points", row.rows), row.points(task.seed, "fresh points", FRESH)
+    values = row.values(fresh)
+    config = configured(
+        task.preset, task.seed, row.operators, TARGET_ERROR, islands=row.islands, refit_interval=row.interval
+    )
+    for stride in Archipelago(problem_of(x, row.values(x)), config).strides(row.interval):
+        if stride.evaluations > task.budget:
+            break
+        programs = (Program.from_bytes(each.program, 1) for each in stride.additions if each.error < UNSOLVED)
+        found = next((each for each in programs if largest_error(each, fresh, values) < LARGEST_ERROR), None)
+        if found is not None:
+            shifted, text = is_shifted(found, fresh), to_infix(found, ("x",))
+            return Run(task, True, shifted, stride.evaluations, stride.generations, text, len(found))
+    return Run(task, False, False, stride.evaluations, stride.generations, None, None)
+
+
+def largest_error(program: Program, x: FloatArray, values: FloatArray) -> float:
+    """Return the largest error of `program` at `x`, inf where it is not finite."""
+    with np.errstate(all="ignore"):
+        errors = np.abs(evaluate(program, [x]) - values)
+    return float(errors.max()) if np.isfinite(errors).all() else math.inf
+
+
+def is_shifted(program: Program, x: FloatArray) -> bool:
+    """Whether there is a sine of an angle that is 2x or -2x but for a constant: a cosine of 2x by its phase."""
+    with np.errstate(all="ignore"):
+        values = node_values(program, [x])
+    nodes = zip(program.operators.tolist(), program.left.tolist(), strict=True)
+    return any(code == SIN and _turns_twice(values[left], x) for code, left in nodes)
+
+
+def _turns_twice(angle: FloatArray, x: FloatArray) -> bool:
+    return any(float(np.ptp(angle - slope * x)) < LARGEST_ERROR for slope in (2.0, -2.0))
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A row and a preset over all their runs. Percentages are of all runs; evaluations those of converged ones."""
+
+    row: str
+    preset: str
+    runs: int
+    converged: float
+    shifted: float
+    marked: float
+    median: float | None
+    most: float | None
+    deviations: float | None
+    """By how many standard deviations the share differs from the paper's."""
+    is_met: bool
+    """Preset ``default``: at or above the better published figure. Preset ``paper``: not to be told from the paper."""
+
+
+def summary(row: Row, preset: str, runs: Sequence[Run]) -> Summary:
+    """Return the figures of `runs`, at least one."""
+    costs = sorted(run.evaluations for run in runs if run.converged)
+    share = 100.0 * len(costs) / len(runs)
+    most = float(costs[-1]) if len(costs) == len(runs) else None
+    deviations = None if row.is_cost else difference(share, len(runs), row.paper, row.runs)
+    if row.is_cost:
+        is_met = most is not None and most < row.bar
+    else:
+        is_met = share >= row.bar if preset != "paper" else deviations is not None and abs(deviations) < 1.96
+    return Summary(
+        row.name,
+        preset,
+        len(runs),
+        share,
+        100.0 * sum(run.is_shifted for run in runs) / len(runs),
+        100.0 * sum(cost <= row.marked for cost in costs) / len(runs),
+        float(np.median(costs)) if costs else None,
+        most,
+        deviations,
+        is_met,
+    )
+
+
+def difference(share: float, runs: int, other: float, others: int) -> float:
+    """Return the difference of two percentages in its standard deviations, by the pooled share; 0 for equal ones."""
+    pooled = (share * runs + other * others) / (100.0 * (runs + others))
+    deviation = 100.0 * math.sqrt(pooled * (1.0 - pooled) * (1.0 / runs + 1.0 / others))
+    return (share - other) / deviation if deviation > 0.0 else 0.0
+
+
+def cells(its: Summary) -> tuple[str, ...]:
+    """Return the row of the table under `HEADS`."""
+    row = ROWS[its.row]
+    show = count if row.is_cost else "{:g}".format
+    told = "below" if row.is_cost else ("as published" if its.preset == "paper" else "at or above")
+    return (
+        row.name,
+        its.preset,
+        str(its.runs),
+        f"{its.converged:.1f}",
+        f"{its.shifted:.1f}" if its.shifted else "-",
+        count(row.marked),
+        f"{its.marked:.1f}",
+        count(its.median),
+        count(its.most),
+        show(row.paper),
+        ", ".join(f"{name} {show(value)}" for name, value in row.others.items()),
+        told if its.is_met else f"NOT {told}",
+    )
+
+
+def curve(runs: Iterable[Run], total: int) -> tuple[list[float], list[float]]:
+    """Return point evaluations in rising order and the percentage of all runs converged by then."""
+    costs = sorted(run.evaluations for run in runs if run.converged)
+    return [float(cost) for cost in costs], [100.0 * (index + 1) / total for index in range(len(costs))]
+
+
+def draw(path: Path, runs: dict[tuple[str, Preset], list[Run]]) -> None:
+    """Draw one panel for each row: a step curve for each preset, published figures as broken lines."""
+    names = list(dict.fromkeys(name for name, _ in runs))
+    across = min(3, len(names))
+    down = -(-len(names) // across)
+    picture = canvas(4.4 * across, 3.2 * down)
+    panels = picture.subplots(down, across, squeeze=False).ravel().tolist()
+    for panel in panels[len(names) :]:
+        panel.remove()
+    for name, panel in zip(names, panels, strict=False):
+        for preset in PRESETS:
+            if (name, preset) in runs:
+                _draw_curve(panel, ROWS[name], preset, runs[name, preset])
+        _draw_published(panel, ROWS[name])
+    save(picture, path)
+
+
+def _draw_curve(panel: Any, row: Row, preset: str, runs: Sequence[Run]) -> None:
+    costs, shares = curve(runs, len(runs))
+    end = max((run.task.budget for run in runs), default=row.budget)
+    last = max(costs, default=0.0) * 1.2 if row.is_cost and len(costs) == len(runs) else float(end)
+    panel.step(
+        [0.0, *costs, last], [0.0, *shares, shares[-1] if shares else 0.0], where="post", label=f"Atoll, {preset}"
+    )
+
+
+def _draw_published(panel: Any, row: Row) -> None:
+    published = {"paper": row.paper, **row.others}
+    for number, (name, value) in enumerate(published.items()):
+        line = panel.axvline if row.is_cost else panel.axhline
+        line(value, linestyle="--", linewidth=1.0, color=f"C{number + 2}", label=name)
+    if row.is_cost:
+        panel.set_xscale("log")
+    panel.set(title=f"{row.name}: {row.truth}", xlabel="point evaluations", ylabel="converged runs, %", ylim=(-3, 103))
+    panel.legend(fontsize=7)
+
+
+def tasks(options: argparse.Namespace) -> list[Task]:
+    """Return all runs that are asked for, row by row."""
+    asked = itertools.product(options.row or USUAL, options.preset or PRESETS)
+    return [
+        Task(name, preset, seed, options.evaluations or ROWS[name].budget)
+        for name, preset in asked
+        for seed in (options.seeds if options.seeds is not None else range(ROWS[name].runs))
+    ]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run all rows and print the table; return 0 when preset ``default`` reached every published figure, else 1."""
+    options = _parser().parse_args(arguments)
+    figures = Figures("table1", sys.argv[1:] if arguments is None else arguments, options.out)
+    asked = tasks(options)
+    sizes = {key: len(list(group)) for key, group in itertools.groupby(asked, _group)}
+    groups: dict[tuple[str, Preset], list[Run]] = {key: [] for key in sizes}
+    with plain_errors("benchmarks.paper.table1"):
+        if options.picture:
+            canvas(1.0, 1.0)
+        for each in in_parallel(run, asked, options.workers):
+            group = groups[_group(each.task)]
+            group.append(each)
+            if len(group) == sizes[_group(each.task)]:
+                group.sort(key=lambda one: one.task.seed)
+                _say_end(group)
+                figures.write(runs=[asdict(one) for done in groups.values() for one in done])
+        summaries = [summary(ROWS[name], preset, group) for (name, preset), group in groups.items()]
+        figures.write(
+            summaries=[asdict(each) for each in summaries],
+            rows=[asdict(ROWS[name]) for name in dict.fromkeys(name for name, _ in groups)],
+            runs=[asdict(one) for group in groups.values() for one in group],
+        )
+        if options.picture:
+            draw(options.picture, groups)
+    say(table(HEADS, [cells(each) for each in summaries]))
+    say(f"\n{len(asked)} runs in {figures.seconds():.0f} s on {options.workers} processes")
+    return 0 if all(each.is_met for each in summaries if each.preset == "default") else 1
+
+
+def _group(task: Task) -> tuple[str, Preset]:
+    return task.row, task.preset
+
+
+def _say_end(group: Sequence[Run]) -> None:
+    task = group[0].task
+    note(f"{task.row}, preset {task.preset}: {sum(each.converged for each in group)} of {len(group)} runs converged")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.paper.table1", description=__doc__.split("\n")[0])
+    parser.add_argument("--row", choices=ROWS, action="append", help="repeat for several; default: all but density")
+    parser.add_argument("--preset", choices=PRESETS, action="append", help="default: both")
+    parser.add_argument("--evaluations", type=positive, help="point evaluations of a run, instead of the row's")
+    add_options(parser)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,176 @@
+"""How often the 14 Strogatz equations are solved from 300 rows with noise on the label: SRBench's protocol."""
+
+import math
+import statistics
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.config import JobConfig
+from atoll_coordinator.cli.terminal.output import count, note, say, table
+from benchmarks.harness.records import Records
+from benchmarks.harness.services import Searches
+from benchmarks.judging.forms import compare
+from benchmarks.peers.srbench import STRICT, assess
+from benchmarks.peers.strogatz_files import Split, rows_of, split
+
+PUBLISHED: Final = {
+    0.0: ("85.7 (PySR, 8 h)", 85.7, "20.0", "11.4"),
+    0.001: ("22.1 (AIFeynman, 8 h)", 22.1, "15.7", "5.0"),
+    0.01: ("50.0 (ParFam, 3.4 h)", 50.0, "13.6", "0.7"),
+    0.1: ("15.0 (DSR, 410 s)", 15.0, "2.1", "0"),
+}
+"""By noise: the highest published rate of solutions in %, and those of AFP_FE and Operon.
+
+Of the methods, AFP_FE alone evolves fitness predictors; its figures, Operon's, AIFeynman's and DSR's are from the
+results of SRBench (La Cava et al. 2021, ten runs for each file). PySR and ParFam were run once for each file.
+"""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one search came out by both rules.
+
+    `on_front` is the complexity of the smallest member of the front that the strict rule credits, None if none;
+    `constants_error` the largest relative error of a constant, None when terms differ. Times are in seconds.
+    """
+
+    file: str
+    seed: int
+    level: float
+    srbench: bool
+    srbench_reason: str
+    strict: bool
+    strict_reason: str
+    r_squared: float | None
+    constants_error: float | None
+    on_front: int | None
+    expression: str | None
+    complexity: int | None
+    why: str | None
+    point_evaluations: int
+    search_seconds: float
+    seconds: float
+
+
+def run(
+    searches: Searches, options: Namespace, configs: Mapping[int, JobConfig], known: Mapping[str, str], records: Records
+) -> int:
+    """Search all files at all levels with the configuration of each seed and print how often they were solved.
+
+    Returns 0 when the rate exceeds the highest published one at each level that has one.
+    """
+    outcomes: list[Outcome] = []
+    for level in options.noise:
+        for name in options.file or known:
+            for seed in options.seeds:
+                rows = split(rows_of(options.data, name), name, seed, level)
+                title = f"{name} noise {level:g} seed {seed}"
+                result = searches.solve(title, rows.training, configs[seed])
+                outcomes.append(outcome(result, rows, (name, seed, level), known[name]))
+                records.add(outcomes[-1])
+                note(_line(title, outcomes[-1]))
+    records.write(
+        rates={f"{level:g}": rates([each for each in outcomes if each.level == level]) for level in options.noise}
+    )
+    say(by_file(outcomes))
+    say("\n" + by_level(outcomes))
+    return 0 if all(_is_ahead([each for each in outcomes if each.level == level]) for level in options.noise) else 1
+
+
+def outcome(result: Mapping[str, Any], rows: Split, key: tuple[str, int, float], truth: str) -> Outcome:
+    """Judge the equation in `result` (the contents of a result.json) of the search `key`: file, seed and level."""
+    (equation,) = result["equations"]
+    file, seed, level = key
+    deviation = float(np.std(rows.labels))
+    text = equation["expression"]
+    found = assess(text, truth, rows.columns, rows.labels) if text else None
+    form = compare(text, truth, rows.columns, deviation, STRICT) if text else None
+    sizes = (
+        member["complexity"]
+        for member in equation["front"]
+        if compare(member["expression"], truth, rows.columns, deviation, STRICT).exact
+    )
+    return Outcome(
+        file=file,
+        seed=seed,
+        level=level,
+        srbench=found is not None and found.solved,
+        srbench_reason=found.reason if found else "no equation",
+        strict=form is not None and form.exact,
+        strict_reason=form.reason if form else "no equation",
+        r_squared=found.r_squared if found and math.isfinite(found.r_squared) else None,
+        constants_error=form.constants_error if form else None,
+        on_front=min(sizes, default=None),
+        expression=text,
+        complexity=equation["complexity"],
+        why=equation["why"],
+        point_evaluations=equation["point_evaluations"],
+        search_seconds=result["search_seconds"],
+        seconds=result["seconds"],
+    )
+
+
+def rates(outcomes: Sequence[Outcome]) -> dict[str, float]:
+    """Return the shares in % of `outcomes` solved by each rule, and with an equation on the front that is, strictly."""
+    whole = 100.0 / len(outcomes)
+    return {
+        "srbench": whole * sum(each.srbench for each in outcomes),
+        "strict": whole * sum(each.strict for each in outcomes),
+        "on_front": whole * sum(each.on_front is not None for each in outcomes),
+    }
+
+
+def by_file(outcomes: Sequence[Outcome]) -> str:
+    """Return a table with a row for each file and level."""
+    heads = ("file", "noise", "SRBench", "strict", "on front", "median s", "longest s", "evaluations")
+    keys = dict.fromkeys((each.file, each.level) for each in outcomes)
+    rows = []
+    for file, level in sorted(keys, key=lambda key: key[1]):
+        its = [each for each in outcomes if (each.file, each.level) == (file, level)]
+        seconds = [each.seconds for each in its]
+        shares = ([each.srbench for each in its], [each.strict for each in its], [bool(each.on_front) for each in its])
+        numbers = (f"{sum(share)} of {len(its)}" for share in shares)
+        times = (f"{statistics.median(seconds):.1f}", f"{max(seconds):.1f}")
+        evaluations = count(statistics.median(each.point_evaluations for each in its))
+        rows.append((file, f"{level:g}", *numbers, *times, evaluations))
+    return table(heads, rows)
+
+
+def by_level(outcomes: Sequence[Outcome]) -> str:
+    """Return a table of the rates in % beside the published ones."""
+    heads = (
+        "noise",
+        "runs",
+        "SRBench %",
+        "strict %",
+        "on front %",
+        "median s",
+        "highest published %",
+        "AFP_FE",
+        "Operon",
+    )
+    rows = []
+    for level in sorted({each.level for each in outcomes}):
+        its = [each for each in outcomes if each.level == level]
+        best, _, coevolved, operon = PUBLISHED.get(level, ("-", 0.0, "-", "-"))
+        share = (f"{rate:.1f}" for rate in rates(its).values())
+        seconds = f"{statistics.median(each.seconds for each in its):.1f}"
+        rows.append((f"{level:g}", str(len(its)), *share, seconds, best, coevolved, operon))
+    return table(heads, rows)
+
+
+def _is_ahead(outcomes: Sequence[Outcome]) -> bool:
+    published = PUBLISHED.get(outcomes[0].level)
+    return published is None or rates(outcomes)["srbench"] > published[1]
+
+
+def _line(title: str, its: Outcome) -> str:
+    marks = [
+        f"{rule} {'yes' if solved else 'no'}" for rule, solved in (("SRBench", its.srbench), ("strict", its.strict))
+    ]
+    front = "" if its.strict or its.on_front is None else f" (on the front at size {its.on_front})"
+    return f"{title}: {', '.join(marks)}{front} in {its.seconds:.1f} s: {its.expression}"

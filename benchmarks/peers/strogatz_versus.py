@@ -1,0 +1,169 @@
+"""Time to solution of the 14 Strogatz equations, ours and Operon's, in turn on the same machine."""
+
+import math
+import statistics
+from argparse import Namespace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from atoll.config import JobConfig
+from atoll.data.table import Table
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.cli.terminal.output import error_text, note, say, table
+from benchmarks.harness.records import Records
+from benchmarks.harness.reporting import load
+from benchmarks.harness.services import Searches
+from benchmarks.judging.evaluation import evaluate
+from benchmarks.judging.fractions import FloatArray
+from benchmarks.peers import operon
+from benchmarks.peers.operon import search_apart
+from benchmarks.peers.strogatz_files import LABEL, rows_of
+
+
+@dataclass(frozen=True)
+class Race:
+    """Seconds until each program met the target on one file, None where it did not within the limit.
+
+    The errors are the mean absolute ones on all rows over the label's deviation, measured in the same way for both.
+    `load` is how many processes wanted a core in the minute before.
+    """
+
+    file: str
+    seed: int
+    ours: float | None
+    our_error: float | None
+    our_expression: str | None
+    our_evaluations: int
+    peers: float | None
+    peers_error: float | None
+    peers_expression: str
+    peers_evaluations: int
+    peers_processor_seconds: float
+    load: float
+
+
+def run(
+    searches: Searches, options: Namespace, configs: Mapping[int, JobConfig], known: Mapping[str, str], records: Records
+) -> int:
+    """Let both search all files to the same target with equal seeds, one after the other, and print the times.
+
+    Returns 0 when ours met the target in every run.
+    """
+    races: list[Race] = []
+    for name in options.file or known:
+        rows = rows_of(options.data, name)
+        for seed in options.seeds:
+            result = searches.solve(f"{name} seed {seed}", rows, configs[seed])
+            peer = search_apart(options.data / f"{name}.csv", seed, options.target_error, options.max_time)
+            races.append(race((name, seed), result, rows, peer, options.target_error))
+            records.add(races[-1])
+            note(f"{name} seed {seed}: {_seconds(races[-1].ours)} s, Operon {_seconds(races[-1].peers)} s")
+    limit = options.max_time
+    records.write(summary=summary(races, limit))
+    say(by_file(races, limit))
+    say("\n" + totals(races, limit))
+    return 0 if all(each.ours is not None for each in races) else 1
+
+
+def race(key: tuple[str, int], result: Mapping[str, Any], rows: Table, peer: operon.Run, target_error: float) -> Race:
+    """Put the `result` (the contents of a result.json) of the search `key`, file and seed, beside the `peer`'s."""
+    (equation,) = result["equations"]
+    text = equation["expression"]
+    error = measured_error(text, rows) if text else None
+    return Race(
+        file=key[0],
+        seed=key[1],
+        ours=result["search_seconds"] if error is not None and error <= target_error else None,
+        our_error=error,
+        our_expression=text,
+        our_evaluations=equation["point_evaluations"],
+        peers=peer.seconds,
+        peers_error=peer.error,
+        peers_expression=peer.expression,
+        peers_evaluations=peer.evaluations,
+        peers_processor_seconds=peer.processor_seconds,
+        load=load(),
+    )
+
+
+def measured_error(expression: str, rows: Table) -> float | None:
+    """Return the mean of |value - label| over label's deviation on all rows; None when it is not finite."""
+    names = tuple(name for name in rows.names if name != LABEL)
+    values = evaluate(from_infix(expression, names), [rows.column(name) for name in names])
+    label: FloatArray = rows.column(LABEL)
+    error = float(abs(values - label).mean() / label.std())
+    return error if math.isfinite(error) else None
+
+
+def by_file(races: Sequence[Race], limit: float) -> str:
+    """Return a table with medians for each file; a run that missed the target counts as `limit` seconds."""
+    heads = ("file", "median s", "longest s", "met", "Operon s", "longest s", "met", "ratio")
+    rows = []
+    for file in dict.fromkeys(each.file for each in races):
+        its = [each for each in races if each.file == file]
+        ours, peers = _medians(its, limit)
+        cells = (*_cells([each.ours for each in its], limit), *_cells([each.peers for each in its], limit))
+        rows.append((file, *cells, f"{ours / peers:.3f}"))
+    return table(heads, rows)
+
+
+def totals(races: Sequence[Race], limit: float) -> str:
+    """Return the figures over all runs in a few lines."""
+    its = summary(races, limit)
+    worst = max(races, key=lambda each: counted(each.ours, limit))
+    ours = f"{its['met']} of {len(races)} met the target, geometric mean {its['mean_s']:.3f} s"
+    peers = f"{its['peers_met']} of {len(races)} met the target, geometric mean {its['peers_mean_s']:.3f} s"
+    worst_error = error_text(its["largest_error"])
+    lines = (
+        f"ours:   {ours}, slowest {its['slowest_s']:.2f} s ({worst.file} seed {worst.seed})",
+        f"Operon: {peers}, slowest {its['peers_slowest_s']:.2f} s",
+        f"ratio of the geometric means {its['ratio']:.3f}, geometric mean of the files' ratios {its['file_ratio']:.3f}",
+        f"largest error of ours that met it {worst_error}; load {its['load']:.1f}; limit {limit:g} s",
+    )
+    return "\n".join(lines)
+
+
+def summary(races: Sequence[Race], limit: float) -> dict[str, Any]:
+    """Return the figures over all runs."""
+    ours, peers = ([counted(get(each), limit) for each in races] for get in _SIDES)
+    by_files = [
+        _medians([each for each in races if each.file == file], limit)
+        for file in dict.fromkeys(each.file for each in races)
+    ]
+    mean, peers_mean = statistics.geometric_mean(ours), statistics.geometric_mean(peers)
+    return {
+        "met": sum(each.ours is not None for each in races),
+        "mean_s": mean,
+        "slowest_s": max(ours),
+        "peers_met": sum(each.peers is not None for each in races),
+        "peers_mean_s": peers_mean,
+        "peers_slowest_s": max(peers),
+        "ratio": mean / peers_mean,
+        "file_ratio": statistics.geometric_mean([mine / other for mine, other in by_files]),
+        "largest_error": max((each.our_error or 0.0 for each in races if each.ours is not None), default=None),
+        "load": statistics.median(each.load for each in races),
+    }
+
+
+_SIDES: tuple[Callable[[Race], float | None], ...] = (lambda each: each.ours, lambda each: each.peers)
+
+
+def counted(seconds: float | None, limit: float) -> float:
+    """Return the seconds that a run counts: `limit` when it missed the target, at least a millisecond."""
+    return limit if seconds is None else max(seconds, 1e-3)
+
+
+def _medians(races: Sequence[Race], limit: float) -> tuple[float, float]:
+    ours, peers = (statistics.median(counted(get(each), limit) for each in races) for get in _SIDES)
+    return ours, peers
+
+
+def _cells(seconds: Sequence[float | None], limit: float) -> tuple[str, str, str]:
+    values = [counted(each, limit) for each in seconds]
+    met = sum(each is not None for each in seconds)
+    return f"{statistics.median(values):.2f}", f"{max(values):.2f}", f"{met} of {len(seconds)}"
+
+
+def _seconds(seconds: float | None) -> str:
+    return "missed" if seconds is None else f"{seconds:.2f}"

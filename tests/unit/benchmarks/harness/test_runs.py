@@ -1,0 +1,55 @@
+"""Many runs over several processes, their file and their picture."""
+
+import json
+import math
+import sys
+
+import pytest
+
+from atoll.errors import AtollError, UsageError
+from benchmarks.harness import runs
+from benchmarks.harness.runs import Figures, canvas, in_parallel, positive
+
+
+@pytest.fixture(autouse=True)
+def _kernels_are_ready(monkeypatch):
+    """Let no test here load kernels, which none of them uses."""
+    monkeypatch.setattr(runs, "warm_up", lambda report: None)
+
+
+def test_every_task_is_done_once_whatever_the_order():
+    assert sorted(in_parallel(math.factorial, range(6), 2)) == [1, 1, 2, 6, 24, 120]
+
+
+def test_an_error_in_a_run_reaches_the_caller():
+    with pytest.raises(ValueError, match=r"math domain|nonnegative"):
+        list(in_parallel(math.sqrt, [-1.0], 1))
+
+
+def test_runs_that_never_end_are_given_up(monkeypatch):
+    import time
+
+    monkeypatch.setattr(runs, "RUN_LIMIT_S", 0.2)
+    with pytest.raises(AtollError, match="no run has ended for 0 s"):
+        list(in_parallel(time.sleep, [60.0], 1))
+
+
+def test_the_file_holds_the_machine_beside_the_figures(tmp_path):
+    Figures("table1", ["--row", "P2"], tmp_path / "new" / "f.json").write(runs=[1, 2])
+    written = json.loads((tmp_path / "new" / "f.json").read_text("utf-8"))
+    assert (written["benchmark"], written["runs"]) == ("table1", [1, 2])
+    assert {"machine", "load_before", "load_after", "seconds", "arguments"} <= set(written)
+
+
+def test_without_matplotlib_a_sentence_says_what_to_do(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(UsageError, match="leave --picture out"):
+        canvas(1.0, 1.0)
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "x", "1.5", ""])
+def test_a_number_of_processes_is_at_least_one(text):
+    import argparse
+
+    with pytest.raises(argparse.ArgumentTypeError, match="whole number"):
+        positive(text)

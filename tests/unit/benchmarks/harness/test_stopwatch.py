@@ -1,0 +1,87 @@
+"""Jobs of benchmarks are timed by state, and end when they take too long."""
+
+import subprocess
+import sys
+
+import pytest
+
+from atoll.errors import AtollError
+from atoll.wire.messages.views import JobView
+from benchmarks.harness.services import Searches
+from benchmarks.harness.stopwatch import Stopwatch, largest_child_mb, resident_mb
+from benchmarks.noise.data import Key, case
+from benchmarks.noise.search import search
+
+KEY = Key("atoll", "plain", "glider", 0.05, 100)
+
+
+VIEW = {"job": "j", "name": "n", "seed": 0, "preset": "default", "submitted": "", "elapsed": 0.0, "workers": 1}
+
+
+def view(state):
+    return JobView(**VIEW, state=state, point_evaluations=0)
+
+
+class Client:
+    """A coordinator's client whose job stays in one state."""
+
+    def __init__(self, state, reason=None):
+        self.view = view(state).model_copy(update={"reason": reason})
+        self.cancelled = []
+
+    def upload(self, data):
+        return "digest"
+
+    def submit(self, job, name, config, digest):
+        self.job = job
+
+    def status(self, job):
+        return self.view
+
+    def cancel(self, job):
+        self.cancelled.append(job)
+
+    def now(self):
+        return 0.0
+
+    def pause(self, seconds):
+        return None
+
+
+def test_time_is_kept_by_state():
+    stopwatch = Stopwatch()
+    for state in ("preparing", "running", "running", "done"):
+        stopwatch.watch(view(state))
+    assert list(stopwatch.seconds) == ["running"]
+    assert stopwatch.seconds["running"] >= 0.0
+
+
+def test_a_job_that_takes_too_long_is_cancelled():
+    client = Client("refining")
+    with pytest.raises(AtollError, match=r"was cancelled: it was still refining after 0 s"):
+        Searches(client, "address", []).solve("n", case(KEY).table, None, Stopwatch(limit_s=0.0).watch)
+    assert client.cancelled == [client.job]
+
+
+def test_a_failed_job_is_an_outcome_without_equations():
+    outcome, result = search(Searches(Client("failed", "no rows"), "address", []), KEY, case(KEY), None)
+    assert (outcome.found, result) == (0, None)
+    assert "no rows" in outcome.failure
+
+
+def test_without_a_coordinator_the_benchmark_ends_instead_of_counting_misses():
+    with subprocess.Popen([sys.executable, "-c", "pass"]) as ended:
+        ended.wait(20)
+    with pytest.raises(AtollError, match="ended with code 0"):
+        search(Searches(Client("failed"), "address", [ended]), KEY, case(KEY), None)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_memory_of_the_processes_below_is_seen():
+    command = [sys.executable, "-c", "x = bytearray(30_000_000); print(1, flush=True); input()"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
+        child.stdout.readline()
+        resident = resident_mb()
+        child.communicate(b"\n")
+    assert resident > 30.0
+    assert largest_child_mb() > 30.0

@@ -1,0 +1,63 @@
+"""Models are solved from fresh initial conditions; those that run away or are too stiff end in time."""
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.harness.systems import SYSTEMS, drawn
+from benchmarks.judging.generalisation import field_of, foretold, is_foretold, r_squared, simulated
+from benchmarks.noise.data import Path
+
+TIMES = np.arange(50) * 0.1
+GLIDER = Path(TIMES, drawn(SYSTEMS["glider"], np.random.default_rng(3), TIMES))
+TRUTH = {"v": "-0.05*v**2 - sin(theta)", "theta": "v - cos(theta)/v"}
+
+
+def test_a_field_is_its_expressions():
+    field = field_of(["x**2 - sin(y)/y", "exp(-x) + 2.5*abs(y) - tanh(x*y)"], ("x", "y"))
+    x, y = 0.3, -1.7
+    expected = [x * x - math.sin(y) / y, math.exp(-x) + 2.5 * abs(y) - math.tanh(x * y)]
+    assert field([x, y]) == pytest.approx(expected)
+
+
+def test_the_truth_foretells_everything():
+    r2 = foretold(TRUTH, ("v", "theta"), GLIDER)
+    assert list(r2) == ["v", "theta"]
+    assert min(r2.values()) > 1 - 1e-9
+
+
+def test_a_wrong_equation_spoils_what_depends_on_it():
+    r2 = foretold({**TRUTH, "v": "0.0*v"}, ("v", "theta"), GLIDER)
+    assert r2["v"] < 0.9
+    assert [is_foretold(value) for value in (r2["v"], None, 0.9, 0.91)] == [False, False, False, True]
+
+
+def test_without_one_equation_nothing_is_foretold():
+    assert foretold({**TRUTH, "v": None}, ("v", "theta"), GLIDER) == {"v": None, "theta": None}
+
+
+@pytest.mark.parametrize(
+    "expression",
+    ["v**2", "1/(v - v)", "exp(50*v)", "log(-v)", "-1e9*(v - sin(1e6*theta))"],
+    ids=["explosion", "division by zero", "overflow", "undefined", "stiff"],
+)
+def test_a_model_that_cannot_be_solved_has_no_r2(expression):
+    assert foretold({"v": expression, "theta": "1.0"}, ("v", "theta"), GLIDER)["v"] is None
+
+
+def test_an_equation_too_long_to_be_read_is_not_foretold():
+    text = " + ".join(f"{number}.5*v" for number in range(300))
+    assert foretold({"v": text, "theta": "1.0"}, ("v", "theta"), GLIDER) == {"v": None, "theta": None}
+
+
+def test_inputs_are_taken_at_the_time():
+    path = Path(TIMES, np.column_stack((1.0 - np.cos(TIMES),)), (math.sin,))
+    found = simulated(field_of(["u"], ("x", "u")), path)
+    np.testing.assert_allclose(found, path.states, atol=1e-6)
+
+
+def test_r_squared_is_one_without_error_and_zero_for_the_mean():
+    true = np.column_stack((TIMES, TIMES**2))
+    assert r_squared(true, true) == [1.0, 1.0]
+    assert r_squared(np.broadcast_to(true.mean(axis=0), true.shape), true) == pytest.approx([0.0, 0.0])

@@ -1,0 +1,287 @@
+"""Noisy searches: how answers are judged and summed up, and how a campaign is resumed."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from atoll.errors import DataError, UsageError
+from benchmarks.harness.journal import Journal, outcome_from
+from benchmarks.judging.coverage import Covered
+from benchmarks.noise import __main__ as noise
+from benchmarks.noise.cases import driven_case, hard_cases
+from benchmarks.noise.data import Key, case
+from benchmarks.noise.goals import goals, shown
+from benchmarks.noise.judging import EquationOutcome, Outcome, failed, outcome
+from benchmarks.noise.tables import by_equation, by_grade, by_level, misses, summarized
+
+KEY = Key("atoll", "plain", "lotka_volterra", 0.05, 100)
+RESPIRATION = Key("atoll", "plain", "bacterial_respiration", 0.05, 100)
+
+
+def equation(variable, expression, constants=(), **more):
+    return {"variable": variable, "lhs": f"d{variable}/dt", "expression": expression, "constants": constants, **more}
+
+
+def constant(value, low, high):
+    return {"value": value, "fitted": value, "std_error": 0.1, "interval": [low, high], "identifiable": True}
+
+
+X = equation(
+    "x",
+    "x*(3.05 - 1.96*y - x)",
+    [constant(3.05, 2.9, 3.2), constant(1.96, 1.94, 1.98)],
+    verdict="good",
+    reason="few contenders",
+)
+Y = equation("y", "2.1*y - 0.3*y**2", front=[{"expression": "y*(2.0 - x - y)"}], candidates=[{"expression": "y"}])
+
+
+def judged(*equations, key=KEY):
+    return outcome(key, case(key), {"equations": list(equations), "seconds": 3.0, "digest": "d"}, {"refining": 1.0})
+
+
+@pytest.fixture(scope="module")
+def lotka():
+    return judged(X, Y)
+
+
+def test_an_equation_in_form_has_errors_and_intervals_of_its_constants(lotka):
+    x = lotka.equations[0]
+    assert (x.found, x.in_form, x.grade, x.elsewhere) == (True, True, "good", None)
+    assert x.constants_error == pytest.approx(0.02)
+    assert [(each.is_covered, round(each.truth, 6)) for each in x.constants] == [(True, 3.0), (False, 2.0)]
+    assert x.own_error == pytest.approx(0.02)
+
+
+def test_an_equation_that_is_not_in_form_is_looked_for_elsewhere(lotka):
+    y = lotka.equations[1]
+    assert (y.found, y.in_form, y.constants, y.elsewhere, y.contenders) == (False, False, None, "front", 1)
+    assert y.function_error > 0.05
+    assert "the truth is among the front" in misses([lotka])[0]
+
+
+def test_how_close_the_race_was_is_told():
+    contender = {"expression": "y*(2.0 - x - y)", "nats": 2.34}
+    lost = judged(X, {**Y, "candidates": [{"expression": "2.1*y - 0.3*y**2", "nats": 0.0}, contender]}).equations[1]
+    assert (lost.elsewhere, lost.contenders) == ("contenders (+2.3 nats)", 2)
+
+
+def test_the_system_is_simulated_as_a_whole(lotka):
+    both = judged(X, equation("y", "y*(2.0 - x - y)"))
+    assert both.equations[0].r2 > 0.9 > lotka.equations[0].r2
+    assert both.found == 2
+
+
+def test_without_noise_constants_must_be_right():
+    exact = dataclasses.replace(KEY, level=0.0)
+    found = judged(X, equation("y", "y*(2.00001 - x - y)"), key=exact).equations
+    assert [(each.found, each.in_form) for each in found] == [(False, True), (True, True)]
+
+
+def test_a_constant_of_the_other_sign_is_another_form():
+    assert not judged(equation("x", "3.0*x + 2.0*x*y - x**2"), Y).equations[0].in_form
+
+
+def test_respiration_is_judged_by_its_function():
+    near = judged(equation("x", "20.1 - x - 2*y/x"), equation("y", "10 - y"), key=RESPIRATION).equations
+    assert [(each.found, each.in_form) for each in near] == [(near[0].function_error < 0.05, False), (False, False)]
+    true = judged(equation("x", "20.0 - x - x*y/(1.0 + 0.5*x**2)"), Y, key=RESPIRATION).equations[0]
+    assert (true.found, true.constants) == (True, None)
+    wrong = judged(equation("x", "20.0 - x - x*y/(9.0 + 0.5*x**2)"), Y, key=RESPIRATION).equations[0]
+    assert (wrong.in_form, wrong.found) == (False, False)
+
+
+def test_what_an_older_version_does_not_tell_may_be_missing():
+    bare = judged({"variable": "x", "expression": "3.0*x - 2.0*x*y - x**2"}).equations
+    assert (bare[0].found, bare[0].constants, bare[0].grade) == (True, (), None)
+    assert (bare[1].found, bare[1].reason, bare[1].r2) == (False, "no equation was found", None)
+
+
+def test_a_failed_search_counts_as_missed():
+    lost = failed(KEY, case(KEY), "the data could not be used", 2.0)
+    assert (lost.found, len(lost.equations), lost.failure) == (0, 2, "the data could not be used")
+    assert lost.equations[0].grade_reason == "the data could not be used"
+
+
+EQUATION = EquationOutcome(
+    variable="x", expression="x", found=True, in_form=True, reason="the same form", constants_error=0.02,
+    own_error=0.01, function_error=0.03, path_error=0.03, elsewhere=None, constants=(), r2=0.95, grade="good",
+)  # fmt: skip
+MISSED = dataclasses.replace(
+    EQUATION, variable="y", found=False, in_form=False, elsewhere="contenders", constants=None, r2=0.5, grade="doubtful"
+)
+COVERED = Covered(2.0, 2.01, 2.0, 1.9, 2.1, True)
+UNCOVERED = dataclasses.replace(COVERED, low=2.05)
+
+
+def outcomes():
+    """Three seeds: both equations found, one, one."""
+    whole = (dataclasses.replace(EQUATION, constants=(COVERED, UNCOVERED)), dataclasses.replace(EQUATION, variable="y"))
+    half = (dataclasses.replace(EQUATION, constants_error=0.06, constants=(COVERED,)), MISSED)
+    return [
+        Outcome(dataclasses.replace(KEY, seed=seed), equations, 4.0 + seed, {"refining": 2.0})
+        for seed, equations in ((0, whole), (1, half), (2, half))
+    ]
+
+
+def test_counts_are_medians_over_seeds_and_errors_over_all_equations_found():
+    (its,) = summarized(outcomes())
+    assert (its.seeds, its.equations, its.found, its.foretold, its.elsewhere) == (3, 2, 1, 1, 2)
+    assert (its.constants_error, its.seconds, its.longest_s) == (0.04, 5.0, 6.0)
+    assert (its.intervals, its.covered, its.coverage) == (4, 3, 0.75)
+    assert its.relative_width == pytest.approx(0.1)
+
+
+def test_systems_whose_constants_are_not_determined_do_not_count_for_constants():
+    key = dataclasses.replace(KEY, system="bacterial_respiration")
+    (its,) = summarized([dataclasses.replace(each, key=key) for each in outcomes()])
+    assert (its.constants_error, its.own_error, its.intervals) == (None, None, 0)
+
+
+def test_levels_manners_and_methods_are_told_apart():
+    other = [dataclasses.replace(each, key=dataclasses.replace(each.key, method="pysindy")) for each in outcomes()]
+    clean = [dataclasses.replace(each, key=dataclasses.replace(each.key, level=0.0)) for each in outcomes()]
+    found = summarized([*outcomes(), *other, *clean])
+    assert [(each.level, each.method) for each in found] == [(0.0, "atoll"), (0.05, "atoll"), (0.05, "pysindy")]
+    assert "1 of 2" in by_level(found).splitlines()[1]
+
+
+def test_what_is_expected_is_set_beside_what_was_measured():
+    """14 equations of which 11 were found, in form, and foretold, at noise 0.05."""
+    missed = dataclasses.replace(MISSED, constants=None)
+    equations = (dataclasses.replace(EQUATION, constants=(COVERED,)),) * 11 + (missed,) * 3
+    found = goals([Outcome(KEY, equations, 1.0, {})])
+    assert [each.is_met for each in found] == [True, False, True, False]
+    assert [each.measured for each in found] == ["11", "11", "2 %", "100 % of 11"]
+    assert "NOT MET" in shown(found)
+    assert goals([Outcome(KEY, equations[:2], 1.0, {})]) == []
+
+
+def test_tables_show_equations_and_verdicts():
+    _, first, second = by_equation(outcomes()).splitlines()
+    assert first.split()[:4] == ["atoll", "plain", "lotka_volterra", "x"]
+    assert "3/3, R² 3/3, 6 %" in first
+    assert "1/3, R² 1/3" in second
+    assert [row.split() for row in by_grade(outcomes()).splitlines()[1:]] == [
+        ["good", "4", "4", "4"],
+        ["doubtful", "2", "0", "0"],
+    ]
+
+
+def test_an_outcome_is_read_back_as_it_was_written(tmp_path, lotka):
+    path = tmp_path / "lines.jsonl"
+    Journal(path, False, ["--seeds", "0"]).add(lotka, {"equations": [X], "seconds": 3.0, "more": 1})
+    again = Journal(path, True, [])
+    assert again.outcomes == {KEY: lotka}
+    assert again.answers == {KEY: {"equations": [X], "seconds": 3.0}}
+    assert outcome_from(json.loads(json.dumps(dataclasses.asdict(lotka)))) == lotka
+
+
+def test_curves_are_not_kept(tmp_path, lotka):
+    path = tmp_path / "lines.jsonl"
+    simulated = {"name": "1", "held_out": False, "r2": {"x": 0.9}}
+    answer = {"simulation": {"trajectories": [{**simulated, "times": [0.0, 0.1], "values": {"x": [1.0, 2.0]}}]}}
+    Journal(path, False, []).add(lotka, answer)
+    assert Journal(path, True, []).answers == {KEY: {"simulation": {"trajectories": [simulated]}}}
+
+
+def test_a_line_that_was_cut_off_is_done_again(tmp_path, lotka):
+    path = tmp_path / "lines.jsonl"
+    Journal(path, False, []).add(lotka)
+    path.write_text(path.read_text() + '{"outcome": {"key"')
+    journal = Journal(path, True, [])
+    journal.add(dataclasses.replace(lotka, key=RESPIRATION))
+    assert list(Journal(path, True, []).outcomes) == [KEY, RESPIRATION]
+
+
+def test_files_are_not_overwritten_and_others_not_resumed(tmp_path):
+    path = tmp_path / "lines.jsonl"
+    path.write_text('{"outcome": 3}\n')
+    with pytest.raises(UsageError, match="exists already"):
+        Journal(path, False, [])
+    with pytest.raises(DataError, match="line 1"):
+        Journal(path, True, [])
+    with pytest.raises(UsageError, match="cannot be read"):
+        Journal(tmp_path / "none", True, [])
+
+
+class Told:
+    """Answers every search with the truth."""
+
+    def __init__(self):
+        self.titles = []
+
+    def solve(self, title, table, config, watch):
+        self.titles.append((title, config.seed, config.data.missing))
+        return {"equations": [X, equation("y", "y*(2.0 - x - y)")], "seconds": 1.0}
+
+
+def test_a_campaign_does_what_is_missing_and_can_be_judged_again(tmp_path, monkeypatch, capsys):
+    told, path = Told(), tmp_path / "lines.jsonl"
+    monkeypatch.setattr(noise, "searching", lambda workers: _Given(told))
+    words = ["--systems", "lotka_volterra", "--levels", "0.05", "--variants", "plain", "missing"]
+    assert noise.main([*words, "--seeds", "100", "--out", str(path)]) == 0
+    assert [(seed, missing) for _, seed, missing in told.titles] == [(100, "refuse"), (100, "drop")]
+    assert noise.main([*words, "--seeds", "100-101", "--resume", str(path), "--judge-again"]) == 0
+    assert [seed for _, seed, _ in told.titles] == [100, 100, 101, 101]
+    assert "2 of 2" in capsys.readouterr().out
+
+
+class _Given:
+    def __init__(self, value):
+        self._value = value
+
+    def __enter__(self):
+        return self._value
+
+    def __exit__(self, *_):
+        return None
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--levels", "nan"], "a share"),
+        (["--variants", "other"], "one of plain, uneven"),
+        (["--out", "a", "--resume", "b"], "give one of the two"),
+        (["--only-versus"], "--versus pysindy"),
+        (["--judge-again"], "name it with --resume"),
+    ],
+)
+def test_bad_options_are_one_sentence_and_exit_code_2(words, sentence, capsys):
+    with pytest.raises(SystemExit) as ended:
+        noise.main(words)
+    assert ended.value.code == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_a_driven_system_has_its_input_behind_its_states():
+    its = driven_case(0.0, 100)
+    assert (its.names, its.data) == (("x", "v", "u"), {"inputs": ("u",)})
+    true = outcome(
+        Key("atoll", "plain", "driven pendulum", 0.0, 100),
+        its,
+        {"equations": [equation("x", "v"), equation("v", "-0.3*v - sin(x) + 0.8*u")]},
+        {},
+    )
+    assert true.found == 2
+    assert min(each.r2 for each in true.equations) > 0.999
+
+
+def test_hard_input_is_finite_and_varied():
+    tables = hard_cases(np.random.default_rng(0))
+    assert min(each.rows for each in tables.values()) == 4
+    assert all(np.isfinite(each.columns).all() for each in tables.values())
+
+
+def test_without_noise_every_seed_must_find_all():
+    """With two of three seeds all 14 are found, with one 13."""
+    keys = [dataclasses.replace(KEY, level=0.0, seed=seed) for seed in range(3)]
+    whole = (dataclasses.replace(EQUATION, constants=(COVERED,)),) * 14
+    runs = [Outcome(key, whole, 1.0, {}) for key in keys[:2]]
+    runs.append(Outcome(keys[2], (*whole[1:], dataclasses.replace(MISSED, constants=None)), 1.0, {}))
+    found = goals(runs)[0]
+    assert (found.is_met, found.measured) == (False, "13")
+    assert goals(runs[:2])[0].is_met

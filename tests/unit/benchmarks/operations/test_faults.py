@@ -1,0 +1,74 @@
+"""Real faults: what strikes is drawn from a seed, and what is said of it is what happened."""
+
+import pytest
+
+from atoll.wire.messages.views import JobState, JobView, VariableView
+from benchmarks.operations.faults import main
+from benchmarks.operations.strikes import LASTING_S, Blow, Standing, Strikes, kinds_of, rows
+
+
+def view(state: JobState = "running", **epochs: int) -> JobView:
+    variables = tuple(
+        VariableView(variable=name, lhs=name, epoch=epoch, point_evaluations=0, finished=epoch == 9, why=None)
+        for name, epoch in epochs.items()
+    )
+    return JobView(
+        job="j", name="", state=state, seed=0, preset="default", reason=None, warnings=(), submitted="", elapsed=0.0,
+        workers=1, point_evaluations=0, variables=variables,
+    )  # fmt: skip
+
+
+def blow(kind: str, lost_s: float) -> Blow:
+    return Blow(kind, "w0", 1.5, "j", 0.0, lost_s)  # type: ignore[arg-type]
+
+
+def test_strikes_are_drawn_from_their_seed() -> None:
+    def drawn(seed: int) -> list[object]:
+        strikes = Strikes(seed, tuple(LASTING_S), ("w0", "w1"))
+        return [strikes.next() for _ in range(200)]
+
+    assert drawn(1) == drawn(1) != drawn(2)
+    assert {each.kind for each in drawn(1)} == set(LASTING_S)  # type: ignore[attr-defined]
+    for each in Strikes(0, ("stop-worker",), ("w0",)).next(), Strikes(0, ("kill-coordinator",), ("w0",)).next():
+        low, high = LASTING_S[each.kind]
+        assert low <= each.for_s <= high
+    assert Strikes(0, ("kill-coordinator",), ("w0",)).next().who == "coordinator"
+
+
+def test_kinds_that_there_are_not_are_refused() -> None:
+    assert kinds_of(["stop-worker", "kill-worker"]) == ("kill-worker", "stop-worker")
+    with pytest.raises(ValueError, match="'kill-time'"):
+        kinds_of(["kill-time"])
+
+
+def test_a_search_has_recovered_when_every_equation_got_further_or_is_over() -> None:
+    before = Standing.of(view(x=3, y=5))
+    assert not before.is_passed_by(Standing.of(view(x=4, y=5)))
+    assert before.is_passed_by(Standing.of(view(x=4, y=6)))
+    assert before.is_passed_by(Standing.of(view(x=4, y=9)))
+    assert before.is_passed_by(Standing.of(view("done", x=3, y=5)))
+    assert not before.is_passed_by(Standing.of(view()))
+
+
+def test_the_table_has_each_kind_and_all() -> None:
+    blows = [blow("kill-worker", 1.0), blow("stop-worker", 16.0), blow("kill-worker", 2.0)]
+    assert rows(blows) == [
+        ("kill-worker", "2", "1.50", "2.00", "1.5"),
+        ("stop-worker", "1", "16.00", "16.00", "1.5"),
+        ("all", "3", "2.00", "16.00", "1.5"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--kinds", "kill-time"], "'kill-time' was given"),
+        (["--kinds", "kill-router"], "with --own-router only"),
+        (["--kinds", "cut-worker"], "with --networks only"),
+    ],
+)
+def test_what_cannot_be_struck_is_refused(words: list[str], sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    assert sentence in capsys.readouterr().err

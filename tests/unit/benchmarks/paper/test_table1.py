@@ -1,0 +1,164 @@
+"""Table I as a benchmark: what is sought, when a run has converged, and what the runs of a row come to."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from atoll.expression.text.parsing import from_infix
+from atoll_island_worker.evolution.island import Island
+from benchmarks.paper import table1
+from benchmarks.paper.published import ROWS, USUAL
+from benchmarks.paper.table1 import Run, Task, cells, curve, difference, is_shifted, largest_error, main, run, summary
+
+X = np.linspace(0.1, 6.2, 200)
+
+
+def program(text):
+    return from_infix(text, ("x",))
+
+
+def ended(row="P4", preset="default", *, evaluations=1000, converged=True, shifted=False, seed=0):
+    task = Task(row, preset, seed, ROWS[row].budget)
+    return Run(task, converged, shifted, evaluations, 10, "x" if converged else None, 1 if converged else None)
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_a_rows_points_lie_in_its_range_and_its_truth_is_finite_there(name):
+    row = ROWS[name]
+    x = row.points(3, "points", 500)
+    assert row.between[0] <= x.min() < x.max() <= row.between[1]
+    assert np.isfinite(row.values(x)).all()
+
+
+def test_points_differ_by_seed_and_purpose_and_are_the_same_again():
+    row = ROWS["P2"]
+    first = row.points(0, "points", 20)
+    assert (row.points(0, "points", 20) == first).all()
+    assert not np.isin(row.points(1, "points", 20), first).any()
+    assert not np.isin(row.points(0, "fresh points", 20), first).any()
+
+
+def test_over_nine_tenths_of_the_gaussians_points_lie_beyond_its_fringe():
+    row, deviation = ROWS["gaussian"], math.sqrt(0.5)
+    x = row.points(0, "points", row.rows)
+    assert (np.abs(x) > 3 * deviation).mean() > 0.9
+
+
+def test_polynomials_lack_exp_and_the_identity_lacks_cos():
+    assert not any("exp" in ROWS[name].operators for name in USUAL if name != "gaussian")
+    assert "cos" not in ROWS["cos2x"].operators
+
+
+def test_the_bar_is_the_better_published_figure():
+    assert (ROWS["P5"].bar, ROWS["quintic"].bar, ROWS["gaussian"].bar) == (84.0, 93.9, 2.107e7)
+
+
+def test_the_error_is_the_largest_one_and_infinite_where_there_is_none():
+    assert largest_error(program("x + 1"), X, X) == pytest.approx(1.0)
+    assert largest_error(program("log(x - 3)"), X, X) == math.inf
+
+
+@pytest.mark.parametrize(
+    ("text", "shifted"),
+    [
+        ("sin(2*x + 1.5707963267948966)", True),
+        ("-sin(x + x - 1.5707963267948966)", True),
+        ("sin(1.5707963267948966 - 2*x)", True),
+        ("1 - 2*sin(x)**2", False),
+        ("sin(x)*sin(x + 1.5707963267948966)", False),
+        ("sin(2*x**2)", False),
+        ("1/exp(100*exp(x))", False),
+    ],
+)
+def test_a_sine_of_twice_the_angle_is_told_from_the_identity(text, shifted):
+    assert is_shifted(program(text), X) is shifted
+
+
+def test_a_row_is_summed_up_by_the_share_of_its_runs_within_budget_and_mark():
+    runs = [ended(evaluations=250_000), ended(evaluations=400_000), ended(converged=False), ended(evaluations=100)]
+    its = summary(ROWS["P4"], "default", runs)
+    assert (its.runs, its.converged, its.marked, its.median, its.most) == (4, 75.0, 50.0, 250_000.0, None)
+    assert not its.is_met
+    assert summary(ROWS["P4"], "default", [ended()]).is_met
+
+
+def test_the_papers_preset_is_judged_by_what_chance_allows():
+    runs = [ended(preset="paper", converged=number < 5) for number in range(10)]
+    assert summary(ROWS["P4"], "paper", runs).is_met
+    assert not summary(ROWS["P4"], "paper", [ended(preset="paper", converged=False)] * 10).is_met
+
+
+def test_a_cost_is_met_when_every_run_converged_below_it():
+    runs = [ended("gaussian", evaluations=10**6), ended("gaussian", evaluations=2 * 10**7)]
+    assert summary(ROWS["gaussian"], "default", runs).is_met
+    assert not summary(ROWS["gaussian"], "default", [*runs, ended("gaussian", evaluations=22 * 10**6)]).is_met
+    assert not summary(ROWS["gaussian"], "default", [*runs, ended("gaussian", converged=False)]).is_met
+
+
+def test_a_difference_of_shares_is_given_in_standard_deviations():
+    assert difference(100.0, 50, 100.0, 50) == 0.0
+    assert difference(60.0, 100, 50.0, 100) == pytest.approx(0.1 / math.sqrt(0.55 * 0.45 * 0.02))
+
+
+def test_a_curve_rises_by_the_share_of_all_runs():
+    assert curve([ended(evaluations=9), ended(converged=False), ended(evaluations=4)], 4) == ([4.0, 9.0], [25.0, 50.0])
+
+
+def test_forms_counted_apart_stand_in_the_table():
+    its = summary(ROWS["cos2x"], "default", [ended("cos2x", shifted=True), ended("cos2x")])
+    assert cells(its)[:5] == ("cos2x", "default", "2", "100.0", "50.0")
+
+
+def test_a_run_ends_when_it_converges_and_is_the_same_again():
+    task = Task("P2", "default", 100, 500_000)
+    its = run(task)
+    assert its.converged
+    assert its.evaluations < 100_000
+    assert largest_error(program(its.expression), X, X**2 + X) < 1e-6
+    assert run(task) == its
+
+
+def test_a_run_ends_when_its_evaluations_are_used_up():
+    its = run(Task("sextic", "paper", 100, 30_000))
+    assert not its.converged
+    assert 30_000 < its.evaluations < 45_000
+
+
+def test_what_an_island_used_until_it_was_looked_at_counts(monkeypatch):
+    """With all rows and no fit, two generations of 64 solutions on 20 rows after the first 64 are 3,840 evaluations."""
+    looked = []
+    advance = Island.advance
+    monkeypatch.setattr(Island, "advance", lambda its, number: looked.append(number) or advance(its, number))
+    its = run(Task("P5", "paper", 100, 3_000))
+    assert looked == [2]
+    assert 3_840 <= its.evaluations < 5_000
+
+
+def test_the_table_the_file_and_the_picture_are_made_of_the_same_runs(monkeypatch, tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    monkeypatch.setattr(
+        table1, "in_parallel", lambda function, tasks, _: [ended(each.row, each.preset) for each in tasks]
+    )
+    out, picture = tmp_path / "t.json", tmp_path / "t.png"
+    options = ["--row", "P4", "--row", "gaussian", "--seeds", "0-1", "--out", str(out), "--picture", str(picture)]
+    assert main(options) == 0
+    assert "at or above" in capsys.readouterr().out
+    written = json.loads(out.read_text("utf-8"))
+    assert [each["converged"] for each in written["summaries"]] == [100.0] * 4
+    assert len(written["runs"]) == 8
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_row_that_falls_short_is_an_exit_code(monkeypatch):
+    monkeypatch.setattr(table1, "in_parallel", lambda _, tasks, __: [ended(converged=False) for _ in tasks])
+    assert main(["--row", "P4", "--preset", "default", "--seeds", "0"]) == 1
+
+
+@pytest.mark.parametrize("options", [["--row", "P9"], ["--workers", "0"], ["--evaluations", "-3"]])
+def test_bad_options_are_refused(options, capsys):
+    with pytest.raises(SystemExit) as ended_with:
+        main(options)
+    assert ended_with.value.code == 2
+    assert "Traceback" not in capsys.readouterr().err

@@ -1,0 +1,65 @@
+"""Operon as a peer: the target is measured in our terms, and its process is bounded."""
+
+import subprocess
+
+import numpy as np
+import pytest
+
+from atoll.errors import AtollError, UsageError
+from benchmarks.peers import operon
+from benchmarks.peers.operon import require, scaled_error, search_apart
+
+
+@pytest.fixture
+def file(tmp_path):
+    x, y = np.random.default_rng(1).uniform(0.5, 3.0, (2, 60))
+    rows = np.column_stack((3 * x - 2 * x * y, x, y))
+    path = tmp_path / "some.csv"
+    np.savetxt(path, rows, delimiter=",", header="label,x,y", comments="")
+    return path
+
+
+def test_the_error_is_that_of_the_scaled_model():
+    values = np.array([1.0, 2.0, 3.0, 4.0])
+    assert scaled_error(values, 5.0 - 2.0 * values) == pytest.approx(0.0, abs=1e-12)
+    label = np.array([1.0, -1.0, -1.0, 1.0])
+    assert scaled_error(values, label) == pytest.approx(1.0)
+    assert scaled_error(np.ones(4), label) == 1.0
+    assert scaled_error(np.array([1.0, np.nan, 1.0, 2.0]), label) is None
+
+
+def test_a_missing_library_is_one_sentence(monkeypatch):
+    monkeypatch.setattr(operon.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(UsageError, match=r"pip install -e '\.\[bench\]'"):
+        require()
+
+
+def test_a_process_that_fails_is_reported(tmp_path):
+    with pytest.raises(AtollError, match=r"Operon failed on missing\.csv"):
+        search_apart(tmp_path / "missing.csv", 0, 1e-4, 5.0)
+
+
+def test_a_process_that_does_not_end_is_ended(monkeypatch, file):
+    def slow(*arguments, **options):
+        raise subprocess.TimeoutExpired("operon", options["timeout"])
+
+    monkeypatch.setattr(operon.subprocess, "run", slow)
+    with pytest.raises(AtollError, match="did not end within 35 s"):
+        search_apart(file, 0, 1e-4, 5.0)
+
+
+def test_an_easy_equation_is_found(file):
+    pytest.importorskip("pyoperon")
+    run = search_apart(file, 0, 1e-4, 30.0)
+    assert run.error is not None
+    assert run.error < 1e-4
+    assert run.seconds is not None
+    assert run.seconds <= run.elapsed
+    assert run.generations >= 1
+
+
+def test_a_target_out_of_reach_ends_at_the_limit(file):
+    pytest.importorskip("pyoperon")
+    run = search_apart(file, 0, 1e-300, 0.5)
+    assert run.seconds is None
+    assert run.elapsed >= 0.5

@@ -1,0 +1,49 @@
+"""PySINDy's models are read and judged as ours are."""
+
+import dataclasses
+
+import pytest
+
+from atoll.errors import UsageError
+from benchmarks.noise.data import Key, case
+from benchmarks.noise.judging import outcome
+from benchmarks.peers import pysindy_models
+from benchmarks.peers.pysindy_models import WAVES, WEAK, as_infix, solve
+
+KEY = Key(WEAK, "plain", "bar_magnets", 0.0, 100)
+
+
+def test_terms_become_our_expressions():
+    terms = ["1", "x", "x^2 y", "sin(1 x)", "cos(2 x) sin(1 y)"]
+    text = "0.5 + -2.0*x**2*y + 1.5*sin(1*x) + 3.0*cos(2*x)*sin(1*y)"
+    assert as_infix(terms, [0.5, 0.0, -2.0, 1.5, 3.0]) == text
+    assert as_infix(["x"], [0.0]) == "0.0"
+
+
+def test_without_the_extra_there_is_a_sentence(monkeypatch):
+    monkeypatch.setattr(pysindy_models.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(UsageError, match=r"pip install -e '\.\[bench\]'"):
+        pysindy_models.require()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("method", [WAVES, WEAK])
+def test_an_equation_within_its_library_is_found(method, monkeypatch):
+    pytest.importorskip("pysindy")
+    monkeypatch.setattr(pysindy_models, "PLAIN_LIBRARIES", ())
+    monkeypatch.setattr(pysindy_models, "WAVY_LIBRARIES", ((1, 1, True),))
+    monkeypatch.setattr(pysindy_models, "THRESHOLDS", (0.07,))
+    key = dataclasses.replace(KEY, method=method)
+    its = outcome(key, case(key), solve(key, case(key)), {})
+    assert all(each.in_form for each in its.equations)
+    assert max(each.constants_error for each in its.equations) < 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_the_weak_form_does_not_apply_to_uneven_times():
+    pytest.importorskip("pysindy")
+    key = dataclasses.replace(KEY, variant="uneven")
+    answer = solve(key, case(key))
+    assert [each["expression"] for each in answer["equations"]] == [None, None]

@@ -1,0 +1,94 @@
+"""SRBench's rule and the strict one: what they credit, and that no expression holds them up."""
+
+import numpy as np
+import pytest
+
+from atoll.errors import UsageError
+from benchmarks.judging.equivalents import EQUIVALENTS, OTHERS, OVERCREDITED, UNCREDITED, rows_of
+from benchmarks.peers import srbench
+from benchmarks.peers.srbench import Comparer, assess, expectations, main, srbench_solved, strict_solved
+
+
+@pytest.fixture(scope="module")
+def comparer():
+    its = Comparer()
+    yield its
+    its.close()
+
+
+@pytest.fixture(autouse=True)
+def _shared(monkeypatch, comparer):
+    monkeypatch.setattr(srbench, "comparer", lambda: comparer)
+
+
+def judged(name, form):
+    truth, _ = EQUIVALENTS[name]
+    arguments = (form, truth, *rows_of(name))
+    return srbench_solved(*arguments), strict_solved(*arguments)
+
+
+@pytest.mark.parametrize("name", EQUIVALENTS)
+def test_every_truth_is_credited_in_another_form(name):
+    assert judged(name, EQUIVALENTS[name][1][0]) == (True, True)
+
+
+@pytest.mark.parametrize("name", EQUIVALENTS)
+def test_the_strict_rule_judges_all_forms(name):
+    truth, _ = EQUIVALENTS[name]
+    for form, _, exact in expectations(name):
+        assert strict_solved(form, truth, *rows_of(name)) is exact, form
+
+
+@pytest.mark.parametrize("name", ["vdp2", "lv2"])
+def test_another_expression_is_refused(name):
+    for form in OTHERS[name]:
+        assert judged(name, form) == (False, False)
+
+
+@pytest.mark.parametrize("name", ["predprey2", "vdp1"])
+def test_a_float_that_is_left_over_costs_the_credit_of_srbench(name):
+    assert judged(name, UNCREDITED[name]) == (False, True)
+
+
+@pytest.mark.parametrize("name", OVERCREDITED)
+def test_srbench_forgives_constants(name):
+    assert judged(name, OVERCREDITED[name]) == (True, False)
+
+
+def test_there_are_five_forms_for_each_file():
+    assert {len(set(forms) - {truth}) for truth, forms in EQUIVALENTS.values()} == {5}
+
+
+def test_a_model_that_explains_nothing_is_not_compared():
+    truth, _ = EQUIVALENTS["lv1"]
+    found = assess(f"({truth}) + 100", truth, *rows_of("lv1"))
+    assert not found.solved
+    assert found.reason.startswith("R² is -")
+
+
+def test_a_model_that_is_not_finite_is_not_solved():
+    columns, labels = rows_of("lv1")
+    assert assess("x/(y - y)", "x", columns, labels).r_squared == -np.inf
+
+
+def test_text_that_is_no_expression_is_refused():
+    with pytest.raises(UsageError):
+        srbench_solved("__import__('os')", "x", *rows_of("lv1"))
+
+
+def test_a_comparison_that_takes_too_long_is_no_credit_and_the_next_one_works():
+    impatient = Comparer(0.001)
+    try:
+        for _ in range(2):
+            assert assess("x*(3 - 2*y - x)", EQUIVALENTS["lv1"][0], *rows_of("lv1"), impatient).reason == (
+                "sympy did not answer in time"
+            )
+    finally:
+        impatient.close()
+
+
+def test_the_table_says_how_many_forms_are_credited(capsys):
+    assert main(["--file", "vdp2"]) == 0
+    printed = capsys.readouterr().out
+    assert "6 of 6 equivalent forms" in printed
+    assert "0 of 9 forms judged otherwise" in printed

@@ -1,0 +1,67 @@
+"""The Strogatz files: what must be there, and SRBench's way to split and disturb them."""
+
+import numpy as np
+import pytest
+
+from atoll.errors import DataError
+from benchmarks.judging.equivalents import EQUIVALENTS
+from benchmarks.peers import strogatz
+from benchmarks.peers.strogatz_files import NAMES, rows_of, split, truths
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name in NAMES:
+        rows = [f"{np.cos(index)},{index},{-index}" for index in range(400)]
+        (tmp_path / f"{name}.csv").write_text("\n".join(["label,x,y", *rows]) + "\n")
+    (tmp_path / "truth.json").write_text('{"glider1": "x"}')
+    return tmp_path
+
+
+def test_the_truths_are_read(folder):
+    assert truths(folder) == {"glider1": "x"}
+
+
+@pytest.mark.parametrize("missing", ["truth.json", "vdp2.csv"])
+def test_a_missing_file_is_named(folder, missing):
+    (folder / missing).unlink()
+    with pytest.raises(DataError, match=missing):
+        truths(folder)
+
+
+def test_the_names_are_those_of_the_paper_and_of_the_forms():
+    assert set(NAMES) == set(strogatz.PUBLISHED) == set(EQUIVALENTS)
+
+
+def test_three_quarters_are_learned_from_and_the_rest_judged_by(folder):
+    rows = rows_of(folder, "lv1")
+    parts = split(rows, "lv1", 0, 0.0)
+    learned, judged = parts.training.column("x"), parts.columns["x"]
+    assert (len(learned), len(judged)) == (300, 100)
+    assert sorted([*learned, *judged]) == sorted(rows.column("x"))
+    np.testing.assert_array_equal(parts.training.column("label"), np.cos(learned))
+    np.testing.assert_array_equal(parts.labels, np.cos(judged))
+
+
+def test_noise_is_on_the_labels_to_learn_from_alone_and_of_the_given_size(folder):
+    rows = rows_of(folder, "lv1")
+    before = rows.columns.copy()
+    parts = split(rows, "lv1", 0, 0.1)
+    true = np.cos(parts.training.column("x"))
+    noise = parts.training.column("label") - true
+    expected = 0.1 * np.sqrt(np.mean(true**2))
+    assert np.std(noise) == pytest.approx(expected, rel=0.15)
+    assert abs(np.mean(noise)) < 4 * expected / np.sqrt(300)
+    np.testing.assert_array_equal(parts.labels, np.cos(parts.columns["x"]))
+    np.testing.assert_array_equal(rows.columns, before)
+
+
+def test_file_and_seed_decide_the_rows_and_the_level_the_noise(folder):
+    rows = rows_of(folder, "lv1")
+    one, same, louder = (split(rows, "lv1", 3, level).training for level in (0.01, 0.01, 0.1))
+    assert one.digest == same.digest
+    np.testing.assert_array_equal(one.column("x"), louder.column("x"))
+    small, large = (its.column("label") - np.cos(its.column("x")) for its in (one, louder))
+    assert not np.allclose(10 * small, large)
+    for other in (split(rows, "lv1", 4, 0.01), split(rows, "lv2", 3, 0.01)):
+        assert not np.array_equal(other.training.column("x"), one.column("x"))

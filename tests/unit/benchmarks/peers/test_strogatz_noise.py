@@ -1,0 +1,116 @@
+"""Noise on the labels: how results are judged, counted and set beside the published rates."""
+
+import dataclasses
+import json
+from argparse import Namespace
+
+import numpy as np
+import pytest
+
+from atoll.config import PRESETS
+from benchmarks.harness.records import Records
+from benchmarks.peers import strogatz_noise
+from benchmarks.peers.srbench import Assessment
+from benchmarks.peers.strogatz_files import NAMES, rows_of, split
+from benchmarks.peers.strogatz_noise import Outcome, by_file, by_level, outcome, rates, run
+
+CONFIG = PRESETS["default"].model_copy(update={"data": PRESETS["default"].data.model_copy(update={"target": "label"})})
+TRUTH = "2*y - x*y - y**2"
+OUTCOME = Outcome(
+    file="lv2", seed=0, level=0.01, srbench=True, srbench_reason="a constant difference", strict=False,
+    strict_reason="a constant differs by 0.004", r_squared=0.999, constants_error=0.004, on_front=9, expression=TRUTH,
+    complexity=11, why="time", point_evaluations=1000, search_seconds=1.0, seconds=2.0,
+)  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path):
+    generator = np.random.default_rng(0)
+    x, y = generator.uniform(0.5, 4.0, (2, 400))
+    lines = [f"{2 * b - a * b - b * b!r},{a!r},{b!r}" for a, b in zip(x.tolist(), y.tolist(), strict=True)]
+    for name in NAMES:
+        (tmp_path / f"{name}.csv").write_text("\n".join(["label,x,y", *lines]) + "\n")
+    return tmp_path
+
+
+@pytest.fixture(autouse=True)
+def _quick_rule(monkeypatch):
+    """Sympy takes a second to load, and is tested elsewhere."""
+    solved = lambda text, truth, columns, labels: Assessment(text == truth, "as told", 0.9)  # noqa: E731
+    monkeypatch.setattr(strogatz_noise, "assess", solved)
+
+
+def result(expression, *others):
+    front = [{"complexity": 5 + index, "expression": text} for index, text in enumerate((*others, expression)) if text]
+    equation = {
+        "expression": expression, "complexity": 11, "why": "time", "point_evaluations": 1000, "front": front
+    }  # fmt: skip
+    return {"equations": [equation], "search_seconds": 1.0, "seconds": 2.0}
+
+
+def judged(folder, answer):
+    return outcome(answer, split(rows_of(folder, "lv2"), "lv2", 0, 0.01), ("lv2", 0, 0.01), TRUTH)
+
+
+def test_an_equation_is_judged_by_both_rules(folder):
+    found = judged(folder, result("y*(2 - x - y*1.0005)", "x", "y*(2 - x)"))
+    assert (found.srbench, found.strict, found.on_front) == (False, True, 7)
+    assert found.constants_error == pytest.approx(5e-4, rel=1e-3)
+    assert judged(folder, result(TRUTH)).srbench
+
+
+def test_a_front_may_hold_what_was_not_chosen(folder):
+    found = judged(folder, result("y*(2 - x - y*1.01)", TRUTH))
+    assert (found.strict, found.on_front) == (False, 5)
+    assert found.strict_reason.startswith("a constant differs")
+
+
+def test_no_equation_is_not_solved(folder):
+    found = judged(folder, result(None))
+    assert (found.srbench, found.strict) == (False, False)
+    assert (found.r_squared, found.on_front, found.srbench_reason) == (None, None, "no equation")
+
+
+def test_rates_are_shares_of_the_runs():
+    missed = dataclasses.replace(OUTCOME, srbench=False, on_front=None)
+    assert rates([OUTCOME, OUTCOME, OUTCOME, missed]) == {"srbench": 75.0, "strict": 0.0, "on_front": 75.0}
+
+
+def test_files_and_levels_are_told_apart():
+    outcomes = [OUTCOME, dataclasses.replace(OUTCOME, seed=1, srbench=False), dataclasses.replace(OUTCOME, level=0.1)]
+    _, first, second = by_file(outcomes).splitlines()
+    assert first.split()[:8] == ["lv2", "0.01", "1", "of", "2", "0", "of", "2"]
+    assert second.split()[:5] == ["lv2", "0.1", "1", "of", "1"]
+    _, first, second = by_level(outcomes).splitlines()
+    assert first.split() == ["0.01", "2", "50.0", "0.0", "100.0", "2.0", "50.0", "(ParFam,", "3.4", "h)", "13.6", "0.7"]
+    assert "15.0 (DSR, 410 s)" in second
+
+
+def test_a_level_that_nobody_published_has_no_figures_beside_it():
+    assert by_level([dataclasses.replace(OUTCOME, level=0.05)]).splitlines()[1].split()[-3:] == ["-", "-", "-"]
+
+
+@dataclasses.dataclass
+class Told:
+    """Answers each search with the same equation."""
+
+    expression: str
+    titles: list[str] = dataclasses.field(default_factory=list)
+
+    def solve(self, title, table, config):
+        assert table.rows == 300
+        self.titles.append(title)
+        return result(self.expression)
+
+
+@pytest.mark.parametrize(("expression", "code"), [(TRUTH, 0), ("x", 1)])
+def test_all_files_levels_and_seeds_are_searched(folder, capsys, expression, code):
+    options = Namespace(data=folder, file=["lv2"], noise=[0.0, 0.1], seeds=[3, 4])
+    told, out = Told(expression), folder / "out.json"
+    configs = dict.fromkeys(options.seeds, CONFIG)
+    assert run(told, options, configs, {"lv2": TRUTH}, Records("strogatz", [], out)) == code
+    assert told.titles == [f"lv2 noise {level} seed {seed}" for level in ("0", "0.1") for seed in (3, 4)]
+    contents = json.loads(out.read_text())
+    assert len(contents["runs"]) == 4
+    assert contents["rates"]["0.1"]["srbench"] == (100.0 if code == 0 else 0.0)
+    assert "highest published" in capsys.readouterr().out

@@ -1,0 +1,93 @@
+"""The race with Operon: what counts, and the table."""
+
+import dataclasses
+import json
+from argparse import Namespace
+
+import numpy as np
+import pytest
+
+from benchmarks.harness.records import Records
+from benchmarks.peers import operon, strogatz_versus
+from benchmarks.peers.strogatz_files import rows_of
+from benchmarks.peers.strogatz_versus import Race, by_file, measured_error, race, run, summary, totals
+
+PEER = operon.Run(
+    seconds=4.0, elapsed=4.1, processor_seconds=7.9, error=5e-5, generations=7, evaluations=8000, expression="v0"
+)
+RACE = Race(
+    file="lv2", seed=0, ours=1.0, our_error=1e-6, our_expression="x", our_evaluations=5, peers=4.0, peers_error=5e-5,
+    peers_expression="v0", peers_evaluations=8000, peers_processor_seconds=7.9, load=0.5,
+)  # fmt: skip
+MISSED = dataclasses.replace(RACE, seed=1, ours=None, our_error=0.1, peers=None)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    lines = [f"{2.0 * index},{float(index)},{float(-index)}" for index in range(1, 41)]
+    (tmp_path / "lv2.csv").write_text("\n".join(["label,x,y", *lines]) + "\n")
+    return tmp_path
+
+
+def result(expression):
+    equation = {"expression": expression, "point_evaluations": 5}
+    return {"equations": [equation], "search_seconds": 1.0, "seconds": 1.5}
+
+
+def test_the_error_is_measured_anew(folder):
+    rows = rows_of(folder, "lv2")
+    assert measured_error("2*x", rows) == 0.0
+    spread = np.std(rows.column("label"))
+    assert measured_error("2*x + 0.5", rows) == pytest.approx(0.5 / spread)
+    with np.errstate(all="ignore"):
+        assert measured_error("x/(x + y)", rows) is None
+
+
+@pytest.mark.parametrize(("expression", "seconds"), [("2*x", 1.0), ("2.01*x", None), (None, None)])
+def test_only_what_meets_the_target_has_a_time(folder, expression, seconds):
+    found = race(("lv2", 0), result(expression), rows_of(folder, "lv2"), PEER, 1e-4)
+    assert found.ours == seconds
+    assert found.peers == 4.0
+
+
+def test_a_miss_counts_as_the_limit():
+    its = summary([RACE, MISSED], 16.0)
+    assert (its["met"], its["peers_met"]) == (1, 1)
+    assert its["mean_s"] == pytest.approx(4.0)
+    assert its["peers_mean_s"] == pytest.approx(8.0)
+    assert its["ratio"] == pytest.approx(0.5)
+    assert (its["slowest_s"], its["peers_slowest_s"], its["largest_error"]) == (16.0, 16.0, 1e-6)
+
+
+def test_medians_of_the_files_stand_side_by_side():
+    row = by_file([RACE, dataclasses.replace(RACE, seed=1, ours=2.0), MISSED], 60.0).splitlines()[1].split()
+    assert row == ["lv2", "2.00", "60.00", "2", "of", "3", "4.00", "60.00", "2", "of", "3", "0.500"]
+
+
+def test_the_slowest_run_is_named():
+    text = totals([RACE, MISSED], 60.0)
+    assert "1 of 2 met the target" in text
+    assert "slowest 60.00 s (lv2 seed 1)" in text
+
+
+def test_both_search_in_turn_and_all_is_written(folder, monkeypatch, capsys):
+    order = []
+
+    class Ours:
+        def solve(self, title, table, config):
+            order.append(title)
+            return result("2*x")
+
+    def peers(file, seed, target_error, limit):
+        order.append((file.name, seed, target_error, limit))
+        return PEER
+
+    monkeypatch.setattr(strogatz_versus, "search_apart", peers)
+    options = Namespace(data=folder, file=["lv2"], seeds=[0, 1], target_error=1e-4, max_time=9.0)
+    out = folder / "out.json"
+    assert run(Ours(), options, dict.fromkeys([0, 1]), {}, Records("strogatz", [], out)) == 0
+    assert order == ["lv2 seed 0", ("lv2.csv", 0, 1e-4, 9.0), "lv2 seed 1", ("lv2.csv", 1, 1e-4, 9.0)]
+    contents = json.loads(out.read_text())
+    assert contents["summary"]["ratio"] == pytest.approx(0.25)
+    assert [each["peers"] for each in contents["runs"]] == [4.0, 4.0]
+    assert "Operon s" in capsys.readouterr().out
