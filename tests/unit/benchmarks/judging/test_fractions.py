@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from benchmarks.judging import fractions
 from benchmarks.judging.fractions import ONE, Atoms, Fraction, TooLargeError, UndefinedError, atom, constant
 from benchmarks.judging.rewriting import rewrite
-from benchmarks.judging import fractions
 
 ANGLES = np.linspace(-3.0, 3.0, 20)
 
