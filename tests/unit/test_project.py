@@ -95,22 +95,22 @@ def test_commands_in_documents_are_understood(document: str, words: list[str]) -
     assert parsed(words) is not None, f"{document}: {' '.join(words)}"
 
 
-def test_the_job_file_in_the_readme_is_understood(tmp_path: Path) -> None:
-    (text,) = re.findall(r"^```toml\n(.*?)^```", DOCUMENTS["README.md"], re.MULTILINE | re.DOTALL)
+def test_the_job_file_in_the_documents_is_understood(tmp_path: Path) -> None:
+    (text,) = re.findall(r"^```toml\n(.*?)^```", DOCUMENTS["docs/data.md"], re.MULTILINE | re.DOTALL)
     (tmp_path / "job.toml").write_text(text)
     config = job_config(arguments.parse(["run", "x.csv", "--config", str(tmp_path / "job.toml")]))
     assert config.model_dump(mode="json", exclude_defaults=True) == tomllib.loads(text)
 
 
-def test_the_readme_says_when_searches_end() -> None:
+def test_the_documents_say_when_searches_end() -> None:
     budget, paper = PRESETS["default"].budget, PRESETS["paper"].budget
-    text = " ".join(DOCUMENTS["README.md"].split())
+    text = " ".join(DOCUMENTS["docs/reproducibility.md"].split())
     assert f"none has improved for {STAGNATION_CLEAN} epochs, or after {budget.max_epochs} epochs" in text
     assert f"nothing has improved for {STAGNATION_NOISY} epochs" in text
     assert f"({paper.stagnation} and {paper.max_epochs} with preset `paper`)" in text
 
 
-def test_the_readme_shows_every_command() -> None:
+def test_the_documents_show_every_command() -> None:
     shown = {words[1] for _, words in COMMANDS if words[0] == "coordinator" and len(words) > 1}
     assert set(arguments.HANDLERS) - {"jobs", "workers"} <= shown
     assert any(words[0] == "island-worker" for _, words in COMMANDS)
@@ -135,8 +135,8 @@ def test_links_in_documents_lead_somewhere(document: str) -> None:
     assert {link for link in documents.links(DOCUMENTS[document]) if not (folder / link).exists()} == set()
 
 
-def test_the_readme_has_the_exit_codes_that_the_programs_end_with() -> None:
-    table = next(table for table in documents.tables(DOCUMENTS["README.md"]) if table[0][0] == "exit code")
+def test_the_documents_have_the_exit_codes_that_the_programs_end_with() -> None:
+    table = next(table for table in documents.tables(DOCUMENTS["docs/service.md"]) if table[0][0] == "exit code")
     said = {int(row[0]) for row in table[2:]}
     ours = {value for name, value in vars(exits).items() if name.isupper()}
     assert said == ours | {error.exit_code for error in errors()}

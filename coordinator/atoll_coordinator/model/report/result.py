@@ -1,4 +1,4 @@
-"""The result of a job as other programs read it: schema 1 of ``result.json``; README.md says what its keys mean.
+"""The result of a job as other programs read it: schema 1 of ``result.json``; docs/result.md says what its keys mean.
 
 Plain dictionaries, lists, texts and numbers only; a number that is not finite becomes null.
 """
