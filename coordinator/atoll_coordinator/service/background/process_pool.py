@@ -7,7 +7,6 @@ import contextlib
 import logging
 import os
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Final, TypeVar
 
@@ -27,7 +26,6 @@ MAX_TASKS: Final = 100
 MAX_MEMORY: Final = 1 << 30
 """A process that has run so many tasks, or occupies so many bytes, runs no further task: its leaks are given back."""
 
-_REMEMBERED: Final = 256
 _LOG = logging.getLogger(__name__)
 
 T = TypeVar("T")
@@ -57,7 +55,6 @@ class ProcessPool:
         self._changed = threading.Condition()
         self._tasks: list[_Task] = []
         self._queue: list[_Task] = []
-        self._cancelled: deque[str] = deque(maxlen=_REMEMBERED)  # a task may come just after its job was cancelled
         self._idle: list[ChildProcess] = []
         self._timer: threading.Timer | None = None
         self._is_closed = False
@@ -77,10 +74,11 @@ class ProcessPool:
             on_failure: called with a few words on why the task cannot be run, from any thread.
             is_queued: whether it waits while as many queued tasks run as the machine has cores.
         """
+        task = self._add(job, is_queued)
 
         def work() -> None:
             try:
-                result = self.run(job, function, is_queued=is_queued)
+                result = self._run(task, function)
             except TaskCancelledError:
                 return
             except ProcessDiedError as error:
@@ -94,6 +92,7 @@ class ProcessPool:
         try:
             threading.Thread(target=work, name=f"task of job {job}", daemon=True).start()
         except RuntimeError as error:  # the system starts no more threads
+            self._remove(task)
             on_failure(str(error))
 
     def run(self, job: str, function: Callable[[], T], *, is_queued: bool = False) -> T:
@@ -103,21 +102,30 @@ class ProcessPool:
             TaskCancelledError: it was cancelled, or the pool is closed.
             ProcessDiedError: its process died, and so did the second one.
         """
+        return self._run(self._add(job, is_queued), function)
+
+    def _add(self, job: str, is_queued: bool) -> _Task:
+        """Add a task, which `cancel` finds from now on."""
         task = _Task(job)
         with self._changed:
             self._tasks.append(task)
             if is_queued:
                 self._queue.append(task)
-            task.is_cancelled = job in self._cancelled
+        return task
+
+    def _remove(self, task: _Task) -> None:
+        with self._changed:
+            self._tasks.remove(task)
+            if task in self._queue:
+                self._queue.remove(task)
+            self._changed.notify_all()
+
+    def _run(self, task: _Task, function: Callable[[], T]) -> T:
         try:
             self._wait_for_turn(task)
             return self._run_twice_at_most(task, function)
         finally:
-            with self._changed:
-                self._tasks.remove(task)
-                if task in self._queue:
-                    self._queue.remove(task)
-                self._changed.notify_all()
+            self._remove(task)
 
     def _wait_for_turn(self, task: _Task) -> None:
         """Wait until few enough tasks are before this one in the queue; each of them has a time limit."""
@@ -175,7 +183,6 @@ class ProcessPool:
     def cancel(self, job: str) -> None:
         """End the tasks of a job at once."""
         with self._changed:
-            self._cancelled.append(job)
             for task in self._tasks:
                 if task.job == job:
                     self._end(task)

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -211,8 +212,21 @@ def test_what_nobody_waits_for_ends_at_once(pool: ProcessPool, tmp_path: Path, h
     _ = pool.cancel("j") if how == "cancel" else pool.close()
     assert isinstance(doing.ended(), TaskCancelledError)
     until(partial(is_gone, pid))
-    with pytest.raises(TaskCancelledError):  # its thread may have been late
-        pool.run("j", strange.pid)
+
+
+def test_a_cancelled_job_may_be_submitted_again_under_its_id(
+    pool: ProcessPool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcomes: queue.SimpleQueue[object] = queue.SimpleQueue()
+    late: list[Callable[[], None]] = []
+    with monkeypatch.context() as patched:
+        patched.setattr(threading, "Thread", lambda target, **_: SimpleNamespace(start=lambda: late.append(target)))
+        pool.submit("j", partial(strange.echo, 1), outcomes.put, outcomes.put)
+    pool.cancel("j")
+    pool.submit("j", partial(strange.echo, 2), outcomes.put, outcomes.put)
+    late[0]()  # its thread comes late, and finds it cancelled
+    assert outcomes.get(timeout=LIMIT_S) == 2
+    assert outcomes.empty()
 
 
 def test_who_waits_for_its_turn_is_stopped_too(pool: ProcessPool, tmp_path: Path) -> None:
@@ -371,7 +385,7 @@ def test_a_machine_without_threads_to_spare_is_an_answer_too(
 def test_an_unforeseen_error_of_a_task_is_an_answer_too(
     pool: ProcessPool, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(pool, "run", no_thread)
+    monkeypatch.setattr(pool, "_run", no_thread)
     said: queue.SimpleQueue[object] = queue.SimpleQueue()
     pool.submit("j", strange.pid, said.put, said.put)
     assert said.get(timeout=LIMIT_S) == "RuntimeError: can't start new thread"
