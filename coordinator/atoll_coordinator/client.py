@@ -22,6 +22,8 @@ from atoll.wire.messages.clients import (
     Answer,
     Ask,
     Cancel,
+    Delete,
+    Deleted,
     EventList,
     Failure,
     FailureKind,
@@ -60,7 +62,7 @@ _ERRORS: Final[dict[FailureKind, type[AtollError]]] = {
 }
 
 A = TypeVar("A")
-Body = Upload | Submit | Jobs | Status | Workers | GetResult | Cancel | GetEvents
+Body = Upload | Submit | Jobs | Status | Workers | GetResult | Cancel | Delete | GetEvents
 
 
 class Client:
@@ -167,6 +169,10 @@ class Client:
     def cancel(self, job: str) -> JobView:
         """End `job`, keeping its best equations."""
         return self._ask(Cancel(job=job), JobStatus, f"the end of job {job}").job
+
+    def delete(self, job: str) -> None:
+        """Delete `job`, which has ended, with its result and its data; without effect when there is none."""
+        self._ask(Delete(job=job), Deleted, f"the deletion of job {job}")
 
     def resolve(self, prefix: str) -> str:
         """Return the id of the one job whose id is `prefix` or begins with it; raises RefusedError."""

@@ -12,7 +12,7 @@ from atoll_coordinator.service.store.store import Store
 
 READS: Final = frozenset({
     "job", "jobs", "result", "placements", "cuts", "has_blob", "blob_size", "get_blob", "get_chunk", "missing_chunks",
-    "blob_bytes", "deaths",
+    "blob_bytes", "deaths", "oldest_ended_job", "used_bytes",
 })  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """What the service needs from outside itself, beside the bus: a store, a pool of processes, the time of day."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -13,6 +13,7 @@ from atoll_coordinator.service.background.tasks import Preparer, Refiner, prepar
 from atoll_coordinator.service.store.deaths import Death
 from atoll_coordinator.service.store.events import EventRecord
 from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_coordinator.service.store.retention import KEEP_ALL, Retention
 
 
 class StorePort(Protocol):
@@ -32,7 +33,7 @@ class StorePort(Protocol):
 
     def jobs(self) -> tuple[JobRecord, ...]: ...
 
-    def update_job(self, job: str, only_in: Collection[str] | None = None, **changes: str | float | None) -> bool: ...
+    def update_job(self, job: str, **changes: str | float | None) -> None: ...
 
     def commit_result(
         self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None,
@@ -48,6 +49,12 @@ class StorePort(Protocol):
     def result(self, job: str) -> str | None: ...
 
     def submitter(self, job: str) -> str | None: ...
+
+    def oldest_ended_job(self) -> JobRecord | None: ...
+
+    def delete_job(self, job: str) -> None: ...
+
+    def used_bytes(self) -> int: ...
 
     def begin_terms(self, archipelagos: Sequence[tuple[str, str]], place: Callable[[int, int], bytes]) -> None: ...
 
@@ -85,6 +92,8 @@ class StorePort(Protocol):
 
     def blob_bytes(self) -> int: ...
 
+    def delete_unused_blobs(self, but: str) -> None: ...
+
 
 class TaskPool(Protocol):
     """The part of `atoll_coordinator.service.background.process_pool.ProcessPool` that the service uses."""
@@ -111,13 +120,15 @@ class Ports:
     """The outside world of a service, beside its bus and its store.
 
     `pool` runs tasks, `writer` does what it is given in the order in which it came, one piece at a time, and `clock`
-    gives the time of day as ISO text. Tests replace `preparer` and `refiner` as well.
+    gives the time of day as ISO text; `retention` says which ended jobs are kept. Tests replace `preparer` and
+    `refiner` as well.
     """
 
     pool: TaskPool = field(default_factory=ProcessPool)
     clock: Callable[[], str] = iso_now
     preparer: Preparer = prepare_table
     refiner: Refiner = refine
+    retention: Retention = KEEP_ALL
     writer: Callable[[Callable[[], None]], object] = field(
         default_factory=lambda: ThreadPoolExecutor(1, "writing checkpoints").submit
     )

@@ -43,6 +43,7 @@ from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.service.ports import Ports, StorePort
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
+from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.handshake import Handshake
 from atoll_coordinator.service.requests.router import RequestRouter
 from atoll_coordinator.service.search.archipelago import Checkpoint
@@ -96,7 +97,8 @@ class Service:
         self._asked: dict[int, tuple[str, PullReports | PullStates]] = {}
         self.controller: Final = Controller(store, self, self._ports.clock, expected_workers)
         authorization = Authorization(roster, store)
-        clients = ClientRequests(self.controller, store, authorization, bus.now, self.view)
+        self._deletion = JobDeletion(self.controller, store, self._ports.clock, self._ports.retention)
+        clients = ClientRequests(self.controller, store, authorization, self._deletion, bus.now, self.view)
         handshake = Handshake(self.controller, store, authorization, self.rejects, bus.now, self._ports.clock)
         self._requests = RequestRouter(self.controller, store, handshake, clients, self.rejects)
 
@@ -230,6 +232,7 @@ class Service:
             self.controller.membership.renew(now)
         if self._is_linked:  # else nobody can be heard, and nobody's silence says anything
             self.controller.tick(now)
+        self._deletion.delete_expired(now)
 
     @_on.register
     def _on_link(self, event: Link) -> None:

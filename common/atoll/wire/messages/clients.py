@@ -68,6 +68,13 @@ class Cancel(Model):
     job: Id
 
 
+class Delete(Model):
+    """Forget a job that has ended, with its result, its events and the data that no other job uses. Idempotent."""
+
+    kind: Literal["delete"] = "delete"
+    job: Id
+
+
 class GetEvents(Model):
     """Tell what happened to a job, or at all (`job` None), after the event of number `after`: `limit` of it at most.
 
@@ -84,7 +91,7 @@ class Ask(Model):
     """Question of a client."""
 
     body: Annotated[
-        Upload | Submit | Jobs | Status | Workers | GetResult | Cancel | GetEvents, Field(discriminator="kind")
+        Upload | Submit | Jobs | Status | Workers | GetResult | Cancel | Delete | GetEvents, Field(discriminator="kind")
     ]
 
 
@@ -132,6 +139,13 @@ class Result(Model):
     json_text: str
 
 
+class Deleted(Model):
+    """There is no job of this id any more."""
+
+    kind: Literal["deleted"] = "deleted"
+    job: Id
+
+
 FailureKind = Literal["unknown-job", "refused", "data", "too-early", "protocol", "internal"]
 
 
@@ -147,5 +161,6 @@ class Answer(Model):
     """Answer to a client."""
 
     body: Annotated[
-        Uploaded | JobList | JobStatus | WorkerList | Result | EventList | Failure, Field(discriminator="kind")
+        Uploaded | JobList | JobStatus | WorkerList | Result | Deleted | EventList | Failure,
+        Field(discriminator="kind"),
     ]

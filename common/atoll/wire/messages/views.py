@@ -12,7 +12,7 @@ WorkerState = Literal["compiling", "ready", "computing", "waiting", "leaving", "
 EventKind = Literal[
     "submitted", "prepared", "placed", "unplaced", "isolated", "pardoned", "commit", "cut", "refining",
     "done", "failed", "cancelled", "stalled", "moving", "worker-joined", "worker-lost", "worker-back",
-    "refused", "started",
+    "refused", "started", "deleted",
 ]  # fmt: skip
 
 

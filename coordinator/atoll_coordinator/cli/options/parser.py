@@ -22,6 +22,7 @@ HANDLERS: Final = {
     "status": "atoll_coordinator.cli.verbs.jobs",
     "workers": "atoll_coordinator.cli.verbs.jobs",
     "cancel": "atoll_coordinator.cli.verbs.jobs",
+    "delete": "atoll_coordinator.cli.verbs.jobs",
     "logs": "atoll_coordinator.cli.verbs.logs",
     "result": "atoll_coordinator.cli.verbs.result",
     "doctor": "atoll_coordinator.cli.doctor.doctor",
@@ -151,11 +152,12 @@ def _add_readers(verbs: Any) -> None:
             "id or its beginning, or PATH/result.json",
         ),
         "cancel": ("end a job and keep its best equations", "id or its beginning (default: the only one not ended)"),
+        "delete": ("delete a job that has ended, with its result and its data", "id or its beginning"),
         "logs": ("tell what happened to a job", "id or its beginning (default: what happened at all)"),
     }
     for name, (text, subject) in texts.items():
         parser = _verb(verbs, name, text)
-        parser.add_argument("job", metavar="ID", nargs=None if name == "result" else "?", help=subject)
+        parser.add_argument("job", metavar="ID", nargs=None if name in ("result", "delete") else "?", help=subject)
         _add_connect(parser)
         parser.add_argument("--json", action="store_true", help="print JSON")
         if name == "result":

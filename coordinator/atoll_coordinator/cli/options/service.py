@@ -1,6 +1,7 @@
 """The options of the verbs that run or examine a service: ``serve``, ``router``, ``doctor``. Standard library only."""
 
 import argparse
+import re
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -9,6 +10,9 @@ from atoll.command_line import TLS_OPTIONS, add_log_options, seconds
 DEFAULT_LISTEN: Final = "tcp/127.0.0.1:7447"
 DEFAULT_STATE: Final = "atoll-state"
 DEFAULT_WAIT_S: Final = 10.0
+DEFAULT_KEEP: Final = "90d,8G"
+_AGES: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400}
+_SIZES: Final = {"M": 10**6, "G": 10**9, "T": 10**12}
 
 Verb = Callable[[Any, str, str], argparse.ArgumentParser]
 """Adds a verb with its one-line description and returns its parser."""
@@ -27,6 +31,11 @@ def add_serve(verb: Verb, verbs: Any) -> None:
     parser.add_argument(
         "--state", default=DEFAULT_STATE, metavar="DIR", help=f"folder of the job store (default: {DEFAULT_STATE})"
     )
+    parser.add_argument(
+        "--keep", type=keep, default=DEFAULT_KEEP, metavar="AGE,SIZE",
+        help="delete ended jobs, the oldest first, that ended longer ago (30m, 12h, 90d) or while the store takes more "
+        f"(500M, 8G); one of the two may be left out, and `all` keeps all (default: {DEFAULT_KEEP})",
+    )  # fmt: skip
     _add_connect_file(parser)
     add_tls(parser)
     _add_roster(parser)
@@ -38,6 +47,22 @@ def add_serve(verb: Verb, verbs: Any) -> None:
         metavar="SECONDS",
         help="how long --router may take to be there (default: %(default)g)",
     )
+
+
+def keep(text: str) -> tuple[int | None, int | None]:
+    """Return seconds and bytes of ``90d,8G``, None for what is left out; raises ArgumentTypeError."""
+    if text == "all":
+        return None, None
+    limits: dict[str, int] = {}
+    for part in text.split(","):
+        match = re.fullmatch("([1-9][0-9]{0,5})([smhdMGT])", part)
+        kind = "age" if match and match[2] in _AGES else "size"
+        if match is None or kind in limits:
+            raise argparse.ArgumentTypeError(
+                f"an age such as 90d, a size such as 8G, both as 90d,8G, or all was expected, but {text!r} was given"
+            )
+        limits[kind] = int(match[1]) * (_AGES | _SIZES)[match[2]]
+    return limits.get("age"), limits.get("size")
 
 
 def add_router(verb: Verb, verbs: Any) -> None:

@@ -1,4 +1,4 @@
-"""The verbs that look at a coordinator, and the one that ends a job: ``jobs``, ``status``, ``workers``, ``cancel``."""
+"""The verbs that look at, cancel or delete jobs: ``jobs``, ``status``, ``workers``, ``cancel``, ``delete``."""
 
 import argparse
 from collections.abc import Sequence
@@ -94,6 +94,15 @@ def cancel(options: argparse.Namespace) -> int:
     else:
         found = f"; its best equations: coordinator result {job}" if has_found(view) else NOTHING_FOUND
         say(f"job {job} is cancelled{found}")
+    return DONE
+
+
+def delete(options: argparse.Namespace) -> int:
+    """Delete a job that has ended."""
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        job = client.resolve(options.job)
+        client.delete(job)
+    say(as_json({"deleted": job}) if options.json else f"job {job} is deleted")
     return DONE
 
 

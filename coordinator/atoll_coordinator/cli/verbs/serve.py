@@ -58,10 +58,12 @@ def _serve(
     """Serve with this pool of processes until `stop` is set."""
     from atoll_coordinator.service.ports import Ports
     from atoll_coordinator.service.service import Service
+    from atoll_coordinator.service.store.retention import Retention
 
     behind = options.router is not None
     with _opened(options.state) as store, _joined(options, wanted, roster) as bus:
-        service = Service(bus, store, ports=Ports(pool), roster=roster)
+        ports = Ports(pool, retention=Retention(*options.keep))
+        service = Service(bus, store, ports=ports, roster=roster)
         service.start()
         here = Destination(parse_address(bus.endpoint), wanted.credentials)
         with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):

@@ -1,12 +1,12 @@
-"""Authorization where certificates prove names: who may take part as what, and who may cancel which job.
+"""Authorization where certificates prove names: who may take part as what, and who may cancel or delete which job.
 
 The router's access rules drop what they do not allow without an answer. Here a program whose role does not fit is told
-so, as the answer to its greeting. Who may cancel which job cannot be said by rules on keys and is decided here alone.
+so, as the answer to its greeting. Who may end which job cannot be said by rules on keys and is decided here alone.
 """
 
 from typing import Final, Protocol
 
-from atoll.wire.messages.clients import Ask, Cancel
+from atoll.wire.messages.clients import Ask, Cancel, Delete
 from atoll.wire.messages.handshake import Hello
 from atoll.wire.security.access_control import Role, Roster
 
@@ -15,7 +15,7 @@ _MAY: Final[dict[Role, str]] = {
     "router": "pass messages on",
     "worker": "compute islands",
     "submitter": "submit jobs and look at them",
-    "admin": "submit jobs, look at them and cancel those of others",
+    "admin": "submit jobs, look at them, cancel and delete those of others",
 }
 
 
@@ -58,12 +58,12 @@ class Authorization:
         role = self._roster.role(client)
         if role not in ("submitter", "admin"):
             return f"{client!r} is not the name of somebody who may submit jobs or look at them"
-        if not isinstance(ask.body, Cancel) or role == "admin":
+        if not isinstance(ask.body, Cancel | Delete) or role == "admin":
             return None
         owner = self._submitters.submitter(ask.body.job)
         if owner in (None, self._roster.bearer(client)):
             return None
-        return f"job {ask.body.job} was submitted by {owner}; only {owner} or an admin may cancel it"
+        return f"job {ask.body.job} was submitted by {owner}; only {owner} or an admin may {ask.body.kind} it"
 
     def submitter(self, client: str) -> str | None:
         """Return as whose job one is kept that `client` submits; None: nobody proves who it is."""

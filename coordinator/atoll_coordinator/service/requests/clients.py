@@ -8,6 +8,8 @@ from atoll.errors import AtollError, RefusedError, RemoteProtocolError, StoreErr
 from atoll.wire.messages.clients import (
     Ask,
     Cancel,
+    Delete,
+    Deleted,
     EventList,
     Failure,
     FailureKind,
@@ -28,24 +30,26 @@ from atoll.wire.messages.views import CoordinatorView, JobView
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.ports import StorePort
 from atoll_coordinator.service.requests.authorization import Authorization
+from atoll_coordinator.service.requests.deletion import JobDeletion
 
 MAX_STORED_BYTES: Final = 16 * 1024**3
 """Uploads are refused when all tables and datasets together would take more than this."""
 
-Body = Uploaded | JobList | JobStatus | WorkerList | Result | EventList | Failure
+Body = Uploaded | JobList | JobStatus | WorkerList | Result | Deleted | EventList | Failure
 
 
 class ClientRequests:
     """Answers the questions of clients, one by one."""
 
     def __init__(
-        self, controller: Controller, store: StorePort, authorization: Authorization, now: Callable[[], float],
-        coordinator: Callable[[], CoordinatorView | None] = lambda: None,
+        self, controller: Controller, store: StorePort, authorization: Authorization, deletion: JobDeletion,
+        now: Callable[[], float], coordinator: Callable[[], CoordinatorView | None] = lambda: None,
     ) -> None:  # fmt: skip
         """`now` gives the bus's seconds, `coordinator` the view of the coordinator itself."""
         self._controller = controller
         self._store = store
         self._authorization = authorization
+        self._deletion = deletion
         self._now = now
         self._coordinator = coordinator
 
@@ -88,6 +92,9 @@ class ClientRequests:
             case Cancel():
                 self._controller.cancel(body.job, self._now())
                 return self._status(body.job)
+            case Delete():
+                self._deletion.delete(body.job, "a client asked for it")
+                return Deleted(job=body.job)
             case GetEvents():
                 return self._events(body)
 
@@ -108,11 +115,19 @@ class ClientRequests:
         return Uploaded(blob=upload.blob, missing=self._store.missing_chunks(upload.blob, upload.size))
 
     def _check_room(self, upload: Upload) -> None:
-        if not self._store.has_blob(upload.blob) and self._store.blob_bytes() + upload.size > MAX_STORED_BYTES:
+        """Raise RefusedError for an upload that does not fit, also without the uploads that no job uses."""
+        if self._fits(upload):
+            return
+        self._store.delete_unused_blobs(upload.blob)
+        if not self._fits(upload):
             raise RefusedError(
                 f"the coordinator's store holds {self._store.blob_bytes()} bytes of tables and datasets and takes at "
-                f"most {MAX_STORED_BYTES}; an upload of {upload.size} bytes does not fit: use another --state folder"
+                f"most {MAX_STORED_BYTES}; an upload of {upload.size} bytes does not fit: delete jobs that have ended "
+                "(coordinator delete ID), or have the coordinator started with a smaller --keep"
             )
+
+    def _fits(self, upload: Upload) -> bool:
+        return self._store.has_blob(upload.blob) or self._store.blob_bytes() + upload.size <= MAX_STORED_BYTES
 
     def _views(self) -> tuple[JobView, ...]:
         ids = [*self._controller.ended, *self._controller.jobs]

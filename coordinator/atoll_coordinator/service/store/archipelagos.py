@@ -7,9 +7,14 @@ from atoll_coordinator.service.store import jobs as job_table
 
 
 def ensure(sql: sqlite3.Connection, job: str, variable: str) -> None:
-    """See to it that an archipelago is there; raises LocalProtocolError when its job is not."""
+    """Add an archipelago unless it is there; raises LocalProtocolError when its job is not.
+
+    Its terms begin above those of all archipelagos that were deleted: workers may remember one of the same name.
+    """
     job_table.require(sql, job)
-    sql.execute("INSERT OR IGNORE INTO archipelagos (job, variable) VALUES (?, ?)", (job, variable))
+    sql.execute(
+        "INSERT OR IGNORE INTO archipelagos (job, variable, term) SELECT ?, ?, deleted_term FROM realm", (job, variable)
+    )
 
 
 def raise_term(sql: sqlite3.Connection, job: str, variable: str) -> int:
@@ -56,3 +61,13 @@ def has_ended(sql: sqlite3.Connection, job: str, variable: str) -> bool:
         (job, variable),
     ).fetchone()
     return bool(row[0])
+
+
+def delete(sql: sqlite3.Connection, job: str) -> None:
+    """Delete the archipelagos of a job, but keep in mind up to where their terms have come."""
+    sql.execute(
+        "UPDATE realm SET deleted_term = max(deleted_term, "
+        "(SELECT coalesce(max(term), 0) FROM archipelagos WHERE job = ?))",
+        (job,),
+    )
+    sql.execute("DELETE FROM archipelagos WHERE job = ?", (job,))

@@ -2,6 +2,7 @@
 
 import hashlib
 import sqlite3
+from collections.abc import Collection
 from typing import Literal, cast
 
 from atoll.errors import RemoteProtocolError
@@ -81,9 +82,11 @@ def total_bytes(sql: sqlite3.Connection) -> int:
     return cast(int, total)
 
 
-def drop(sql: sqlite3.Connection, digest: str) -> None:
-    """Forget a blob or what has come of it; without effect when there is none."""
-    sql.execute("DELETE FROM blobs WHERE digest = ?", (digest,))
+def delete_unused(sql: sqlite3.Connection, digests: Collection[str] | None = None, but: str = "") -> None:
+    """Delete those of these blobs (None: of all of them, also unfinished uploads) that no job uses, except `but`."""
+    used = "SELECT table_digest FROM jobs UNION SELECT dataset_digest FROM jobs WHERE dataset_digest IS NOT NULL"
+    which = "" if digests is None else f"AND digest IN ({', '.join('?' * len(digests))})"
+    sql.execute(f"DELETE FROM blobs WHERE digest != ? AND digest NOT IN ({used}) {which}", (but, *(digests or ())))
 
 
 def _begin(sql: sqlite3.Connection, digest: str, size: int) -> None:
@@ -100,5 +103,5 @@ def _finish(sql: sqlite3.Connection, digest: str) -> Upload:
     if found.hexdigest() == digest:
         sql.execute("UPDATE blobs SET complete = 1 WHERE digest = ?", (digest,))
         return "whole"
-    drop(sql, digest)
+    sql.execute("DELETE FROM blobs WHERE digest = ?", (digest,))
     return "wrong"

@@ -26,7 +26,7 @@ class EventRecord:
     number: int = 0
 
 
-def append_events(sql: sqlite3.Connection, events: Sequence[EventRecord]) -> None:
+def add(sql: sqlite3.Connection, events: Sequence[EventRecord]) -> None:
     """Add events, in order, and forget what is too much of each job; part of the caller's transaction."""
     rows = [(each.job, each.time, each.kind, each.contents) for each in events]
     sql.executemany("INSERT INTO events (job, time, kind, contents) VALUES (?, ?, ?, ?)", rows)
@@ -46,7 +46,7 @@ def _thin(sql: sqlite3.Connection, job: str | None) -> None:
         sql.execute(f"DELETE FROM events WHERE number IN ({oldest.format(which)})", (job, number))
 
 
-def read_events(sql: sqlite3.Connection, job: str | None, after: int, limit: int) -> tuple[EventRecord, ...]:
+def read(sql: sqlite3.Connection, job: str | None, after: int, limit: int) -> tuple[EventRecord, ...]:
     """Return events of `job`, or of all (None), in order: the `limit` next ones after `after`, or the last ones (0)."""
     order = "ASC" if after else "DESC"
     rows = sql.execute(
@@ -55,3 +55,8 @@ def read_events(sql: sqlite3.Connection, job: str | None, after: int, limit: int
         (after, job, job, limit),
     ).fetchall()
     return tuple(EventRecord(*row) for row in (rows if after else reversed(rows)))
+
+
+def delete(sql: sqlite3.Connection, job: str) -> None:
+    """Delete the events of a job; part of the caller's transaction."""
+    sql.execute("DELETE FROM events WHERE job = ?", (job,))

@@ -53,12 +53,10 @@ def read_all(sql: sqlite3.Connection) -> tuple[JobRecord, ...]:
     return tuple(JobRecord(*row) for row in rows)
 
 
-def require(sql: sqlite3.Connection, job: str) -> str:
-    """Return the state of a job; raises LocalProtocolError when there is no such job."""
-    row = sql.execute("SELECT state FROM jobs WHERE id = ?", (job,)).fetchone()
-    if row is None:
+def require(sql: sqlite3.Connection, job: str) -> None:
+    """Raise LocalProtocolError when there is no such job."""
+    if sql.execute("SELECT 1 FROM jobs WHERE id = ?", (job,)).fetchone() is None:
         raise LocalProtocolError(f"job {job} is not in the store")
-    return cast(str, row[0])
 
 
 def require_changeable(job: str, names: Collection[str]) -> None:
@@ -101,3 +99,18 @@ def submitter(sql: sqlite3.Connection, job: str) -> str | None:
     """Return who submitted a job; None when nobody proved it."""
     row = sql.execute("SELECT name FROM submitters WHERE job = ?", (job,)).fetchone()
     return cast(str, row[0]) if row else None
+
+
+def oldest_ended(sql: sqlite3.Connection) -> JobRecord | None:
+    """Return the job that ended first of those that have ended; None when there is none."""
+    row = sql.execute(
+        f"SELECT {', '.join(_COLUMNS)} FROM jobs WHERE state IN ('done', 'failed', 'cancelled') "
+        "ORDER BY coalesce(finished, submitted), number LIMIT 1"
+    ).fetchone()
+    return JobRecord(*row) if row else None
+
+
+def delete(sql: sqlite3.Connection, job: str) -> None:
+    """Delete a job, whose archipelagos have been deleted, and who submitted it."""
+    sql.execute("DELETE FROM submitters WHERE job = ?", (job,))
+    sql.execute("DELETE FROM jobs WHERE id = ?", (job,))

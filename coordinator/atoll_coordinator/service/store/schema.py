@@ -63,10 +63,13 @@ CREATE TABLE deaths (
 )
 """
 
+_LAYOUT_4_DELETED_TERM: Final = "ALTER TABLE realm ADD COLUMN deleted_term INTEGER NOT NULL DEFAULT 0"
+
 _LAYOUTS: Final = (
     _LAYOUT_1,
     ";".join((_LAYOUT_2_PRIORITIES, _LAYOUT_2_EVENTS, _LAYOUT_2_CHECKPOINTS, _LAYOUT_2_SUBMITTERS)),
     _LAYOUT_3_DEATHS,
+    _LAYOUT_4_DELETED_TERM,
 )
 """What each version of the layout adds to the one before. A new store goes through all of them, an old one through
 those that it lacks."""
@@ -188,4 +191,4 @@ def _migrate(connection: sqlite3.Connection, version: int) -> None:
 def _baptize(connection: sqlite3.Connection) -> None:
     """Mark a new file as ours and give it a name."""
     connection.execute(f"PRAGMA application_id = {_APPLICATION}")
-    connection.execute("INSERT INTO realm VALUES (?, 0)", (uuid.uuid4().hex[:12],))
+    connection.execute("INSERT INTO realm (id, incarnation) VALUES (?, 0)", (uuid.uuid4().hex[:12],))

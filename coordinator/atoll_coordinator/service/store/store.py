@@ -9,22 +9,23 @@ import hashlib
 import sqlite3
 import threading
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-from atoll.errors import RemoteProtocolError, StoreError
+from atoll.errors import LocalProtocolError, RemoteProtocolError, StoreError
 from atoll.wire.messages.limits import chunk_count
-from atoll.wire.messages.views import StoreView
+from atoll.wire.messages.views import FINAL_STATES, StoreView
 from atoll.wire.state_transfer import State
 from atoll_coordinator.service.store import archipelagos as archipelago_table
 from atoll_coordinator.service.store import blobs as blob_table
 from atoll_coordinator.service.store import checkpoints as checkpoint_table
 from atoll_coordinator.service.store import deaths as death_table
+from atoll_coordinator.service.store import events as event_table
 from atoll_coordinator.service.store import jobs as job_table
 from atoll_coordinator.service.store.deaths import Death
-from atoll_coordinator.service.store.events import EventRecord, append_events, read_events
+from atoll_coordinator.service.store.events import EventRecord
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.schema import Lock, connect, translated
 
@@ -113,19 +114,12 @@ class Store:
         with self._transaction() as sql:
             return job_table.submitter(sql, job)
 
-    def update_job(self, job: str, only_in: Collection[str] | None = None, **changes: str | float | None) -> bool:
-        """Change fields of a job; return False, changing nothing, when its state is not in `only_in` (if given).
-
-        Raises:
-            LocalProtocolError: there is no such job or field, or the field cannot change.
-        """
+    def update_job(self, job: str, **changes: str | float | None) -> None:
+        """Change fields of a job; raises LocalProtocolError for an unknown job or field, and one that cannot change."""
         job_table.require_changeable(job, changes)
         with self._transaction() as sql:
-            state = job_table.require(sql, job)
-            if only_in is not None and state not in only_in:
-                return False
+            job_table.require(sql, job)
             job_table.update(sql, job, changes)
-            return True
 
     def commit_result(
         self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None,
@@ -152,12 +146,42 @@ class Store:
         with self._transaction() as sql:
             return job_table.result(sql, job)
 
-    # archipelagos
-
-    def raise_term(self, job: str, variable: str) -> int:
-        """Return the next term of an archipelago, 1 at first; no term is ever issued twice."""
+    def oldest_ended_job(self) -> JobRecord | None:
+        """Return the job that ended first of those that have ended; None when there is none."""
         with self._transaction() as sql:
-            return archipelago_table.raise_term(sql, job, variable)
+            return job_table.oldest_ended(sql)
+
+    def delete_job(self, job: str) -> None:
+        """Delete an ended job with its result, events, checkpoints, and the blobs that no other job uses.
+
+        The file does not shrink; SQLite uses its free pages again. Without effect when there is no such job.
+
+        Raises:
+            LocalProtocolError: the job has not ended.
+        """
+        with self._transaction() as sql:
+            record = job_table.find(sql, job)
+            if record is None:
+                return
+            if record.state not in FINAL_STATES:
+                raise LocalProtocolError(f"job {job} is {record.state} and cannot be deleted")
+            checkpoint_table.forget(sql, job)
+            death_table.forget(sql, job)
+            archipelago_table.delete(sql, job)
+            event_table.delete(sql, job)
+            job_table.delete(sql, job)
+            digests = [each for each in (record.table_digest, record.dataset_digest) if each is not None]
+            blob_table.delete_unused(sql, digests)
+
+    def used_bytes(self) -> int:
+        """Return the size of the store's file without its free pages."""
+        with self._transaction() as sql:
+            pages, free, size = (
+                sql.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "freelist_count", "page_size")
+            )
+            return int((pages - free) * size)
+
+    # archipelagos
 
     def begin_terms(self, archipelagos: Sequence[tuple[str, str]], place: Callable[[int, int], bytes]) -> None:
         """Raise the terms of archipelagos and make their placements durable, all or none of them, at the cost of one.
@@ -170,12 +194,6 @@ class Store:
             for index, (job, variable) in enumerate(archipelagos):
                 term = archipelago_table.raise_term(sql, job, variable)
                 archipelago_table.place(sql, job, variable, place(index, term))
-
-    def commit_placement(self, job: str, variable: str, placement: bytes) -> None:
-        """Make the placement of the archipelago's current term durable."""
-        with self._transaction() as sql:
-            archipelago_table.ensure(sql, job, variable)
-            archipelago_table.place(sql, job, variable, placement)
 
     def placements(self, job: str) -> dict[str, tuple[int, bytes | None]]:
         """Return term and placement by variable."""
@@ -221,7 +239,7 @@ class Store:
     def add_events(self, events: Iterable[EventRecord]) -> None:
         """Keep what has happened; of each job, and of no job in particular, `MAX_EVENTS` are kept: commits go first."""
         with self._transaction() as sql:
-            append_events(sql, tuple(events))
+            event_table.add(sql, tuple(events))
 
     def events(self, job: str | None, after: int, limit: int) -> tuple[EventRecord, ...]:
         """Return what happened to a job, or at all (None), after the event of that number; `limit` of it at most.
@@ -229,7 +247,7 @@ class Store:
         With `after` 0 these are the last ones, otherwise those that come next.
         """
         with self._transaction() as sql:
-            return read_events(sql, job, after, limit)
+            return event_table.read(sql, job, after, limit)
 
     # checkpoints
 
@@ -273,14 +291,10 @@ class Store:
         with self._transaction() as sql:
             return blob_table.is_complete(sql, digest)
 
-    def blob_size(self, digest: str) -> int:
-        """Return the size of a blob in bytes; raises KeyError when it is not there, whole."""
-        with self._transaction() as sql:
-            return blob_table.size(sql, digest)
-
     def get_blob(self, digest: str) -> bytes:
         """Return a blob; raises KeyError when it is not there, whole."""
-        size = self.blob_size(digest)
+        with self._transaction() as sql:
+            size = blob_table.size(sql, digest)
         return b"".join(self.get_chunk(digest, index) for index in range(chunk_count(size)))
 
     def get_chunk(self, digest: str, index: int) -> bytes:
@@ -314,10 +328,10 @@ class Store:
         with self._transaction() as sql:
             return blob_table.total_bytes(sql)
 
-    def drop_blob(self, digest: str) -> None:
-        """Forget a blob or what has come of it; without effect when there is none."""
+    def delete_unused_blobs(self, but: str) -> None:
+        """Delete all blobs, finished or not, that no job uses, except the one of the digest `but`."""
         with self._transaction() as sql:
-            blob_table.drop(sql, digest)
+            blob_table.delete_unused(sql, but=but)
 
     @contextlib.contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:

@@ -36,6 +36,11 @@ def test_help_lists_the_verbs_of_this_version_and_none_of_later_ones() -> None:
         ("frobnicate", ["must be one of", "submit", "'frobnicate'"]),
         ("", ["no command was given"]),
         ("run a.csv --max", ["unknown option --max"]),
+        ("delete", ["ID", "required"]),
+        *(
+            (f"serve --keep {keep}", ["--keep", "90d,8G", repr(keep)])
+            for keep in ("90", "1d,2d", "0d", "8g", "1.5d", "1d,")
+        ),
     ],
 )
 def test_a_wrong_command_line_is_one_sentence_and_exit_code_2(
@@ -52,6 +57,15 @@ def test_a_wrong_command_line_is_one_sentence_and_exit_code_2(
 @pytest.mark.parametrize("line", ["--operators -,+", "--operators=-,+"])
 def test_a_list_of_operators_may_begin_with_minus(line: str) -> None:
     assert parse(["run", "a.csv", *line.split()]).operators == ["-,+"]
+
+
+@pytest.mark.parametrize(
+    ("text", "limits"),
+    [("90d,8G", (90 * 86400, 8 * 10**9)), ("500M", (None, 500 * 10**6)), ("12h", (43200, None)), ("all", (None, None))],
+)
+def test_what_serve_keeps_is_an_age_and_a_size(text: str, limits: tuple[int | None, int | None]) -> None:
+    assert parse(["serve", "--keep", text]).keep == limits
+    assert parse(["serve"]).keep == (90 * 86400, 8 * 10**9)
 
 
 def test_options_and_files_may_come_in_any_order() -> None:

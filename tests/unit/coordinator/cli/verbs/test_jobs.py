@@ -53,6 +53,11 @@ class FakeClient:
             for name in ("lab-0", "lab-1", "den-0")
         )
 
+    def delete(self, name: str) -> None:
+        if self._jobs[name].state == "running":
+            raise RefusedError(f"job {name} is running; cancel it")
+        del self._jobs[name]
+
     def cancel(self, name: str) -> JobView:
         view = self._jobs[name]
         ended = view.state in ("done", "failed", "cancelled")
@@ -106,6 +111,15 @@ class TestWithACoordinator:
         assert "job beta is cancelled" in capsys.readouterr().out
         assert main(["cancel", "alpha"]) == 0
         assert "had ended already: done" in capsys.readouterr().out
+
+    def test_delete_takes_a_job_that_has_ended(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["delete", "al"]) == 0
+        assert capsys.readouterr().out == "job alpha is deleted\n"
+        assert main(["delete", "gamma", "--json"]) == 0
+        assert json.loads(capsys.readouterr().out) == {"deleted": "gamma"}
+        assert main(["delete", "gamma"]) == 2
+        assert main(["delete", "beta"]) == 2
+        assert "job beta is running; cancel it" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,8 @@ from atoll.errors import StoreError
 from atoll.wire.messages.clients import (
     Ask,
     Cancel,
+    Delete,
+    Deleted,
     Failure,
     GetResult,
     JobList,
@@ -26,6 +28,7 @@ from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.requests import clients as clients_module
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
+from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.store.store import JobRecord, Store
 
 TABLE = b"t,x\n0,1\n"
@@ -60,7 +63,8 @@ def outlet() -> Silent:
 def clients(outlet: Silent) -> Iterator[ClientRequests]:
     with Store.open(None) as store:
         controller = Controller(store, outlet, lambda: "2026-01-01T00:00:00")
-        yield ClientRequests(controller, store, Authorization(None, store), lambda: 5.0)
+        deletion = JobDeletion(controller, store, lambda: "2026-01-01T00:00:00")
+        yield ClientRequests(controller, store, Authorization(None, store), deletion, lambda: 5.0)
 
 
 def chunk(data: bytes = TABLE, **changes: object) -> Ask:
@@ -100,6 +104,28 @@ def test_an_upload_that_does_not_fit_the_store_is_refused(
     monkeypatch.setattr(clients_module, "MAX_STORED_BYTES", 5)
     answer = failure(clients.answer("ann", Ask(body=Upload(blob=BLOB, size=len(TABLE)))))
     assert "at most 5" in answer.sentence
+
+
+def test_uploads_that_no_job_uses_make_room(clients: ClientRequests, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clients_module, "MAX_STORED_BYTES", len(TABLE))
+    other = hashlib.sha256(b"left behind").hexdigest()
+    clients._store.put_blob(b"left")
+    clients._store.put_chunk(other, 11, 0, b"left behind")
+    assert clients.answer("ann", chunk()) == Uploaded(blob=BLOB, missing=())
+    clients.answer("ann", Ask(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
+    sentence = failure(clients.answer("ann", Ask(body=Upload(blob=other, size=11)))).sentence
+    assert "coordinator delete ID" in sentence
+
+
+def test_an_ended_job_is_deleted_and_a_live_one_refused(clients: ClientRequests) -> None:
+    clients.answer("ann", chunk())
+    clients.answer("ann", Ask(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
+    assert "cancel it" in failure(clients.answer("ann", Ask(body=Delete(job="j")))).sentence
+    clients.answer("ann", Ask(body=Cancel(job="j")))
+    for _ in range(2):
+        assert clients.answer("ann", Ask(body=Delete(job="j"))) == Deleted(job="j")
+    assert clients.answer("ann", Ask(body=Jobs())) == JobList(jobs=())
+    assert not clients._store.has_blob(BLOB)
 
 
 def test_a_submitted_job_is_prepared_and_listed(clients: ClientRequests, outlet: Silent) -> None:

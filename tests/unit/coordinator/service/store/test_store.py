@@ -31,10 +31,17 @@ def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
         yield opened
 
 
+def begin_term(store: Store, job: str, variable: str) -> int:
+    """Begin a term of one archipelago; return its number."""
+    terms: list[int] = []
+    store.begin_terms([(job, variable)], lambda index, term: (terms.append(term), b"placement")[1])
+    return terms[0]
+
+
 def test_a_job_is_kept_as_it_was_given_and_changed_as_told(store: Store) -> None:
     assert store.add_job(JOB)
     assert store.job("j1") == JOB
-    assert store.update_job("j1", state="running", elapsed=1.5, dataset_digest="cd")
+    store.update_job("j1", state="running", elapsed=1.5, dataset_digest="cd")
     changed = store.job("j1")
     assert changed is not None
     assert (changed.state, changed.elapsed, changed.dataset_digest, changed.name) == ("running", 1.5, "cd", "lynx θ")
@@ -53,13 +60,6 @@ def test_jobs_come_in_the_order_in_which_they_were_added(store: Store) -> None:
     assert store.job("none") is None
 
 
-def test_a_change_may_depend_on_the_state(store: Store) -> None:
-    store.add_job(JOB)
-    assert store.update_job("j1", only_in=("queued",), state="preparing")
-    assert not store.update_job("j1", only_in=("queued",), state="running")
-    assert store.jobs()[0].state == "preparing"
-
-
 @pytest.mark.parametrize("changes", [{"id": "x"}, {"spec": "{}"}, {"colour": "red"}, {"result": "{}"}, {}])
 def test_what_cannot_change_is_our_own_error(store: Store, changes: dict[str, str]) -> None:
     store.add_job(JOB)
@@ -70,7 +70,7 @@ def test_what_cannot_change_is_our_own_error(store: Store, changes: dict[str, st
 def test_an_unknown_job_is_our_own_error(store: Store) -> None:
     for act in (
         lambda: store.update_job("x", state="done"),
-        lambda: store.raise_term("x", "v"),
+        lambda: begin_term(store, "x", "v"),
         lambda: store.commit_cuts("x", {"v": b""}),
         lambda: store.commit_result("x", "done", "{}"),
     ):
@@ -90,7 +90,7 @@ def test_the_first_end_of_a_job_wins(store: Store) -> None:
 
 def test_terms_begin_together_or_not_at_all(store: Store) -> None:
     store.add_job(JOB)
-    store.raise_term("j1", "x")
+    begin_term(store, "j1", "x")
     store.begin_terms([("j1", "x"), ("j1", "y")], lambda index, term: f"{index} {term}".encode())
     assert store.placements("j1") == {"x": (2, b"0 2"), "y": (1, b"1 1")}
     with pytest.raises(ZeroDivisionError):
@@ -100,17 +100,15 @@ def test_terms_begin_together_or_not_at_all(store: Store) -> None:
 
 def test_terms_rise_by_one_and_belong_to_a_variable(store: Store) -> None:
     store.add_job(JOB)
-    assert [store.raise_term("j1", "x") for _ in range(3)] == [1, 2, 3]
-    assert store.raise_term("j1", "y") == 1
-    store.commit_placement("j1", "x", b"w1 w2")
-    assert store.placements("j1") == {"x": (3, b"w1 w2"), "y": (1, None)}
+    assert [begin_term(store, "j1", "x") for _ in range(3)] == [1, 2, 3]
+    assert begin_term(store, "j1", "y") == 1
 
 
 def test_the_first_cut_of_a_variable_wins(store: Store) -> None:
     store.add_job(JOB)
     assert store.commit_cuts("j1", {"v [m/s]": b"\x00cut"})
     assert not store.commit_cuts("j1", {"v [m/s]": b"other"})
-    store.raise_term("j1", "y")
+    begin_term(store, "j1", "y")
     assert store.cuts("j1") == {"v [m/s]": b"\x00cut"}
 
 
@@ -122,7 +120,7 @@ def test_a_blob_is_found_by_its_digest_whole_or_by_chunks(store: Store, size: in
     assert digest == hashlib.sha256(data).hexdigest() == store.put_blob(data)
     assert store.has_blob(digest)
     assert store.get_blob(digest) == data
-    assert store.blob_size(digest) == store.blob_bytes() == size
+    assert store.blob_bytes() == size
     if size:
         assert store.get_chunk(digest, (size - 1) // CHUNK_SIZE)[-1] == data[-1]
 
@@ -131,16 +129,15 @@ def test_what_is_not_there_is_a_key_error(store: Store) -> None:
     digest = store.put_blob(b"abc")
     for act in (
         lambda: store.get_blob("none"),
-        lambda: store.blob_size("none"),
         lambda: store.get_chunk("none", 0),
         lambda: store.get_chunk(digest, 1),
     ):
         with pytest.raises(KeyError):
             act()
     assert not store.has_blob("none")
-    store.drop_blob(digest)
+    store.delete_unused_blobs("")
     assert not store.has_blob(digest)
-    store.drop_blob(digest)
+    store.delete_unused_blobs("")
 
 
 def _upload(size: int) -> tuple[bytes, str]:
@@ -194,7 +191,7 @@ def test_an_upload_cannot_change_its_size(store: Store) -> None:
 def test_threads_may_share_a_store(store: Store) -> None:
     store.add_job(JOB)
     terms: list[int] = []
-    threads = [threading.Thread(target=lambda: terms.append(store.raise_term("j1", "x"))) for _ in range(8)]
+    threads = [threading.Thread(target=lambda: terms.append(begin_term(store, "j1", "x"))) for _ in range(8)]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -206,13 +203,13 @@ def test_everything_is_there_after_opening_again_under_a_higher_incarnation(tmp_
     with Store.open(tmp_path) as store:
         realm, incarnation = store.realm, store.incarnation
         store.add_job(JOB)
-        store.raise_term("j1", "x")
+        begin_term(store, "j1", "x")
         store.commit_cuts("j1", {"x": b"cut"})
         digest = store.put_blob(b"abc")
     with Store.open(tmp_path) as store:
         assert (store.realm, store.incarnation) == (realm, incarnation + 1)
         assert store.jobs() == (JOB,)
-        assert store.raise_term("j1", "x") == 2
+        assert begin_term(store, "j1", "x") == 2
         assert store.cuts("j1") == {"x": b"cut"}
         assert store.get_blob(digest) == b"abc"
 
@@ -476,8 +473,77 @@ def test_a_coordinator_whose_store_was_opened_by_another_writes_nothing_more(tmp
         with contextlib.closing(sqlite3.connect(tmp_path / FILE_NAME)) as other:
             other.execute("UPDATE realm SET incarnation = incarnation + 1")
             other.commit()
-        for act in (store.check, lambda: store.raise_term("j1", "x"), lambda: checkpoint(store, 8)):
+        for act in (store.check, lambda: begin_term(store, "j1", "x"), lambda: checkpoint(store, 8)):
             with pytest.raises(
                 StoreError, match=r"another coordinator \(incarnation 2\) has taken over.*incarnation 1"
             ):
                 act()
+
+
+def ended(store: Store, name: str, finished: str | None, table: bytes, dataset: bytes) -> None:
+    """Add a job that has been searched and has ended."""
+    digests = store.put_blob(table), store.put_blob(dataset)
+    store.add_job(JobRecord(name, name, "{}", digests[0], "2026-01-01T00:00:00"), submitter="ann")
+    store.update_job(name, dataset_digest=digests[1])
+    begin_term(store, name, "x")
+    store.commit_checkpoint(name, "x", 8, b"progress", states_of(8), 1.0)
+    store.commit_cuts(name, {"x": b"cut"})
+    store.add_events([EventRecord(name, "now", "submitted", "{}")])
+    store.commit_result(name, "done", "{}", finished=finished)
+
+
+def test_a_deleted_job_leaves_nothing_and_takes_nothing_of_another(store: Store) -> None:
+    ended(store, "a", "2026-01-02", b"table", b"dataset of a")
+    ended(store, "b", "2026-01-03", b"table", b"dataset of b")
+    store.delete_job("a")
+    assert (store.job("a"), store.submitter("a"), store.result("a"), store.cuts("a")) == (None, None, None, {})
+    assert {event.job for event in store.events(None, 0, 9)} == {"b"}
+    assert store.blob_bytes() == len(b"table") + len(b"dataset of b")
+    assert (store.result("b"), store.cuts("b")) == ("{}", {"x": b"cut"})
+    store.delete_job("b")
+    assert (store.jobs(), store.blob_bytes()) == ((), 0)
+    store.delete_job("b")
+
+
+def test_a_job_that_has_not_ended_cannot_be_deleted(store: Store) -> None:
+    store.add_job(JOB)
+    with pytest.raises(LocalProtocolError, match="is queued and cannot be deleted"):
+        store.delete_job("j1")
+    assert store.job("j1") == JOB
+
+
+def test_terms_of_a_deleted_job_are_not_given_again(store: Store) -> None:
+    store.add_job(JOB)
+    assert [begin_term(store, "j1", "x") for _ in range(3)] == [1, 2, 3]
+    store.commit_result("j1", "done", "{}")
+    store.delete_job("j1")
+    store.add_job(JOB)
+    assert begin_term(store, "j1", "x") == 4
+
+
+def test_the_oldest_ended_job_is_the_one_that_ended_first(store: Store) -> None:
+    assert store.oldest_ended_job() is None
+    ended(store, "late", "2026-01-05", b"1", b"2")
+    ended(store, "early", "2026-01-04", b"1", b"2")
+    store.add_job(JOB)
+    oldest = store.oldest_ended_job()
+    assert oldest is not None
+    assert oldest.id == "early"
+
+
+def test_space_of_a_deleted_job_is_used_again(store: Store) -> None:
+    ended(store, "a", None, bytes(1_000_000), b"dataset")
+    used = store.used_bytes()
+    assert used > 1_000_000
+    store.delete_job("a")
+    assert store.used_bytes() < 200_000
+    ended(store, "b", None, bytes(range(250)) * 4_000, b"dataset")
+    assert store.used_bytes() < used + 10_000
+
+
+def test_uploads_that_no_job_uses_are_deleted(store: Store) -> None:
+    ended(store, "a", None, b"table", b"dataset")
+    store.put_chunk("0" * 64, 2 * CHUNK_SIZE, 0, bytes(CHUNK_SIZE))
+    waiting = store.put_blob(b"waits for its job")
+    store.delete_unused_blobs(waiting)
+    assert store.blob_bytes() == len(b"tabledatasetwaits for its job")

@@ -1,0 +1,52 @@
+"""Deletes jobs that have ended: those that a client names, and those that the retention no longer keeps."""
+
+from collections.abc import Callable
+from typing import Final
+
+from atoll.errors import RefusedError
+from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.ports import StorePort
+from atoll_coordinator.service.store.retention import KEEP_ALL, Retention
+
+CHECK_INTERVAL_S: Final = 60.0
+"""How often expired jobs are looked for; while there are some, one is deleted at each tick."""
+
+
+class JobDeletion:
+    """Deletes ended jobs, each in one transaction of the store."""
+
+    def __init__(
+        self, controller: Controller, store: StorePort, clock: Callable[[], str], retention: Retention = KEEP_ALL
+    ) -> None:
+        """`clock` gives the time of day as ISO text."""
+        self._controller = controller
+        self._store = store
+        self._clock = clock
+        self._retention = retention
+        self._check_at = 0.0
+
+    def delete(self, job: str, reason: str) -> None:
+        """Delete a job; without effect when there is none. Raises RefusedError when it has not ended."""
+        live = self._controller.jobs.get(job)
+        if live is not None:
+            raise RefusedError(f"job {job} is {live.state}; cancel it, or wait for its end, before you delete it")
+        if job not in self._controller.ended:
+            return
+        log = self._controller.watch.chronicle
+        log.flush()  # or its last events would be written after its end
+        self._store.delete_job(job)
+        del self._controller.ended[job]
+        log.note("deleted", f"job {job} is deleted: {reason}")
+
+    def delete_expired(self, now: float) -> None:
+        """Delete the oldest ended job if it is not to be kept, at most one in a call; `now` in seconds of the bus."""
+        if self._retention == KEEP_ALL or now < self._check_at:
+            return
+        oldest = self._store.oldest_ended_job()
+        reason = None
+        if oldest is not None:
+            reason = self._retention.reason_to_delete(oldest, self._clock(), self._store.used_bytes())
+        if oldest is None or reason is None:
+            self._check_at = now + CHECK_INTERVAL_S
+        else:
+            self.delete(oldest.id, reason)

@@ -1,0 +1,109 @@
+"""Ended jobs are deleted when a client asks for it, or when the retention no longer keeps them."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from atoll.config import JobConfig
+from atoll.errors import RefusedError
+from atoll.wire.messages.clients import Ask, Cancel, Delete
+from atoll.wire.security.access_control import Roster
+from atoll_coordinator.service.controller import Controller
+from atoll_coordinator.service.requests.authorization import Authorization
+from atoll_coordinator.service.requests.deletion import CHECK_INTERVAL_S, JobDeletion
+from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_coordinator.service.store.retention import Retention
+from atoll_coordinator.service.store.store import Store
+from tests.unit.coordinator.service.requests.test_clients import Silent
+
+DAY = 86400.0
+
+
+@pytest.fixture
+def store() -> Iterator[Store]:
+    with Store.open(None) as opened:
+        yield opened
+
+
+def add(store: Store, name: str, finished: str | None) -> None:
+    """Add a job, which has ended on a day of January 2026 if that is given."""
+    table = store.put_blob(name.encode() * 100_000)
+    store.add_job(JobRecord(name, name, JobConfig().model_dump_json(), table, "2026-01-01T00:00:00+00:00"), "ann")
+    if finished is not None:
+        store.commit_result(name, "done", "{}", finished=f"2026-01-{finished}T00:00:00.000+00:00")
+
+
+def deletion(store: Store, retention: Retention = Retention()) -> tuple[JobDeletion, Controller]:  # noqa: B008
+    controller = Controller(store, Silent(), lambda: "2026-01-31T00:00:00.000+00:00")
+    controller.recover(0.0)
+    return JobDeletion(controller, store, lambda: "2026-01-31T00:00:00.000+00:00", retention), controller
+
+
+def deleted_in_turn(store: Store, retention: Retention) -> list[str]:
+    """Return which jobs are deleted, in order."""
+    deletes, _ = deletion(store, retention)
+    found: list[str] = []
+    while True:
+        before = {job.id for job in store.jobs()}
+        deletes.delete_expired(0.0)
+        gone = before - {job.id for job in store.jobs()}
+        if not gone:
+            return found
+        found += gone
+
+
+def test_an_ended_job_is_deleted_and_its_end_is_noted(store: Store) -> None:
+    add(store, "a", "10")
+    deletes, controller = deletion(store)
+    deletes.delete("a", "a client asked for it")
+    assert (store.jobs(), controller.view("a", 0.0), controller.result("a", 0.0)) == ((), None, None)
+    (event,) = controller.watch.chronicle.read(None, 0, 9)
+    assert (event.event, event.job, event.text) == ("deleted", None, "job a is deleted: a client asked for it")
+    deletes.delete("a", "the answer was lost, and it is asked for again")
+
+
+def test_a_live_job_is_not_deleted(store: Store) -> None:
+    add(store, "a", None)
+    deletes, controller = deletion(store, Retention(0.0, 0))
+    with pytest.raises(RefusedError, match="job a is queued; cancel it, or wait for its end, before you delete it"):
+        deletes.delete("a", "")
+    deletes.delete_expired(0.0)
+    assert "a" in controller.jobs
+    assert store.job("a") is not None
+
+
+def test_jobs_beyond_an_age_are_deleted_oldest_first(store: Store) -> None:
+    for name, finished in (("late", "30"), ("old", "10"), ("oldest", "09"), ("live", None)):
+        add(store, name, finished)
+    assert deleted_in_turn(store, Retention(age_s=2 * DAY)) == ["oldest", "old"]
+
+
+def test_jobs_beyond_a_size_are_deleted_oldest_first(store: Store) -> None:
+    for name, finished in (("second", "11"), ("first", "10"), ("third", "12"), ("live", None)):
+        add(store, name, finished)
+    assert deleted_in_turn(store, Retention(size_bytes=store.used_bytes() - 900_000)) == ["first", "second"]
+
+
+def test_everything_is_kept_unless_it_is_said_otherwise(store: Store) -> None:
+    add(store, "a", "02")
+    assert deleted_in_turn(store, Retention()) == []
+
+
+def test_the_store_is_asked_now_and_then(store: Store) -> None:
+    add(store, "young", "30")
+    deletes, _ = deletion(store, Retention(age_s=2 * DAY))
+    deletes.delete_expired(0.0)
+    add(store, "old", "01")
+    deletes._controller.ended["old"] = None
+    deletes.delete_expired(CHECK_INTERVAL_S - 1.0)
+    assert store.job("old") is not None
+    deletes.delete_expired(CHECK_INTERVAL_S)
+    assert store.job("old") is None
+
+
+@pytest.mark.parametrize(("body", "verb"), [(Delete(job="a"), "delete"), (Cancel(job="a"), "cancel")])
+def test_a_job_is_ended_by_its_submitter_or_an_admin(store: Store, body: Delete | Cancel, verb: str) -> None:
+    add(store, "a", "10")
+    may = Authorization(Roster({"ann": "submitter", "bob": "submitter", "eve": "admin"}), store)
+    assert may.refuse_ask("bob-1", Ask(body=body)) == f"job a was submitted by ann; only ann or an admin may {verb} it"
+    assert may.refuse_ask("ann-1", Ask(body=body)) is may.refuse_ask("eve-1", Ask(body=body)) is None
