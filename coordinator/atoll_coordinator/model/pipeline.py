@@ -24,7 +24,7 @@ from atoll_coordinator.data.prior_knowledge import known_programs
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.inference.conclusion import concluded
-from atoll_coordinator.model.refinement import LOOSE, NORMAL_95, Constant, Pools, Refined, Refinement
+from atoll_coordinator.model.refinement import NORMAL_95, Constant, Pools, Refined, Refinement
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import Polisher
 from atoll_coordinator.model.regression.rounding import snapped
@@ -33,19 +33,13 @@ from atoll_coordinator.model.regression.standard_errors import standard_errors
 from atoll_coordinator.model.selection.front import may_be_shown
 from atoll_coordinator.model.selection.joint_search import Field
 from atoll_coordinator.model.selection.piece_lengths import chosen
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.like_terms import gathered
-
-COMPARED_ROWS: Final = 2_000
-"""Structures are compared on at most so many rows, spread evenly; constants are then decided on more."""
-
-DECIDING_ROWS: Final = 100_000
 
 NOT_SIMULATED: Final = (
     "No system of equations could be simulated along the measured trajectories; those shown fit the derivatives alone."
 )
-
-_ATTEMPTS: Final = 4
 
 
 def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Refinement:
@@ -93,10 +87,13 @@ def refine(
     operators = frozenset(BY_NAME[name].code for name in config.space.operators_for(variable))
     allowed = config.space.columns_for(variable, problem.names)
     shortening = Shortening(
-        _spread(problem, COMPARED_ROWS), operators, allowed, _spread_weights(weights, COMPARED_ROWS)
+        _spread(problem, SETTINGS.regression.compared_rows),
+        operators,
+        allowed,
+        _spread_weights(weights, SETTINGS.regression.compared_rows),
     )
     candidates = shortening.candidates([programs[index] for index in kept], looks_around=not has_converged)
-    for candidate in candidates[:_ATTEMPTS]:
+    for candidate in candidates[: SETTINGS.regression.attempts]:
         member = kept[candidate.member]
         refined = _finished(problem, candidate, member, config, weights)
         is_member = structure(tidied(programs[member])) == structure(tidied(candidate.fitted.program))
@@ -116,7 +113,7 @@ def _with_interval(constant: Constant) -> Constant:
     if fitted is None or error is None:
         return constant
     bounds = (fitted - NORMAL_95 * error, fitted + NORMAL_95 * error)
-    return replace(constant, interval=bounds, identifiable=error <= LOOSE * abs(fitted))
+    return replace(constant, interval=bounds, identifiable=error <= SETTINGS.inference.loose * abs(fitted))
 
 
 def _finished(
@@ -124,12 +121,12 @@ def _finished(
 ) -> Refined:
     """Decide the constants on more rows where there are more; measure errors and standard errors."""
     program = candidate.model.program
-    decisive = _spread(problem, DECIDING_ROWS)
+    decisive = _spread(problem, SETTINGS.regression.deciding_rows)
     criterion, polisher = (
         RegressionCriterion.of(decisive.target),
-        Polisher(decisive, _spread_weights(weights, DECIDING_ROWS)),
+        Polisher(decisive, _spread_weights(weights, SETTINGS.regression.deciding_rows)),
     )
-    if len(problem.target.values) > COMPARED_ROWS:
+    if len(problem.target.values) > SETTINGS.regression.compared_rows:
         program = snapped(polisher.fit(candidate.fitted.program), criterion, polisher).program
     if may_be_shown(gathered(program), config.space.max_size):
         program = gathered(program)

@@ -19,9 +19,6 @@ or a descent from any of these to a shorter description. Constants may have been
 NORMAL_95: Final = 1.959963984540054
 """Standard errors on either side of a 95 % interval."""
 
-LOOSE: Final = 0.5
-"""A constant whose standard error is a larger share of it than this is not determined by the data."""
-
 
 @dataclass(frozen=True)
 class Pool:

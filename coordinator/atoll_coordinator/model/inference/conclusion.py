@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -24,19 +23,18 @@ from atoll_coordinator.model.inference.uncertainty import (
 from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import Contender, Pool, Refined, Refinement, Simulated, Simulation
 from atoll_coordinator.model.regression.errors import errors_on
-from atoll_coordinator.model.selection.alternatives import VALIDATED_NATS, Race, decided
+from atoll_coordinator.model.selection.alternatives import Race, decided
 from atoll_coordinator.model.selection.comparison import Contest, Standing
 from atoll_coordinator.model.selection.joint_search import Chosen, Field
 from atoll_coordinator.model.selection.origins import Origins
 from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks
 from atoll_coordinator.model.selection.rounding import rounded
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import Shot
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.like_terms import gathered
 from atoll_coordinator.model.structure.unit_coefficients import Opened, as_it_is, opened
-
-_STEPS: Final = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,10 +115,10 @@ def _freed(contest: Contest, best: Standing, shown: Sequence[Program]) -> tuple[
     openings = tuple(
         as_it_is(program) if equation in contest.fixed else opened(program) for equation, program in enumerate(shown)
     )
-    free = contest.beside(best, [each.program for each in openings], _STEPS)
+    free = contest.beside(best, [each.program for each in openings], SETTINGS.inference.shown_steps)
     if free is not None:
         return openings, free
-    return tuple(map(as_it_is, shown)), contest.beside(best, shown, _STEPS)
+    return tuple(map(as_it_is, shown)), contest.beside(best, shown, SETTINGS.inference.shown_steps)
 
 
 def _unseen(field: Field) -> Contest | None:
@@ -236,7 +234,7 @@ def _contenders(final: _Final, index: int, held_out_r2: float | None) -> tuple[C
         program, nats = rival.standing.programs[index], rival.standing.nats - best.nats
         r2 = r2_of(contest.shooter.measurements, rival.standing.shot, slice(None))[index]
         held_out_r2 = None if rival.validated is None else rival.validated.r2[index]
-        if nats <= VALIDATED_NATS and final.unseen is not None:
+        if nats <= SETTINGS.selection.validated_nats and final.unseen is not None:
             held_out_r2 = _held_out(final, final.unseen, rival.standing.programs).r2[index]
         is_crossed = rival.validated is not None
         found.append(Contender(program, nats, r2, held_out_r2, False, is_crossed, final.origins.of(name, program)))

@@ -13,12 +13,7 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray
-
-LAGS: Final = 3
-"""Rows this far apart are compared; a model that misses something errs the same way for several rows."""
-
-FAR_OUT: Final = 3.0
-"""Robust checks bring residuals in to so many standard deviations."""
+from atoll_coordinator.model.settings import SETTINGS
 
 _NORMAL_MAD: Final = 0.6744897501960817
 """Median of the absolute value of a standard normal number."""
@@ -31,7 +26,7 @@ class Check:
     `deviation` is their standard deviation, corrected for what was fitted. `ratio` is that over the noise and
     `too_large` the probability of at least that ratio if they were noise. `correlation` is that of neighbours, as far
     as it exceeds what fitting causes: about the share of the residuals' variance that follows a pattern; `patterned` is
-    the probability of at least that much, over `LAGS` lags, if they were noise.
+    the probability of at least that much, over a few lags, if they were noise.
     """
 
     deviation: float
@@ -82,7 +77,7 @@ def _correlations(errors: Sequence[FloatArray], square: float, parameters: float
     """
     rows = sum(len(each) for each in errors)
     correlations, variances = [], []
-    for lag in range(1, LAGS + 1):
+    for lag in range(1, SETTINGS.inference.lags + 1):
         pairs = sum(max(len(each) - lag, 0) for each in errors)
         if pairs:
             product = float(sum(each[:-lag] @ each[lag:] for each in errors if len(each) > lag))
@@ -93,5 +88,5 @@ def _correlations(errors: Sequence[FloatArray], square: float, parameters: float
 
 def _brought_in(residuals: Sequence[FloatArray]) -> list[FloatArray]:
     """Return the residuals with those far out, by the median of their size, brought in."""
-    limit = FAR_OUT * float(np.median(np.abs(np.concatenate(list(residuals))))) / _NORMAL_MAD
+    limit = SETTINGS.inference.far_out * float(np.median(np.abs(np.concatenate(list(residuals))))) / _NORMAL_MAD
     return [np.clip(each, -limit, limit) for each in residuals]

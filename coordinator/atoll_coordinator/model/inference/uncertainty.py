@@ -6,23 +6,18 @@ Letters: P fitted constants, D states, N rows, G pieces that were simulated at a
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places
-from atoll_coordinator.model.refinement import LOOSE, Constant, Correlation, Implied, Simulated
+from atoll_coordinator.model.refinement import Constant, Correlation, Implied, Simulated
 from atoll_coordinator.model.selection.comparison import Contest, Standing
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import Shot
 from atoll_coordinator.model.structure.unit_coefficients import ONE, Opened
-
-HIGH: Final = 0.95
-"""Correlations of at least this size between two constants are reported."""
-
-_STEPS: Final = 30
 
 
 @dataclass(frozen=True)
@@ -87,7 +82,7 @@ def constants_of(contest: Contest, openings: Sequence[Opened], shown: Sequence[P
 
 def _constant(value: float, fitted: float, error: float, reach: float) -> Constant:
     bounds = (fitted - reach * error, fitted + reach * error) if math.isfinite(error) else None
-    return Constant(value, fitted, error, bounds, error <= LOOSE * abs(fitted))
+    return Constant(value, fitted, error, bounds, error <= SETTINGS.inference.loose * abs(fitted))
 
 
 def correlations_of(
@@ -108,7 +103,7 @@ def correlations_of(
         for second, (other, second_number) in enumerate(names)
         for first, (one, first_number) in enumerate(names[:second])
         if first_number is not None and second_number is not None
-        if HIGH <= abs(unit[first, second]) <= 1.0 + 1e-6
+        if SETTINGS.inference.high_correlation <= abs(unit[first, second]) <= 1.0 + 1e-6
     ]
     return tuple(sorted(pairs, key=lambda pair: -abs(pair.value)))
 
@@ -117,7 +112,7 @@ def held(contest: Contest, programs: Sequence[Program], near: Shot | None = None
     """Return `programs`, all constants as they are, fitted to the trajectories by their initial states alone."""
     system = contest.system(programs, [constant_places(program) for program in programs])
     starts, sigmas = (None, None) if near is None else (near.starts, near.sigmas)
-    return contest.shooter.fit(system, None, _STEPS, starts, sigmas)
+    return contest.shooter.fit(system, None, SETTINGS.inference.start_steps, starts, sigmas)
 
 
 def simulated(

@@ -8,33 +8,11 @@ only the error on the target. The rules and limits: ADR 0020.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 from atoll.data.dataset import EXACT_ERROR, FloatArray
 from atoll_coordinator.model.inference.residuals import Check, check
 from atoll_coordinator.model.refinement import Constant, Grade
-
-CLEAN: Final = 1e-5
-"""Noise, or the uncertainty of a target, below this share of the standard deviation is none."""
-EXACT: Final = 1e-6
-"""Residuals below this share of the deviation are those of the integration; or they are noise, if that is as small."""
-NEGLIGIBLE: Final = 1e-3
-"""Residuals below this share of the deviation may have any pattern."""
-IMPROBABLE: Final = 0.01
-TOO_LARGE: Final = 1.25
-"""Residuals this many times as large as the noise are too large, unless they may be so by chance."""
-PATTERNED: Final = 0.1
-"""Share of the residuals' variance that may follow a pattern: constants that were made simple leave a little."""
-DISTINCT_NATS: Final = 3.0
-"""Another equation that is not this much longer as a description may be the right one (odds of 20)."""
-LEAST_R2: Final = 0.5
-"""A simulation that explains less is no model."""
-GOOD_R2: Final = 0.9
-"""A simulation that explains less of what is not noise is doubtful."""
-LARGEST_FLOOR: Final = 0.01
-"""A target that is more uncertain cannot tell a law from nonsense of the same error; trajectories can."""
-LEAST_TARGET_R2: Final = 0.1
-"""An equation that explains less of its target is no better than a constant."""
+from atoll_coordinator.model.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,24 +70,26 @@ def _by_simulation(its: Evidence) -> tuple[Grade, str]:
     found = check(its.residuals, its.noise, its.parameters, is_robust=its.has_outliers)
     left = found.deviation / its.deviation
     r2 = 1.0 - left * left
-    if not r2 >= LEAST_R2:  # NaN explains nothing
+    if not r2 >= SETTINGS.inference.least_r2:  # NaN explains nothing
         return "no model", f"Its simulation explains too little of the measurements (R2 {_r2(r2)})."
     doubts = [*_doubts_of_simulation(its, found), *_doubts_of_model(its)]
     if doubts:
         return "doubtful", _sentence(doubts)
-    if its.noise <= CLEAN * its.deviation and left <= max(EXACT, 2.0 * its.noise / its.deviation):
+    if its.noise <= SETTINGS.inference.clean * its.deviation and left <= max(
+        SETTINGS.inference.exact, 2.0 * its.noise / its.deviation
+    ):
         return "exact", f"Without noise, the simulation misses the measurements by {left:.1g} of their deviation."
     return "good", _sentence([_praise(its, found)])
 
 
 def _by_target(its: Evidence) -> tuple[Grade, str]:
-    if its.target_uncertainty <= CLEAN and its.error <= its.convergence_threshold:
+    if its.target_uncertainty <= SETTINGS.inference.clean and its.error <= its.convergence_threshold:
         return "exact", f"The error, {its.error:.1g} of the target's deviation, is at the level of rounding."
     if not math.isfinite(its.error):
         return "no model", "Its error is not finite."
     is_at_floor = its.error <= 2.0 * its.target_uncertainty
     r2 = its.target_r2
-    if r2 is not None and r2 < LEAST_TARGET_R2:
+    if r2 is not None and r2 < SETTINGS.inference.least_target_r2:
         what = (
             "It is not much better than a constant" if its.is_known else "Nothing much better than a constant was found"
         )
@@ -126,32 +106,32 @@ def _doubts_of_simulation(its: Evidence, found: Check) -> Iterator[str]:
     noise = its.noise / its.deviation
     if its.failed:
         yield f"it cannot be simulated to the end of {its.failed} of {len(its.residuals) + its.failed} trajectories"
-    if its.held_out_r2 is not None and its.held_out_r2 < 1.0 - noise * noise - (1.0 - GOOD_R2):
+    if its.held_out_r2 is not None and its.held_out_r2 < 1.0 - noise * noise - (1.0 - SETTINGS.inference.good_r2):
         yield f"{_unseen(its)} are simulated with R2 {_r2(its.held_out_r2)} only"
-    if left <= NEGLIGIBLE:
+    if left <= SETTINGS.inference.negligible:
         return
-    if noise <= CLEAN:
+    if noise <= SETTINGS.inference.clean:
         yield f"there is no noise, but the simulation misses the measurements by {_percent(left)} of their deviation"
         return
-    if found.ratio > TOO_LARGE and found.too_large < IMPROBABLE:
+    if found.ratio > SETTINGS.inference.too_large and found.too_large < SETTINGS.inference.improbable:
         yield (
             f"the simulation misses the measurements by {_percent(left)} of their deviation, {found.ratio:.2g} times "
             f"the noise (p = {found.too_large:.1g})"
         )
-    if found.correlation > PATTERNED and found.patterned < IMPROBABLE:
+    if found.correlation > SETTINGS.inference.patterned and found.patterned < SETTINGS.inference.improbable:
         share = _percent(min(found.correlation, 1.0))
         yield f"about {share} of what it leaves follows a pattern (p = {found.patterned:.1g})"
 
 
 def _doubts_of_target(its: Evidence, *, is_at_floor: bool) -> Iterator[str]:
-    if its.target_r2 is not None and its.target_r2 < GOOD_R2 and not is_at_floor:
+    if its.target_r2 is not None and its.target_r2 < SETTINGS.inference.good_r2 and not is_at_floor:
         yield f"it explains the target with R2 {_r2(its.target_r2)} only"
-    if its.target_uncertainty > LARGEST_FLOOR:
+    if its.target_uncertainty > SETTINGS.inference.largest_uncertainty:
         yield f"the target itself is uncertain by {_percent(its.target_uncertainty)} of its deviation"
 
 
 def _doubts_of_model(its: Evidence) -> Iterator[str]:
-    if its.rival is not None and its.rival < DISTINCT_NATS:
+    if its.rival is not None and its.rival < SETTINGS.inference.distinct_nats:
         nats = f"{its.rival:.2g} nats apart" if its.rival >= 0.0 else f"{-its.rival:.2g} nats shorter"
         yield f"another equation describes the data about as well ({nats})"
     loose = sum(not constant.identifiable for constant in its.constants)
@@ -163,7 +143,7 @@ def _doubts_of_model(its: Evidence) -> Iterator[str]:
 def _praise(its: Evidence, found: Check) -> str:
     left = found.deviation / its.deviation
     held_out = f"; {_unseen(its)}: R2 {_r2(its.held_out_r2)}" if its.held_out_r2 is not None else ""
-    if left <= NEGLIGIBLE:
+    if left <= SETTINGS.inference.negligible:
         return f"the simulation misses the measurements by {left:.1g} of their deviation{held_out}"
     return (
         f"what the simulation leaves, {_percent(left)} of the deviation, is like the noise, "

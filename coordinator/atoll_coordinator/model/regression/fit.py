@@ -7,23 +7,13 @@ constants that are fitted.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.evaluation import gradient_of, node_values, values_of
 from atoll.expression.program import Program, constant_places, with_constants
-
-MOST_STEPS: Final = 40
-OVERHEAD: Final = 500
-"""Rows whose evaluation takes as long as a program takes beside them."""
-
-_FIRST_DAMPING: Final = 1e-3
-_SMALLEST_DAMPING: Final = 1e-12
-_LARGEST_DAMPING: Final = 1e8
-_SETTLED: Final = 1e-6
-_HOPELESS: Final = 7
+from atoll_coordinator.model.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +41,20 @@ class Polisher:
 
     def mse(self, program: Program) -> float:
         """Return the mean squared error of `program`."""
-        self.evaluations += len(self._target) + OVERHEAD
+        self.evaluations += len(self._target) + SETTINGS.regression.overhead_rows
         with np.errstate(all="ignore"):
             return _mse(self._weighed(values_of(program, self._inputs) - self._target))
 
     def _weighed(self, rows: FloatArray) -> FloatArray:
         return rows if self._roots is None else np.asarray(rows * self._roots)
 
-    def fit(self, program: Program, fixed: Sequence[int] = (), enough: float = 0.0, steps: int = MOST_STEPS) -> Fitted:
+    def fit(
+        self,
+        program: Program,
+        fixed: Sequence[int] = (),
+        enough: float = 0.0,
+        steps: int = SETTINGS.regression.fit_steps,
+    ) -> Fitted:
         """Return `program` with its constants fitted.
 
         Args:
@@ -71,20 +67,23 @@ class Polisher:
         mse, gradient, normal = self._equations(program, places, np.inf)
         if not places or not math.isfinite(mse):
             return Fitted(program, mse, normal)
-        damping = _FIRST_DAMPING
+        damping = SETTINGS.regression.first_damping
         for step in range(steps):
             change = _solved(normal, gradient, damping)
             moved = _moved(program, places, change)
             new_mse, new_gradient, new_normal = self._equations(moved, places, mse)
             if not new_mse <= mse:
                 damping *= 10.0
-                if damping > _LARGEST_DAMPING:
+                if damping > SETTINGS.regression.most_damping:
                     break
                 continue
-            is_settled = new_mse >= mse * (1.0 - _SETTLED)
-            is_hopeless = step >= _HOPELESS and _projected(mse, new_mse, steps - step) > enough > 0.0
+            is_settled = new_mse >= mse * (1.0 - SETTINGS.regression.settled)
+            is_hopeless = (
+                step >= SETTINGS.regression.steps_before_giving_up
+                and _projected(mse, new_mse, steps - step) > enough > 0.0
+            )
             program, mse, gradient, normal = moved, new_mse, new_gradient, new_normal
-            damping = max(0.1 * damping, _SMALLEST_DAMPING)
+            damping = max(0.1 * damping, SETTINGS.regression.least_damping)
             if is_settled or is_hopeless:
                 break
         return Fitted(program, mse, normal)
@@ -94,7 +93,7 @@ class Polisher:
         values = node_values(program, self._inputs)
         with np.errstate(all="ignore"):
             errors = self._weighed(values[-1] - self._target)
-        self.evaluations += len(errors) + OVERHEAD
+        self.evaluations += len(errors) + SETTINGS.regression.overhead_rows
         mse = _mse(errors)
         if not mse <= limit or math.isinf(mse):
             return mse, np.zeros(0), np.zeros((0, 0))

@@ -8,7 +8,6 @@ kept (a sequential decoding, as in integer least squares). The best whole decisi
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -18,12 +17,8 @@ from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.regression.fit import Fitted, Polisher
 from atoll_coordinator.model.regression.simple_numbers import fitted_length, simple_numbers
 from atoll_coordinator.model.regression.standard_errors import covariance_of, description_length, standard_errors
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.algebra import tidied
-
-BEAM: Final = 12
-MEASURED: Final = 12
-MOST_CONSTANTS: Final = 12
-NUMBERS: Final = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +52,7 @@ def snapped(fitted: Fitted, criterion: RegressionCriterion, polisher: Polisher) 
     """Return the shortest model that comes from `fitted` by making constants simple; itself when none is shorter."""
     best = Model(fitted.program, description_length(fitted, criterion), fitted.mse)
     places = constant_places(fitted.program)
-    if not 0 < len(places) <= MOST_CONSTANTS or not math.isfinite(best.length):
+    if not 0 < len(places) <= SETTINGS.regression.most_rounded_constants or not math.isfinite(best.length):
         return best
     for decision in decisions(fitted.program.constants[places], covariance_of(fitted, criterion)):
         model = _measured(fitted.program, places, decision, criterion, polisher)
@@ -72,9 +67,9 @@ def decisions(means: FloatArray, covariance: FloatArray) -> list[Decision]:
     found: list[Decision] = []
     while beam:
         following = {each.numbers: each for decision in beam for each in _next(decision)}
-        beam = sorted(following.values(), key=Decision.length)[:BEAM]
+        beam = sorted(following.values(), key=Decision.length)[: SETTINGS.regression.beam]
         found += beam
-    return sorted(found, key=Decision.length)[:MEASURED]
+    return sorted(found, key=Decision.length)[: SETTINGS.regression.decisions_measured]
 
 
 def _next(decision: Decision) -> Iterator[Decision]:
@@ -88,7 +83,7 @@ def _next(decision: Decision) -> Iterator[Decision]:
             number: length + 0.5 * (number - value) ** 2 / variance
             for number, length in simple_numbers(value, math.sqrt(variance)).items()
         }
-        for number in sorted(priced, key=priced.__getitem__)[:NUMBERS]:
+        for number in sorted(priced, key=priced.__getitem__)[: SETTINGS.regression.numbers_per_constant]:
             yield _decided(decision, k, index, number, priced[number])
 
 

@@ -19,26 +19,10 @@ from atoll_coordinator.model.criteria import RegressionCriterion, program_length
 from atoll_coordinator.model.regression.fit import Fitted, Polisher
 from atoll_coordinator.model.regression.rounding import Model, snapped
 from atoll_coordinator.model.regression.standard_errors import description_length
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.moves.reductions import reductions
-
-MARGIN: Final = 40.0
-"""Members are left out whose description is longer than the shortest by more nats."""
-
-NEARLY: Final = 6.0
-"""Neighbours are snapped whose description, their constants as fitted, is longer than the best by at most so much."""
-
-NEAR: Final = 20.0
-"""The smallest model that is at most so many nats longer than the shortest has its neighbours tried, too."""
-
-MOST_MEMBERS: Final = 10
-MOST_NEIGHBOURS: Final = 12
-MOST_EVALUATIONS: Final = 12_000_000
-"""Point evaluations after which no new program is tried; those of a fit count with what it costs beside them."""
-
-_STEPS: Final = 40
-_TRIAL_STEPS: Final = 25
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +88,7 @@ class Shortening:
 
     def _simplicity(self, candidate: Candidate, best: Candidate) -> tuple[bool, int, tuple[float, int, bytes]]:
         """Return what the smallest program has the least of whose model is nearly as short as the best."""
-        is_far = candidate.model.length > best.model.length + NEAR
+        is_far = candidate.model.length > best.model.length + SETTINGS.regression.simple_margin
         return is_far, len(candidate.model.program), candidate.rank
 
     def _members(self, front: Sequence[Program]) -> list[tuple[int, Fitted]]:
@@ -115,8 +99,10 @@ class Shortening:
             ((description_length(fitted, self.criterion), index, fitted) for index, fitted in polished),
             key=lambda each: each[:2],
         )
-        limit = priced[0][0] + MARGIN if priced else 0.0
-        return [(index, fitted) for length, index, fitted in priced[:MOST_MEMBERS] if length <= limit]
+        limit = priced[0][0] + SETTINGS.regression.front_margin if priced else 0.0
+        return [
+            (index, fitted) for length, index, fitted in priced[: SETTINGS.regression.most_members] if length <= limit
+        ]
 
     def _take_in(self, found: dict[bytes, Candidate], member: int, fits: Sequence[Fitted]) -> None:
         for fitted in fits:
@@ -129,7 +115,14 @@ class Shortening:
         key = structure(program)
         known = self._fits.get(key)
         if known is None or (known[0].mse > known[1] > 0.0 and not 0.0 < enough <= known[1]):
-            known = (self.polisher.fit(program, enough=enough, steps=_TRIAL_STEPS if enough else _STEPS), enough)
+            known = (
+                self.polisher.fit(
+                    program,
+                    enough=enough,
+                    steps=SETTINGS.regression.trial_steps if enough else SETTINGS.regression.shortening_steps,
+                ),
+                enough,
+            )
             self._fits[key] = known
         return known[0]
 
@@ -168,7 +161,7 @@ class Shortening:
         Of those with equal errors, which say the same in other words, the shortest is taken; but of those that say the
         same as `best`, the shortest for each collection of operators, since their constants may be simpler.
         """
-        most = description_length(best.fitted, self.criterion) + NEARLY
+        most = description_length(best.fitted, self.criterion) + SETTINGS.regression.neighbour_margin
         found: dict[tuple[str, bytes], tuple[float, Fitted]] = {}
         for program in neighbours(best.fitted.program, self._variables, self._operators):
             if self._is_exhausted():
@@ -179,8 +172,10 @@ class Shortening:
                 meaning = (meaning[0], np.sort(fitted.program.operators).tobytes())
             if length < most and (meaning not in found or length < found[meaning][0]):
                 found[meaning] = (length, fitted)
-        nearest = sorted(found.values(), key=lambda each: (each[0], structure(each[1].program)))[:MOST_NEIGHBOURS]
+        nearest = sorted(found.values(), key=lambda each: (each[0], structure(each[1].program)))[
+            : SETTINGS.regression.most_neighbours
+        ]
         return [fitted for _, one in nearest for fitted in (one, self._reduced(one))]
 
     def _is_exhausted(self) -> bool:
-        return self.polisher.evaluations > MOST_EVALUATIONS
+        return self.polisher.evaluations > SETTINGS.regression.most_evaluations

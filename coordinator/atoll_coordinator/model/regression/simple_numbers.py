@@ -8,21 +8,11 @@ import math
 from collections.abc import Iterator
 from typing import Final
 
-DENOMINATORS: Final = (1, 2, 3, 4, 6)
-MOST_DIGITS: Final = 15
-REACH: Final = 4.0
-"""Numbers are considered that lie within so many standard errors of a constant."""
+from atoll_coordinator.model.settings import SETTINGS
 
 _POWER: Final = math.log(3.0)
 _FINER: Final = math.log(10.0) + _POWER
 """A decimal that is finer than the error may need one digit more."""
-
-_NEIGHBOURS: Final = 2
-
-PI_NATS: Final = 5.0
-"""What it takes to say that a fraction is one of pi: more than two digits, lest short decimals are taken for one."""
-MOST_OF_PI: Final = 24
-"""Larger numerators of multiples of pi are not considered."""
 
 
 def fraction_length(numerator: int, denominator: int) -> float:
@@ -37,18 +27,18 @@ def decimal_length(mantissa: int, exponent: int) -> float:
 
 def fitted_length(value: float, error: float) -> float:
     """Return the length in nats of `value` written with the digits that its standard error leaves it."""
-    error = min(max(error, abs(value) * 10.0**-MOST_DIGITS), abs(value))
+    error = min(max(error, abs(value) * 10.0**-SETTINGS.regression.most_digits), abs(value))
     if error == 0.0:
         return 0.0
     return math.log1p(abs(value) / error) + _POWER * abs(math.log10(error)) + _FINER
 
 
 def simple_numbers(value: float, error: float) -> dict[float, float]:
-    """Return numbers within `REACH` standard errors of `value`, each with its length in nats; 0 is not among them.
+    """Return numbers within a few standard errors of `value`, each with its length in nats; 0 is not among them.
 
     The more digits the error leaves, the more of them are considered, up to one more than it justifies.
     """
-    reach = max(REACH * error, abs(value) * 4.0 * 2.0**-52)
+    reach = max(SETTINGS.regression.rounding_reach * error, abs(value) * 4.0 * 2.0**-52)
     found: dict[float, float] = {}
     for number, length in (*_fractions(value), *_multiples_of_pi(value), *_decimals(value, error)):
         if number != 0.0 and abs(number - value) <= reach:
@@ -59,31 +49,38 @@ def simple_numbers(value: float, error: float) -> dict[float, float]:
 def _fractions(value: float) -> Iterator[tuple[float, float]]:
     if abs(value) > 1e6:
         return
-    for denominator in DENOMINATORS:
+    for denominator in SETTINGS.regression.denominators:
         nearest = round(value * denominator)
-        for numerator in range(nearest - _NEIGHBOURS, nearest + _NEIGHBOURS + 1):
+        for numerator in range(
+            nearest - SETTINGS.regression.numerators_beside, nearest + SETTINGS.regression.numerators_beside + 1
+        ):
             if math.gcd(numerator, denominator) == 1:
                 yield numerator / denominator, fraction_length(numerator, denominator)
 
 
 def _multiples_of_pi(value: float) -> Iterator[tuple[float, float]]:
-    if abs(value) > MOST_OF_PI * math.pi:
+    if abs(value) > SETTINGS.regression.most_of_pi * math.pi:
         return
-    for denominator in DENOMINATORS:
+    for denominator in SETTINGS.regression.denominators:
         numerator = round(value * denominator / math.pi)
-        if 0 < abs(numerator) <= MOST_OF_PI and math.gcd(numerator, denominator) == 1:
-            yield numerator * math.pi / denominator, fraction_length(numerator, denominator) + PI_NATS
+        if 0 < abs(numerator) <= SETTINGS.regression.most_of_pi and math.gcd(numerator, denominator) == 1:
+            yield (
+                numerator * math.pi / denominator,
+                fraction_length(numerator, denominator) + SETTINGS.regression.pi_nats,
+            )
 
 
 def _decimals(value: float, error: float) -> Iterator[tuple[float, float]]:
     if value == 0.0:
         return
     first = math.floor(math.log10(abs(value))) + 1
-    finest = max(error / 10.0, abs(value) * 10.0**-MOST_DIGITS)
-    for exponent in range(first, first - MOST_DIGITS - 1, -1):
+    finest = max(error / 10.0, abs(value) * 10.0**-SETTINGS.regression.most_digits)
+    for exponent in range(first, first - SETTINGS.regression.most_digits - 1, -1):
         if 10.0**exponent < finest:
             return
         nearest = round(value / 10.0**exponent) if exponent > -300 else 0
-        for mantissa in range(nearest - _NEIGHBOURS, nearest + _NEIGHBOURS + 1):
+        for mantissa in range(
+            nearest - SETTINGS.regression.numerators_beside, nearest + SETTINGS.regression.numerators_beside + 1
+        ):
             if mantissa % 10:
                 yield float(f"{mantissa}e{exponent}"), decimal_length(mantissa, exponent)

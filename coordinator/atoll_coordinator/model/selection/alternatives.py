@@ -6,7 +6,6 @@ place of the misfit to all trajectories and of the price of constants, which sta
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -17,27 +16,7 @@ from atoll_coordinator.model.criteria import validated_length
 from atoll_coordinator.model.selection.comparison import Contest, Standing
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
 from atoll_coordinator.model.selection.joint_search import Chosen
-from atoll_coordinator.model.selection.local_search import LEAST
-
-CONTENDERS: Final = 8
-"""Contenders of a variable that are reported, at most."""
-
-VALIDATED_NATS: Final = 6.0
-"""Contenders that are not more nats behind are validated."""
-
-VALIDATED: Final = 5
-"""Contenders of a variable that are validated, at most."""
-
-DECIDED_NATS: Final = 3.0
-"""Contenders that are not more nats behind take the first place if they foretell better."""
-
-CLEARLY: Final = 3.0
-"""Nats by which they must foretell better: a needless constant gains or loses one or two by chance."""
-
-SAME: Final = 1e-3
-"""Equations whose values differ by less than this share of their deviation, root mean square, are the same function."""
-
-_FITTING: Final = ((12, 3 * CONTENDERS),)
+from atoll_coordinator.model.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +63,7 @@ def _shortest(choice: Chosen, inputs: FloatArray) -> tuple[Chosen, list[list[Sta
     while True:
         rivals = _all_rivals(choice, inputs)
         best = min((each for its in rivals for each in its[:1]), key=lambda its: its.nats, default=choice.standing)
-        if best.nats > choice.standing.nats - LEAST:
+        if best.nats > choice.standing.nats - SETTINGS.selection.least_gain:
             return choice, rivals
         choice = replace(choice, standing=best)
 
@@ -94,9 +73,9 @@ def _winner(standing: Standing, own: Validated, rivals: Sequence[Sequence[Rival]
 
     Those with more constants are left out: what these gain on few trajectories is chance as often as not.
     """
-    best, winner = validated_length(own.misfit, standing.programs) - CLEARLY, None
+    best, winner = validated_length(own.misfit, standing.programs) - SETTINGS.selection.clearly_better_nats, None
     for each in (rival for its in rivals for rival in its):
-        if each.validated is None or each.standing.nats > standing.nats + DECIDED_NATS:
+        if each.validated is None or each.standing.nats > standing.nats + SETTINGS.selection.undecided_nats:
             continue
         if len(each.standing.shot.system.places) > len(standing.shot.system.places):
             continue
@@ -108,7 +87,12 @@ def _winner(standing: Standing, own: Validated, rivals: Sequence[Sequence[Rival]
 
 def _validated(validation: Validation, rivals: Sequence[Standing], best: Standing) -> list[Rival]:
     return [
-        Rival(each, validation.of(each) if rank < VALIDATED and each.nats <= best.nats + VALIDATED_NATS else None)
+        Rival(
+            each,
+            validation.of(each)
+            if rank < SETTINGS.selection.validated and each.nats <= best.nats + SETTINGS.selection.validated_nats
+            else None,
+        )
         for rank, each in enumerate(rivals)
     ]
 
@@ -127,7 +111,12 @@ def _rivals(contest: Contest, best: Standing, index: int, inputs: FloatArray) ->
         (each for (equation, _), each in contest.tried.items() if equation == index), key=lambda its: its.nats
     )
     programs: dict[bytes, Program] = {structure(each.programs[index]): each.programs[index] for each in tried}
-    near = contest.halved(best, index, list(programs.values())[: 4 * CONTENDERS], _FITTING)
+    near = contest.halved(
+        best,
+        index,
+        list(programs.values())[: 4 * SETTINGS.selection.alternatives],
+        SETTINGS.selection.alternative_rounds,
+    )
     functions = [values_of(best.programs[index], inputs)]
     found: list[Standing] = []
     for each in near:
@@ -135,10 +124,10 @@ def _rivals(contest: Contest, best: Standing, index: int, inputs: FloatArray) ->
         if all(_differ(values, other) for other in functions):
             functions.append(values)
             found.append(each)
-    return found[:CONTENDERS]
+    return found[: SETTINGS.selection.alternatives]
 
 
 def _differ(first: FloatArray, second: FloatArray) -> bool:
     with np.errstate(all="ignore"):
         difference = float(np.sqrt(np.mean((first - second) ** 2)))
-        return not difference <= SAME * float(np.std(second))
+        return not difference <= SETTINGS.selection.same_function * float(np.std(second))

@@ -1,7 +1,6 @@
 """Candidates for one variable's equation, the best first: its trajectories alone, the other states as smoothed."""
 
 from collections.abc import Iterable, Sequence
-from typing import Final
 
 import numpy as np
 
@@ -10,18 +9,9 @@ from atoll.expression.program import Program, structure
 from atoll_coordinator.model.regression.fit import Polisher
 from atoll_coordinator.model.selection.comparison import Contest, distinct
 from atoll_coordinator.model.selection.elimination import eliminated
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.term_libraries import Term
-
-KEPT: Final = 60
-"""Candidates of which longer segments are fitted, the best by short ones."""
-
-MOST_WORK: Final = 150_000_000
-"""Work, see `Shooter.work`, after which no other libraries are tried; hundreds of rows take a few tenths of it."""
-
-_POLISH_STEPS: Final = 15
-_SEGMENT: Final = 10
-_LONGER: Final = 30
 
 
 def ranked(
@@ -40,14 +30,20 @@ def ranked(
     """
     polisher = Polisher(problem)
     unique = {structure(program): program for program in reversed([tidied(each) for each in programs])}
-    polished = [polisher.fit(program, steps=_POLISH_STEPS) for program in reversed(unique.values())]
+    polished = [
+        polisher.fit(program, steps=SETTINGS.selection.regression_steps) for program in reversed(unique.values())
+    ]
     started = [each.program for each in polished if np.isfinite(each.mse)]
-    found = contest.map(lambda program: contest.stand([program], 4, (_SEGMENT,)), started)[:KEPT]
+    found = contest.map(lambda program: contest.stand([program], 4, (SETTINGS.selection.short_segment,)), started)[
+        : SETTINGS.selection.kept_candidates
+    ]
     for terms in libraries:
-        if contest.shooter.work < MOST_WORK:
+        if contest.shooter.work < SETTINGS.selection.library_work:
             found += eliminated(contest, problem, terms)
     chosen = {structure(each.programs[0]): each.programs[0] for each in found}
-    longer = contest.map(lambda program: contest.stand([program], 6, (_LONGER,)), chosen.values())
+    longer = contest.map(
+        lambda program: contest.stand([program], 6, (SETTINGS.selection.longer_segment,)), chosen.values()
+    )
     best = [each.programs[0] for each in distinct(longer)]
     known = {structure(program) for program in best}
     return [*best, *(program for program in started if structure(program) not in known)]

@@ -15,19 +15,9 @@ import numpy as np
 
 from atoll.expression.program import Program, constant_places, structure
 from atoll_coordinator.model.criteria import constant_nats_of, system_length, trajectory_misfit
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter, Shot, staged
 from atoll_coordinator.model.shooting.system import System, split, system_of
-
-EXACT: Final = 1e-8
-"""Errors below this share of a state's standard deviation are those of the integration, not of the model."""
-
-FIRST_LENGTHS: Final = (8, 25, None)
-"""Rows of the segments of a fit that nothing is known of yet; None: whole pieces."""
-
-AT_ONCE: Final = 64
-"""Systems that are fitted between two looks at the work that has been done."""
-
-_REPEATED: Final = 1e-6
 
 Item = TypeVar("Item")
 
@@ -65,7 +55,7 @@ class Contest:
         self.leading: Final = tuple(leading)
         self.tried: Final[dict[tuple[int, bytes], Standing]] = {}
         self.counts: Final = its.weights.sum(axis=1)
-        self.floors: Final = EXACT * its.scales[its.observed]
+        self.floors: Final = SETTINGS.selection.exact * its.scales[its.observed]
         self.coherence: Final = its.coherence
         self.constant_nats: Final = constant_nats_of(its.rows / its.coherence)
         self._map: Final = map if executor is None else executor.map
@@ -78,10 +68,10 @@ class Contest:
     def _bounded(self, work: Callable[[Item], Standing | None], items: Sequence[Item], until: float) -> list[Standing]:
         """Return what `map` does, of the first items as far as the shooter's work is less than `until`."""
         found: list[Standing] = []
-        for first in range(0, len(items), AT_ONCE):
+        for first in range(0, len(items), SETTINGS.selection.batch):
             if first and self.shooter.work >= until:
                 break
-            found += self.map(work, items[first : first + AT_ONCE])
+            found += self.map(work, items[first : first + SETTINGS.selection.batch])
         return sorted(found, key=lambda its: its.nats)
 
     def system(self, programs: Sequence[Program], held: Sequence[Iterable[int]] = ()) -> System:
@@ -95,7 +85,10 @@ class Contest:
         return system_of([*self.leading, *programs], self.names, variables, [*none, *fixed])
 
     def stand(
-        self, programs: Sequence[Program], steps: int = 20, lengths: Sequence[int | None] = FIRST_LENGTHS
+        self,
+        programs: Sequence[Program],
+        steps: int = 20,
+        lengths: Sequence[int | None] = SETTINGS.selection.first_lengths,
     ) -> Standing | None:
         """Return the fitted system of `programs`, None when it cannot be simulated."""
         shot = staged(self.shooter, self.system(programs), lengths, steps)
@@ -158,9 +151,9 @@ def distinct(standings: Iterable[Standing]) -> list[Standing]:
     misfits: list[float] = []
     for each in standings:
         its = each.misfit
-        reach = 2.0 * _REPEATED * (1.0 + abs(its))  # no other one can be near enough
+        reach = 2.0 * SETTINGS.selection.repeated * (1.0 + abs(its))  # no other one can be near enough
         near = misfits[bisect_left(misfits, its - reach) : bisect_right(misfits, its + reach)]
-        if all(abs(its - other) > _REPEATED * (1.0 + abs(other)) for other in near):
+        if all(abs(its - other) > SETTINGS.selection.repeated * (1.0 + abs(other)) for other in near):
             kept.append(each)
             insort(misfits, its)
     return kept

@@ -13,17 +13,10 @@ from atoll.data.dataset import FloatArray
 from atoll.expression.program import constant_places
 from atoll_coordinator.model.criteria import trajectory_misfit
 from atoll_coordinator.model.selection.comparison import Contest, Standing
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter
 from atoll_coordinator.model.shooting.system import split
-
-LEAST_TRAJECTORIES: Final = 3
-"""With fewer, too little is left to fit constants to."""
-
-MOST_FOLDS: Final = 10
-"""More trajectories than this are left out several at a time."""
-
-_STEPS: Final = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +37,9 @@ class Validation:
         self._contest = contest
         its = contest.shooter.measurements
         owners = sorted(set(its.owners.tolist()))
-        count = min(len(owners), MOST_FOLDS)
+        count = min(len(owners), SETTINGS.selection.most_folds)
         self._folds = [frozenset(owners[fold::count]) for fold in range(count)]
-        self.is_possible: Final = count >= LEAST_TRAJECTORIES
+        self.is_possible: Final = count >= SETTINGS.selection.least_folds
         """Whether there are enough trajectories."""
 
     def of(self, standing: Standing) -> Validated:
@@ -70,13 +63,19 @@ class Validation:
         its = contest.shooter.measurements
         is_out = np.isin(its.owners, list(left_out))
         others = self._shooter(its.part(set(its.owners.tolist()) - left_out))
-        fitted = others.fit(contest.system(standing.programs), None, _STEPS, shot.starts[~is_out], shot.sigmas)
+        fitted = others.fit(
+            contest.system(standing.programs),
+            None,
+            SETTINGS.selection.validation_steps,
+            shot.starts[~is_out],
+            shot.sigmas,
+        )
         if fitted is None:
             return None
         programs = split(fitted.system, [*contest.leading, *standing.programs])[len(contest.leading) :]
         held = contest.system(programs, [constant_places(program) for program in programs])
         rest = self._shooter(its.part(left_out))
-        foretold = rest.fit(held, None, _STEPS, shot.starts[is_out], shot.sigmas)
+        foretold = rest.fit(held, None, SETTINGS.selection.validation_steps, shot.starts[is_out], shot.sigmas)
         if foretold is None:
             return None
         return np.asarray((rest.measurements.weights * foretold.residuals**2).sum(axis=1))

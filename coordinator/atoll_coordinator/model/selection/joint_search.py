@@ -8,7 +8,6 @@ by counts, never by the clock.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -23,41 +22,15 @@ from atoll_coordinator.model.refinement import Pool, Refined
 from atoll_coordinator.model.selection.candidates import ranked
 from atoll_coordinator.model.selection.comparison import Contest, Standing
 from atoll_coordinator.model.selection.front import may_be_shown
-from atoll_coordinator.model.selection.local_search import LEAST, Descent
-from atoll_coordinator.model.shooting.measurements import PIECE, Measurements, measurements_of
+from atoll_coordinator.model.selection.local_search import Descent
+from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter
 from atoll_coordinator.model.shooting.system import variable_program
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.term_libraries import Term, fractions, libraries
-
-COMPARED_ROWS: Final = 1_200
-"""Structures are compared on at most about so many rows; constants are then fitted on all."""
-
-WORK: Final = 45_000_000
-"""Work of all comparisons, see `Shooter.work`: some seconds of one core."""
-
-LAST_WORK: Final = 15_000_000
-"""Work that may be spent beyond that on leaving out what an equation can do without."""
-
-MOST_WORK: Final = 250_000_000
-"""Work after which the candidates of a contest are no longer exchanged; some times what systems need that are not
-stiff."""
-
-STARTS: Final = 3
-"""Candidates of each variable that are combined to begin with."""
-
-PRECISION: Final = (1e-10, 1e-4)
-NOISE_SHARE: Final = 0.01
-"""A step of the integration may err by this share of the noise, within `PRECISION` of the standard deviation."""
-
-_EXCHANGING: Final = ((1, 16), (6, 5), (20, 2))
-_RESTARTING: Final = ((1, 16), (6, 16))
-AGAIN: Final = 30
-"""Candidates of a variable that are tried again after another variable's program has changed."""
-
-_SMALL: Final = 9
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +60,7 @@ class Field:
     variables: tuple[str, ...]
     known: Mapping[str, Program]
     executor: Executor | None = None
-    piece: int = PIECE
+    piece: int = SETTINGS.shooting.piece
 
     def may_be_shown(self, program: Program) -> bool:
         """Tell whether the job's equations may be as large as `program`."""
@@ -108,7 +81,9 @@ class Field:
 
     def contest(self, its: Measurements, variables: Sequence[str]) -> Contest:
         """Return a contest over these measurements."""
-        precision = float(np.clip(NOISE_SHARE * its.relative_noise.min(), *PRECISION))
+        precision = float(
+            np.clip(SETTINGS.selection.tolerated_noise * its.relative_noise.min(), *SETTINGS.selection.tolerances)
+        )
         fixed = [index for index, name in enumerate(variables) if name in self.known]
         return Contest(Shooter(its, precision), self.dataset.names, fixed, self.leading(variables), self.executor)
 
@@ -149,7 +124,7 @@ def selected(
         begun: a system to begin with; the best of a few unless given.
         is_hopeless: tells of the best of the candidates when its neighbours need not be looked at.
     """
-    its = field.measurements(field.variables).thinned(COMPARED_ROWS)
+    its = field.measurements(field.variables).thinned(SETTINGS.selection.compared_rows)
     contest = field.contest(its, field.variables)
     best = _combined(contest, lists) if begun is None else contest.stand(begun)
     if best is None:
@@ -183,7 +158,7 @@ def _compared(field: Field, name: str, pools: Mapping[str, Pool], settled: Mappi
     entries = [*pool.front, *pool.runners_up]
     programs += [Program.from_bytes(entry.program, len(problem.names)) for entry in entries]
     programs += guessed_programs(field.dataset, field.config).get(name, ())
-    its = replace(field.measurements([name]).thinned(COMPARED_ROWS), coherence=1.0)
+    its = replace(field.measurements([name]).thinned(SETTINGS.selection.compared_rows), coherence=1.0)
     contest = field.contest(its, [name])
     best = ranked(contest, problem, programs, _libraries(field, name, its))
     return [program for program in best if field.may_be_shown(program)]
@@ -191,7 +166,9 @@ def _compared(field: Field, name: str, pools: Mapping[str, Pool], settled: Mappi
 
 def _is_exact(field: Field, lists: Sequence[Sequence[Program]]) -> bool:
     """Tell whether the first candidates give the trajectories up to errors of integration."""
-    contest = field.contest(field.measurements(field.variables).thinned(COMPARED_ROWS), field.variables)
+    contest = field.contest(
+        field.measurements(field.variables).thinned(SETTINGS.selection.compared_rows), field.variables
+    )
     found = contest.stand([its[0] for its in lists])
     return found is not None and contest.is_exact(found)
 
@@ -209,9 +186,9 @@ def _combined(contest: Contest, lists: Sequence[Sequence[Program]]) -> Standing 
     systems = [first] + [
         [*first[:index], program, *first[index + 1 :]]
         for index, its in enumerate(lists)
-        for program in its[1 : STARTS + 1]
+        for program in its[1 : SETTINGS.selection.combined + 1]
     ]
-    systems += [[its[min(rank, len(its) - 1)] for its in lists] for rank in range(1, STARTS + 1)]
+    systems += [[its[min(rank, len(its) - 1)] for its in lists] for rank in range(1, SETTINGS.selection.combined + 1)]
     found = contest.map(contest.stand, systems)
     return found[0] if found else None
 
@@ -223,12 +200,17 @@ def _exchanged(contest: Contest, best: Standing, lists: Sequence[Sequence[Progra
         before = best.nats
         for equation, programs in enumerate(tried):
             if len(programs) > 1:
-                found = contest.halved(best, equation, programs, _EXCHANGING, MOST_WORK)
-                if found and found[0].nats < best.nats - LEAST:
+                found = contest.halved(
+                    best, equation, programs, SETTINGS.selection.exchange_rounds, SETTINGS.selection.exchange_work
+                )
+                if found and found[0].nats < best.nats - SETTINGS.selection.least_gain:
                     best = found[0]
-        if best.nats > before - LEAST or contest.shooter.work >= MOST_WORK:
+        if (
+            best.nats > before - SETTINGS.selection.least_gain
+            or contest.shooter.work >= SETTINGS.selection.exchange_work
+        ):
             return best
-        tried = [programs[:AGAIN] for programs in lists]
+        tried = [programs[: SETTINGS.selection.exchanged_again] for programs in lists]
 
 
 def _descended(field: Field, contest: Contest, best: Standing, lists: Sequence[Sequence[Program]]) -> Standing:
@@ -245,13 +227,13 @@ def _descended(field: Field, contest: Contest, best: Standing, lists: Sequence[S
     def beyond(equation: int, program: Program) -> Iterator[Program]:
         return filter(field.may_be_shown, leaps(program, field.operators(field.variables[equation])))
 
-    descent = Descent(contest, around, contest.shooter.work + WORK, beyond)
+    descent = Descent(contest, around, contest.shooter.work + SETTINGS.selection.search_work, beyond)
     equations = [index for index, its in enumerate(lists) if index not in contest.fixed]
     best = descent.down(best, equations)
     for equation in equations:
         best = _restarted(contest, descent, best, equation, lists[equation])
     best = _exchanged(contest, best, lists)
-    last = Descent(contest, around, contest.shooter.work + LAST_WORK)
+    last = Descent(contest, around, contest.shooter.work + SETTINGS.selection.reduction_work)
     for equation in equations:
         best = last.reduced(best, equation)
     return best
@@ -261,20 +243,24 @@ def _restarted(
     contest: Contest, descent: Descent, best: Standing, equation: int, programs: Sequence[Program]
 ) -> Standing:
     """Return the best end of descents that begin with other programs for one equation, all others as they are."""
-    others = contest.halved(best, equation, programs, _RESTARTING, MOST_WORK)
+    others = contest.halved(
+        best, equation, programs, SETTINGS.selection.restart_rounds, SETTINGS.selection.exchange_work
+    )
     by_kind = {_kind(other.programs[equation]): other for other in reversed(others)}
     for other in sorted(by_kind.values(), key=lambda its: its.nats):
         if descent.is_exhausted:
             break
         end = descent.down(other, [equation])
-        if end.nats < best.nats - LEAST:
+        if end.nats < best.nats - SETTINGS.selection.least_gain:
             best = descent.down(end, [*(each for each in range(len(best.programs)) if each not in contest.fixed)])
     return best
 
 
 def _kind(program: Program) -> tuple[bool, bool]:
     """Return whether a program has functions, and whether it is large: descents from other kinds end elsewhere."""
-    return any(is_function(code) for code in program.operators.tolist()), len(program) > _SMALL
+    return any(is_function(code) for code in program.operators.tolist()), len(
+        program
+    ) > SETTINGS.selection.small_program
 
 
 def _scales(field: Field, its: Measurements) -> list[float]:

@@ -7,27 +7,12 @@ import numpy as np
 
 from atoll.expression.program import Program, constant_places
 from atoll_coordinator.model.selection.comparison import Contest, Standing
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.moves.reductions import reductions
 
-LEAST: Final = 0.01
-"""Nats by which a description must get shorter to count."""
-
-MOST_SAVED: Final = 12.0
-"""Nats that leaving out one constant may save, at most about."""
-
-OVERDRAFT: Final = 60_000_000
-"""Work that one comparison of many systems may take beyond the budget; only stiff ones need as much."""
-
-FAR: Final = 10.0
-"""Systems whose description is longer than the best by more nats are not reduced."""
-
-_REDUCING: Final = ((2, 4), (10, 1))
-_PRUNING_STEPS: Final = 8
 _NEUTRAL: Final = (0.0, 1.0, -1.0)
-_GROWING: Final = ((1, 24), (4, 6), (12, 3))
-_LEAPING: Final = ((8, 2), (12, 2))
 
 Around = Callable[[int, Program], Iterator[Program]]
 """Programs near one of an equation that may take its place."""
@@ -36,7 +21,7 @@ Around = Callable[[int, Program], Iterator[Program]]
 class Descent:
     """Shortens systems until nothing near is shorter, or the shooter's `budget` of work is used up.
 
-    What was begun then is finished, unless that takes more than `OVERDRAFT` beyond.
+    What was begun then is finished, unless that takes more than the overdraft beyond.
     """
 
     def __init__(self, contest: Contest, around: Around, budget: int, leaps: Around = lambda *_: iter(())) -> None:
@@ -44,7 +29,7 @@ class Descent:
         self._around = around
         self._leaps = leaps
         self._budget = budget
-        self._until = budget + OVERDRAFT
+        self._until = budget + SETTINGS.selection.overdraft
 
     @property
     def is_exhausted(self) -> bool:
@@ -67,8 +52,8 @@ class Descent:
         while not self.is_exhausted:
             standing = self._pruned(standing, equation)
             programs = reductions(standing.programs[equation])
-            found = self._contest.halved(standing, equation, programs, _REDUCING, self._until)
-            if not found or found[0].nats > standing.nats - LEAST:
+            found = self._contest.halved(standing, equation, programs, SETTINGS.selection.reduction_rounds, self._until)
+            if not found or found[0].nats > standing.nats - SETTINGS.selection.least_gain:
                 break
             standing = found[0]
         return standing
@@ -83,8 +68,8 @@ class Descent:
         while True:
             following = None
             for program in self._needless(standing, equation)[:2]:
-                following = self._contest.exchanged(standing, equation, program, _PRUNING_STEPS)
-                if following is not None and following.nats < standing.nats - LEAST:
+                following = self._contest.exchanged(standing, equation, program, SETTINGS.selection.pruning_steps)
+                if following is not None and following.nats < standing.nats - SETTINGS.selection.least_gain:
                     break
                 following = None
             if following is None:
@@ -107,18 +92,18 @@ class Descent:
         ):
             for neutral in _NEUTRAL:
                 nats = 0.5 * (value - neutral) ** 2 / max(variance, 1e-300)
-                if nats < MOST_SAVED:
+                if nats < SETTINGS.selection.most_saved:
                     priced.append((nats, abs(value - neutral), place, neutral))
         return [tidied(program, {place: neutral}) for _, _, place, neutral in sorted(priced)]
 
     def _improved(self, standing: Standing, equation: int) -> Standing:
         best = self.reduced(standing, equation)
         programs = self._around(equation, best.programs[equation])
-        found = self._contest.halved(best, equation, programs, _GROWING, self._until)
-        near = [each for each in found if each.nats < best.nats + FAR]
+        found = self._contest.halved(best, equation, programs, SETTINGS.selection.extension_rounds, self._until)
+        near = [each for each in found if each.nats < best.nats + SETTINGS.selection.far]
         leaps = self._leaps(equation, best.programs[equation])
-        near += self._contest.halved(best, equation, leaps, _LEAPING, self._until)
+        near += self._contest.halved(best, equation, leaps, SETTINGS.selection.leap_rounds, self._until)
         return min(
             [best, *(self.reduced(each, equation) for each in near)],
-            key=lambda its: its.nats + LEAST * (its is not best),
+            key=lambda its: its.nats + SETTINGS.selection.least_gain * (its is not best),
         )

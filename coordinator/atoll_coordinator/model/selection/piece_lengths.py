@@ -7,7 +7,6 @@ longest that can be fitted are taken.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -15,27 +14,7 @@ from atoll.expression.program import Program
 from atoll_coordinator.model.refinement import Pool, Refined
 from atoll_coordinator.model.selection.comparison import Contest, Standing
 from atoll_coordinator.model.selection.joint_search import Chosen, Field, candidates_of, selected
-
-SHORTER: Final = (100, 30)
-"""Rows of the pieces that are tried when longer ones cannot be fitted."""
-
-LADDER_WORK: Final = 450_000_000
-"""Work, see `Shooter.work`, after which no other lengths of pieces are tried."""
-
-AT_NOISE: Final = 1.5
-"""Residuals so many times as large as the noise are at its level."""
-
-SLIGHT: Final = 1e-3
-"""Residuals below this share of a state's standard deviation are small, whatever the noise."""
-
-LONG: Final = 200
-"""Trajectories of more rows may be chaotic enough for the neighbourhood of a bad fit not to be worth looking at."""
-
-DEAR_WORK: Final = 100_000_000
-"""Work of a contest from which the same is so of shorter trajectories: much would be left for nothing."""
-
-_STEPS: Final = 20
-_LENGTHS: Final = (25, None)
+from atoll_coordinator.model.settings import SETTINGS
 
 
 def chosen(field: Field, pools: Mapping[str, Pool], settled: Mapping[str, Refined]) -> Chosen | None:
@@ -54,9 +33,11 @@ def chosen(field: Field, pools: Mapping[str, Pool], settled: Mapping[str, Refine
     found: list[Chosen] = []
     for choice in _ever_shorter(field, lists):
         found.append(choice)
-        if _excess(choice.contest, choice.standing) <= AT_NOISE:
+        if _excess(choice.contest, choice.standing) <= SETTINGS.selection.noise_excess:
             work = sum(each.contest.shooter.work for each in found)
-            return replace(choice if work >= LADDER_WORK else _lengthened(field, choice, lists), lists=lists)
+            return replace(
+                choice if work >= SETTINGS.selection.pieces_work else _lengthened(field, choice, lists), lists=lists
+            )
     return replace(found[0], lists=lists) if found else None
 
 
@@ -70,7 +51,7 @@ def on_all_rows(choice: Chosen) -> Chosen | None:
         fitted = _fitted(field, choice.standing.programs, its.rows)
         if fitted is not None:
             found.append(fitted)
-            if _excess(fitted.contest, fitted.standing) <= AT_NOISE:
+            if _excess(fitted.contest, fitted.standing) <= SETTINGS.selection.noise_excess:
                 return fitted
     return found[0] if found else None
 
@@ -99,24 +80,29 @@ def _ever_shorter(field: Field, lists: Sequence[Sequence[Program]]) -> Iterator[
         shorter = fields[index + 1 :]
 
         def is_hopeless(choice: Chosen, shorter: Sequence[Field] = shorter) -> bool:
-            may_be = _longest(choice.field) > LONG or choice.contest.shooter.work >= DEAR_WORK
+            may_be = (
+                _longest(choice.field) > SETTINGS.selection.long_trajectory
+                or choice.contest.shooter.work >= SETTINGS.selection.dear_work
+            )
             return may_be and _is_better_in(shorter, choice)
 
         choice = selected(here, lists, is_hopeless=is_hopeless)
         if choice is not None:
             yield choice
             work += choice.contest.shooter.work
-            if work >= LADDER_WORK or not _is_better_in(shorter, choice):
+            if work >= SETTINGS.selection.pieces_work or not _is_better_in(shorter, choice):
                 return
 
 
 def _is_better_in(fields: Sequence[Field], choice: Chosen) -> bool:
     """Tell whether a system that does not fit well does so in shorter pieces."""
-    if _excess(choice.contest, choice.standing) <= AT_NOISE:
+    if _excess(choice.contest, choice.standing) <= SETTINGS.selection.noise_excess:
         return False
     rows = choice.contest.shooter.measurements.rows
     fits = (_fitted(field, choice.standing.programs, rows) for field in fields)
-    return any(fit is not None and _excess(fit.contest, fit.standing) <= AT_NOISE for fit in fits)
+    return any(
+        fit is not None and _excess(fit.contest, fit.standing) <= SETTINGS.selection.noise_excess for fit in fits
+    )
 
 
 def _lengthened(field: Field, choice: Chosen, lists: Sequence[Sequence[Program]]) -> Chosen:
@@ -126,7 +112,7 @@ def _lengthened(field: Field, choice: Chosen, lists: Sequence[Sequence[Program]]
         if longer.piece <= choice.field.piece:
             break
         fit = _fitted(longer, choice.standing.programs, rows)
-        if fit is not None and _excess(fit.contest, fit.standing) <= AT_NOISE:
+        if fit is not None and _excess(fit.contest, fit.standing) <= SETTINGS.selection.noise_excess:
             return selected(longer, lists, choice.standing.programs) or choice
     return choice
 
@@ -134,7 +120,7 @@ def _lengthened(field: Field, choice: Chosen, lists: Sequence[Sequence[Program]]
 def _fitted(field: Field, programs: Sequence[Program], rows: int) -> Chosen | None:
     """Return a system fitted to at most about so many rows, None when it cannot be simulated."""
     contest = field.contest(field.measurements(field.variables).thinned(rows), field.variables)
-    standing = contest.stand(programs, _STEPS, _LENGTHS)
+    standing = contest.stand(programs, SETTINGS.selection.piece_steps, SETTINGS.selection.piece_lengths)
     return None if standing is None else Chosen(field, contest, standing)
 
 
@@ -144,7 +130,7 @@ def _excess(contest: Contest, standing: Standing) -> float:
     Where smoothed states are inputs, their errors are taken to leave as much as the noise again.
     """
     its = contest.shooter.measurements
-    noise = np.maximum(its.noise, SLIGHT * its.scales[its.observed])
+    noise = np.maximum(its.noise, SETTINGS.selection.slight * its.scales[its.observed])
     allowed = noise * (2.0 if its.coherence > 1.0 else 1.0)
     return float(np.max(np.sqrt(standing.shot.squares) / allowed))
 
@@ -152,7 +138,7 @@ def _excess(contest: Contest, standing: Standing) -> float:
 def _fields(field: Field) -> list[Field]:
     """Return the field with its own pieces, and with shorter ones that are at most half of the longest trajectory."""
     most = min(field.piece, _longest(field))
-    return [field, *(replace(field, piece=rows) for rows in SHORTER if 2 * rows <= most)]
+    return [field, *(replace(field, piece=rows) for rows in SETTINGS.selection.shorter_pieces if 2 * rows <= most)]
 
 
 def _longest(field: Field) -> int:

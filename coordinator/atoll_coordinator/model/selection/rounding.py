@@ -5,31 +5,27 @@ of the constants, by which a beam of decisions is built up; the best whole decis
 """
 
 from collections.abc import Sequence
-from typing import Final
 
 from atoll.expression.program import Program, constant_places, with_constants
 from atoll_coordinator.model.criteria import rounded_system_length
 from atoll_coordinator.model.regression.rounding import Decision, decisions
 from atoll_coordinator.model.regression.simple_numbers import fitted_length, simple_numbers
 from atoll_coordinator.model.selection.comparison import Contest, Standing
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.structure.algebra import tidied
-
-MOST_CONSTANTS: Final = 16
-_STEPS: Final = 12
-_REMEASURED: Final = 6
 
 
 def rounded(contest: Contest, standing: Standing) -> tuple[Program, ...]:
     """Return the programs of the shortest description that comes of `standing` by making constants simple."""
     shot = standing.shot
-    if not 0 < len(shot.system.places) <= MOST_CONSTANTS:
+    if not 0 < len(shot.system.places) <= SETTINGS.selection.most_rounded_constants:
         return standing.programs
     means, spread = shot.system.values, contest.coherence * bounded_covariance(shot)
     errors = [float(variance) ** 0.5 for variance in spread.diagonal().clip(0.0)]
     best = rounded_system_length(standing.misfit, standing.programs, map(fitted_length, means.tolist(), errors))
     shown = standing.programs
-    for decision in decisions(means, spread)[:_REMEASURED]:
+    for decision in decisions(means, spread)[: SETTINGS.selection.roundings_measured]:
         measured = _measured(contest, standing, decision)
         if measured is not None and measured[0] <= best:
             best, shown = measured
@@ -41,7 +37,9 @@ def _measured(contest: Contest, standing: Standing, decision: Decision) -> tuple
     numbers = dict(decision.numbers)
     programs, held = _decided(contest, standing.programs, numbers)
     system = contest.system(programs, held)
-    shot = contest.shooter.fit(system, None, _STEPS, standing.shot.starts, standing.shot.sigmas)
+    shot = contest.shooter.fit(
+        system, None, SETTINGS.selection.rounding_steps, standing.shot.starts, standing.shot.sigmas
+    )
     if shot is None:
         return None
     after = contest.measured(programs, shot)

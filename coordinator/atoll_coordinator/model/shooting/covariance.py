@@ -1,21 +1,12 @@
 """The covariance of the constants of a multiple-shooting fit, from its normal equations. Pure."""
 
 import math
-from typing import Final
 
 import numpy as np
 
 from atoll.data.dataset import FloatArray
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.multiple_shooting import Shot
-
-_FLOOR: Final = 1e-11
-"""Eigenvalues of the normal matrix with a unit diagonal that are smaller are those of rounding."""
-
-_LOADING: Final = 1e-6
-"""Squared component of a constant along a direction that is not determined, from which it is not determined itself."""
-
-_CANCELLED: Final = 1e-13
-"""Share of its diagonal that is left of the normal matrix by rounding where initial states stand in for a constant."""
 
 
 def covariance(shot: Shot) -> FloatArray:
@@ -36,7 +27,7 @@ def bounded_covariance(shot: Shot) -> FloatArray:
 def _spread(shot: Shot) -> tuple[FloatArray, FloatArray]:
     """Return the bounded covariance, and which constants load on directions that the data do not determine."""
     normal, reduced = np.diag(shot.normal), shot.reduced
-    least = np.maximum(_CANCELLED * np.nan_to_num(normal), 1e-100)
+    least = np.maximum(SETTINGS.shooting.cancelled * np.nan_to_num(normal), 1e-100)
     scale = np.sqrt(np.clip(np.nan_to_num(np.diag(reduced)), least, 1e100))
     with np.errstate(all="ignore"):
         unit = np.nan_to_num(reduced / np.outer(scale, scale), posinf=0.0, neginf=0.0)
@@ -44,7 +35,9 @@ def _spread(shot: Shot) -> tuple[FloatArray, FloatArray]:
         values, vectors = np.linalg.eigh(unit)
     except np.linalg.LinAlgError:
         values, vectors = np.zeros(len(scale)), np.eye(len(scale))
-    is_open = (vectors[:, values < _FLOOR] ** 2 > _LOADING).any(axis=1)
+    is_open = (vectors[:, values < SETTINGS.shooting.least_eigenvalue] ** 2 > SETTINGS.shooting.open_loading).any(
+        axis=1
+    )
     with np.errstate(all="ignore"):
-        found = (vectors / np.maximum(values, _FLOOR)) @ vectors.T / np.outer(scale, scale)
+        found = (vectors / np.maximum(values, SETTINGS.shooting.least_eigenvalue)) @ vectors.T / np.outer(scale, scale)
     return np.asarray(found), np.asarray(is_open)

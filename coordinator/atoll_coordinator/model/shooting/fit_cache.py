@@ -8,10 +8,8 @@ from collections import OrderedDict
 from typing import Final, Generic, TypeVar
 
 from atoll.data.dataset import FloatArray
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.system import System
-
-ROOM_BYTES: Final = 64_000_000
-"""Fits that are remembered take about so much together; beyond, the oldest go."""
 
 Key = tuple[object, ...]
 Fit = TypeVar("Fit")
@@ -26,7 +24,7 @@ def key_of(system: System, starts: FloatArray | None, sigmas: FloatArray | None,
 class Memory(Generic[Fit]):
     """Remembers fits by their keys. Any thread may use it."""
 
-    def __init__(self, size_bytes: int, room_bytes: int = ROOM_BYTES) -> None:
+    def __init__(self, size_bytes: int, room_bytes: int = SETTINGS.shooting.cache_bytes) -> None:
         """`size_bytes` is about what one fit takes."""
         self._most: Final = max(1, room_bytes // size_bytes)
         self._fits: Final[OrderedDict[Key, Fit]] = OrderedDict()

@@ -8,22 +8,13 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Final
 
 import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.data.recording import Recording, Trajectory
-
-ROOM: Final = 3.0
-"""A simulated state may leave the measured range by so many times its width before it counts as blown up."""
-
-PIECE: Final = 500
-"""Rows of a trajectory that are simulated at a stretch; the misfit of longer ones has too many minima to be fitted."""
-
-LEAST_PIECE: Final = 100
-"""Where there are many rows, pieces of so many are compared rather than shorter ones of more trajectories."""
+from atoll_coordinator.model.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +63,12 @@ class Measurements:
         """Range (D, 2) outside of which a simulated state has blown up."""
         low, high = self.smoothed.min(axis=1), self.smoothed.max(axis=1)
         width = np.maximum(high - low, 1e-12 * np.maximum(np.abs(high), np.abs(low)))
-        return np.ascontiguousarray(np.stack([low - ROOM * width, high + ROOM * width], axis=1))
+        return np.ascontiguousarray(
+            np.stack(
+                [low - SETTINGS.shooting.blow_up_widths * width, high + SETTINGS.shooting.blow_up_widths * width],
+                axis=1,
+            )
+        )
 
     @cached_property
     def sizes(self) -> FloatArray:
@@ -91,7 +87,7 @@ class Measurements:
         """Return pieces of the trajectories, spread evenly, of at most about `most` rows together."""
         if self.rows <= most:
             return self
-        length = min(PIECE // 2, max(LEAST_PIECE, most // len(self.bounds)))
+        length = min(SETTINGS.shooting.piece // 2, max(SETTINGS.shooting.least_piece, most // len(self.bounds)))
         pieces = [
             (first, min(first + length, end), owner)
             for (first, end), owner in zip(self.bounds.tolist(), self.owners.tolist(), strict=True)
@@ -126,7 +122,7 @@ class Measurements:
 
 
 def measurements_of(
-    recording: Recording, modelled: Sequence[int], *, held_out: bool = False, piece: int = PIECE
+    recording: Recording, modelled: Sequence[int], *, held_out: bool = False, piece: int = SETTINGS.shooting.piece
 ) -> Measurements:
     """Return the measurements for a system whose equations are those of the `modelled` states (indices).
 

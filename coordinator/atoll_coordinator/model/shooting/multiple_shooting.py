@@ -15,6 +15,7 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.fit_cache import Memory, key_of
 from atoll_coordinator.model.shooting.kernels.implicit import STIFF
 from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, shoot
@@ -22,40 +23,6 @@ from atoll_coordinator.model.shooting.kernels.normal_equations import normal_equ
 from atoll_coordinator.model.shooting.kernels.rates import Table
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.system import System
-
-STEPS_PER_ROW: Final = 40
-"""Integration steps that may be taken for each row, on average: what needs more is stiff or blows up."""
-
-QUICK_STEPS_PER_ROW: Final = 8
-"""The same for the quick method: beyond, implicit steps take less time."""
-
-FINEST: Final = 1e-6
-"""Errors of an implicit step, over a state's standard deviation, are not made smaller: its order is low."""
-
-FREE: Final = (4.0, 12.0, 1.0)
-"""Steps for each row that do not count as more work, by the quick, the precise and the implicit method."""
-
-QUICK_ENOUGH: Final = 1e-5
-"""Errors of a step, over a state's standard deviation, above which the quick method takes less time."""
-
-OVERHEAD: Final = 10
-"""Numbers whose carrying along takes as long as everything else about a row."""
-
-BRIEF: Final = 6
-"""Steps of a fit that only tells whether a candidate is worth more of them."""
-
-LEAP: Final = 5
-"""Segments grow at most so many times from one stage of a fit to the next."""
-
-_BESIDE_BYTES: Final = 8_000
-"""What a remembered fit takes beside its states and residuals."""
-
-_SETTLED: Final = 1e-7
-_FIRST_DAMPING: Final = 1e-3
-_LARGEST_DAMPING: Final = 1e9
-_SMALLEST_NOISE: Final = 1e-9
-_STEEPEST: Final = 1e60
-"""Sensitivities beyond this have no squares to compute with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,22 +106,31 @@ class Shooter:
     def __init__(self, measurements: Measurements, precision: float) -> None:
         """`precision` is the error of a step over a state's standard deviation."""
         self.precision: Final = precision
-        quick, precise, implicit = FREE
-        is_quick = precision >= QUICK_ENOUGH
-        explicit = (QUICK, QUICK_STEPS_PER_ROW, quick) if is_quick else (PRECISE, STEPS_PER_ROW, precise)
+        quick, precise, implicit = SETTINGS.shooting.free_steps
+        is_quick = precision >= SETTINGS.shooting.quick_enough
+        explicit = (
+            (QUICK, SETTINGS.shooting.quick_steps_per_row, quick)
+            if is_quick
+            else (PRECISE, SETTINGS.shooting.steps_per_row, precise)
+        )
         self._methods: Final = (
             _Method(*explicit, precision * measurements.scales),
-            _Method(STIFF, STEPS_PER_ROW, implicit, max(precision, FINEST) * measurements.scales),
+            _Method(
+                STIFF,
+                SETTINGS.shooting.steps_per_row,
+                implicit,
+                max(precision, SETTINGS.shooting.finest_implicit) * measurements.scales,
+            ),
         )
         self.measurements: Final = measurements
         self._measured = np.where(measurements.weights > 0.0, measurements.measured, 0.0)
-        self._smallest = np.maximum(_SMALLEST_NOISE * measurements.scales[measurements.observed], 1e-300)
+        self._smallest = np.maximum(SETTINGS.shooting.least_noise * measurements.scales[measurements.observed], 1e-300)
         self._totals: Final = measurements.weights.sum(axis=1)
         self._segments: Final[dict[int | None, Ints]] = {}
         self.work = 0
         self._lock = threading.Lock()
         self._own = threading.local()
-        self._fits: Final = Memory[_Done](_BESIDE_BYTES + 8 * 2 * measurements.smoothed.size)
+        self._fits: Final = Memory[_Done](SETTINGS.shooting.fit_bytes + 8 * 2 * measurements.smoothed.size)
 
     def fit(
         self, system: System, length: int | None, steps: int, starts: FloatArray | None = None,
@@ -196,11 +172,11 @@ class Shooter:
         starts = self._with_offsets(starts, len(system.outputs), in_whole=length is None)
         if sigmas is None:
             sigmas = np.maximum(its.noise, 1e-4 * its.scales[its.observed])
-        may_be_stiff = is_stiff or steps > BRIEF
+        may_be_stiff = is_stiff or steps > SETTINGS.shooting.brief_steps
         here, method = self._begun(system, segments, starts, sigmas, may_be_stiff=may_be_stiff)
         if here is None:
             return None
-        damping = _FIRST_DAMPING
+        damping = SETTINGS.shooting.first_damping
         for _ in range(steps):
             step = _solved(here, damping)
             there = None
@@ -209,10 +185,10 @@ class Shooter:
                 there, _ = self._equations(method, moved, segments, new_starts, sigmas, here.cost)
             if there is None:
                 damping *= 10.0
-                if damping > _LARGEST_DAMPING:
+                if damping > SETTINGS.shooting.most_damping:
                     break
                 continue
-            is_settled = there.cost >= here.cost * (1.0 - _SETTLED)
+            is_settled = there.cost >= here.cost * (1.0 - SETTINGS.shooting.settled)
             system, starts, here = moved, new_starts, there
             damping = max(damping * 0.1, 1e-12)
             sigmas, here = self._reweighted(here, segments, sigmas)
@@ -266,8 +242,13 @@ class Shooter:
         its = self.measurements
         states, fitted, local = len(system.outputs), len(system.places), starts.shape[1]
         done, taken, simulated, gradients = self._shot(method, system, segments, starts)
-        self._own.work += method.work(taken, its.rows) * (OVERHEAD + states * (1 + fitted + local))
-        if done < len(segments) or not max(gradients.max(initial=0.0), -gradients.min(initial=0.0)) < _STEEPEST:
+        self._own.work += method.work(taken, its.rows) * (
+            SETTINGS.shooting.overhead_numbers + states * (1 + fitted + local)
+        )
+        if (
+            done < len(segments)
+            or not max(gradients.max(initial=0.0), -gradients.min(initial=0.0)) < SETTINGS.shooting.steepest
+        ):
             return None, done < 0
         residuals = self._measured - simulated[its.observed]
         for place, state in enumerate(its.offset.tolist() if local > states else []):
@@ -355,7 +336,7 @@ def staged(shooter: Shooter, system: System, lengths: Sequence[int | None], step
 
 
 def _gradual(lengths: Sequence[int | None], its: Measurements) -> Iterator[int | None]:
-    """Yield `lengths`, and between any two those that it takes for none to be `LEAP` times as long as the one before.
+    """Yield `lengths`, and between any two those that it takes for none to be too many times as long as the one before.
 
     Errors may grow so much along a trajectory that a fit of short segments is no beginning for one of long ones.
     """
@@ -363,8 +344,8 @@ def _gradual(lengths: Sequence[int | None], its: Measurements) -> Iterator[int |
     before: int | None = None
     for length in lengths:
         rows = longest if length is None else length
-        while before is not None and rows > LEAP * before:
-            before *= LEAP
+        while before is not None and rows > SETTINGS.shooting.segment_growth * before:
+            before *= SETTINGS.shooting.segment_growth
             yield before
         yield length
         before = rows

@@ -9,7 +9,6 @@ does not reach, or what it buries in terms that describe the smoother's errors.
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, combinations_with_replacement
-from typing import Final
 
 import numpy as np
 
@@ -17,10 +16,8 @@ from atoll.data.dataset import FloatArray
 from atoll.expression.builder import Expression
 from atoll.expression.operators import ADD, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
 from atoll.expression.program import Program
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.algebra import AlgebraicBuilder
-
-MOST_TERMS: Final = 24
-"""Larger libraries are not tried."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +73,7 @@ def libraries(variables: Sequence[int], operators: Collection[int]) -> Iterator[
         found += [[*_powers(plain, 2), *single], [(), *single, *pairs]]
         if SUBTRACT in operators:
             found.append([(), *single, *((wave,) for wave in coupled)])
-    yield from (terms for terms in found if len(terms) <= MOST_TERMS)
+    yield from (terms for terms in found if len(terms) <= SETTINGS.structure.largest_library)
 
 
 def fractions(variables: Sequence[int], operators: Collection[int], sizes: Sequence[float]) -> Iterator[list[Term]]:
@@ -100,7 +97,7 @@ def fractions(variables: Sequence[int], operators: Collection[int], sizes: Seque
             own, others = (Factor(variable), under), [(each,) for each in plain if each != Factor(variable)]
             mixed: list[Term] = [(*other, *own) for other in others]
             for found in ([*mixed], [own, *mixed]):
-                if found and len(found) + len(_powers(plain, 2)) <= MOST_TERMS:
+                if found and len(found) + len(_powers(plain, 2)) <= SETTINGS.structure.largest_library:
                     yield [*_powers(plain, 2), *found]
     if {SIN, COS} <= set(operators):
         waves: list[Term] = [(Factor(variable, code),) for variable in variables for code in (SIN, COS)]

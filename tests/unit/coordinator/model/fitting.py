@@ -1,6 +1,8 @@
 """Problems and programs for the tests of what is done after the search."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -12,8 +14,14 @@ from atoll.expression.simplification import complexity, simplify_program
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
+from atoll_coordinator.model.settings import SETTINGS, Settings
 
 NAMES = ("x", "y")
+
+
+def settings(stage: str, **numbers: Any) -> Settings:
+    """Return the settings with other numbers of one stage."""
+    return replace(SETTINGS, **{stage: replace(getattr(SETTINGS, stage), **numbers)})
 
 
 def parsed(text: str) -> Program:

@@ -17,7 +17,7 @@ from atoll_coordinator.model.regression import shortening as shorten
 from atoll_coordinator.model.regression.fit import Polisher
 from atoll_coordinator.model.regression.rounding import snapped
 from atoll_coordinator.model.regression.standard_errors import description_length
-from tests.unit.coordinator.model.fitting import CONFIG, dataset, entry, parsed, problem, shown
+from tests.unit.coordinator.model.fitting import CONFIG, dataset, entry, parsed, problem, settings, shown
 
 
 def lotka(x, y):
@@ -185,7 +185,7 @@ def test_the_work_is_bounded(monkeypatch):
     front = [entry(text, its) for text in ("4.0 - y", "4.1 - 2.1*y/(x + 0.8) + 0.1*sin(3.0*x*y) - 0.2*cos(x)/y")]
     spent = []
     for most in (100_000, 2_000_000):
-        monkeypatch.setattr(shorten, "MOST_EVALUATIONS", most)
+        monkeypatch.setattr(shorten, "SETTINGS", settings("regression", most_evaluations=most))
         shortening = shorten.Shortening(its, frozenset({2, 3, 4, 5, 6, 7}))
         assert shortening.candidates([Program.from_bytes(each.program, 2) for each in front])
         spent.append(shortening.polisher.evaluations)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Collection, Iterator, Sequence
-from typing import Final
 
 from atoll.expression.builder import Expression, ProgramBuilder
 from atoll.expression.operators import (
@@ -22,13 +21,8 @@ from atoll.expression.operators import (
     VARIABLE,
 )
 from atoll.expression.program import Node, Program
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.moves.replacement import replace_each
-
-SMALL: Final = 1e-3
-"""Size of a new part beside what it is joined to."""
-
-_NEAR_ONE: Final = 1.0001
-"""A constant that is going to be fitted; exactly one would not stay."""
 
 
 def extensions(program: Program, scales: Sequence[float], operators: Collection[int]) -> Iterator[Program]:
@@ -61,14 +55,18 @@ def leaps(program: Program, operators: Collection[int]) -> Iterator[Program]:
 
 def _joined(node: int, scales: Sequence[float], size: float) -> Iterator[Expression]:
     """Yield what a node of that size may become."""
-    little = SMALL * size
+    little = SETTINGS.structure.new_part_size * size
     yield (ADD, node, little)
     for v, scale in enumerate(scales):
         if not scale > 0.0:
             continue
         leaf: Expression = (VARIABLE, v)
         yield (ADD, node, (MULTIPLY, little / scale, leaf))
-        factor: Expression = (ADD, _NEAR_ONE, (MULTIPLY, SMALL / scale, leaf))
+        factor: Expression = (
+            ADD,
+            SETTINGS.structure.extension_factor,
+            (MULTIPLY, SETTINGS.structure.new_part_size / scale, leaf),
+        )
         yield (DIVIDE, node, factor)
         yield (MULTIPLY, node, factor)
         yield (ADD, node, (DIVIDE, little * scale, leaf))
@@ -133,6 +131,6 @@ def _leaps_at(nodes: list[Node], index: int) -> Iterator[Expression]:
     if code == VARIABLE:
         yield from ((function, index) for function in (SIN, COS))
     if code == COS:
-        yield (ADD, _NEAR_ONE, (MULTIPLY, -0.5, (MULTIPLY, u, u)))
+        yield (ADD, SETTINGS.structure.extension_factor, (MULTIPLY, -0.5, (MULTIPLY, u, u)))
     if code == SIN:
-        yield (MULTIPLY, u, (ADD, _NEAR_ONE, (MULTIPLY, -1.0 / 6.0, (MULTIPLY, u, u))))
+        yield (MULTIPLY, u, (ADD, SETTINGS.structure.extension_factor, (MULTIPLY, -1.0 / 6.0, (MULTIPLY, u, u))))

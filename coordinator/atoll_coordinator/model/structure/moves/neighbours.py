@@ -6,12 +6,8 @@ from typing import Final
 from atoll.expression.builder import Expression
 from atoll.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
 from atoll.expression.program import Node, Program
-from atoll_coordinator.model.structure.moves.reductions import FRESH
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.moves.replacement import cofunctions, replace_each
-
-_NEAR_ONE: Final = 1.001
-_NEAR_ZERO: Final = 0.001
-"""Values of new constants that leave the program nearly as it is, so that the fit begins near the old one."""
 
 _EXCHANGED: Final = {ADD: SUBTRACT, SUBTRACT: ADD, MULTIPLY: DIVIDE, DIVIDE: MULTIPLY, SIN: COS, COS: SIN}
 
@@ -37,7 +33,7 @@ def _exchanged(nodes: list[Node], index: int, variables: Collection[int]) -> Ite
     if code in (VARIABLE, CONSTANT):
         yield from ((VARIABLE, other) for other in variables if (code, left) != (VARIABLE, other))
     if code == VARIABLE:
-        yield FRESH
+        yield SETTINGS.structure.fresh_constant
     if code in _EXCHANGED:
         yield (_EXCHANGED[code], *(left, right)[: ARITY[code]])
     if code in (SUBTRACT, DIVIDE):
@@ -47,11 +43,11 @@ def _exchanged(nodes: list[Node], index: int, variables: Collection[int]) -> Ite
 
 
 def _joined(node: int, variables: Collection[int]) -> Iterator[Expression]:
-    yield (ADD, node, _NEAR_ZERO)
-    yield (MULTIPLY, _NEAR_ONE, node)
+    yield (ADD, node, SETTINGS.structure.neighbour_summand)
+    yield (MULTIPLY, SETTINGS.structure.neighbour_factor, node)
     for variable in variables:
         leaf = (VARIABLE, variable)
-        yield (ADD, node, (MULTIPLY, _NEAR_ZERO, leaf))
-        yield (ADD, node, (DIVIDE, _NEAR_ZERO, leaf))
+        yield (ADD, node, (MULTIPLY, SETTINGS.structure.neighbour_summand, leaf))
+        yield (ADD, node, (DIVIDE, SETTINGS.structure.neighbour_summand, leaf))
         for join in (MULTIPLY, DIVIDE, ADD, SUBTRACT):
             yield (join, node, leaf)

@@ -6,10 +6,8 @@ from typing import Final
 from atoll.expression.builder import Expression
 from atoll.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SUBTRACT
 from atoll.expression.program import Node, Program, structure
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.moves.replacement import cofunctions, replace_node
-
-FRESH: Final = 1.5
-"""Value of a constant that is going to be fitted; not a neutral one, which would not stay."""
 
 _NEUTRAL: Final = (0.0, 1.0, -1.0)
 
@@ -43,7 +41,7 @@ def _reduced_at(nodes: list[Node], index: int) -> Iterator[Expression]:
     if not ARITY[code]:
         return
     yield from dict.fromkeys((left, right)[: ARITY[code]])
-    yield FRESH
+    yield SETTINGS.structure.fresh_constant
     if code == SUBTRACT:
         yield (NEGATE, right)
     if code in (ADD, SUBTRACT):

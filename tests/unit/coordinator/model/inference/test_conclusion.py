@@ -19,6 +19,7 @@ from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.refinement import Contender, Pool
 from atoll_coordinator.model.selection import joint_search as model
 from atoll_coordinator.model.selection import origins
+from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, pools, table
 
 TIMES = 0.1 * np.arange(40.0)
@@ -36,7 +37,7 @@ LOTKA_POOL = {
 @pytest.fixture(autouse=True)
 def _little_work(monkeypatch):
     """Few neighbours are looked at, so that a test takes a second or two."""
-    monkeypatch.setattr(model, "WORK", 2_000_000)
+    monkeypatch.setattr(model, "SETTINGS", settings("selection", search_work=2_000_000))
 
 
 def refined(known, starts, pool, *, times=TIMES, noise=0.0, seed=0, config=None):
@@ -60,7 +61,7 @@ def is_same(known, refinement, **truths):
 def noisy():
     """Five percent of noise; one trajectory is held out."""
     with pytest.MonkeyPatch.context() as patch, np.errstate(all="raise", under="ignore"):
-        patch.setattr(model, "WORK", 2_000_000)
+        patch.setattr(model, "SETTINGS", settings("selection", search_work=2_000_000))
         config = JobConfig(space=ARITHMETIC, data=DataConfig(holdout=1))
         return refined(LOTKA, LOTKA_STARTS, LOTKA_POOL, noise=0.05, seed=101, config=config)
 

@@ -9,9 +9,10 @@ from atoll.config import JobConfig
 from atoll.expression.program import structure
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection import alternatives as rivals
-from atoll_coordinator.model.selection.alternatives import CONTENDERS, decided
+from atoll_coordinator.model.selection.alternatives import decided
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
 from atoll_coordinator.model.selection.joint_search import Chosen, Field
+from atoll_coordinator.model.settings import SETTINGS
 from tests.unit.coordinator.model.shooting.made import SWING, table
 
 TIMES = 0.1 * np.arange(30.0)
@@ -47,13 +48,13 @@ def test_rivals_are_other_functions_and_no_better():
     nats = [each.standing.nats for each in race.rivals[1]]
     assert nats == sorted(nats)
     assert nats[0] > its.standing.nats
-    assert len(forms) <= CONTENDERS
+    assert len(forms) <= SETTINGS.selection.alternatives
 
 
 def test_only_close_ones_are_validated():
     its = choice()
     for each in raced(its).rivals[1]:
-        is_close = each.standing.nats <= its.standing.nats + rivals.VALIDATED_NATS
+        is_close = each.standing.nats <= its.standing.nats + SETTINGS.selection.validated_nats
         assert (each.validated is not None) == is_close
 
 

@@ -8,9 +8,11 @@ import pytest
 
 from atoll.expression.program import Program, structure
 from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.selection import comparison
 from atoll_coordinator.model.selection.comparison import Contest, Standing, distinct
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter
+from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, contest, measurements
 
 TIMES = 0.1 * np.arange(40.0)
@@ -82,7 +84,7 @@ def test_halving_keeps_the_best_and_notes_them():
 
 
 def test_beyond_the_work_that_is_allowed_no_more_programs_are_taken_in(monkeypatch):
-    monkeypatch.setattr("atoll_coordinator.model.selection.comparison.AT_ONCE", 2)
+    monkeypatch.setattr(comparison, "SETTINGS", settings("selection", batch=2))
     its = lotka()
     near = its.stand([RIVALS[2], OTHER])
     programs = [RIVALS[0], RIVALS[3], TRUTH]

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.selection.cross_validation import MOST_FOLDS, Validation
+from atoll_coordinator.model.selection.cross_validation import Validation
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from tests.unit.coordinator.model.shooting.made import DECAY, SWING, contest, measurements, recording
 
@@ -76,7 +77,7 @@ def test_many_trajectories_are_left_out_several_at_a_time(monkeypatch):
 
     monkeypatch.setattr(validation, "_left", left)
     validation.of(standing(its, "y", "-1.9*x - 0.2*y"))
-    assert len(seen) == MOST_FOLDS
+    assert len(seen) == SETTINGS.selection.most_folds
     assert sorted(owner for fold in seen for owner in fold) == list(range(25))
 
 

@@ -5,7 +5,8 @@ import pytest
 
 from atoll.expression.operators import BY_NAME
 from atoll.expression.program import structure
-from atoll_coordinator.model.selection.local_search import LEAST, Descent
+from atoll_coordinator.model.selection.local_search import Descent
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.moves.extensions import extensions
 from tests.unit.coordinator.model.shooting.made import SWING, Known, contest, measurements
 
@@ -71,7 +72,9 @@ def test_a_constant_goes_only_if_that_shortens_the_description(rate):
     end = Descent(its, lambda *_: iter(()), PLENTY).down(start, [0])
     assert end.nats <= start.nats
     bare = its.stand([known.parsed("-x")])
-    assert (structure(end.programs[0]) == structure(bare.programs[0])) == (bare.nats < start.nats - LEAST)
+    assert (structure(end.programs[0]) == structure(bare.programs[0])) == (
+        bare.nats < start.nats - SETTINGS.selection.least_gain
+    )
     if rate in (1.0, 1.1):
         assert (len(end.programs[0]) == 2) == (rate == 1.0)
 
@@ -84,7 +87,7 @@ def test_what_is_missing_is_found(swinging):
 def test_the_shortest_stays_itself(swinging):
     start = begun(swinging, "y", "-2.1*x - 0.3*y")
     end = Descent(swinging, around, PLENTY).down(start, [0, 1])
-    assert end.nats >= start.nats - LEAST
+    assert end.nats >= start.nats - SETTINGS.selection.least_gain
     assert forms(end) == forms(start)
 
 

@@ -8,8 +8,11 @@ import pytest
 from atoll.config import JobConfig, SpaceConfig
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection import joint_search as model
+from atoll_coordinator.model.selection import piece_lengths
 from atoll_coordinator.model.selection.joint_search import Field
-from atoll_coordinator.model.selection.piece_lengths import SHORTER, chosen, on_all_rows, remarks
+from atoll_coordinator.model.selection.piece_lengths import chosen, on_all_rows, remarks
+from atoll_coordinator.model.settings import SETTINGS
+from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import SWING, Known, pools, table
 
 CONFIG = JobConfig(space=SpaceConfig(operators=("-", "*")))
@@ -18,7 +21,7 @@ CONFIG = JobConfig(space=SpaceConfig(operators=("-", "*")))
 
 @pytest.fixture(autouse=True)
 def _little_work(monkeypatch):
-    monkeypatch.setattr(model, "WORK", 300_000)
+    monkeypatch.setattr(model, "SETTINGS", settings("selection", search_work=300_000))
 
 
 def lorenz(_, z):
@@ -51,14 +54,14 @@ def chaotic():
 
 def test_chaotic_ones_are_simulated_in_pieces_and_that_is_said():
     choice = chosen(*chaotic(), {})
-    assert choice.field.piece in SHORTER
+    assert choice.field.piece in SETTINGS.selection.shorter_pieces
     (remark,) = remarks(choice.field)
     assert f"pieces of {choice.field.piece} rows" in remark
     assert "500 rows" in remark
 
 
 def test_when_the_work_is_used_up_no_shorter_pieces_are_tried(monkeypatch):
-    monkeypatch.setattr("atoll_coordinator.model.selection.piece_lengths.LADDER_WORK", 1)
+    monkeypatch.setattr(piece_lengths, "SETTINGS", settings("selection", pieces_work=1))
     field, its = chaotic()
     assert chosen(field, its, {}).field.piece == field.piece
 

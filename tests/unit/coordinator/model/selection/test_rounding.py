@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from atoll.expression.program import constant_places, structure
-from atoll_coordinator.model.selection.rounding import MOST_CONSTANTS, rounded
+from atoll_coordinator.model.selection.rounding import rounded
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.covariance import covariance
 from tests.unit.coordinator.model.shooting.made import LOTKA, LOTKA_TEXT, Known, contest, measurements
 
@@ -94,11 +95,13 @@ def test_with_nothing_to_decide_programs_stay():
 
 def test_too_many_constants_are_left_as_fitted():
     known, its, _ = decayed(0.3, 0.01)
-    text = " - ".join(f"{0.2 + 0.001 * index}*x**{index}" for index in range(1, MOST_CONSTANTS + 2))
+    text = " - ".join(
+        f"{0.2 + 0.001 * index}*x**{index}" for index in range(1, SETTINGS.selection.most_rounded_constants + 2)
+    )
     system = its.system([known.parsed(text)])
     shot = its.shooter.fit(system, 5, 0)
     standing = its.measured([known.parsed(text)], shot)
-    assert len(constant_places(standing.programs[0])) > MOST_CONSTANTS
+    assert len(constant_places(standing.programs[0])) > SETTINGS.selection.most_rounded_constants
     assert rounded(its, standing) == standing.programs
 
 

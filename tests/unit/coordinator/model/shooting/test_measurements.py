@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll_coordinator.model.shooting import measurements
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from tests.unit.coordinator.model.shooting.made import DRIVEN, LOTKA, SWING, recording
 
@@ -169,8 +169,8 @@ def test_few_rows_are_not_thinned():
 def test_limits_leave_room_on_both_sides():
     its = measurements_of(recording(LOTKA, [[1.0, 3.0]], TIMES), [0, 1])
     low, high = its.smoothed.min(axis=1), its.smoothed.max(axis=1)
-    assert its.limits[:, 0] == pytest.approx(low - measurements.ROOM * (high - low))
-    assert its.limits[:, 1] == pytest.approx(high + measurements.ROOM * (high - low))
+    assert its.limits[:, 0] == pytest.approx(low - SETTINGS.shooting.blow_up_widths * (high - low))
+    assert its.limits[:, 1] == pytest.approx(high + SETTINGS.shooting.blow_up_widths * (high - low))
 
 
 def test_rows_count_by_their_weights_and_by_their_trust():

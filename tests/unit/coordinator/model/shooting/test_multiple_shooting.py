@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.criteria import trajectory_misfit
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import measurements_of
-from atoll_coordinator.model.shooting.multiple_shooting import BRIEF, Shooter, staged
+from atoll_coordinator.model.shooting.multiple_shooting import Shooter, staged
 from atoll_coordinator.model.shooting.system import system_of, variable_program
 from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, recording
 
@@ -122,7 +123,9 @@ def test_a_stiff_system_is_simulated():
     assert shot.simulated[0, 1:50] == pytest.approx(np.ones(49), abs=1e-3)
 
 
-@pytest.mark.parametrize(("steps", "is_fitted"), [(BRIEF, False), (BRIEF + 1, True)])
+@pytest.mark.parametrize(
+    ("steps", "is_fitted"), [(SETTINGS.shooting.brief_steps, False), (SETTINGS.shooting.brief_steps + 1, True)]
+)
 def test_what_seems_stiff_gets_implicit_steps_in_a_long_fit_alone(steps, is_fitted):
     """Most candidates that seem so are bad ones."""
     its = measurements(DECAY, [[3.0], [2.0]], TIMES)

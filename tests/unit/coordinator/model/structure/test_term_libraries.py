@@ -8,15 +8,8 @@ from hypothesis import strategies as st
 from atoll.expression.evaluation import values_of
 from atoll.expression.operators import ADD, BY_NAME, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT
 from atoll.expression.program import constant_places
-from atoll_coordinator.model.structure.term_libraries import (
-    MOST_TERMS,
-    Divisor,
-    Factor,
-    column_of,
-    fractions,
-    libraries,
-    sum_of,
-)
+from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.model.structure.term_libraries import Divisor, Factor, column_of, fractions, libraries, sum_of
 
 PLAIN = (ADD, MULTIPLY)
 
@@ -38,7 +31,7 @@ def test_polynomials_waves_and_coupled_phases_over_two_variables():
 @pytest.mark.parametrize("variables", [1, 2, 3, 5, 8])
 def test_no_library_is_larger_than_allowed_and_none_has_a_term_twice(variables):
     for terms in libraries(range(variables), [its.code for its in BY_NAME.values()]):
-        assert len(terms) <= MOST_TERMS
+        assert len(terms) <= SETTINGS.structure.largest_library
         assert len(set(terms)) == len(terms)
 
 

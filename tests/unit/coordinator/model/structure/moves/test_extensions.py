@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from atoll.expression.evaluation import values_of
 from atoll.expression.operators import ADD, ARITY, BY_NAME, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SQUARE, SUBTRACT
 from atoll.expression.program import constant_places, structure
+from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.algebra import tidied
-from atoll_coordinator.model.structure.moves.extensions import SMALL, extensions, leaps
+from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
 from tests.unit.coordinator.model.fitting import parsed, shown
 
 ALL = [its.code for its in BY_NAME.values()]
@@ -44,7 +45,7 @@ def test_each_has_nearly_the_values_of_the_original_in_smaller_units_too(text, p
         if is_wrapped(program, extended):
             continue
         change = np.abs(values_of(extended, inputs) - before).max()
-        assert 0.0 < change <= 300.0 * SMALL * (1.0 + np.abs(before).max())
+        assert 0.0 < change <= 300.0 * SETTINGS.structure.new_part_size * (1.0 + np.abs(before).max())
 
 
 def names(program):
@@ -126,4 +127,8 @@ def test_new_parts_are_small_beside_what_they_are_joined_to_whatever_the_units(u
     made = [*extensions(program, np.abs(inputs).mean(axis=1).tolist(), (ADD, SUBTRACT, MULTIPLY, DIVIDE))]
     assert len(made) > 20
     for extended in made:
-        assert 0.0 < np.abs(values_of(extended, inputs) - before).max() <= 20.0 * SMALL * np.abs(before).max()
+        assert (
+            0.0
+            < np.abs(values_of(extended, inputs) - before).max()
+            <= 20.0 * SETTINGS.structure.new_part_size * np.abs(before).max()
+        )
