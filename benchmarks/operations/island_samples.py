@@ -64,18 +64,18 @@ def sampled(noise: float = 0.0) -> Samples:
     config = resolve(config, prepared.dataset)
     engine = Engine()
     engine.load(_JOB, config, dataset_to_bytes(prepared.dataset))
-    variable, course = prepared.dataset.targets[0].variable, commit_order_of(config)
+    variable, commit_order = prepared.dataset.targets[0].variable, commit_order_of(config)
     blocks: Mapping[int, Mapping[int, bytes] | None] = dict.fromkeys(range(ISLANDS))
     reports, done = [], []
     for epoch in range(EPOCHS):
         keys = [TaskKey(_JOB, variable, 1, island, epoch) for island in range(ISLANDS)]
-        done = [_computed(engine, Task(key, blocks[key.island], False, course)) for key in keys]
+        done = [_computed(engine, Task(key, blocks[key.island], False, commit_order)) for key in keys]
         blocks = {to: {at: each.emigrants[to] for at, each in enumerate(done) if to in each.emigrants} for to in blocks}
         islands = tuple(each.report for each in done)
         reports.append(EpochReport(job=_JOB, variable=variable, term=1, epoch=epoch, islands=islands))
     sent = sum(len(block) for each in done for block in each.emigrants.values())
     key = TaskKey(_JOB, variable, 1, 0, EPOCHS)
-    last = engine.begin(Task(key, blocks[0], False, course, takes_snapshot=True))
+    last = engine.begin(Task(key, blocks[0], False, commit_order, takes_snapshot=True))
     return Samples(tuple(reports), round(sent / (ISLANDS * config.evolution.population)), len(last.snapshot or b""))
 
 

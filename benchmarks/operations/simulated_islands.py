@@ -27,7 +27,7 @@ from atoll.search.commit_order import CommitOrder, Position
 from atoll.wire.bus.interface import Bus
 from atoll.wire.bus.zenoh_bus import open_client
 from atoll.wire.messages.workers import Addition, IslandReport
-from atoll_island_worker.compute.compute import WarmedUp
+from atoll_island_worker.compute.compute_thread import WarmedUp
 from atoll_island_worker.session.events import Computed, JobReady, Snapshot
 from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
 from atoll_island_worker.worker import Worker
@@ -133,11 +133,11 @@ class Pacer:
 
 
 class PacedCompute:
-    """A `atoll_island_worker.compute.compute.Compute` whose islands take `period_s` an epoch."""
+    """A `atoll_island_worker.compute.compute_thread.Compute` whose islands take `period_s` an epoch."""
 
     def __init__(self, samples: Samples, period_s: float, pacer: Pacer, books: Books) -> None:
         self.progress = 0
-        self.doing: TaskKey | None = None
+        self.current: TaskKey | None = None
         self._samples = samples
         self._period_s = period_s
         self._pacer = pacer
@@ -148,22 +148,22 @@ class PacedCompute:
         self._config: dict[str, JobConfig] = {}
 
     def attach(self, post: Callable[[object], None]) -> None:
-        """See `Compute.attach`."""
+        """See `ComputeThread.attach`."""
         self._post = post
         post(WarmedUp(0.0, FINGERPRINT))
 
     def warm_up(self) -> None:
-        """See `Compute.warm_up`."""
+        """See `ComputeThread.warm_up`."""
 
     def load(self, job: str, config: JobConfig, dataset: bytes, weight: float = 1.0) -> None:
-        """See `Compute.load`."""
+        """See `ComputeThread.load`."""
         self._config[job] = config
         self._post(JobReady(job))
 
-    def advance(self, task: Task) -> None:
-        """See `Compute.advance`. The first epochs of different archipelagos end at different times."""
+    def run(self, task: Task) -> None:
+        """See `ComputeThread.run`. The first epochs of different archipelagos end at different times."""
         now, key = time.monotonic(), task.key
-        self.doing = key
+        self.current = key
         if task.takes_snapshot:
             self._post(Snapshot(key, _bytes_of(key, self._samples.snapshot), task.is_held))
         if task.is_held:
@@ -174,18 +174,18 @@ class PacedCompute:
         share = 1.0 if key.epoch else _fraction(f"{key.job}/{key.variable}")
         self._pacer.at(now + share * self._period_s, lambda: self._end(task))
 
-    def stop_at(self, share: ShareKey, hit: Position, course: CommitOrder) -> None:
-        """See `Compute.stop_at`; nothing is ever hit."""
+    def stop_at(self, share: ShareKey, hit: Position, commit_order: CommitOrder) -> None:
+        """See `ComputeThread.stop_at`; nothing is ever hit."""
 
     def discard(self, share: ShareKey) -> None:
-        """See `Compute.discard`."""
+        """See `ComputeThread.discard`."""
         self._dropped.add(share)
 
     def discard_job(self, job: str) -> None:
-        """See `Compute.discard_job`."""
+        """See `ComputeThread.discard_job`."""
 
     def close(self) -> None:
-        """See `Compute.close`."""
+        """See `ComputeThread.close`."""
 
     def _end(self, task: Task) -> None:
         key = task.key

@@ -1,22 +1,22 @@
-"""Datasets on their way here: which chunks are missing, and whether the whole is what was announced.
-
-Bookkeeping only: what is to be asked goes through an `Asker`.
-"""
+"""The datasets of a worker's jobs: fetched chunk by chunk, checked, loaded by the compute thread, forgotten."""
 
 import hashlib
-from typing import Final, Protocol
+from collections.abc import Callable
+from typing import Final
 
 from atoll.errors import RemoteProtocolError
 from atoll.wire.codec import decode
 from atoll.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE, chunk_count
 from atoll.wire.messages.workers import Control, JobAnnouncement
+from atoll_island_worker.compute.compute_thread import ComputeThread
+from atoll_island_worker.connection.requests import Requests
 
 WINDOW: Final = 2
 """Chunks asked for at the same time."""
 
 
 class Download:
-    """Chunks of one dataset. Pure bookkeeping; the runtime asks and offers."""
+    """The chunks of one dataset: which are missing, and whether the whole is what was announced."""
 
     def __init__(self, announcement: JobAnnouncement) -> None:
         """Raises RemoteProtocolError when size and number of chunks do not fit."""
@@ -29,7 +29,7 @@ class Download:
         self._under_way: set[int] = set()
 
     def take(self) -> list[int]:
-        """Return the chunks to ask for now, and note them as under way."""
+        """Return the chunks to ask for now; they are under way from then on."""
         missing = (
             index
             for index in range(self.announcement.chunks)
@@ -40,7 +40,7 @@ class Download:
         return taken
 
     def give_back(self, index: int) -> None:
-        """Note that chunk `index` did not come and is to be asked for again."""
+        """Have chunk `index` asked for again, which did not come."""
         self._under_way.discard(index)
 
     def offer(self, index: int, data: bytes) -> bool:
@@ -63,30 +63,14 @@ class Download:
         return None
 
 
-class Asker(Protocol):
-    """How datasets are asked for; what comes is given to `Datasets`."""
-
-    def ask_announcement(self, job: str) -> None:
-        """Ask the coordinator for the job's announcement."""
-
-    def ask_chunk(self, job: str, blob: str, index: int) -> None:
-        """Ask the coordinator for one chunk."""
-
-    def ask_later(self, job: str) -> None:
-        """Have `Datasets.fetch` called again after a pause."""
-
-    def wants(self, job: str) -> bool:
-        """Tell whether islands of the job are placed here."""
-
-    def load(self, announcement: JobAnnouncement, data: bytes) -> None:
-        """Take in a whole dataset."""
-
-
 class Datasets:
     """The datasets of all jobs: announced, on their way, here."""
 
-    def __init__(self, asker: Asker) -> None:
-        self._asker = asker
+    def __init__(self, requests: Requests, compute: ComputeThread, is_wanted: Callable[[str], bool]) -> None:
+        """`is_wanted` tells whether islands of a job are placed here."""
+        self._requests = requests
+        self._compute = compute
+        self._is_wanted = is_wanted
         self._downloads: dict[str, Download] = {}
         self._here: set[str] = set()
         self._loading: dict[str, int] = {}
@@ -99,10 +83,10 @@ class Datasets:
             self.fetch(job)
 
     def announcement_came(self, job: str, payload: bytes | None) -> None:
-        """Take in the answer to `Asker.ask_announcement`; raises RemoteProtocolError for another message."""
+        """Take in the answer to `Requests.ask_announcement`; raises RemoteProtocolError for another message."""
         if payload is None:
-            if self._asker.wants(job):
-                self._asker.ask_later(job)
+            if self._is_wanted(job):
+                self._requests.ask_later(job)
             return
         body = decode(payload, Control, MAX_MESSAGE).body
         if not isinstance(body, JobAnnouncement) or body.job != job:
@@ -110,13 +94,13 @@ class Datasets:
         self.announced(body)
 
     def chunk_came(self, job: str, index: int, payload: bytes | None) -> None:
-        """Take in the answer to `Asker.ask_chunk`."""
+        """Take in the answer to `Requests.ask_chunk`."""
         download = self._downloads.get(job)
         if download is None:
             return
         if payload is None or not download.offer(index, payload):
             download.give_back(index)
-            self._asker.ask_later(job)
+            self._requests.ask_later(job)
             return
         data = download.finish()
         if data is None:
@@ -125,30 +109,30 @@ class Datasets:
         del self._downloads[job]
         self._here.add(job)
         self._loading[job] = self._loading.get(job, 0) + 1
-        self._asker.load(download.announcement, data)
+        self._compute.load(job, download.announcement.config, data, 2.0**download.announcement.priority)
 
     def fetch(self, job: str) -> None:
         """Ask for the next missing chunks of a job's dataset, or for its announcement."""
         download = self._downloads.get(job)
         if download is not None:
             for index in download.take():
-                self._asker.ask_chunk(job, download.announcement.blob, index)
-        elif self._asker.wants(job) and job not in self._here:
-            self._asker.ask_announcement(job)
+                self._requests.ask_chunk(job, download.announcement.blob, index)
+        elif self._is_wanted(job) and job not in self._here:
+            self._requests.ask_announcement(job)
 
-    def loaded(self, job: str) -> bool:
-        """Note that a dataset was loaded; return whether it is the one that is here, and not one forgotten since."""
+    def finish_loading(self, job: str) -> bool:
+        """Return whether a dataset that has been loaded is the one that is here, and not one forgotten since."""
         left = self._loading.pop(job, 1) - 1
         if left:
             self._loading[job] = left
         return left == 0 and job in self._here
 
-    def forget(self, job: str) -> bool:
-        """Stop fetching a job's dataset; return whether it was here."""
+    def forget(self, job: str) -> None:
+        """Stop fetching a job's dataset; have it discarded when it is here."""
         self._downloads.pop(job, None)
-        was_here = job in self._here
-        self._here.discard(job)
-        return was_here
+        if job in self._here:
+            self._here.discard(job)
+            self._compute.discard_job(job)
 
     def jobs(self) -> tuple[str, ...]:
         """Return the jobs whose datasets are here or on their way."""

@@ -104,9 +104,7 @@ def work(connect: "Destination", name: str, options: argparse.Namespace, parent:
         if parent is not None:
             end_with_parent(parent)
         configure(options.log_format, options.log_level, worker=name)
-        from atoll_island_worker.connection.drain import Leaving
         from atoll_island_worker.worker import run_worker
 
-        leaving = Leaving(options.lifetime, options.grace)
         on_signal = partial(leaving_on_signals, parent) if options.grace > 0.0 else lambda leave: nullcontext()
-        return run_worker(connect, name, options.wait, leaving, on_signal)
+        return run_worker(connect, name, options.wait, options.lifetime, options.grace, on_signal)

@@ -1,7 +1,7 @@
-"""A worker at work: the only loop. Bus events go to the session, its actions to the bus and the compute thread.
+"""The loop of a worker: events of the bus go to the session, its actions to the bus and the compute thread.
 
-`Worker.step` takes one event and never blocks; `Worker.run` is the thin loop around `Bus.receive`; `run_worker` is what
-the command line calls.
+`Worker.step` handles one event and never blocks; `Worker.run` is the thin loop around `Bus.receive`; `run_worker` is
+what the command line calls.
 """
 
 import logging
@@ -16,105 +16,74 @@ from atoll.wire import topics
 from atoll.wire.addresses import Destination
 from atoll.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from atoll.wire.bus.metered_bus import MeteredBus
-from atoll.wire.codec import decode, encode
+from atoll.wire.codec import decode
+from atoll.wire.messages import workers as messages
 from atoll.wire.messages.limits import MAX_MESSAGE
-from atoll.wire.messages.views import WorkerState
-from atoll.wire.messages.workers import (
-    Close,
-    CloseJob,
-    Commit,
-    Control,
-    Introduce,
-    JobAnnouncement,
-    Mail,
-    Placements,
-    Pull,
-    PullAnswer,
-    PullStates,
-    Shutdown,
-    States,
-    WorkerStatus,
-)
 from atoll.wire.rejects import Rejects
-from atoll_island_worker.compute.compute import Compute, ComputeFailed, IslandCompute, WarmedUp, WarmUpNote
-from atoll_island_worker.connection.connection import GRACE, GREET, LIFETIME, Attendance
-from atoll_island_worker.connection.drain import Leaving
-from atoll_island_worker.connection.heartbeat import counters, doing
-from atoll_island_worker.connection.requests import FETCH_TIMEOUT_S, PULL_TIMEOUT_S, Asked, Voice
+from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
+from atoll_island_worker.connection.connection import GRACE, GRACE_S, GREET, LIFETIME, CoordinatorConnection
+from atoll_island_worker.connection.requests import FETCH, Request, Requests
 from atoll_island_worker.datasets import Datasets
-from atoll_island_worker.session.actions import Action, Beat, Discard, DiscardJob, FetchJob, StopAt
-from atoll_island_worker.session.actions import Compute as ComputeTask
-from atoll_island_worker.session.events import (
-    Abandoned,
-    Broken,
-    Closed,
-    Committed,
-    Computed,
-    JobClosed,
-    JobReady,
-    Mailed,
-    Placed,
-    PullAnswered,
-    PullAsked,
-    Rejected,
-    Reset,
-    SessionEvent,
-    Snapshot,
-    StatesCame,
-    Tick,
-    Unloadable,
-)
+from atoll_island_worker.heartbeat import counters_of, worker_status
+from atoll_island_worker.session import actions, events
 from atoll_island_worker.session.session import Session
 
 _LOG = logging.getLogger(__name__)
 
 HEARTBEAT_S: Final = 1.0
 TICK_S: Final = 0.5
-FETCH_PAUSE_S: Final = 0.5
 
-_BEAT: Final = "heartbeat"
+_HEARTBEAT: Final = "heartbeat"
 _TICK: Final = "tick"
-_FETCH: Final = "fetch/"
 
 
 class Worker:
     """One worker process on one bus. Owned by the bus's owner thread."""
 
-    def __init__(self, bus: Bus, compute: Compute, name: str, wait_s: float, leaving: Leaving | None = None) -> None:
-        """Set up a worker whose `compute` warms up elsewhere; `wait_s`: how long the coordinator may be away."""
+    def __init__(
+        self,
+        bus: Bus,
+        compute: ComputeThread,
+        name: str,
+        wait_s: float,
+        lifetime_s: float | None = None,
+        grace_s: float = GRACE_S,
+    ) -> None:
+        """Set up a worker whose `compute` warms up elsewhere; for the times see `CoordinatorConnection`."""
         self.name: Final = name
         self.session = Session(name)
         self.rejects = Rejects(_LOG)
         self._bus = MeteredBus(bus)
-        self._told_at = bus.now()
+        self._last_event_at = bus.now()
         self._compute = compute
-        self._datasets = Datasets(self)
+        self._requests = Requests(self._bus, name)
+        self._datasets = Datasets(self._requests, compute, self.session.wants)
+        self._connection = CoordinatorConnection(self._bus, self._requests, name, wait_s, lifetime_s, grace_s)
+        self._is_drain_requested = False
         self._detail = "loading kernels"
-        self._voice = Voice(self._bus, name)
-        self._attendance = Attendance(self._bus, self._voice, name, wait_s, leaving or Leaving())
 
     @property
     def exit_code(self) -> int | None:
         """How this worker ends; None while it does not."""
-        return self._attendance.exit.code
+        return self._connection.exit_code
 
     @property
     def error(self) -> AtollError | None:
         """Why it ends, when that is an error."""
-        return self._attendance.exit.error
+        return self._connection.error
 
-    # ------------------------------------------------------------------------------------------- life
+    # ------------------------------------------------------------------------------------------- loop
 
     def start(self) -> None:
-        """Begin: greet the coordinator, start the timers."""
+        """Greet the coordinator; start the timers."""
         self._compute.attach(self._bus.post)
-        self._attendance.start()
-        self._bus.call_later(HEARTBEAT_S, _BEAT)
+        self._connection.start()
+        self._bus.call_later(HEARTBEAT_S, _HEARTBEAT)
         self._bus.call_later(TICK_S, _TICK)
 
     def leave(self) -> None:
-        """Ask, at the next tick, to be let go: what is computed here is handed over first. Signal handlers may call."""
-        self._attendance.ask_to_leave()
+        """Drain from the next tick on: what is computed here is handed over first. Signal handlers may call."""
+        self._is_drain_requested = True
 
     def run(self) -> int:
         """Work until the coordinator ends, refuses us or stays away; return the exit code."""
@@ -126,14 +95,14 @@ class Worker:
         return self.exit_code
 
     def step(self, event: Event) -> None:
-        """Take in one event. What a peer did wrong is counted, logged once and changes nothing."""
+        """Handle one event. What a peer did wrong is counted, logged once and changes nothing."""
         if self.exit_code is not None:
             return
-        self._bus.note(event)
+        self._bus.count_received(event)
         try:
             self._on(event)
         except RemoteProtocolError as error:
-            self.rejects.note(event.key if isinstance(event, Message | Query) else "answer", error)
+            self.rejects.count(event.key if isinstance(event, Message | Query) else "answer", error)
 
     @singledispatchmethod
     def _on(self, event: Event) -> None:
@@ -146,150 +115,45 @@ class Worker:
             case WarmUpNote():
                 self._detail = item.sentence
                 _LOG.info("warm-up", extra=fields(detail=item.sentence))
-                self._beat()
+                self._send_heartbeat()
             case WarmedUp():
-                self._warmed_up(item)
+                self._detail = ""
+                _LOG.info("kernels ready", extra=fields(seconds=item.seconds, fingerprint=item.fingerprint))
+                self._connection.kernels_ready(item.fingerprint)
             case ComputeFailed():
-                self._attendance.exit.because_of(AtollError(item.sentence))
-            case JobReady() | Unloadable():
-                if self._datasets.loaded(item.job):
-                    self._tell(item)
-            case Snapshot() | Computed() | Rejected() | Broken() | Abandoned():
-                self._tell(item)
+                self._connection.fail(AtollError(item.sentence))
+            case events.JobReady() | events.LoadFailed():
+                if self._datasets.finish_loading(item.job):
+                    self._handle(item)
+            case events.Snapshot() | events.Computed() | events.Rejected() | events.Broken() | events.Abandoned():
+                self._handle(item)
 
     @_on.register
     def _on_timer(self, event: Timer) -> None:
-        if event.name == _BEAT:
-            self._beat()
-            self._bus.call_later(HEARTBEAT_S, _BEAT)
+        if event.name == _HEARTBEAT:
+            self._send_heartbeat()
+            self._bus.call_later(HEARTBEAT_S, _HEARTBEAT)
         elif event.name == _TICK:
-            self._attendance.check_absence()
-            if self._attendance.is_to_leave:
-                self._begin_leaving()
-            self._tell(Tick(self._bus.now()))
-            self._bus.call_later(TICK_S, _TICK)
+            self._on_tick()
         elif event.name == LIFETIME:
-            self._begin_leaving()
+            self._drain()
         elif event.name == GRACE:
-            self._attendance.out_of_grace()
+            self._connection.grace_over()
         elif event.name == GREET:
-            self._attendance.greet()
-        elif event.name.startswith(_FETCH):
-            self._datasets.fetch(event.name.removeprefix(_FETCH))
+            self._connection.greet()
+        elif event.name.startswith(FETCH):
+            self._datasets.fetch(event.name.removeprefix(FETCH))
 
     @_on.register
     def _on_link(self, event: Link) -> None:
         if event.up:
-            self._attendance.greet()
+            self._connection.greet()
         else:
-            self._attendance.lost()
+            self._connection.link_lost()
 
     @_on.register
     def _on_presence(self, event: Presence) -> None:
         del event  # a worker watches nobody
-
-    # ------------------------------------------------------------------------------------ coordinator
-
-    def _greeted(self, fingerprint: str, payload: bytes | None) -> None:
-        """Take in the answer to a greeting: what a former coordinator had placed here is void."""
-        joined = self._attendance.greeted(fingerprint, payload)
-        if joined is None:
-            return
-        if joined.is_restart:
-            self._tell(Reset(joined.incarnation))
-            for job in self._datasets.jobs():
-                if not self.session.wants(job):
-                    self._forget_job(job)
-        self._beat()
-        if joined.greets_again:
-            self._attendance.greet()
-
-    def _begin_leaving(self) -> None:
-        """Say that this worker wants to end; it ends when it is told that nothing is left here, or after a while."""
-        if self._attendance.begin_leaving():
-            self._beat()
-
-    def _state(self) -> WorkerState:
-        if self._attendance.is_leaving:
-            return "leaving"
-        return self.session.state() if self._attendance.is_accepted else "compiling"
-
-    def _beat(self) -> None:
-        incarnation = self._attendance.incarnation
-        if incarnation is None:
-            return
-        state = self._state()
-        status = WorkerStatus(
-            instance=self._attendance.instance,
-            incarnation=incarnation,
-            state=state,
-            progress=self._compute.progress,
-            holdings=self.session.holdings(),
-            troubles=self.session.troubles(),
-            jobs=tuple(dict.fromkeys((*self.session.jobs(), *self._datasets.jobs()))),
-            detail=self._detail,
-            doing=doing(self._compute.doing) if state == "computing" else None,
-            counters=counters(self._bus, self.session, self.rejects),
-        )
-        self._bus.put(topics.worker(self._attendance.realm, self.name, "status"), encode(status))
-
-    def _warmed_up(self, item: WarmedUp) -> None:
-        """Say that islands can be computed here."""
-        self._detail = ""
-        _LOG.info("kernels ready", extra=fields(seconds=item.seconds, fingerprint=item.fingerprint))
-        self._attendance.kernels_ready(item.fingerprint)
-
-    def _on_control(
-        self, body: JobAnnouncement | Placements | Commit | Close | CloseJob | Shutdown | Introduce
-    ) -> None:
-        match body:
-            case JobAnnouncement():
-                self._datasets.announced(body)
-            case Placements():
-                for placement in body.placements:
-                    self._tell(Placed(placement))
-            case Commit():
-                self._tell(Committed(body))
-            case Close():
-                self._tell(Closed(body))
-            case CloseJob():
-                self._tell(JobClosed(body.job))  # first the islands, then what they are computed from
-                self._forget_job(body.job)
-            case Shutdown():
-                self._attendance.shut_down(body)
-            case Introduce():
-                self._attendance.greet()
-
-    # ---------------------------------------------------------------------------------------- datasets
-
-    def ask_announcement(self, job: str) -> None:
-        """See `Asker.ask_announcement`."""
-        self._voice.ask(topics.job(self._attendance.realm, job), b"", PULL_TIMEOUT_S, Asked("job", job))
-
-    def ask_chunk(self, job: str, blob: str, index: int) -> None:
-        """See `Asker.ask_chunk`."""
-        self._voice.ask(
-            topics.blob(self._attendance.realm, blob, index), b"", FETCH_TIMEOUT_S, Asked("chunk", job, index)
-        )
-
-    def ask_later(self, job: str) -> None:
-        """See `Asker.ask_later`."""
-        self._bus.call_later(FETCH_PAUSE_S, _FETCH + job)
-
-    def wants(self, job: str) -> bool:
-        """See `Asker.wants`."""
-        return self.session.wants(job)
-
-    def load(self, announcement: JobAnnouncement, data: bytes) -> None:
-        """See `Asker.load`."""
-        weight = 2.0**announcement.priority
-        self._compute.load(announcement.job, announcement.config, data, weight)
-
-    def _forget_job(self, job: str) -> None:
-        if self._datasets.forget(job):
-            self._compute.discard_job(job)
-
-    # -------------------------------------------------------------------------------- messages, replies
 
     @_on.register
     def _on_message(self, event: Message) -> None:
@@ -297,103 +161,162 @@ class Worker:
         match key:
             case topics.ControlKey():
                 self._check_realm(key.realm)
-                self._on_control(decode(event.payload, Control, MAX_MESSAGE).body)
+                self._on_control(decode(event.payload, messages.Control, MAX_MESSAGE).body)
             case topics.MailKey():
                 self._check_realm(key.realm)
-                self._tell(Mailed(key.worker, decode(event.payload, Mail, MAX_MESSAGE).body))
+                self._handle(events.Mailed(key.worker, decode(event.payload, messages.Mail, MAX_MESSAGE).body))
             case _:
                 raise RemoteProtocolError(f"nothing is expected on key {event.key}")
 
     @_on.register
     def _on_query(self, event: Query) -> None:
         try:
-            body = decode(event.payload, Pull, MAX_MESSAGE).body
+            body = decode(event.payload, messages.Pull, MAX_MESSAGE).body
         except RemoteProtocolError:
             self._bus.reply(event, None)
             raise
-        self._tell(PullAsked(event, body))
+        self._handle(events.PullAsked(event, body))
 
     @_on.register
     def _on_reply(self, event: Reply) -> None:
-        asked = self._voice.answered(event.token)
-        match asked:
-            case Asked("hello"):
-                self._greeted(asked.subject, event.payload)
-            case Asked("enquiry") if event.payload is not None:
-                self._attendance.enquired(event.payload)
-            case Asked("job"):
-                self._datasets.announcement_came(asked.subject, event.payload)
-            case Asked("chunk"):
-                self._datasets.chunk_came(asked.subject, asked.index, event.payload)
-            case Asked("placement"):
+        request = self._requests.pop(event.token)
+        match request:
+            case Request("hello"):
+                self._on_greeting_answer(request.subject, event.payload)
+            case Request("enquiry") if event.payload is not None:
+                self._connection.handle_enquiry(event.payload)
+            case Request("job"):
+                self._datasets.announcement_came(request.subject, event.payload)
+            case Request("chunk"):
+                self._datasets.chunk_came(request.subject, request.index, event.payload)
+            case Request("placement"):
                 if event.payload is not None:
-                    self._on_control(decode(event.payload, Control, MAX_MESSAGE).body)
-                self.session.forget_early(asked.subject)
-            case Asked("states", states=PullStates() as pull):
-                self._states_came(pull, event.payload)
-            case Asked("pull") if event.payload is not None:
-                self._tell(PullAnswered(asked.subject, decode(event.payload, PullAnswer, MAX_MESSAGE).body))
+                    self._on_control(decode(event.payload, messages.Control, MAX_MESSAGE).body)
+                self.session.forget_pending(request.subject)
+            case Request("states", states=messages.PullStates() as pull):
+                self._on_states(pull, event.payload)
+            case Request("pull") if event.payload is not None:
+                self._handle(
+                    events.PullAnswered(request.subject, decode(event.payload, messages.PullAnswer, MAX_MESSAGE).body)
+                )
 
-    def _states_came(self, pull: PullStates, payload: bytes | None) -> None:
+    # -------------------------------------------------------------------------------------- coordinator
+
+    def _on_control(self, body: messages.ControlBody) -> None:
+        match body:
+            case messages.JobAnnouncement():
+                self._datasets.announced(body)
+            case messages.Placements():
+                for placement in body.placements:
+                    self._handle(events.Placed(placement))
+            case messages.Commit():
+                self._handle(events.Committed(body))
+            case messages.Close():
+                self._handle(events.Closed(body))
+            case messages.CloseJob():
+                self._handle(events.JobClosed(body.job))  # first the islands, then what they are computed from
+                self._datasets.forget(body.job)
+            case messages.Shutdown():
+                self._connection.shut_down(body)
+            case messages.Introduce():
+                self._connection.greet()
+
+    def _on_greeting_answer(self, fingerprint: str, payload: bytes | None) -> None:
+        """Handle the answer to a greeting: what a former coordinator had placed here is void."""
+        reset = self._connection.handle_answer(fingerprint, payload)
+        if reset is not None:
+            self._handle(reset)
+            for job in self._datasets.jobs():
+                if not self.session.wants(job):
+                    self._datasets.forget(job)
+        if payload is not None and self.exit_code is None:
+            self._send_heartbeat()
+
+    def _on_states(self, pull: messages.PullStates, payload: bytes | None) -> None:
         """Hand on what came, also that nothing came: it is asked for again."""
         try:
-            body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else None
+            body = decode(payload, messages.PullAnswer, MAX_MESSAGE).body if payload is not None else None
         except RemoteProtocolError:
-            self._tell(StatesCame(pull, None))
+            self._handle(events.StatesCame(pull, None))
             raise
-        self._tell(StatesCame(pull, body if isinstance(body, States) else None))
+        self._handle(events.StatesCame(pull, body if isinstance(body, messages.States) else None))
+
+    def _on_tick(self) -> None:
+        self._connection.check_absence()
+        if self._is_drain_requested:
+            self._drain()
+        self._handle(events.Tick(self._bus.now()))
+        self._bus.call_later(TICK_S, _TICK)
+
+    def _drain(self) -> None:
+        """Have this worker end when the coordinator says that nothing is left here, or after a while."""
+        if self._connection.drain():
+            self._send_heartbeat()
 
     def _check_realm(self, realm: str) -> None:
-        if realm != self._attendance.realm:
+        if realm != self._requests.realm:
             raise RemoteProtocolError(f"a message of realm {realm} came, which is not ours")
 
-    # ------------------------------------------------------------------------------------------ actions
+    # ---------------------------------------------------------------------------------------- session
 
-    def _tell(self, event: SessionEvent) -> None:
+    def _send_heartbeat(self) -> None:
+        counters = counters_of(self._bus, self.session, self.rejects)
+        status = worker_status(self._connection, self.session, self._datasets, self._compute, counters, self._detail)
+        if status is not None:
+            self._requests.send_status(status)
+
+    def _handle(self, event: events.SessionEvent) -> None:
+        """Give the session an event, and do what it wants."""
         now = self._bus.now()
-        self.session.elapse(now - self._told_at)
-        self._told_at = now
+        self.session.elapse(now - self._last_event_at)
+        self._last_event_at = now
         for action in self.session.handle(event):
             self._act(action)
 
-    def _act(self, action: Action) -> None:
+    def _act(self, action: actions.Action) -> None:
         match action:
-            case ComputeTask():
-                self._compute.advance(action.task)
-            case StopAt():
-                self._compute.stop_at(action.share, action.hit, action.course)
-            case Discard():
+            case actions.RunTask():
+                self._compute.run(action.task)
+            case actions.StopAt():
+                self._compute.stop_at(action.share, action.hit, action.commit_order)
+            case actions.Discard():
                 self._compute.discard(action.share)
-            case DiscardJob():
-                self._forget_job(action.job)
-            case FetchJob():
+            case actions.DiscardJob():
+                self._datasets.forget(action.job)
+            case actions.FetchJob():
                 self._datasets.fetch(action.job)
-            case Beat():
-                self._beat()
+            case actions.SendHeartbeat():
+                self._send_heartbeat()
             case _:
-                self._voice.say(self._attendance.realm, action)
+                self._requests.send(action)
 
 
 OnSignal = Callable[[Callable[[], None]], AbstractContextManager[None]]
 
 
-def run_worker(connect: str | Destination, name: str, wait_s: float, leaving: Leaving, on_signal: OnSignal) -> int:
-    """Join the coordinator at `connect` as worker `name` and work until it ends or lets us go; return the exit code.
+def run_worker(
+    connect: str | Destination, name: str, wait_s: float, lifetime_s: float | None, grace_s: float, on_signal: OnSignal
+) -> int:
+    """Connect to the coordinator at `connect` as worker `name` and work until it ends or lets us go.
 
     Kernels are made ready while the connection is still being sought. `wait_s` limits both the first connection and
     any later absence of the coordinator. `on_signal` has a function called when this process is told to end.
 
+    Returns:
+        The exit code.
+
     Raises:
         UnreachableError: The coordinator was not there, or stayed away.
         RefusedError: It refused this worker, for instance because of its version or its certificate.
+        AtollError: The kernels cannot be made ready, or the compute thread failed.
     """
     from atoll.wire.bus.zenoh_bus import open_client
 
-    compute = IslandCompute()
+    compute = ComputeThread()
     compute.warm_up()
     try:
         with open_client(connect, wait_s=wait_s) as bus:
-            worker = Worker(bus, compute, name, wait_s, leaving)
+            worker = Worker(bus, compute, name, wait_s, lifetime_s, grace_s)
             with on_signal(worker.leave):
                 code = worker.run()
             if worker.error is not None:

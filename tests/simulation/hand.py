@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from atoll_island_worker.worker import Leaving
 from tests.simulation.schedule import Fault
 from tests.simulation.stub import StubCompute
 from tests.simulation.troupe import USUAL_BACKGROUND_S, Troupe
@@ -104,7 +103,7 @@ class Hand:
         return None
 
     def _strike_join(self, fault: Fault) -> None:
-        self._troupe.start_worker(fault.who, fault.strength, Leaving(lifetime_s=fault.for_s or None))
+        self._troupe.start_worker(fault.who, fault.strength, lifetime_s=fault.for_s or None)
 
     def _strike_leave(self, fault: Fault) -> bool | None:
         if fault.who not in self._troupe.workers:

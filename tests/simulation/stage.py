@@ -190,18 +190,18 @@ class Stage:
 
     def _held_by(self, name: str) -> list[str]:
         worker, compute = self.troupe.workers[name], self.troupe.computes[name]
-        session, agenda = worker.session, compute._agenda
+        session, queue = worker.session, compute._queue
         held = {
             "shares": session.holdings(),
-            "troubles": session.troubles(),
+            "failures": session.failures(),
             "states of jobs": session.jobs(),
-            "early mail": session._early._kept,
+            "pending messages": session._pending._messages,
             "datasets": worker._datasets.jobs(),
             "configurations": list(compute._jobs),
             "islands": list(compute._islands),
-            "tasks": list(agenda._open),
-            "charges": list(agenda._charged),
-            "hits": list(agenda._hits),
+            "tasks": list(queue._open),
+            "charges": list(queue._charged),
+            "hits": list(queue._hits),
         }
         return [f"{what}: {which}" for what, which in held.items() if which]
 

@@ -1,6 +1,6 @@
 """A stub of the compute port: islands that only hash, so that any loss, disorder or double changes the digest.
 
-The agenda is the real one. The state of an island is the hash of (state, immigrants by slot, epoch, slice); evaluations
+The queue is the real one. The state of an island is the hash of (state, immigrants by slot, epoch, slice); evaluations
 are counted; the target is met at seeded (epoch, generation) of some islands. Time passes as drawn from a stream of the
 worker's own.
 """
@@ -16,10 +16,10 @@ from atoll.expression.operators import CONSTANT, COS, SIN, TANH
 from atoll.search.commit_order import CommitOrder, Position
 from atoll.search.seeding import Stream, stream_key
 from atoll.wire.bus.simulated_bus import SimulatedNetwork
-from atoll.wire.messages.workers import Addition, HitStatement, IslandReport, Tally
+from atoll.wire.messages.workers import Addition, HitStatement, IslandReport, SliceCounters
 from atoll_coordinator.service.jobs.job import commit_order_of
-from atoll_island_worker.compute.compute import WarmedUp, WarmUpNote
-from atoll_island_worker.compute.run_queue import Agenda, Work
+from atoll_island_worker.compute.compute_thread import WarmedUp, WarmUpNote
+from atoll_island_worker.compute.run_queue import RunQueue, Work
 from atoll_island_worker.session.events import Computed, JobReady
 from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
 
@@ -96,25 +96,25 @@ class StubWork:
         self._hits = hits_of(config, task.key.variable)
         self._additions: list[Addition] = []
         self._near: list[Addition] = []
-        self._tallies: list[Tally] = []
+        self._counters_by_slice: list[SliceCounters] = []
         self._hit: HitStatement | None = None
         self.snapshot = island.to_bytes() if task.takes_snapshot else None
 
     def advance(self) -> bool:
-        key, island, course = self._task.key, self._island, self._task.course
+        key, island, order = self._task.key, self._island, self._task.commit_order
         self._spend()
-        self.generation = min(self.generation + course.stride, course.generations)
+        self.generation = min(self.generation + order.stride, order.generations)
         island.stir(struct.pack("<qq", key.epoch, self.generation))
         island.evaluations += 10 + island.state[0] % 16
-        evaluations = {"offspring": island.evaluations, "trainers": key.epoch * course.generations + self.generation}
-        self._tallies.append(Tally(generation=self.generation, evaluations=evaluations))
+        evaluations = {"offspring": island.evaluations, "trainers": key.epoch * order.generations + self.generation}
+        self._counters_by_slice.append(SliceCounters(generation=self.generation, evaluations=evaluations))
         if island.state[5] < 80:
             self._additions.append(addition_of(key.epoch, self.generation, island.state))
         elif island.state[5] < 180:
             self._near.append(addition_of(key.epoch, self.generation, island.state))
         if Position(key.epoch, self.generation, key.island) in self._hits:
             self._hit = HitStatement(generation=self.generation, error=1e-12)
-        return self._hit is not None or self.generation >= course.generations
+        return self._hit is not None or self.generation >= order.generations
 
     def computed(self) -> Computed:
         key, state = self._task.key, self._island.state
@@ -124,11 +124,11 @@ class StubWork:
             hit=self._hit,
             additions=tuple(self._additions),
             runners_up=tuple(self._near),
-            tallies=tuple(self._tallies),
+            counters=tuple(self._counters_by_slice),
             best_error=state[1] / 256.0,
             digest=state.hex(),
         )
-        if self._hit is not None or self.generation < self._task.course.generations or self._task.is_last:
+        if self._hit is not None or self.generation < self._task.commit_order.generations or self._task.is_last:
             return Computed(key, report, {}, frozenset())
         shuffle = Shuffle.of(self._config, key.variable, key.epoch)
         return Computed(key, report, shuffle.blocks_from(key.island, state), shuffle.senders_to(key.island))
@@ -169,7 +169,7 @@ class StubCompute:
 
     def __post_init__(self) -> None:
         self._stream = Stream(stream_key(self.seed, self.worker, -1, 0, "stub-speed"))
-        self._agenda = Agenda(self.begin, lambda: self._worked_s)
+        self._queue = RunQueue(self.begin, lambda: self._worked_s)
 
     def attach(self, post: Callable[[object], None]) -> None:
         self._post = post
@@ -180,27 +180,27 @@ class StubCompute:
         """Begins when attached."""
 
     @property
-    def doing(self) -> TaskKey | None:
-        return self._agenda.doing
+    def current(self) -> TaskKey | None:
+        return self._queue.current
 
     def load(self, job: str, config: JobConfig, dataset: bytes, weight: float = 1.0) -> None:
         self._jobs[job] = config
-        self._agenda.weigh(job, weight)
+        self._queue.set_weight(job, weight)
         self._later(0.01, JobReady(job))
 
-    def advance(self, task: Task) -> None:
-        self._say_all(self._agenda.add(task))
+    def run(self, task: Task) -> None:
+        self._say_all(self._queue.add(task))
         self._go_on()
 
-    def stop_at(self, share: ShareKey, hit: Position, course: CommitOrder) -> None:
-        self._say_all(self._agenda.stop_at(share, hit, course))
+    def stop_at(self, share: ShareKey, hit: Position, commit_order: CommitOrder) -> None:
+        self._say_all(self._queue.stop_at(share, hit, commit_order))
 
     def discard(self, share: ShareKey) -> None:
-        self._agenda.discard(share)
+        self._queue.discard(share)
         self._islands.pop(share, None)
 
     def discard_job(self, job: str) -> None:
-        self._agenda.discard_job(job)
+        self._queue.discard_job(job)
         self._jobs.pop(job, None)
 
     def close(self) -> None:
@@ -246,7 +246,7 @@ class StubCompute:
 
     def _go_on(self) -> None:
         """Take a turn, if there is one to take, at the end of the time that it takes."""
-        if self._is_at_work or self._is_held or self._agenda.is_idle or self._dead:
+        if self._is_at_work or self._is_held or self._queue.is_idle or self._dead:
             return
         self._is_at_work = True
         seconds = self.slowness * (0.0005 + 0.003 * self._stream.uniform())
@@ -254,12 +254,12 @@ class StubCompute:
 
     def _turn(self, seconds: float) -> None:
         self._is_at_work = False
-        if self._dead or self._dead_loop or self._is_held or self._agenda.is_idle:
+        if self._dead or self._dead_loop or self._is_held or self._queue.is_idle:
             return
         self.progress += 1
         self.turns += 1
         self._turn_s = seconds
-        self._say_all(self._agenda.turn())
+        self._say_all(self._queue.turn())
         self._go_on()
 
     def _spend(self) -> None:

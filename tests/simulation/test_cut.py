@@ -73,7 +73,7 @@ def definition(config: JobConfig, variable: str) -> dict[str, Any]:
     found: list[FrontEntry] = []
     for epoch, reports in enumerate(reports_of(config, variable, epochs)):
         for each in reports:
-            for tally in each.tallies:
+            for tally in each.counters:
                 if counted(commit_order, Position(epoch, tally.generation, each.island), hit):
                     evaluations[each.island] = dict(tally.evaluations)
             found += [
@@ -129,7 +129,7 @@ def test_one_worker_computes_nothing_beyond_the_cut() -> None:
             Position(epoch, tally.generation, each.island)
             for epoch, reports in enumerate(reports_of(ours, "x", EPOCHS if hit is None else hit.epoch + 1))
             for each in reports
-            for tally in each.tallies
+            for tally in each.counters
         ]
         assert world.computes["w0"].turns == sum(counted(commit_order, at, hit) for at in ends)
 

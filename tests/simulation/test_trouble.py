@@ -271,7 +271,7 @@ def nonsense(realm: str) -> list[tuple[str, bytes]]:
     """Return puts that a stranger could make, none of which may change anything."""
     status = WorkerStatus(instance="x", incarnation=1, state="ready", progress=0)
     report = IslandReport(
-        island=0, generations=1, hit=None, additions=(), tallies=(), best_error=None, digest="ab" * 16
+        island=0, generations=1, hit=None, additions=(), counters=(), best_error=None, digest="ab" * 16
     )
     reports = EpochReport(job="job", variable="x", term=1, epoch=0, islands=(report,))
     migrants = Migrants(

@@ -18,7 +18,7 @@ from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_island_worker.session.events import Computed
-from atoll_island_worker.worker import Leaving, Worker
+from atoll_island_worker.worker import Worker
 from tests.simulation.disk import CoordinatorDied, Disk, DiskStore
 from tests.simulation.schedule import Schedule, job_config
 from tests.simulation.stub import StubCompute
@@ -167,7 +167,7 @@ class Troupe:
 
     # ----------------------------------------------------------------------------------------- workers
 
-    def start_worker(self, name: str, slowness: float = 1.0, leaving: Leaving | None = None) -> None:
+    def start_worker(self, name: str, slowness: float = 1.0, lifetime_s: float | None = None) -> None:
         if name in self.workers:
             return
         bus = self.network.bus(name)
@@ -183,7 +183,7 @@ class Troupe:
             post(item)
 
         bus.post = witnessed  # type: ignore[method-assign]
-        worker = Worker(bus, compute, name, WAIT_S, leaving)
+        worker = Worker(bus, compute, name, WAIT_S, lifetime_s)
 
         def step(event: Event) -> None:
             self._take_down(bus, event)

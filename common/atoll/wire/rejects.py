@@ -24,7 +24,7 @@ class Rejects:
         """How many messages were dropped."""
         return sum(self.counts.values())
 
-    def note(self, source: str, error: RemoteProtocolError) -> None:
+    def count(self, source: str, error: RemoteProtocolError) -> None:
         """Count one dropped message that came from `source`; log the first of them."""
         source = source[:200]
         if source not in self.counts:

@@ -236,9 +236,9 @@ class Controller:
         self.watch.heard(worker, status, was_lost)
         if not was_ready and self.membership.is_ready(worker):
             self.place(now)
-        for trouble in status.troubles:
-            if self._holdings.is_current(trouble.job, trouble.variable, trouble.term):
-                self.job_failed(trouble.job, "internal", f"{trouble.sentence} (on worker {worker})", now)
+        for failure in status.failures:
+            if self._holdings.is_current(failure.job, failure.variable, failure.term):
+                self.job_failed(failure.job, "internal", f"{failure.sentence} (on worker {worker})", now)
         self._holdings.look(worker, status)
         if status.state == "leaving":
             self._let_go(worker, now)

@@ -139,11 +139,11 @@ class Service:
 
     def step(self, event: Event) -> None:
         """Take in one event. What a peer did wrong is counted, logged once and changes nothing."""
-        self._bus.note(event)
+        self._bus.count_received(event)
         try:
             self._on(event)
         except RemoteProtocolError as error:
-            self.rejects.note(event.key if isinstance(event, Message | Query | Presence) else "answer", error)
+            self.rejects.count(event.key if isinstance(event, Message | Query | Presence) else "answer", error)
 
     def view(self) -> CoordinatorView:
         """Return what people are shown of the coordinator itself."""

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING, Final
 
 from atoll.config import JobConfig
 from atoll.errors import RemoteProtocolError
-from atoll.wire.messages.workers import Addition, HitStatement, IslandReport, Tally
-from atoll_island_worker.session.events import Computed, JobReady, Unloadable
+from atoll.wire.messages.workers import Addition, HitStatement, IslandReport, SliceCounters
+from atoll_island_worker.session.events import Computed, JobReady, LoadFailed
 from atoll_island_worker.session.tasks import ShareKey, Task
 
 if TYPE_CHECKING:
@@ -26,14 +26,14 @@ class Engine:
         self._jobs: dict[str, tuple[JobConfig, Dataset]] = {}
         self._islands: dict[ShareKey, dict[int, Island]] = {}
 
-    def load(self, job: str, config: JobConfig, dataset: bytes) -> JobReady | Unloadable:
+    def load(self, job: str, config: JobConfig, dataset: bytes) -> JobReady | LoadFailed:
         """Take in a job's configuration and encoded dataset."""
         from atoll.wire.codec import dataset_from_bytes
 
         try:
             self._jobs[job] = (config, dataset_from_bytes(dataset))
         except RemoteProtocolError as error:
-            return Unloadable(job, str(error))
+            return LoadFailed(job, str(error))
         return JobReady(job)
 
     def begin(self, task: Task) -> "Epoch":
@@ -77,7 +77,7 @@ class Epoch:
 
     def advance(self) -> bool:
         """See `Work.advance`."""
-        stride = self._task.course.stride
+        stride = self._task.commit_order.stride
         left = stride - self._island.generation % stride
         self._is_over = self._island.advance(min(_MOST, left))
         return self._is_over
@@ -113,9 +113,9 @@ def report_of(island: int, outcome: "EpochOutcome") -> IslandReport:
         hit=None if hit is None else HitStatement(generation=hit.generation, error=hit.error),
         additions=_stated(outcome.additions),
         runners_up=_stated(outcome.runners_up),
-        tallies=tuple(
-            Tally(generation=generation, evaluations=dict(evaluations))
-            for generation, evaluations in outcome.tallies.items()
+        counters=tuple(
+            SliceCounters(generation=generation, evaluations=dict(evaluations))
+            for generation, evaluations in outcome.counters.items()
         ),
         best_error=outcome.best_error,
         digest=outcome.digest,

@@ -52,25 +52,25 @@ class _Open:
         return self.work.generation if self.work is not None else 0
 
 
-class Agenda:
+class RunQueue:
     """The tasks of one worker that are not done yet."""
 
     def __init__(self, begin: Begin, clock: Callable[[], float]) -> None:
-        """`clock` gives seconds, by which jobs are charged for their turns; `doing` is the task of the last turn."""
+        """`clock` gives seconds, by which jobs are charged for their turns; `current` is the task of the last turn."""
         self._begin = begin
         self._clock = clock
         self._open: dict[TaskKey, _Open] = {}
         self._hits: dict[ShareKey, Position] = {}
         self._charged: dict[str, float] = {}
         self._weights: dict[str, float] = {}
-        self.doing: TaskKey | None = None
+        self.current: TaskKey | None = None
 
     @property
     def is_idle(self) -> bool:
         """Whether there is nothing to compute."""
         return not self._open
 
-    def weigh(self, job: str, weight: float) -> None:
+    def set_weight(self, job: str, weight: float) -> None:
         """Charge a job's turns by 1/`weight` of their time, so that it gets that many times the share of others."""
         self._weights[job] = weight
 
@@ -82,16 +82,16 @@ class Agenda:
         self._open[task.key] = _Open(task)
         return self._settle([task.key])
 
-    def stop_at(self, share: ShareKey, hit: Position, course: CommitOrder) -> list[Outcome]:
+    def stop_at(self, share: ShareKey, hit: Position, commit_order: CommitOrder) -> list[Outcome]:
         """Note that the target was met; return what came of the tasks of which no more is needed."""
-        self._hits[share] = min(hit, self._hits.get(share, hit), key=course.rank)
+        self._hits[share] = min(hit, self._hits.get(share, hit), key=commit_order.rank)
         return self._settle([key for key in self._open if key.share == share])
 
     def turn(self) -> list[Snapshot | Outcome]:
         """Compute one slice of the task whose turn it is; return its snapshot and what came of tasks done by it."""
         key = min(self._open, key=self._rank)
         opened = self._open[key]
-        self.doing = key
+        self.current = key
         began = self._clock()
         snapshots: list[Snapshot | Outcome] = []
         outcome: Outcome | None = None
@@ -106,7 +106,9 @@ class Agenda:
         if outcome is None and not opened.task.is_held:
             return snapshots + self._settle([key])
         del self._open[key]
-        return snapshots + ([outcome, *self._stop_others(outcome, opened.task.course)] if outcome is not None else [])
+        return snapshots + (
+            [outcome, *self._stop_others(outcome, opened.task.commit_order)] if outcome is not None else []
+        )
 
     def discard(self, share: ShareKey) -> None:
         """Forget the tasks of an archipelago's term."""
@@ -124,7 +126,7 @@ class Agenda:
     def _rank(self, key: TaskKey) -> tuple[float, int, int, int, str, str, int]:
         opened = self._open[key]
         at = Position(key.epoch, opened.generation, key.island)
-        epoch, group, generation, island = opened.task.course.rank(at)
+        epoch, group, generation, island = opened.task.commit_order.rank(at)
         return (self._charged.get(key.job, 0.0), epoch, group, generation, key.job, key.variable, island)
 
     def _begin_if_new(self, opened: _Open) -> list[Snapshot]:
@@ -138,11 +140,11 @@ class Agenda:
     def _advance(self, opened: _Open) -> Outcome | None:
         return opened.work.computed() if opened.work is not None and opened.work.advance() else None
 
-    def _stop_others(self, outcome: Outcome, course: CommitOrder) -> list[Outcome]:
+    def _stop_others(self, outcome: Outcome, commit_order: CommitOrder) -> list[Outcome]:
         if not isinstance(outcome, Computed) or outcome.report.hit is None:
             return []
         key = outcome.key
-        return self.stop_at(key.share, Position(key.epoch, outcome.report.hit.generation, key.island), course)
+        return self.stop_at(key.share, Position(key.epoch, outcome.report.hit.generation, key.island), commit_order)
 
     def _settle(self, keys: Iterable[TaskKey]) -> list[Outcome]:
         """Close those of these tasks of which no more is needed, and return what came of them."""
@@ -160,7 +162,7 @@ class Agenda:
         key = opened.task.key
         if key.epoch != hit.epoch:
             return key.epoch < hit.epoch
-        return opened.generation < opened.task.course.needed(hit, key.island)
+        return opened.generation < opened.task.commit_order.needed(hit, key.island)
 
 
 def brief(error: BaseException) -> str:

@@ -1,24 +1,31 @@
-"""A worker's standing with its coordinator, on the bus: greeting, coming back, leaving, and giving it up."""
+"""The connection of a worker to its coordinator: handshake, absence, drain, and how the worker ends."""
 
 import logging
-from dataclasses import dataclass
+import os
+import socket
 from typing import Final
+from uuid import uuid4
 
-from atoll.errors import AtollError, RefusedError, UnreachableError
+from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll.errors import AtollError, RefusedError, RemoteProtocolError, UnreachableError
 from atoll.logs import fields
 from atoll.wire import topics
 from atoll.wire.bus.interface import Bus
+from atoll.wire.codec import decode, encode
+from atoll.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
+from atoll.wire.messages.limits import MAX_MESSAGE
 from atoll.wire.messages.workers import Shutdown
-from atoll_island_worker.connection.drain import Leaving
-from atoll_island_worker.connection.handshake import Joined, Joining
-from atoll_island_worker.connection.requests import Asked, Voice
+from atoll_island_worker.connection.requests import Request, Requests
+from atoll_island_worker.session.events import Reset
 
 _LOG = logging.getLogger(__name__)
 
 GREET_TIMEOUT_S: Final = 2.0
 GREET_PAUSE_S: Final = 0.2
+GRACE_S: Final = 30.0
+"""How long handing over may take, unless another time was given."""
 ALONE_S: Final = 3.0
-"""A worker that is leaving waits so long for a coordinator that has gone."""
+"""A worker that drains waits so long for a coordinator that has gone."""
 
 GREET: Final = "greet"
 LIFETIME: Final = "lifetime"
@@ -26,155 +33,194 @@ GRACE: Final = "grace"
 """Names of timers."""
 
 
-@dataclass(slots=True)
-class Exit:
-    """How a worker ends; `code` is None while it does not."""
+class CoordinatorConnection:
+    """Greets the coordinator, subscribes in its realm, waits while it is away, and drains the worker before it ends.
 
-    code: int | None = None
-    error: AtollError | None = None
+    `welcome`: the coordinator's last answer to a greeting; None before the first. `is_accepted`: the coordinator knows
+    that the kernels here are ready. `is_draining`: it has been told that this worker wants to end. `exit_code`: None
+    while the worker goes on; `error`: why it ends, when that is an error.
+    """
 
-    def because_of(self, error: AtollError) -> None:
-        """End with the error's exit code."""
-        self.error, self.code = error, error.exit_code
+    def __init__(
+        self, bus: Bus, requests: Requests, name: str, wait_s: float, lifetime_s: float | None, grace_s: float
+    ) -> None:
+        """Set up, without a greeting yet.
 
-
-class Attendance:
-    """Greets the coordinator, listens where it says, waits for it when it is away, and leaves."""
-
-    def __init__(self, bus: Bus, voice: Voice, name: str, wait_s: float, leaving: Leaving) -> None:
-        """`wait_s`: how long the coordinator may be away."""
-        self.exit: Final = Exit()
+        Args:
+            bus: the worker's own.
+            requests: through which the coordinator is greeted.
+            name: of the worker.
+            wait_s: how long the coordinator may be away, at the start or later.
+            lifetime_s: after so many seconds the worker drains; None: never.
+            grace_s: how long a drain may take; 0: the worker ends at once.
+        """
+        self.instance: Final = uuid4().hex
+        self.welcome: Welcome | None = None
+        self.is_accepted = False
+        self.is_draining = False
+        self.exit_code: int | None = None
+        self.error: AtollError | None = None
         self._bus = bus
-        self._voice = voice
+        self._requests = requests
         self._name = name
         self._wait_s = wait_s
-        self._leaving = leaving
-        self._joining = Joining(name, bus.now())
+        self._lifetime_s = lifetime_s
+        self._grace_s = grace_s
+        self._fingerprint = ""
+        self._is_reachable = False  # an enquiry was answered although no greeting was
+        self._away_since: float | None = bus.now()
+        self._realms: set[str] = set()
 
-    @property
-    def realm(self) -> str:
-        """The coordinator's realm; empty before the first welcome."""
-        return self._joining.realm
+    def fail(self, error: AtollError) -> None:
+        """End the worker with an error and its exit code."""
+        self.error, self.exit_code = error, error.exit_code
 
-    @property
-    def incarnation(self) -> int | None:
-        """The coordinator's incarnation; None before the first welcome."""
-        return self._joining.welcome.incarnation if self._joining.welcome is not None else None
-
-    @property
-    def instance(self) -> str:
-        """Random name of this process."""
-        return self._joining.instance
-
-    @property
-    def is_accepted(self) -> bool:
-        """Whether the coordinator knows that the kernels here are ready."""
-        return self._joining.is_accepted
-
-    @property
-    def is_to_leave(self) -> bool:
-        """Whether this worker has been told to end."""
-        return self._leaving.is_wanted
-
-    @property
-    def is_leaving(self) -> bool:
-        """Whether the coordinator has been told that this worker wants to end."""
-        return self._leaving.has_begun
+    # -------------------------------------------------------------------------------------- handshake
 
     def start(self) -> None:
-        """Greet the coordinator; begin to count the time that this worker is to live."""
+        """Greet the coordinator; begin to count the worker's lifetime."""
         self.greet()
-        if self._leaving.lifetime_s is not None:
-            self._bus.call_later(self._leaving.lifetime_s, LIFETIME)
+        if self._lifetime_s is not None:
+            self._bus.call_later(self._lifetime_s, LIFETIME)
 
     def greet(self) -> None:
-        """Ask whether we are welcome."""
-        asked = Asked("hello", self._joining.fingerprint)
-        self._voice.ask(topics.hello(self._name), self._joining.hello(), GREET_TIMEOUT_S, asked)
+        """Ask to be accepted."""
+        request = Request("hello", self._fingerprint)
+        self._requests.ask(topics.hello(self._name), self._hello(), GREET_TIMEOUT_S, request)
 
-    def greeted(self, fingerprint: str, payload: bytes | None) -> Joined | None:
-        """Take in the answer to a greeting that carried `fingerprint` ("": kernels not ready yet).
+    def handle_answer(self, fingerprint: str, payload: bytes | None) -> Reset | None:
+        """Handle the answer to a greeting that carried `fingerprint` ("": kernels not ready yet).
 
-        Returns what it changed; None: there was none, and we greet again soon, or we are refused.
+        Returns what the session is to drop when the coordinator, or its store, is another one than before. Without an
+        answer another greeting follows; a refusal ends the worker.
         """
         if payload is None:
-            self._voice.ask(topics.HELLO, self._joining.hello(), GREET_TIMEOUT_S, Asked("enquiry"))
+            self._requests.ask(topics.HELLO, self._hello(), GREET_TIMEOUT_S, Request("enquiry"))
             self._bus.call_later(GREET_PAUSE_S, GREET)
             return None
         try:
-            joined = self._joining.take(fingerprint, payload)
+            welcome = _welcome(payload)
         except RefusedError as error:
-            self.exit.because_of(error)
+            self.fail(error)
             return None
-        if joined.is_restart:
-            _LOG.info("the coordinator started anew; what was held is dropped")
-        if joined.is_new_realm:
-            self._listen()
-        return joined
+        former, self.welcome, self._away_since = self.welcome, welcome, None
+        self._requests.realm = welcome.realm
+        self.is_accepted = self.is_accepted or bool(fingerprint)
+        if welcome.realm not in self._realms:
+            self._realms.add(welcome.realm)
+            self._subscribe(welcome.realm)
+        if self._fingerprint and not self.is_accepted:
+            self.greet()  # the kernels became ready while the greeting was under way
+        if former is None or (former.realm, former.incarnation) == (welcome.realm, welcome.incarnation):
+            return None
+        _LOG.info("the coordinator started anew; what was held is dropped")
+        return Reset(welcome.incarnation if former.realm == welcome.realm else 0)
 
-    def enquired(self, payload: bytes) -> None:
-        """Take in why our greeting may have remained without an answer."""
+    def handle_enquiry(self, payload: bytes) -> None:
+        """Handle the answer to the question whether we would be accepted, asked when no greeting is answered."""
         try:
-            self._joining.enquired(payload)
+            _welcome(payload)
         except RefusedError as error:
-            self.exit.because_of(error)
-
-    def lost(self) -> None:
-        """Take notice that the connection went."""
-        self._joining.lost(self._bus.now())
-        _LOG.warning("connection to the coordinator lost; waiting for it")
+            self.fail(error)
+        self._is_reachable = True
 
     def kernels_ready(self, fingerprint: str) -> None:
-        """Greet once more, now with the fingerprint, if we have been welcomed without."""
-        self._joining.fingerprint = fingerprint
-        if self._joining.welcome is not None:
+        """Greet once more, now with the fingerprint of the kernels, after a welcome without."""
+        self._fingerprint = fingerprint
+        if self.welcome is not None:
             self.greet()
 
+    # ---------------------------------------------------------------------------------------- absence
+
+    def link_lost(self) -> None:
+        """Begin to count the coordinator's absence."""
+        self._away_since = self._bus.now()
+        _LOG.warning("connection to the coordinator lost; waiting for it")
+
     def check_absence(self) -> None:
-        """End when the coordinator has been away for too long."""
-        absence = self._joining.absence(self._bus.now())
-        if self._leaving.has_begun and absence > ALONE_S:
-            self.exit.code = 0  # there is nobody to hand over to, and what was committed is not lost
+        """End the worker when the coordinator has been away for too long."""
+        absence = self._bus.now() - self._away_since if self._away_since is not None else 0.0
+        if self.is_draining and absence > ALONE_S:
+            self.exit_code = 0  # there is nobody to hand over to, and what was committed is not lost
         elif absence > self._wait_s:
-            self.exit.because_of(UnreachableError(self._joining.silence(self._wait_s)))
+            self.fail(UnreachableError(self._absence_sentence()))
 
-    def ask_to_leave(self) -> None:
-        """Leave, soon. Signal handlers may call."""
-        self._leaving.is_wanted = True
+    # ------------------------------------------------------------------------------------------ drain
 
-    def begin_leaving(self) -> bool:
-        """Want to end: at once where nobody is to be told or waited for. Returns whether the coordinator is to hear."""
-        if self._joining.welcome is None or self._leaving.grace_s <= 0.0:
-            self.exit.code = 0
+    def drain(self) -> bool:
+        """Begin to drain; end at once where nobody is to be told or waited for.
+
+        Returns whether the coordinator is to be told.
+        """
+        if self.welcome is None or self._grace_s <= 0.0:
+            self.exit_code = 0
             return False
-        if self._leaving.has_begun:
+        if self.is_draining:
             return False
-        self._leaving.has_begun = True
-        _LOG.info("leaving: what is computed here is handed over", extra=fields(at_most_s=self._leaving.grace_s))
-        self._bus.call_later(self._leaving.grace_s, GRACE)
+        self.is_draining = True
+        _LOG.info("leaving: what is computed here is handed over", extra=fields(at_most_s=self._grace_s))
+        self._bus.call_later(self._grace_s, GRACE)
         return True
 
-    def out_of_grace(self) -> None:
+    def grace_over(self) -> None:
         """End although what is computed here has not been handed over."""
         _LOG.warning(
-            "not let go in time; what was not committed is computed again",
-            extra=fields(seconds=self._leaving.grace_s),
+            "not let go in time; what was not committed is computed again", extra=fields(seconds=self._grace_s)
         )
-        self.exit.code = 0
+        self.exit_code = 0
 
     def shut_down(self, body: Shutdown) -> None:
-        """End as the coordinator says."""
+        """End as the coordinator demands."""
         if body.refused:
-            self.exit.because_of(RefusedError(body.sentence))
+            self.fail(RefusedError(body.sentence))
         else:
             _LOG.info("this worker ends", extra=fields(reason=body.sentence or "the coordinator ended"))
-            self.exit.code = 0
+            self.exit_code = 0
 
-    def _listen(self) -> None:
-        """Declare everything that a worker receives, answers and shows."""
-        self._bus.subscribe(topics.control(self.realm))
-        self._bus.subscribe(topics.control(self.realm, self._name))
-        self._bus.subscribe(topics.inbox(self.realm, self._name))
-        self._bus.serve(topics.worker(self.realm, self._name, "pull"))
-        self._bus.announce(topics.worker(self.realm, self._name, "alive"))
-        _LOG.info("joined", extra=fields(realm=self.realm))
+    # ---------------------------------------------------------------------------------------- private
+
+    def _hello(self) -> bytes:
+        hello = Hello(
+            role="worker",
+            name=self._name,
+            instance=self.instance,
+            protocol=PROTOCOL_VERSION,
+            version=VERSION,
+            engine=ENGINE_REVISION,
+            fingerprint=self._fingerprint,
+            host=socket.gethostname()[:256],
+            pid=os.getpid(),
+        )
+        return encode(Greeting(body=hello))
+
+    def _subscribe(self, realm: str) -> None:
+        """Declare everything that a worker receives, answers and shows in a realm."""
+        self._bus.subscribe(topics.control(realm))
+        self._bus.subscribe(topics.control(realm, self._name))
+        self._bus.subscribe(topics.inbox(realm, self._name))
+        self._bus.serve(topics.worker(realm, self._name, "pull"))
+        self._bus.announce(topics.worker(realm, self._name, "alive"))
+        _LOG.info("joined", extra=fields(realm=realm))
+
+    def _absence_sentence(self) -> str:
+        if self._is_reachable and self.welcome is None:
+            return (
+                f"the coordinator did not answer the greeting of {self._name!r} within {self._wait_s:.0f} s, though it "
+                "can be reached: access control on the way does probably not know this name; have the router started "
+                "again with the roster that the coordinator has"
+            )
+        return f"the coordinator has not answered for {self._wait_s:.0f} s; start it again"
+
+
+def _welcome(payload: bytes) -> Welcome:
+    """Return the welcome in an answer to a greeting; raises RefusedError with the reason when it is none."""
+    try:
+        answer = decode(payload, GreetingAnswer, MAX_MESSAGE).body
+    except RemoteProtocolError as error:
+        raise RefusedError(
+            f"the coordinator's answer was not understood ({error}); this worker is Atoll {VERSION} (protocol "
+            f"{PROTOCOL_VERSION}), install the same version on both sides"
+        ) from error
+    if isinstance(answer, Refusal):
+        raise RefusedError(answer.sentence)
+    return answer

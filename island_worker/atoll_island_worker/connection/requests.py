@@ -1,4 +1,4 @@
-"""What a worker says and asks, as puts and questions on the bus; and which question an answer belongs to."""
+"""What a worker sends and asks, as puts and queries on the bus; and which request a reply belongs to."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -6,18 +6,27 @@ from typing import Final
 from atoll.wire import topics
 from atoll.wire.bus.interface import Bus
 from atoll.wire.codec import encode
-from atoll.wire.messages.workers import Mail, Pull, PullAnswer, PullStates
-from atoll_island_worker.session.actions import AskPeer, FetchPlacements, FetchStates, Respond, Send, SendReport
+from atoll.wire.messages.workers import Mail, Pull, PullAnswer, PullStates, WorkerStatus
+from atoll_island_worker.session.actions import (
+    AskPeer,
+    FetchPlacements,
+    FetchStates,
+    Outgoing,
+    Respond,
+    Send,
+    SendReport,
+)
 
 PULL_TIMEOUT_S: Final = 5.0
 FETCH_TIMEOUT_S: Final = 20.0
-
-Words = Send | SendReport | AskPeer | Respond | FetchStates | FetchPlacements
+FETCH_PAUSE_S: Final = 0.5
+FETCH: Final = "fetch/"
+"""What the names of the timers begin with after which a dataset is asked for again; the job follows."""
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """What a reply will be the answer to: `question` of (`peer` or the coordinator, about `job`), or about `states`."""
+class Request:
+    """What a reply answers: a `question` about `subject` (a job, a peer or a fingerprint), or about `states`."""
 
     question: str
     subject: str = ""
@@ -25,42 +34,54 @@ class Asked:
     states: PullStates | None = None
 
 
-class Voice:
-    """One worker's way of saying and asking something."""
+class Requests:
+    """The messages and queries of one worker. `realm` is the coordinator's; empty before the first welcome."""
 
     def __init__(self, bus: Bus, name: str) -> None:
+        self.realm = ""
         self._bus = bus
         self._name = name
-        self._asked: dict[int, Asked] = {}
+        self._open: dict[int, Request] = {}
 
-    @property
-    def is_asking(self) -> bool:
-        """Whether a question has not come to its end yet."""
-        return bool(self._asked)
+    def ask(self, key: str, payload: bytes, timeout_s: float, request: Request) -> None:
+        """Send a query; the reply will answer `request`."""
+        self._open[self._bus.get(key, payload, timeout_s)] = request
 
-    def ask(self, key: str, payload: bytes, timeout_s: float, asked: Asked) -> None:
-        """Ask for `key`; the reply will be the answer to `asked`."""
-        self._asked[self._bus.get(key, payload, timeout_s)] = asked
+    def pop(self, token: int) -> Request | None:
+        """Return the request that a reply answers, once."""
+        return self._open.pop(token, None)
 
-    def answered(self, token: int) -> Asked | None:
-        """Return what a reply is the answer to, once."""
-        return self._asked.pop(token, None)
+    def ask_announcement(self, job: str) -> None:
+        """Ask the coordinator for a job's announcement."""
+        self.ask(topics.job(self.realm, job), b"", PULL_TIMEOUT_S, Request("job", job))
 
-    def say(self, realm: str, words: Words) -> None:
+    def ask_chunk(self, job: str, blob: str, index: int) -> None:
+        """Ask the coordinator for one chunk of a job's dataset."""
+        self.ask(topics.blob(self.realm, blob, index), b"", FETCH_TIMEOUT_S, Request("chunk", job, index))
+
+    def ask_later(self, job: str) -> None:
+        """Set the timer after which a job's dataset is asked for again."""
+        self._bus.call_later(FETCH_PAUSE_S, FETCH + job)
+
+    def send_status(self, status: WorkerStatus) -> None:
+        """Send a heartbeat."""
+        self._bus.put(topics.worker(self.realm, self._name, "status"), encode(status))
+
+    def send(self, action: Outgoing) -> None:
         """Send, answer or ask what the session wants."""
-        match words:
+        match action:
             case Send():
-                self._bus.put(topics.mail(realm, self._name, words.peer), encode(Mail(body=words.body)))
+                self._bus.put(topics.mail(self.realm, self._name, action.peer), encode(Mail(body=action.body)))
             case SendReport():
-                self._bus.put(topics.worker(realm, self._name, "report"), encode(words.report))
+                self._bus.put(topics.worker(self.realm, self._name, "report"), encode(action.report))
             case AskPeer():
-                key = topics.worker(realm, words.peer, "pull")
-                self.ask(key, encode(Pull(body=words.body)), PULL_TIMEOUT_S, Asked("pull", words.peer))
+                key = topics.worker(self.realm, action.peer, "pull")
+                self.ask(key, encode(Pull(body=action.body)), PULL_TIMEOUT_S, Request("pull", action.peer))
             case Respond():
-                self._bus.reply(words.handle, encode(PullAnswer(body=words.body)))
+                self._bus.reply(action.handle, encode(PullAnswer(body=action.body)))
             case FetchStates():
-                key, asked = topics.state(realm, words.body.job), Asked("states", states=words.body)
-                self.ask(key, encode(Pull(body=words.body)), FETCH_TIMEOUT_S, asked)
+                key, request = topics.state(self.realm, action.body.job), Request("states", states=action.body)
+                self.ask(key, encode(Pull(body=action.body)), FETCH_TIMEOUT_S, request)
             case FetchPlacements():
-                key, asked = topics.placement(realm, words.job), Asked("placement", words.job)
-                self.ask(key, b"", PULL_TIMEOUT_S, asked)
+                key = topics.placement(self.realm, action.job)
+                self.ask(key, b"", PULL_TIMEOUT_S, Request("placement", action.job))

@@ -45,9 +45,9 @@ class EpochOutcome:
     """What one island has to say of one epoch, as far as it has come with it.
 
     `additions` are the entries that improved the island's own front in this epoch, in the order found, `runners_up`
-    those that came to be its runners-up without ever having been on its front; `evaluations`
-    are *cumulative* point evaluations by part since epoch 0, `tallies` the same at the end of each slice of this epoch,
-    by generation; `best_error` is the smallest normalized error on all rows so far (None: none finite yet); `digest` is
+    those that came to be its runners-up without ever having been on its front; `evaluations` are *cumulative* point
+    evaluations by part since epoch 0, `counters` the same at the end of each slice of this epoch, by generation;
+    `best_error` is the smallest normalized error on all rows so far (None: none finite yet); `digest` is
     the hex digest of the state.
     """
 
@@ -57,7 +57,7 @@ class EpochOutcome:
     additions: tuple[FrontEntry, ...]
     runners_up: tuple[FrontEntry, ...]
     evaluations: Mapping[str, int]
-    tallies: Mapping[int, Mapping[str, int]]
+    counters: Mapping[int, Mapping[str, int]]
     best_error: float | None
     digest: str
 
@@ -96,7 +96,7 @@ class Island:
         self._begun = False
         self._additions: list[FrontEntry] = []
         self._near: list[FrontEntry] = []
-        self._tallies: dict[int, dict[str, int]] = {}
+        self._counters_by_slice: dict[int, dict[str, int]] = {}
         self._offering.begin_epoch()
         setting = self._setting
         key = stream_key(setting.config.seed, setting.variable, setting.island, self.epoch, "generations")
@@ -113,7 +113,7 @@ class Island:
             self._evolve(step)
             if self._generation % interval == 0 or self._generation == last:
                 self._offer()
-                self._tallies[self._generation] = self._evaluations()
+                self._counters_by_slice[self._generation] = self._evaluations()
         return self._hit is not None or self._generation == last
 
     def _begin(self) -> None:
@@ -172,7 +172,7 @@ class Island:
             tuple(self._setting.outward(entry) for entry in self._additions),
             tuple(self._setting.outward(entry) for entry in self._near),
             self._evaluations(),
-            dict(self._tallies),
+            dict(self._counters_by_slice),
             best if math.isfinite(best) else None,
             self._digest(),
         )

@@ -41,12 +41,12 @@ class FetchStates:
 
 
 @dataclass(frozen=True, slots=True)
-class Beat:
+class SendHeartbeat:
     """Tell the coordinator at once what is held."""
 
 
 @dataclass(frozen=True, slots=True)
-class Compute:
+class RunTask:
     """Give the task to the compute thread; a Snapshot, Computed, Rejected, Broken or Abandoned follows."""
 
     task: Task
@@ -58,7 +58,7 @@ class StopAt:
 
     share: ShareKey
     hit: Position
-    course: CommitOrder
+    commit_order: CommitOrder
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,7 @@ class Respond:
     body: Sent | Reports | States | NotYet | NewerTerm
 
 
-Saying = Send | SendReport | AskPeer | Respond | FetchJob | FetchPlacements | FetchStates | Beat
+Outgoing = Send | SendReport | AskPeer | Respond | FetchPlacements | FetchStates
 """What goes out on the bus."""
 
-Action = Compute | StopAt | Discard | DiscardJob | Saying
+Action = RunTask | StopAt | Discard | DiscardJob | FetchJob | SendHeartbeat | Outgoing

@@ -38,7 +38,7 @@ class JobReady:
 
 
 @dataclass(frozen=True, slots=True)
-class Unloadable:
+class LoadFailed:
     """The dataset of a job cannot be read, although its bytes are those announced."""
 
     job: str
@@ -168,7 +168,7 @@ class Reset:
 SessionEvent = (
     Placed
     | JobReady
-    | Unloadable
+    | LoadFailed
     | Committed
     | Closed
     | JobClosed

@@ -17,8 +17,8 @@ ISLAND_TRANSITIONS: Final[Mapping[IslandState, Mapping[IslandStep, IslandState]]
     "held": {"end": "stopped"},
     "stopped": {},
 }
-"""State of one island -> what happens -> its next state. `restoring`: its state is on its way; `computing`: it is on
-the agenda; `held`: it waits at a checkpoint for a placement. `end`: a hit here or elsewhere, or the last epoch."""
+"""State of one island -> what happens -> its next state. `restoring`: its state is on its way; `computing`: it is in
+the run queue; `held`: it waits at a checkpoint for a placement. `end`: a hit here or elsewhere, or the last epoch."""
 
 PULL_AFTER_S: Final = 1.0
 """An island that has waited this long asks the senders; the pause doubles with every question."""
@@ -35,7 +35,7 @@ class LocalIsland:
     epoch: int = 0
     needs: frozenset[int] = frozenset()
     pause_s: float = PULL_AFTER_S
-    ask_at: float | None = None
+    pull_at: float | None = None
 
     def step(self, step: IslandStep) -> None:
         """Go to the next state by the table; raises LocalProtocolError for a pair that is not in it."""
@@ -44,12 +44,14 @@ class LocalIsland:
             raise LocalProtocolError(f"island {self.index} in epoch {self.epoch} cannot {step} while {self.state}")
         self.state = following
 
-    def is_due(self, now: float) -> bool:
-        """Tell whether an island that waits is to ask now, and note when to ask next."""
-        if self.ask_at is None:
-            self.ask_at = now + self.pause_s
-        if now < self.ask_at:
-            return False
-        self.pause_s = min(2 * self.pause_s, PULL_PAUSE_MAX_S)
-        self.ask_at = now + self.pause_s
-        return True
+    def is_pull_due(self, now: float) -> bool:
+        """Tell whether an island that waits is to ask now."""
+        return self.pull_at is not None and now >= self.pull_at
+
+    def schedule_pull(self, now: float) -> None:
+        """Set when to ask: after the first pause at first, and after a longer one each time that has come."""
+        if self.pull_at is None:
+            self.pull_at = now + self.pause_s
+        elif now >= self.pull_at:
+            self.pause_s = min(2 * self.pause_s, PULL_PAUSE_MAX_S)
+            self.pull_at = now + self.pause_s

@@ -26,7 +26,7 @@ ADDITIONS_PER_ANSWER: Final = 20_000
 """An answer with reports ends after this many additions to the front; the rest is asked for again."""
 
 
-class Kept:
+class RetransmitBuffer:
     """What the islands `islands` of one worker have sent, reported and been, under one term."""
 
     def __init__(self, placement: Placement, islands: Collection[int]) -> None:

@@ -12,18 +12,27 @@ from typing import Final, Literal
 from atoll.errors import LocalProtocolError, RemoteProtocolError
 from atoll.search.commit_order import Position
 from atoll.wire.messages.views import WorkerState
-from atoll.wire.messages.workers import Finished, Holding, Migrants, NewerTerm, PullReports, PullStates, Sent, Trouble
+from atoll.wire.messages.workers import (
+    Finished,
+    Holding,
+    IslandFailure,
+    Migrants,
+    NewerTerm,
+    PullReports,
+    PullStates,
+    Sent,
+)
 from atoll_island_worker.session.actions import (
     Action,
     AskPeer,
-    Beat,
-    Compute,
     Discard,
     DiscardJob,
     FetchJob,
     FetchPlacements,
     FetchStates,
     Respond,
+    RunTask,
+    SendHeartbeat,
     StopAt,
 )
 from atoll_island_worker.session.events import (
@@ -34,6 +43,7 @@ from atoll_island_worker.session.events import (
     Computed,
     JobClosed,
     JobReady,
+    LoadFailed,
     Mailed,
     Placed,
     PullAnswered,
@@ -44,9 +54,8 @@ from atoll_island_worker.session.events import (
     Snapshot,
     StatesCame,
     Tick,
-    Unloadable,
 )
-from atoll_island_worker.session.pending_messages import EarlyMail
+from atoll_island_worker.session.pending_messages import PendingMessages
 from atoll_island_worker.session.share import Share
 from atoll_island_worker.session.tasks import TaskKey
 
@@ -63,7 +72,8 @@ JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
 MAX_TERMS: Final = 1024
 """Of so many archipelagos that are not computed here, the last ones, the newest term is remembered."""
 
-Archipelago = tuple[str, str]
+ArchipelagoKey = tuple[str, str]
+"""Job and variable."""
 
 
 class Session:
@@ -71,11 +81,11 @@ class Session:
 
     def __init__(self, worker: str) -> None:
         self.worker = worker
-        self._shares: dict[Archipelago, Share] = {}
+        self._shares: dict[ArchipelagoKey, Share] = {}
         self._jobs: dict[str, JobState] = {}
-        self._terms: dict[Archipelago, int] = {}
-        self._early = EarlyMail()
-        self._troubles: list[Trouble] = []
+        self._terms: dict[ArchipelagoKey, int] = {}
+        self._pending = PendingMessages()
+        self._failures: list[IslandFailure] = []
         self._waited_before_s = 0.0
         self._duplicates_before = 0
 
@@ -114,9 +124,9 @@ class Session:
         """Return what the heartbeat says of every share."""
         return tuple(share.holding() for share in self._shares.values())
 
-    def troubles(self) -> tuple[Trouble, ...]:
+    def failures(self) -> tuple[IslandFailure, ...]:
         """Return what broke and has not been closed yet."""
-        return tuple(self._troubles)
+        return tuple(self._failures)
 
     def jobs(self) -> tuple[str, ...]:
         """Return the jobs of which configuration and dataset are here or on their way."""
@@ -126,9 +136,9 @@ class Session:
         """Tell whether the job's dataset is still wanted."""
         return any(name == job for name, _ in self._shares)
 
-    def forget_early(self, job: str) -> None:
+    def forget_pending(self, job: str) -> None:
         """Forget a job's mail whose placement was asked for and did not come with the answer: it can be pulled."""
-        self._early.forget(job)
+        self._pending.forget(job)
 
     def validate(self) -> None:
         """Check the invariants; raises LocalProtocolError."""
@@ -150,14 +160,14 @@ class Session:
         if placement.term <= self._terms.get(key, 0):
             return []
         actions = self._drop(key)
-        self._note_term(key, placement.term)
+        self._record_term(key, placement.term)
         if self.worker not in placement.workers:
             return actions
         self._shares[key] = Share(placement, self.worker)
         if self._jobs.get(placement.job, "unknown") == "unknown":
             actions.append(FetchJob(placement.job))
         self._step_job(placement.job, "placed")
-        self._deliver_early(key)
+        self._deliver_pending(key)
         return actions + self._fetches(self._shares[key]) + self._stop_from(self._shares[key], None)
 
     @_on.register
@@ -166,12 +176,12 @@ class Session:
         return []
 
     @_on.register
-    def _unloadable(self, event: Unloadable) -> list[Action]:
+    def _load_failed(self, event: LoadFailed) -> list[Action]:
         for (job, variable), share in self._shares.items():
             if job == event.job:
                 island = next(iter(share.islands))
                 key = TaskKey(job, variable, share.placement.term, island, 0)
-                self._note_trouble(share, key, f"the dataset of job {job} cannot be read: {event.sentence}")
+                self._add_failure(share, key, f"the dataset of job {job} cannot be read: {event.sentence}")
         return []
 
     @_on.register
@@ -185,7 +195,7 @@ class Session:
     @_on.register
     def _closed(self, event: Closed) -> list[Action]:
         close = event.close
-        self._early.forget(close.job, close.variable, close.term)
+        self._pending.forget(close.job, close.variable, close.term)
         share = self._shares.get((close.job, close.variable))
         return self._drop((close.job, close.variable)) if share and share.placement.term <= close.term else []
 
@@ -193,7 +203,7 @@ class Session:
     def _job_closed(self, event: JobClosed) -> list[Action]:
         keys = [key for key in self._shares if key[0] == event.job]
         actions: list[Action] = [action for key in keys for action in self._drop(key)]
-        self._early.forget(event.job)
+        self._pending.forget(event.job)
         if self._jobs.get(event.job, "unknown") != "unknown":
             self._step_job(event.job, "close")
             del self._jobs[event.job]
@@ -207,7 +217,7 @@ class Session:
         actions += [DiscardJob(job) for job in self.jobs() if not self.wants(job)]
         self._jobs = {job: state for job, state in self._jobs.items() if self.wants(job)}
         self._terms = {key: share.placement.term for key, share in self._shares.items()}
-        self._early.clear()
+        self._pending.clear()
         return actions
 
     # ------------------------------------------------------------------------------------------ peers
@@ -217,13 +227,13 @@ class Session:
         key = (event.body.job, event.body.variable)
         term = self._terms.get(key, 0)
         if event.body.term > term:
-            is_first = self._early.keep(event)
+            is_first = self._pending.keep(event)
             return [FetchPlacements(event.body.job)] if is_first else []
         share = self._shares.get(key)
         if share is None or event.body.term < term:
             return []
         before = share.stop
-        share.receive(event.sender, event.body)
+        share.deliver(event.sender, event.body)
         return self._stop_from(share, before) + list(share.due_reports())
 
     @_on.register
@@ -278,20 +288,20 @@ class Session:
     @_on.register
     def _snapshot(self, event: Snapshot) -> list[Action]:
         share = self._share_computing(event.key)
-        return [Beat()] if share is not None and share.file_snapshot(event) else []
+        return [SendHeartbeat()] if share is not None and share.file_snapshot(event) else []
 
     @_on.register
     def _rejected(self, event: Rejected) -> list[Action]:
         share = self._share_computing(event.key)
         if share is not None and not share.rejected(event.key.island):
-            self._note_trouble(share, event.key, event.sentence)
+            self._add_failure(share, event.key, event.sentence)
         return list(share.due_reports()) if share else []
 
     @_on.register
     def _broken(self, event: Broken) -> list[Action]:
         share = self._share_computing(event.key)
         if share is not None:
-            self._note_trouble(share, event.key, event.sentence)
+            self._add_failure(share, event.key, event.sentence)
         return []
 
     @_on.register
@@ -312,7 +322,7 @@ class Session:
             if self._jobs.get(job) == "loaded"
             for local in share.runnable()
         ]
-        return [Compute(share.begin(island)) for share, island in runnable]
+        return [RunTask(share.begin(island)) for share, island in runnable]
 
     def _fetches(self, share: Share) -> list[Action]:
         """Ask for the states with which the term begins, one message at a time."""
@@ -324,7 +334,7 @@ class Session:
         return (
             []
             if share.stop is None or share.stop == before
-            else [StopAt(share.key, share.stop, share.placement.course)]
+            else [StopAt(share.key, share.stop, share.placement.commit_order)]
         )
 
     def _share_computing(self, key: TaskKey) -> Share | None:
@@ -343,24 +353,24 @@ class Session:
         share = self._shares.get((key.job, key.variable))
         return share if share is not None and share.placement.term == key.term else None
 
-    def _note_trouble(self, share: Share, key: TaskKey, sentence: str) -> None:
+    def _add_failure(self, share: Share, key: TaskKey, sentence: str) -> None:
         local = share.islands[key.island]
         if local.state != "stopped":
             local.step("end")
-        trouble = Trouble(
+        failure = IslandFailure(
             job=key.job, variable=key.variable, term=key.term, island=key.island, sentence=sentence[:1000]
         )
-        self._troubles.append(trouble)
+        self._failures.append(failure)
 
-    def _drop(self, key: Archipelago) -> list[Action]:
+    def _drop(self, key: ArchipelagoKey) -> list[Action]:
         share = self._shares.pop(key, None)
         if share is not None:
             self._waited_before_s += share.waited_s
             self._duplicates_before += share.duplicates
-        self._troubles = [each for each in self._troubles if (each.job, each.variable) != key]
+        self._failures = [each for each in self._failures if (each.job, each.variable) != key]
         return [Discard(share.key)] if share is not None else []
 
-    def _note_term(self, key: Archipelago, term: int) -> None:
+    def _record_term(self, key: ArchipelagoKey, term: int) -> None:
         """Remember the newest term of an archipelago; of those that are not computed here no more than `MAX_TERMS`.
 
         Words of a term before one that was forgotten can do no harm: the answer to the next heartbeat sets them right.
@@ -374,12 +384,12 @@ class Session:
     def _step_job(self, job: str, step: JobStep) -> None:
         self._jobs[job] = JOB_TRANSITIONS[self._jobs.get(job, "unknown")][step]
 
-    def _deliver_early(self, key: Archipelago) -> None:
+    def _deliver_pending(self, key: ArchipelagoKey) -> None:
         """File the mail that came before its placement; what does not fit is dropped, it can be pulled."""
         share = self._shares[key]
-        for each in self._early.take(*key):
+        for each in self._pending.take(*key):
             if each.body.term == share.placement.term:
                 try:
-                    share.receive(each.sender, each.body)
+                    share.deliver(each.sender, each.body)
                 except RemoteProtocolError:
                     continue

@@ -28,8 +28,8 @@ from atoll.wire.messages.workers import (
 from atoll_island_worker.session.actions import Send, SendReport
 from atoll_island_worker.session.events import Computed, Snapshot
 from atoll_island_worker.session.local_island import PULL_AFTER_S, LocalIsland
-from atoll_island_worker.session.retransmit_buffer import Kept
-from atoll_island_worker.session.state_transfer import Restoring
+from atoll_island_worker.session.retransmit_buffer import RetransmitBuffer
+from atoll_island_worker.session.state_transfer import StateTransfer
 from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
 
 MOST_AHEAD: Final = 1024
@@ -49,9 +49,9 @@ class Share:
         self.commit = self.reported = first
         self.waited_s = 0.0
         self.duplicates = 0
-        self._restoring = Restoring(placement, mine if first else ())
+        self._transfer = StateTransfer(placement, mine if first else ())
         self._inbox: dict[tuple[int, int], dict[int, bytes]] = {}
-        self._kept = Kept(placement, self.islands)
+        self._buffer = RetransmitBuffer(placement, self.islands)
         self._others = tuple(dict.fromkeys(name for name in placement.workers if name != worker))
 
     @property
@@ -63,7 +63,7 @@ class Share:
     def stop(self) -> Position | None:
         """Where the target was met, as far as known here; nothing after it is needed."""
         hits = (Position(hit.epoch, hit.generation, hit.island) for hit in self.hits.values())
-        return min(hits, key=self.placement.course.rank, default=None)
+        return min(hits, key=self.placement.commit_order.rank, default=None)
 
     @property
     def stop_epoch(self) -> int:
@@ -80,7 +80,7 @@ class Share:
             islands=len(self.islands),
             reported=self.reported,
             commit=self.commit,
-            snapshots=self._kept.snapshots(),
+            snapshots=self._buffer.snapshots(),
             waited_s=self.waited_s,
         )
 
@@ -102,12 +102,12 @@ class Share:
             filed = self._inbox[local.epoch - 1, island]
             blocks = {source: filed[source] for source in sorted(local.needs)}
         elif local.epoch > 0:
-            state = self._restoring.hand_over(island)
+            state = self._transfer.hand_over(island)
         return Task(
             self._key(local),
             blocks,
             local.epoch + 1 >= self.placement.epochs,
-            self.placement.course,
+            self.placement.commit_order,
             state,
             takes_snapshot=local.epoch in (self.schedule.next, self.schedule.last),
             is_held=local.epoch > self.schedule.limit,
@@ -122,12 +122,12 @@ class Share:
             self._end_late_islands()
         if taken.key.epoch <= self.commit:
             return False
-        self._kept.keep_snapshot(taken.key.epoch, local.index, taken.data)
-        return taken.key.epoch in self._kept.snapshots()
+        self._buffer.keep_snapshot(taken.key.epoch, local.index, taken.data)
+        return taken.key.epoch in self._buffer.snapshots()
 
     def due_fetch(self) -> PullStates | None:
         """Return the question for the states that are still missing, if there are any and none is under way."""
-        return self._restoring.due_fetch() if self.stop_epoch >= self.placement.epoch else None
+        return self._transfer.due_fetch() if self.stop_epoch >= self.placement.epoch else None
 
     def fetched(self, body: States | None) -> bool:
         """Take in the answer to `due_fetch`; return whether it brought anything.
@@ -135,7 +135,7 @@ class Share:
         Raises:
             RemoteProtocolError: A state was damaged on its way.
         """
-        got_on, whole = self._restoring.take(body)
+        got_on, whole = self._transfer.take(body)
         for island in whole:
             if self.islands[island].state == "restoring":
                 self.islands[island].step("restore")
@@ -148,7 +148,7 @@ class Share:
         actions = self._depart(local, done)
         self._end_late_islands()
         if done.key.epoch <= self.stop_epoch:
-            self._kept.keep_report(done.key.epoch, done.report)
+            self._buffer.keep_report(done.key.epoch, done.report)
         return actions
 
     def abandoned(self, island: int) -> None:
@@ -158,8 +158,8 @@ class Share:
     def due_reports(self) -> list[SendReport]:
         """Return the reports of the epochs of which no island here has any more to say, in order, each once."""
         due = []
-        while self._kept.reporters(self.reported) and self._is_settled(self.reported):
-            due.append(SendReport(self._kept.report(self.reported)))
+        while self._buffer.reporters(self.reported) and self._is_settled(self.reported):
+            due.append(SendReport(self._buffer.report(self.reported)))
             self.reported += 1
         return due
 
@@ -174,11 +174,11 @@ class Share:
         filed = self._inbox[local.epoch - 1, island]
         self._inbox[local.epoch - 1, island] = {k: v for k, v in filed.items() if k in self.islands}
         local.step("reject")
-        local.ask_at = None
+        local.pull_at = None
         self._end_late_islands()
         return True
 
-    def receive(self, sender: str, body: Migrants | Finished) -> None:
+    def deliver(self, sender: str, body: Migrants | Finished) -> None:
         """File mail of this share's term.
 
         Raises:
@@ -211,28 +211,29 @@ class Share:
             )
         if commit.epoch >= self.commit:
             self.commit, self.schedule = commit.epoch, commit.schedule
-        self._kept.forget(commit.reported, self.commit)
+        self._buffer.forget(commit.reported, self.commit)
 
     def answer_migrants(self, pull: PullMigrants) -> Sent | NotYet:
         """Return what islands of ours have sent to one destination in one epoch."""
-        migrants = self._kept.sent(pull)
+        migrants = self._buffer.sent(pull)
         finished = tuple(hit for hit in self.hits.values() if hit.island in self.islands and hit.epoch <= pull.epoch)
         return Sent(migrants=migrants, finished=finished) if migrants or finished else NotYet()
 
     def answer_reports(self, pull: PullReports) -> Reports | NotYet:
         """Return the complete reports of the epochs asked for that are still kept, as many as one message bears."""
-        return self._kept.answer_reports(pull, self.reported)
+        return self._buffer.answer_reports(pull, self.reported)
 
     def answer_states(self, pull: PullStates) -> States | NotYet:
         """Return states of islands of ours at a checkpoint, as many as one message bears."""
-        return self._kept.answer_states(pull)
+        return self._buffer.answer_states(pull)
 
     def due_pulls(self, now: float) -> list[tuple[str, PullMigrants]]:
-        """Return (worker, question) for islands that have waited too long, and note when to ask next."""
+        """Return (worker, pull) for islands that have waited too long, and set when they ask next."""
         pulls = []
         for local in self.islands.values():
-            if local.state == "waiting" and local.is_due(now):
-                pulls += self._pulls_of(local)
+            if local.state == "waiting":
+                pulls += self._pulls_of(local) if local.is_pull_due(now) else []
+                local.schedule_pull(now)
         return pulls
 
     def is_waiting(self) -> bool:
@@ -240,7 +241,7 @@ class Share:
         return any(local.state != "stopped" for local in self.islands.values())
 
     def is_computing(self) -> bool:
-        """Tell whether any island here is on the agenda."""
+        """Tell whether any island here is in the run queue."""
         return any(local.state == "computing" for local in self.islands.values())
 
     def validate(self) -> None:
@@ -251,8 +252,8 @@ class Share:
             _require(local.state != "ready" or complete, f"island {local.index} is ready without its immigrants")
             _require(local.state != "waiting" or not complete, f"island {local.index} waits for nothing")
             _require(local.epoch < self.placement.epochs, f"island {local.index} is beyond the last epoch")
-        _require(all(epoch >= self.placement.epoch for epoch in self._kept.epochs_sent()), "emigrants are too old")
-        _require(all(epoch > self.commit for epoch in self._kept.snapshots()), "snapshots of a commit are kept")
+        _require(all(epoch >= self.placement.epoch for epoch in self._buffer.epochs_sent()), "emigrants are too old")
+        _require(all(epoch > self.commit for epoch in self._buffer.snapshots()), "snapshots of a commit are kept")
         _require(
             all(epoch >= self.islands[island].epoch - 1 for epoch, island in self._inbox), "old immigrants are kept"
         )
@@ -270,7 +271,7 @@ class Share:
         local.step("emigrate")
         local.epoch += 1
         local.needs = done.senders | (frozenset({local.index}) & frozenset(done.emigrants))
-        local.pause_s, local.ask_at = PULL_AFTER_S, None
+        local.pause_s, local.pull_at = PULL_AFTER_S, None
         self._complete(local)
         return self._emigrate(done.key, done.emigrants)
 
@@ -290,7 +291,7 @@ class Share:
 
     def _emigrate(self, key: TaskKey, emigrants: Mapping[int, bytes]) -> list[Send | SendReport]:
         """Keep, deliver and send an island's emigrants: one message for each other worker."""
-        self._kept.keep_emigrants(key.epoch, key.island, emigrants)
+        self._buffer.keep_emigrants(key.epoch, key.island, emigrants)
         leaving: dict[str, list[Block]] = {}
         for destination in sorted(emigrants):
             block = Block(source=key.island, destination=destination, data=emigrants[destination])
@@ -298,7 +299,7 @@ class Share:
                 self._deliver(key.epoch, block)
             else:
                 leaving.setdefault(self.placement.workers[destination], []).append(block)
-        return [Send(peer, self._kept.migrants(key.epoch, blocks)) for peer, blocks in leaving.items()]
+        return [Send(peer, self._buffer.migrants(key.epoch, blocks)) for peer, blocks in leaving.items()]
 
     def _deliver(self, epoch: int, block: Block) -> None:
         """File one block, once; one that is no longer needed is dropped."""
@@ -327,10 +328,10 @@ class Share:
         stop = self.stop
         if stop is None or local.epoch < stop.epoch:
             return True
-        return local.epoch == stop.epoch and self.placement.course.needed(stop, local.index) > 0
+        return local.epoch == stop.epoch and self.placement.commit_order.needed(stop, local.index) > 0
 
     def _is_settled(self, epoch: int) -> bool:
-        there = self._kept.reporters(epoch)
+        there = self._buffer.reporters(epoch)
         return all(each.index in there or each.state == "stopped" for each in self.islands.values())
 
     def _check_owner(self, sender: str, island: int) -> None:

@@ -6,7 +6,7 @@ from atoll.wire.messages.workers import Placement, PullStates, States
 from atoll.wire.state_transfer import Assembly
 
 
-class Restoring:
+class StateTransfer:
     """The states of some islands at the epoch at which a placement begins; one question at a time."""
 
     def __init__(self, placement: Placement, islands: Sequence[int]) -> None:

@@ -35,15 +35,15 @@ class TaskKey:
 class Task:
     """Begin epoch `key.epoch` (with the immigrants `blocks` by source island; None at the term's first) and finish it.
 
-    Emigrants are wanted unless the epoch `is_last`; by the `course` its slices count before or after others. `state` is
-    what the island goes on from when its term begins at a checkpoint. A snapshot is wanted at a checkpoint; an epoch
-    that `is_held` is begun for its sake alone.
+    Emigrants are wanted unless the epoch `is_last`; by the `commit_order` its slices count before or after others.
+    `state` is what the island goes on from when its term begins at a checkpoint. A snapshot is wanted at a checkpoint;
+    an epoch that `is_held` is begun for its sake alone.
     """
 
     key: TaskKey
     blocks: Mapping[int, bytes] | None
     is_last: bool
-    course: CommitOrder
+    commit_order: CommitOrder
     state: bytes | None = None
     takes_snapshot: bool = False
     is_held: bool = False

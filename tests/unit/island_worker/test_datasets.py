@@ -62,7 +62,7 @@ def test_an_announcement_whose_numbers_do_not_fit_is_refused() -> None:
 
 
 class Recorder:
-    """An asker that keeps what it is asked."""
+    """Requests and compute thread that record what they are asked for."""
 
     def __init__(self, wanted: bool = True) -> None:
         self.said: list[tuple[object, ...]] = []
@@ -77,66 +77,74 @@ class Recorder:
     def ask_later(self, job: str) -> None:
         self.said.append(("later", job))
 
-    def wants(self, job: str) -> bool:
+    def is_wanted(self, job: str) -> bool:
         return self.wanted
 
-    def load(self, announcement: JobAnnouncement, data: bytes) -> None:
-        self.said.append(("load", len(data)))
+    def load(self, job: str, config: JobConfig, data: bytes, weight: float) -> None:
+        self.said.append(("load", len(data), weight))
+
+    def discard_job(self, job: str) -> None:
+        self.said.append(("discard", job))
+
+
+def datasets_of(asked: Recorder) -> Datasets:
+    return Datasets(asked, asked, asked.is_wanted)  # type: ignore[arg-type]
 
 
 def test_an_announced_dataset_is_fetched_loaded_and_forgotten() -> None:
-    asker = Recorder()
-    datasets = Datasets(asker)
+    asked = Recorder()
+    datasets = datasets_of(asked)
     datasets.announced(announcement())
     datasets.announced(announcement())
     for index in (0, 1, 2):
         datasets.chunk_came("j", index, chunk(index))
-    assert asker.said == [("chunk", 0), ("chunk", 1), ("chunk", 2), ("load", len(DATA))]
+    assert asked.said == [("chunk", 0), ("chunk", 1), ("chunk", 2), ("load", len(DATA), 1.0)]
     datasets.announced(announcement())
     datasets.fetch("j")
-    assert len(asker.said) == 4
+    assert len(asked.said) == 4
     assert datasets.jobs() == ("j",)
-    assert datasets.forget("j")
-    assert not datasets.forget("j")
+    datasets.forget("j")
+    datasets.forget("j")
+    assert asked.said[4:] == [("discard", "j")]
 
 
 def test_only_the_loading_of_the_dataset_that_is_here_counts() -> None:
     """What was forgotten while it was being loaded is not there, also when it has been fetched again meanwhile."""
-    datasets = Datasets(Recorder())
+    datasets = datasets_of(Recorder())
     for _ in range(2):
         datasets.announced(announcement(b"abc", 1))
         datasets.chunk_came("j", 0, b"abc")
         datasets.forget("j")
-    assert not datasets.loaded("j")
+    assert not datasets.finish_loading("j")
     datasets.announced(announcement(b"abc", 1))
-    assert not datasets.loaded("j")
+    assert not datasets.finish_loading("j")
     datasets.chunk_came("j", 0, b"abc")
-    assert datasets.loaded("j")
+    assert datasets.finish_loading("j")
 
 
 def test_a_job_that_was_not_announced_is_asked_for_as_long_as_it_is_wanted() -> None:
-    asker = Recorder()
-    datasets = Datasets(asker)
+    asked = Recorder()
+    datasets = datasets_of(asked)
     datasets.fetch("j")
     datasets.announcement_came("j", None)
     datasets.announcement_came("j", encode(Control(body=announcement())))
-    assert asker.said == [("announcement", "j"), ("later", "j"), ("chunk", 0), ("chunk", 1)]
-    asker.wanted = False
+    assert asked.said == [("announcement", "j"), ("later", "j"), ("chunk", 0), ("chunk", 1)]
+    asked.wanted = False
     datasets.announcement_came("k", None)
     datasets.fetch("k")
-    assert len(asker.said) == 4
+    assert len(asked.said) == 4
 
 
 def test_another_answer_than_the_announcement_is_refused() -> None:
     with pytest.raises(RemoteProtocolError, match="'close-job' came"):
-        Datasets(Recorder()).announcement_came("j", encode(Control(body=CloseJob(job="j"))))
+        datasets_of(Recorder()).announcement_came("j", encode(Control(body=CloseJob(job="j"))))
 
 
 def test_a_lost_chunk_is_asked_for_after_a_pause_and_an_unwanted_one_is_dropped() -> None:
-    asker = Recorder()
-    datasets = Datasets(asker)
+    asked = Recorder()
+    datasets = datasets_of(asked)
     datasets.announced(announcement())
     datasets.chunk_came("j", 1, None)
     datasets.fetch("j")
     datasets.chunk_came("other", 0, b"")
-    assert asker.said == [("chunk", 0), ("chunk", 1), ("later", "j"), ("chunk", 1)]
+    assert asked.said == [("chunk", 0), ("chunk", 1), ("later", "j"), ("chunk", 1)]

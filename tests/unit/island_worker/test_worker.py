@@ -15,7 +15,7 @@ from atoll.wire.bus.simulated_bus import SimulatedNetwork
 from atoll.wire.codec import encode
 from atoll.wire.messages.handshake import GreetingAnswer, Welcome
 from atoll.wire.messages.workers import CloseJob, Control, JobAnnouncement, Placement, Placements
-from atoll_island_worker.compute.compute import ComputeFailed, WarmedUp
+from atoll_island_worker.compute.compute_thread import ComputeFailed, WarmedUp
 from atoll_island_worker.session.events import JobReady
 from atoll_island_worker.worker import Worker
 
@@ -31,7 +31,7 @@ class RecordingCompute:
     """A compute port that records what it is told to do; a test posts what comes of it."""
 
     progress = 0
-    doing = None
+    current = None
 
     def __init__(self) -> None:
         self.calls: list[tuple[object, ...]] = []
@@ -91,7 +91,7 @@ class Pair:
 def placement(term: int) -> Placement:
     order = CommitOrder(generations=100, stride=10, joining=8)
     return Placement(
-        incarnation=1, term=term, job="job", variable="x", workers=("w",), epochs=10, interval=8, course=order
+        incarnation=1, term=term, job="job", variable="x", workers=("w",), epochs=10, interval=8, commit_order=order
     )
 
 
@@ -111,6 +111,6 @@ def test_a_worker_ends_with_an_error_when_its_compute_thread_fails(pair: Pair) -
 
 def test_of_a_closed_job_the_islands_are_discarded_before_the_dataset(pair: Pair) -> None:
     pair.place()
-    assert [name for name, *_ in pair.compute.calls] == ["load", "advance"]
+    assert [name for name, *_ in pair.compute.calls] == ["load", "run"]
     pair.control(CloseJob(job="job"))
-    assert [name for name, *_ in pair.compute.calls] == ["load", "advance", "discard", "discard_job"]
+    assert [name for name, *_ in pair.compute.calls] == ["load", "run", "discard", "discard_job"]

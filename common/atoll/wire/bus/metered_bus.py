@@ -14,14 +14,14 @@ OTHER: Final = "other"
 
 
 class MeteredBus:
-    """A `atoll.wire.bus.interface.Bus` around another one. Its owner notes incoming events by `note`."""
+    """A `atoll.wire.bus.interface.Bus` around another one. Its owner counts what it receives by `count_received`."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self._asked: dict[int, str] = {}
         self._counts: dict[str, list[int]] = {}
 
-    def note(self, event: Event) -> None:
+    def count_received(self, event: Event) -> None:
         """Count an event that was received."""
         if isinstance(event, Message | Query):
             self._count(kind_of(event.key), 0, len(event.payload))

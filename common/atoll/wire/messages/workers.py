@@ -71,7 +71,8 @@ class Placement(Model):
     """Who computes which island of one archipelago: `workers[k]` has island k.
 
     The term begins at `epoch`: 0, or a committed checkpoint, whose states are pulled. No island begins epoch `epochs`
-    or later; `interval` epochs lie between the first checkpoints. `course` says what counts when the target is met.
+    or later; `interval` epochs lie between the first checkpoints. `commit_order` says what counts when
+    the target is met.
     """
 
     incarnation: Count
@@ -82,7 +83,7 @@ class Placement(Model):
     epoch: Count = 0
     epochs: Annotated[int, Field(ge=1)]
     interval: Annotated[int, Field(ge=1, lt=2**31)]
-    course: CommitOrder
+    commit_order: CommitOrder
 
     @property
     def schedule(self) -> Schedule:
@@ -146,12 +147,13 @@ class Introduce(Model):
     kind: Literal["introduce"] = "introduce"
 
 
+ControlBody = JobAnnouncement | Placements | Commit | Close | CloseJob | Introduce | Shutdown
+
+
 class Control(Model):
     """From the coordinator to workers."""
 
-    body: Annotated[
-        JobAnnouncement | Placements | Commit | Close | CloseJob | Shutdown | Introduce, Field(discriminator="kind")
-    ]
+    body: Annotated[ControlBody, Field(discriminator="kind")]
 
 
 # ---------------------------------------------------------------------------------------------- heartbeat
@@ -184,7 +186,7 @@ class Doing(Model):
     epoch: Count
 
 
-class Trouble(Model):
+class IslandFailure(Model):
     """Something of ours broke while this island computed; repeated until its archipelago is closed."""
 
     job: Id
@@ -206,7 +208,7 @@ class WorkerStatus(Model):
     state: WorkerState
     progress: Count
     holdings: tuple[Holding, ...] = ()
-    troubles: tuple[Trouble, ...] = ()
+    failures: tuple[IslandFailure, ...] = ()
     jobs: tuple[Id, ...] = ()
     detail: Sentence = ""
     doing: Doing | None = None
@@ -233,7 +235,7 @@ class Addition(Model):
     program: Annotated[bytes, Field(max_length=8192)]
 
 
-class Tally(Model):
+class SliceCounters(Model):
     """Point evaluations of an island by part, cumulative since epoch 0, at the end of the slice at `generation`."""
 
     generation: Count
@@ -245,7 +247,7 @@ class IslandReport(Model):
 
     `generations` is how far it got: to the epoch's end, to its own hit, or, when another island met the target, at
     least as far as is needed then. `additions` are those to its front, `runners_up` those to the next best beside it.
-    `tallies` are those of all slices that it finished; `digest` is that of its state.
+    `counters` are those of all slices that it finished; `digest` is that of its state.
     """
 
     island: IslandIndex
@@ -253,7 +255,7 @@ class IslandReport(Model):
     hit: HitStatement | None
     additions: tuple[Addition, ...]
     runners_up: Annotated[tuple[Addition, ...], Field(max_length=MAX_RUNNERS_UP)] = ()
-    tallies: tuple[Tally, ...]
+    counters: tuple[SliceCounters, ...]
     best_error: float | None
     digest: Annotated[str, Field(pattern=r"^[0-9a-f]{16,128}$")]
 

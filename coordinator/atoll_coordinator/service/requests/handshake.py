@@ -39,7 +39,7 @@ class Handshake:
         try:
             hello = decode(payload, Greeting, MAX_MESSAGE).body
         except RemoteProtocolError as error:
-            self._rejects.note(topics.HELLO, error)
+            self._rejects.count(topics.HELLO, error)
             return _refusal(
                 f"the coordinator is Atoll {VERSION} (protocol {PROTOCOL_VERSION}) and did not understand the "
                 "greeting; install the same version on both sides"

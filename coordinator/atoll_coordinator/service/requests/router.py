@@ -80,7 +80,7 @@ class RequestRouter:
         try:
             ask = decode(event.payload, Ask, MAX_MESSAGE)
         except RemoteProtocolError as error:
-            self._rejects.note(event.key, error)
+            self._rejects.count(event.key, error)
             return Failure(failure="protocol", sentence=f"the coordinator did not understand the question: {error}")
         try:
             return self._clients.answer(client, ask)

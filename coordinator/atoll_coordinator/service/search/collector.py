@@ -197,7 +197,7 @@ class Collector:
         reached, order = report.generations, self.limits.commit_order
         ends = order.ends(reached)
         at_end = report.hit is None or (report.hit.generation == reached and reached in ends)
-        return reached <= order.generations and at_end and tuple(each.generation for each in report.tallies) == ends
+        return reached <= order.generations and at_end and tuple(each.generation for each in report.counters) == ends
 
     def _is_complete(self, epoch: int) -> bool:
         """Tell whether every island has reported as much of an epoch as counts, by the hits that are known."""
@@ -305,7 +305,7 @@ def _tagged(epoch: int, report: IslandReport, stated: Iterable[Addition], end: i
 
 def evaluations_at(report: IslandReport, end: int) -> dict[str, int]:
     """Return the cumulative point evaluations by part of an island at generation `end`, the end of a slice."""
-    return next(dict(tally.evaluations) for tally in report.tallies if tally.generation == end)
+    return next(dict(each.evaluations) for each in report.counters if each.generation == end)
 
 
 def total_evaluations(islands: Iterable[Mapping[str, int]]) -> dict[str, int]:

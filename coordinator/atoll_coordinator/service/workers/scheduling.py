@@ -112,5 +112,5 @@ class Terms:
             epoch=archipelago.durable,
             epochs=archipelago.collector.limits.epochs,
             interval=archipelago.interval,
-            course=archipelago.collector.limits.commit_order,
+            commit_order=archipelago.collector.limits.commit_order,
         )

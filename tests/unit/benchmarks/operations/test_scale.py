@@ -13,7 +13,7 @@ from atoll.config import PRESETS
 from atoll.data.table import Table
 from atoll.errors import AtollError
 from atoll.search.commit_order import CommitOrder
-from atoll.wire.messages.workers import Addition, EpochReport, IslandReport, Tally
+from atoll.wire.messages.workers import Addition, EpochReport, IslandReport, SliceCounters
 from atoll_island_worker.session.events import Computed, JobReady, Snapshot
 from atoll_island_worker.session.tasks import Task, TaskKey
 from benchmarks.operations import big_data as bigdata
@@ -28,9 +28,10 @@ LOAD = Load(64, 8, 8, 10.0, 1.0, 60.0, 400.0, 2e6, 1e5, 0.05, 0.03, 200 * 2**20,
 
 def report(epoch: int, island: int) -> IslandReport:
     addition = Addition(complexity=3, error=0.5, mse=0.25, generation=10, program=bytes([epoch]))
-    tallies = (Tally(generation=10, evaluations={"offspring": 5}),)
+    counters = (SliceCounters(generation=10, evaluations={"offspring": 5}),)
     return IslandReport(
-        island=island, generations=10, hit=None, additions=(addition,), tallies=tallies, best_error=0.5, digest="0" * 16
+        island=island, generations=10, hit=None, additions=(addition,), counters=counters, best_error=0.5,
+        digest="0" * 16,
     )  # fmt: skip
 
 
@@ -72,7 +73,7 @@ def test_samples_come_back_from_their_file_and_go_round(samples: Samples, tmp_pa
 
 def test_a_pretended_report_is_a_real_one_of_another_island(samples: Samples) -> None:
     its = pretended(samples, 1, 7, "a")
-    assert (its.island, its.tallies) == (7, samples.report(1, 7).tallies)
+    assert (its.island, its.counters) == (7, samples.report(1, 7).counters)
     assert its.additions[0].error == pytest.approx(0.5, rel=0.1)
     assert its.digest != pretended(samples, 1, 7, "b").digest
 
@@ -83,9 +84,9 @@ def test_an_island_that_pretends_takes_its_time_and_sends_what_is_expected(sampl
     compute = PacedCompute(samples, 0.01, Pacer(), books)
     compute.attach(said.append)
     compute.load("j", PRESETS["default"], b"")
-    course = CommitOrder(generations=10, stride=10, joining=8)
+    order = CommitOrder(generations=10, stride=10, joining=8)
     key = TaskKey("j", "x", 1, 2, 1)
-    compute.advance(Task(key, {}, False, course, takes_snapshot=True))
+    compute.run(Task(key, {}, False, order, takes_snapshot=True))
     end = time.monotonic() + 30.0
     while not isinstance(said[-1], Computed):
         assert time.monotonic() < end
@@ -97,7 +98,7 @@ def test_an_island_that_pretends_takes_its_time_and_sends_what_is_expected(sampl
     assert isinstance(computed, Computed)
     assert computed.senders == frozenset(range(8)) - {2}
     assert sum(map(len, computed.emigrants.values())) == 64 * 600
-    compute.advance(Task(replace(key, epoch=2), {}, False, course))
+    compute.run(Task(replace(key, epoch=2), {}, False, order))
     counts = books.take()
     assert (counts.epochs, len(counts.waits)) == (1, 1)
 
@@ -107,8 +108,8 @@ def test_an_island_that_is_held_gives_its_state_and_nothing_else(samples: Sample
     compute = PacedCompute(samples, 0.0, Pacer(), Books())
     compute.attach(said.append)
     compute.load("j", PRESETS["default"], b"")
-    course = CommitOrder(generations=10, stride=10, joining=8)
-    compute.advance(Task(TaskKey("j", "x", 1, 2, 1), {}, False, course, takes_snapshot=True, is_held=True))
+    order = CommitOrder(generations=10, stride=10, joining=8)
+    compute.run(Task(TaskKey("j", "x", 1, 2, 1), {}, False, order, takes_snapshot=True, is_held=True))
     time.sleep(0.05)
     assert isinstance(said[-1], Snapshot)
     assert said[-1].is_held

@@ -1,4 +1,4 @@
-"""The agenda: turns of one slice, and what a hit ends."""
+"""The queue: turns of one slice, and what a hit ends."""
 
 from dataclasses import dataclass, field
 
@@ -7,12 +7,12 @@ import pytest
 from atoll.errors import RemoteProtocolError
 from atoll.search.commit_order import CommitOrder, Position
 from atoll.wire.messages.workers import HitStatement, IslandReport
-from atoll_island_worker.compute.run_queue import Agenda
+from atoll_island_worker.compute.run_queue import RunQueue
 from atoll_island_worker.session.events import Abandoned, Broken, Computed, Outcome, Rejected, Snapshot
 from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
 
 LAST = 50
-COURSE = CommitOrder(generations=LAST, stride=10, joining=8)
+COMMIT_ORDER = CommitOrder(generations=LAST, stride=10, joining=8)
 SHARE = ShareKey("job", "x", 1)
 
 
@@ -63,24 +63,24 @@ class Fake:
             generations=self.generation,
             hit=self.hit,
             additions=(),
-            tallies=(),
+            counters=(),
             best_error=None,
             digest="ab" * 16,
         )
         return Computed(self.task.key, report, {}, frozenset())
 
 
-def agenda_of(bench: Bench, *keys: TaskKey) -> Agenda:
-    agenda = Agenda(bench.begin, lambda: bench.now)
+def queue_of(bench: Bench, *keys: TaskKey) -> RunQueue:
+    queue = RunQueue(bench.begin, lambda: bench.now)
     for each in keys:
-        assert agenda.add(Task(each, None, is_last=False, course=COURSE)) == []
-    return agenda
+        assert queue.add(Task(each, None, is_last=False, commit_order=COMMIT_ORDER)) == []
+    return queue
 
 
-def emptied(agenda: Agenda) -> list[Snapshot | Outcome]:
+def emptied(queue: RunQueue) -> list[Snapshot | Outcome]:
     outcomes: list[Snapshot | Outcome] = []
-    while not agenda.is_idle:
-        outcomes += agenda.turn()
+    while not queue.is_idle:
+        outcomes += queue.turn()
     return outcomes
 
 
@@ -95,8 +95,8 @@ def reached(outcomes: list[Outcome]) -> dict[tuple[int, int], int | None]:
 
 def test_islands_take_turns_slice_by_slice() -> None:
     bench = Bench(takes={"job": 0.0})
-    agenda = agenda_of(bench, key(1), key(0), key(0, variable="y"), key(2, epoch=1))
-    emptied(agenda)
+    queue = queue_of(bench, key(1), key(0), key(0, variable="y"), key(2, epoch=1))
+    emptied(queue)
     expected = [
         ("job", name, 0, end, island)
         for end in range(10, 51, 10)
@@ -107,157 +107,157 @@ def test_islands_take_turns_slice_by_slice() -> None:
 
 def test_in_the_first_epoch_a_group_of_islands_comes_after_the_one_before_it() -> None:
     bench = Bench(takes={"job": 0.0}, hits={(0, 20, 3)})
-    agenda = Agenda(bench.begin, lambda: bench.now)
+    queue = RunQueue(bench.begin, lambda: bench.now)
     for island in range(5):
-        agenda.add(Task(key(island), None, is_last=False, course=COURSE.model_copy(update={"joining": 2})))
-    assert reached(emptied(agenda)) == {(0, 0): 50, (0, 1): 50, (0, 2): 20, (0, 3): 20, (0, 4): None}
+        queue.add(Task(key(island), None, is_last=False, commit_order=COMMIT_ORDER.model_copy(update={"joining": 2})))
+    assert reached(emptied(queue)) == {(0, 0): 50, (0, 1): 50, (0, 2): 20, (0, 3): 20, (0, 4): None}
     assert [island for *_, island in bench.slices] == [0, 1] * 5 + [2, 3] * 2
 
 
 def test_the_job_that_was_charged_least_comes_first() -> None:
     bench = Bench(takes={"a": 3.0, "b": 1.0})
-    agenda = agenda_of(bench, key(0, job="a"), key(0, job="b"))
+    queue = queue_of(bench, key(0, job="a"), key(0, job="b"))
     for _ in range(8):
-        agenda.turn()
+        queue.turn()
     assert [job for job, *_ in bench.slices] == ["a", "b", "b", "b", "a", "b", "b", "a"]
 
 
 def test_a_job_of_twice_the_weight_gets_twice_the_time() -> None:
     bench = Bench()
-    agenda = agenda_of(bench, *(key(island, job=job) for job in ("a", "b") for island in range(6)))
-    agenda.weigh("b", 2.0)
+    queue = queue_of(bench, *(key(island, job=job) for job in ("a", "b") for island in range(6)))
+    queue.set_weight("b", 2.0)
     for _ in range(30):
-        agenda.turn()
+        queue.turn()
     turns = [job for job, *_ in bench.slices]
     assert (turns.count("a"), turns.count("b")) == (10, 20)
 
 
 def test_the_agenda_knows_what_it_was_at_last() -> None:
     bench = Bench()
-    agenda = agenda_of(bench, key(0))
-    assert agenda.doing is None
-    agenda.turn()
-    assert agenda.doing == key(0)
+    queue = queue_of(bench, key(0))
+    assert queue.current is None
+    queue.turn()
+    assert queue.current == key(0)
 
 
 def test_a_job_that_comes_later_does_not_make_up_for_what_the_others_had() -> None:
     bench = Bench()
-    agenda = agenda_of(bench, key(0, job="a"))
+    queue = queue_of(bench, key(0, job="a"))
     for _ in range(3):
-        agenda.turn()
-    agenda.add(Task(key(0, job="b"), None, is_last=False, course=COURSE))
+        queue.turn()
+    queue.add(Task(key(0, job="b"), None, is_last=False, commit_order=COMMIT_ORDER))
     for _ in range(4):
-        agenda.turn()
+        queue.turn()
     assert [job for job, *_ in bench.slices[3:]] == ["b", "a", "b", "a"]
 
 
 def test_a_hit_ends_every_island_where_it_is_not_needed_any_more() -> None:
     bench = Bench(hits={(0, 20, 2)})
-    outcomes = emptied(agenda_of(bench, *(key(island) for island in range(4)), key(5, epoch=1)))
+    outcomes = emptied(queue_of(bench, *(key(island) for island in range(4)), key(5, epoch=1)))
     assert reached(outcomes) == {(0, 0): 20, (0, 1): 20, (0, 2): 20, (0, 3): 10, (1, 5): None}
     assert len(bench.slices) == 4 + 3
 
 
 def test_a_hit_in_the_first_slice_spares_the_islands_after_it_everything() -> None:
     bench = Bench(hits={(0, 10, 0)})
-    assert reached(emptied(agenda_of(bench, key(0), key(1)))) == {(0, 0): 10, (0, 1): None}
+    assert reached(emptied(queue_of(bench, key(0), key(1)))) == {(0, 0): 10, (0, 1): None}
     assert len(bench.slices) == 1
 
 
 def test_a_hit_elsewhere_lets_the_islands_before_it_catch_up() -> None:
     bench = Bench()
-    agenda = agenda_of(bench, key(0), key(3))
+    queue = queue_of(bench, key(0), key(3))
     for _ in range(3):
-        agenda.turn()
-    assert reached(agenda.stop_at(SHARE, Position(0, 20, 2), COURSE)) == {(0, 0): 20, (0, 3): 10}
-    agenda = agenda_of(bench, key(0), key(3))
-    assert agenda.stop_at(SHARE, Position(0, 20, 2), COURSE) == []
-    assert reached(emptied(agenda)) == {(0, 0): 20, (0, 3): 10}
+        queue.turn()
+    assert reached(queue.stop_at(SHARE, Position(0, 20, 2), COMMIT_ORDER)) == {(0, 0): 20, (0, 3): 10}
+    queue = queue_of(bench, key(0), key(3))
+    assert queue.stop_at(SHARE, Position(0, 20, 2), COMMIT_ORDER) == []
+    assert reached(emptied(queue)) == {(0, 0): 20, (0, 3): 10}
 
 
 def test_the_least_hit_counts_in_whatever_order_hits_become_known() -> None:
     bench = Bench(hits={(0, 30, 0)})
-    agenda = agenda_of(bench, key(0), key(1))
-    agenda.stop_at(SHARE, Position(0, 40, 1), COURSE)
-    agenda.stop_at(SHARE, Position(0, 50, 0), COURSE)
-    assert reached(emptied(agenda)) == {(0, 0): 30, (0, 1): 20}
+    queue = queue_of(bench, key(0), key(1))
+    queue.stop_at(SHARE, Position(0, 40, 1), COMMIT_ORDER)
+    queue.stop_at(SHARE, Position(0, 50, 0), COMMIT_ORDER)
+    assert reached(emptied(queue)) == {(0, 0): 30, (0, 1): 20}
 
 
 def test_epochs_before_a_hit_are_finished() -> None:
-    agenda = agenda_of(Bench(), key(0), key(1, epoch=1))
-    agenda.stop_at(SHARE, Position(1, 10, 3), COURSE)
-    assert reached(emptied(agenda)) == {(0, 0): 50, (1, 1): 10}
+    queue = queue_of(Bench(), key(0), key(1, epoch=1))
+    queue.stop_at(SHARE, Position(1, 10, 3), COMMIT_ORDER)
+    assert reached(emptied(queue)) == {(0, 0): 50, (1, 1): 10}
 
 
 def test_a_task_that_comes_when_it_is_not_needed_is_given_up() -> None:
-    agenda = agenda_of(Bench())
-    agenda.stop_at(SHARE, Position(1, 10, 3), COURSE)
+    queue = queue_of(Bench())
+    queue.stop_at(SHARE, Position(1, 10, 3), COMMIT_ORDER)
     for late in (key(0, epoch=2), key(4, epoch=1)):
-        assert agenda.add(Task(late, {}, is_last=False, course=COURSE)) == [Abandoned(late)]
-    assert agenda.is_idle
+        assert queue.add(Task(late, {}, is_last=False, commit_order=COMMIT_ORDER)) == [Abandoned(late)]
+    assert queue.is_idle
 
 
 def test_a_hit_of_another_term_or_variable_ends_nothing() -> None:
-    agenda = agenda_of(Bench(), key(0))
+    queue = queue_of(Bench(), key(0))
     for other in (ShareKey("job", "y", 1), ShareKey("job", "x", 2), ShareKey("other", "x", 1)):
-        assert agenda.stop_at(other, Position(0, 10, 0), COURSE) == []
-    assert reached(emptied(agenda)) == {(0, 0): 50}
+        assert queue.stop_at(other, Position(0, 10, 0), COMMIT_ORDER) == []
+    assert reached(emptied(queue)) == {(0, 0): 50}
 
 
 def test_what_is_discarded_is_forgotten_with_its_hits() -> None:
     bench = Bench()
-    agenda = agenda_of(bench, key(0), key(0, variable="y"))
-    agenda.stop_at(SHARE, Position(0, 20, 0), COURSE)
-    agenda.discard(SHARE)
-    emptied(agenda)
+    queue = queue_of(bench, key(0), key(0, variable="y"))
+    queue.stop_at(SHARE, Position(0, 20, 0), COMMIT_ORDER)
+    queue.discard(SHARE)
+    emptied(queue)
     assert {variable for _, variable, *_ in bench.slices} == {"y"}
-    agenda.add(Task(key(0), None, is_last=False, course=COURSE))
-    assert reached(emptied(agenda)) == {(0, 0): 50}
+    queue.add(Task(key(0), None, is_last=False, commit_order=COMMIT_ORDER))
+    assert reached(emptied(queue)) == {(0, 0): 50}
 
 
 @pytest.mark.parametrize(("island", "kind"), [(6, Broken), (7, Rejected)])
 def test_what_goes_wrong_ends_its_task_alone(island: int, kind: type) -> None:
-    outcomes = emptied(agenda_of(Bench(), key(island), key(0)))
+    outcomes = emptied(queue_of(Bench(), key(island), key(0)))
     assert [type(each) for each in outcomes] == [kind, Computed]
 
 
 def test_a_slice_may_take_several_turns() -> None:
     """With slices of 20 generations an island that is stopped goes on to the end of the slice that is needed."""
     bench = Bench()
-    agenda = Agenda(bench.begin, lambda: bench.now)
-    agenda.add(Task(key(0), None, is_last=False, course=COURSE.model_copy(update={"stride": 20})))
-    agenda.turn()
-    agenda.stop_at(SHARE, Position(0, 40, 1), COURSE)
-    assert reached(emptied(agenda)) == {(0, 0): 40}
+    queue = RunQueue(bench.begin, lambda: bench.now)
+    queue.add(Task(key(0), None, is_last=False, commit_order=COMMIT_ORDER.model_copy(update={"stride": 20})))
+    queue.turn()
+    queue.stop_at(SHARE, Position(0, 40, 1), COMMIT_ORDER)
+    assert reached(emptied(queue)) == {(0, 0): 40}
 
 
 def test_a_snapshot_is_taken_before_the_first_slice_and_once() -> None:
     bench = Bench()
-    agenda = Agenda(bench.begin, lambda: bench.now)
-    agenda.add(Task(key(0, 4), None, is_last=False, course=COURSE, takes_snapshot=True))
-    assert agenda.turn() == [Snapshot(key(0, 4), b"state", is_held=False)]
-    (outcome,) = emptied(agenda)
+    queue = RunQueue(bench.begin, lambda: bench.now)
+    queue.add(Task(key(0, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True))
+    assert queue.turn() == [Snapshot(key(0, 4), b"state", is_held=False)]
+    (outcome,) = emptied(queue)
     assert isinstance(outcome, Computed)
     assert len(bench.slices) == 5
 
 
 def test_of_a_held_epoch_there_is_nothing_but_its_snapshot() -> None:
     bench = Bench()
-    agenda = Agenda(bench.begin, lambda: bench.now)
-    agenda.add(Task(key(0, 4), None, is_last=False, course=COURSE, takes_snapshot=True, is_held=True))
-    assert emptied(agenda) == [Snapshot(key(0, 4), b"state", is_held=True)]
+    queue = RunQueue(bench.begin, lambda: bench.now)
+    queue.add(Task(key(0, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True, is_held=True))
+    assert emptied(queue) == [Snapshot(key(0, 4), b"state", is_held=True)]
     assert bench.slices == []
 
 
 def test_a_held_epoch_whose_immigrants_are_malformed_is_refused() -> None:
     bench = Bench()
-    agenda = Agenda(bench.begin, lambda: bench.now)
-    agenda.add(Task(key(7, 4), None, is_last=False, course=COURSE, takes_snapshot=True, is_held=True))
-    assert emptied(agenda) == [Rejected(key(7, 4), "malformed")]
+    queue = RunQueue(bench.begin, lambda: bench.now)
+    queue.add(Task(key(7, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True, is_held=True))
+    assert emptied(queue) == [Rejected(key(7, 4), "malformed")]
 
 
 def test_the_tasks_of_a_discarded_job_are_discarded_with_it() -> None:
-    agenda = agenda_of(Bench(), key(0, job="a"), key(1, job="a"), key(0, job="b"))
-    agenda.turn()
-    agenda.discard_job("a")
-    assert [each.key.job for each in emptied(agenda) if not isinstance(each, Snapshot)] == ["b"]
+    queue = queue_of(Bench(), key(0, job="a"), key(1, job="a"), key(0, job="b"))
+    queue.turn()
+    queue.discard_job("a")
+    assert [each.key.job for each in emptied(queue) if not isinstance(each, Snapshot)] == ["b"]

@@ -258,7 +258,7 @@ def test_tallies_are_the_evaluations_at_the_end_of_every_slice():
     for _ in range(3):
         island.advance(10)
         spent[island.generation] = dict(island.outcome().evaluations)
-    assert island.outcome().tallies == spent
+    assert island.outcome().counters == spent
     assert list(spent) == [10, 20, 25]
     assert sum(spent[10].values()) < sum(spent[20].values()) < sum(spent[25].values())
 
@@ -270,7 +270,7 @@ def test_an_epoch_that_is_given_up_can_be_reported():
     given_up, outcome = part.outcome(), whole.outcome()
     assert (given_up.generations, given_up.hit) == (10, None)
     assert given_up.additions == tuple(entry for entry in outcome.additions if entry.generation <= 10)
-    assert given_up.tallies[10] == outcome.tallies[10]
+    assert given_up.counters[10] == outcome.counters[10]
 
 
 def test_few_rows_switch_predictors_off():

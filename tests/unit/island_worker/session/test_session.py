@@ -29,15 +29,15 @@ from atoll.wire.messages.workers import (
 from atoll.wire.state_transfer import State, cut
 from atoll_island_worker.session.actions import (
     AskPeer,
-    Beat,
-    Compute,
     Discard,
     DiscardJob,
     FetchJob,
     FetchPlacements,
     FetchStates,
     Respond,
+    RunTask,
     Send,
+    SendHeartbeat,
     SendReport,
     StopAt,
 )
@@ -49,6 +49,7 @@ from atoll_island_worker.session.events import (
     Computed,
     JobClosed,
     JobReady,
+    LoadFailed,
     Mailed,
     Placed,
     PullAnswered,
@@ -58,7 +59,6 @@ from atoll_island_worker.session.events import (
     Snapshot,
     StatesCame,
     Tick,
-    Unloadable,
 )
 from atoll_island_worker.session.session import Session
 from atoll_island_worker.session.tasks import ShareKey, TaskKey
@@ -84,7 +84,7 @@ def placed(
             epoch=epoch,
             epochs=epochs,
             interval=2,
-            course=CommitOrder(generations=100, stride=10, joining=8),
+            commit_order=CommitOrder(generations=100, stride=10, joining=8),
         )
     )
 
@@ -99,7 +99,7 @@ def report(island: int, hit: int | None = None, generations: int = 100) -> Islan
         generations=hit or generations,
         hit=None if hit is None else HitStatement(generation=hit, error=0.0),
         additions=(),
-        tallies=(),
+        counters=(),
         best_error=None,
         digest="ab" * 16,
     )
@@ -137,7 +137,7 @@ def reported(actions: list[object]) -> list[tuple[int, list[int]]]:
 
 
 def tasks(actions: list[object]) -> list[TaskKey]:
-    return [action.task.key for action in actions if isinstance(action, Compute)]
+    return [action.task.key for action in actions if isinstance(action, RunTask)]
 
 
 # ---------------------------------------------------------------------------------------------- beginning
@@ -209,7 +209,7 @@ def test_an_island_waits_for_exactly_the_senders_it_was_told(session: Session) -
     assert session.state() == "waiting"
     assert tasks(session.handle(mail(0, (1, 0, b"one")))) == []
     (action,) = session.handle(mail(0, (2, 0, b"two")))
-    assert isinstance(action, Compute)
+    assert isinstance(action, RunTask)
     assert action.task.blocks == {0: b"own", 1: b"one", 2: b"two"}
 
 
@@ -219,11 +219,11 @@ def test_mail_may_come_before_the_island_is_ready_for_it_and_twice(session: Sess
     session.handle(mail(0, (1, 0, b"one")))
     session.handle(mail(1, (1, 0, b"next")))
     (action, *_) = session.handle(computed(key(0, 0), {}, 1))
-    assert isinstance(action, Compute)
+    assert isinstance(action, RunTask)
     assert action.task.blocks == {1: b"one"}
     session.handle(mail(0, (1, 0, b"late")))
     (action, *_) = session.handle(computed(key(0, 1), {}, 1))
-    assert isinstance(action, Compute)
+    assert isinstance(action, RunTask)
     assert action.task.blocks == {1: b"next"}
 
 
@@ -251,7 +251,7 @@ def test_a_commit_beyond_what_was_reported_is_refused(session: Session) -> None:
 def test_the_last_epoch_is_marked_and_ends_the_island(session: Session) -> None:
     actions = begun(session, "me", epochs=1)
     (action,) = actions
-    assert isinstance(action, Compute)
+    assert isinstance(action, RunTask)
     assert action.task.is_last
     assert reported(list(session.handle(computed(key(0, 0), {})))) == [(0, [0])]
     assert session.state() == "ready"
@@ -454,11 +454,11 @@ def test_mail_that_comes_before_its_placement_is_kept_and_the_placement_fetched_
     assert session.handle(mail(0, (0, 0, b"forged"), sender="stranger")) == []
     begun(session, "me", "peer")
     (action, *_) = session.handle(computed(key(0, 0), {}, 1))
-    assert isinstance(action, Compute)
+    assert isinstance(action, RunTask)
     assert action.task.blocks == {1: b"early"}
 
 
-# ---------------------------------------------------------------------------------------------- trouble
+# ---------------------------------------------------------------------------------------------- failure
 
 
 def test_refused_immigrants_are_pulled_again(session: Session) -> None:
@@ -469,7 +469,7 @@ def test_refused_immigrants_are_pulled_again(session: Session) -> None:
     session.handle(Tick(0.0))
     assert [type(action) for action in session.handle(Tick(1.0))] == [AskPeer]
     (action,) = session.handle(mail(0, (1, 0, b"good")))
-    assert isinstance(action, Compute)
+    assert isinstance(action, RunTask)
     assert action.task.blocks == {0: b"own", 1: b"good"}
 
 
@@ -477,21 +477,21 @@ def test_what_no_pull_can_mend_is_trouble(session: Session) -> None:
     begun(session, "me")
     session.handle(computed(key(0, 0), {0: b"own"}))
     session.handle(Rejected(key(0, 1), "malformed"))
-    assert [each.sentence for each in session.troubles()] == ["malformed"]
+    assert [each.sentence for each in session.failures()] == ["malformed"]
 
 
 def test_what_broke_is_told_until_it_is_closed(session: Session) -> None:
     begun(session, "me", "peer")
     session.handle(Broken(key(0, 0), "division by a fish"))
-    assert [(each.island, each.sentence) for each in session.troubles()] == [(0, "division by a fish")]
+    assert [(each.island, each.sentence) for each in session.failures()] == [(0, "division by a fish")]
     session.handle(JobClosed("job"))
-    assert session.troubles() == ()
+    assert session.failures() == ()
 
 
 def test_a_dataset_that_cannot_be_read_is_trouble(session: Session) -> None:
     session.handle(placed("me", "peer"))
-    session.handle(Unloadable("job", "it is empty"))
-    assert "it is empty" in session.troubles()[0].sentence
+    session.handle(LoadFailed("job", "it is empty"))
+    assert "it is empty" in session.failures()[0].sentence
 
 
 def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
@@ -562,7 +562,7 @@ def test_snapshots_are_wanted_at_checkpoints_only(session: Session) -> None:
     actions = begun(session, "me")
     wanted = []
     for epoch in range(5):
-        (action,) = [each for each in actions if isinstance(each, Compute)]
+        (action,) = [each for each in actions if isinstance(each, RunTask)]
         wanted.append(action.task.takes_snapshot)
         actions = list(session.handle(computed(key(0, epoch), {0: b"own"})))
     assert wanted == [False, False, True, False, True]
@@ -573,7 +573,7 @@ def test_snapshots_are_told_when_all_are_there_and_answered_until_they_are_durab
     assert session.handle(Snapshot(key(0, 2), b"state 0", is_held=False)) == []
     assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [Respond("h", NotYet())]
     assert session.holdings()[0].snapshots == ()
-    assert session.handle(Snapshot(key(1, 2), b"state 1", is_held=False)) == [Beat()]
+    assert session.handle(Snapshot(key(1, 2), b"state 1", is_held=False)) == [SendHeartbeat()]
     assert session.holdings()[0].snapshots == (2,)
     answer = Respond("h", states(i0=b"state 0", i1=b"state 1"))
     assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [answer]
@@ -598,9 +598,9 @@ def test_held_islands_take_a_snapshot_and_wait_for_another_placement(session: Se
     session.handle(computed(key(0, 1), {0: b"own"}))
     session.handle(committed(2, 3, 3, holds=True))
     actions = session.handle(computed(key(0, 2), {0: b"own"}))
-    (action,) = [each for each in actions if isinstance(each, Compute)]
+    (action,) = [each for each in actions if isinstance(each, RunTask)]
     assert (action.task.key, action.task.takes_snapshot, action.task.is_held) == (key(0, 3), True, True)
-    assert session.handle(Snapshot(key(0, 3), b"state", is_held=True)) == [Beat()]
+    assert session.handle(Snapshot(key(0, 3), b"state", is_held=True)) == [SendHeartbeat()]
     assert tasks(session.handle(committed(3, 3, 3, holds=True))) == []
     assert session.state() == "waiting"
     actions = session.handle(placed("me", term=2, epoch=3))
@@ -628,7 +628,7 @@ def test_a_term_that_begins_at_a_checkpoint_waits_for_the_states(session: Sessio
     actions = session.handle(StatesCame(asked, states(i0=b"zero")))
     assert tasks(actions) == [key(0, 6, term=5)]
     assert FetchStates(pull_states(6, 2, term=5)) in actions
-    (action,) = [each for each in session.handle(StatesCame(asked, states(i2=b"two"))) if isinstance(each, Compute)]
+    (action,) = [each for each in session.handle(StatesCame(asked, states(i2=b"two"))) if isinstance(each, RunTask)]
     assert (action.task.key, action.task.state, action.task.blocks) == (key(2, 6, term=5), b"two", None)
 
 
@@ -662,7 +662,7 @@ def test_a_state_that_does_not_fit_fails_the_job(session: Session) -> None:
     session.handle(JobReady("job"))
     session.handle(StatesCame(pull_states(6, 0, term=2), states(i0=b"odd")))
     session.handle(Rejected(key(0, 6, term=2), "the state of an island does not fit its job"))
-    assert "does not fit" in session.troubles()[0].sentence
+    assert "does not fit" in session.failures()[0].sentence
 
 
 def test_a_term_that_begins_at_a_checkpoint_goes_on_like_any_other(session: Session) -> None:
@@ -691,5 +691,5 @@ def test_early_mail_is_forgotten_when_its_job_is_closed_or_its_placement_has_bee
     assert session.handle(mail(0, (1, 0, b"more"))) == []
     session.handle(JobClosed("job"))
     assert session.handle(mail(0, (1, 0, b"late"))) == asked
-    session.forget_early("job")
+    session.forget_pending("job")
     assert session.handle(mail(0, (1, 0, b"again"))) == asked

@@ -8,7 +8,7 @@ from atoll.wire.messages.workers import Placement
 from atoll_island_worker.session.local_island import ISLAND_TRANSITIONS, LocalIsland
 from atoll_island_worker.session.share import Share
 
-COURSE = CommitOrder(generations=100, stride=10, joining=8)
+COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 
 STEPS = ("restore", "begin", "emigrate", "complete", "end", "reject", "hold")
 
@@ -28,7 +28,14 @@ def test_an_island_takes_the_steps_of_the_table_and_no_others(state: str, step: 
 
 def test_a_share_has_the_islands_that_the_placement_gives_its_worker() -> None:
     placement = Placement(
-        incarnation=1, term=2, job="j", variable="θ", workers=("a", "b", "a"), epochs=5, interval=16, course=COURSE
+        incarnation=1,
+        term=2,
+        job="j",
+        variable="θ",
+        workers=("a", "b", "a"),
+        epochs=5,
+        interval=16,
+        commit_order=COMMIT_ORDER,
     )
     share = Share(placement, "a")
     assert list(share.islands) == [0, 2]
@@ -39,7 +46,7 @@ def test_a_share_has_the_islands_that_the_placement_gives_its_worker() -> None:
 
 def test_an_inconsistent_share_is_noticed() -> None:
     placement = Placement(
-        incarnation=1, term=1, job="j", variable="x", workers=("a",), epochs=5, interval=16, course=COURSE
+        incarnation=1, term=1, job="j", variable="x", workers=("a",), epochs=5, interval=16, commit_order=COMMIT_ORDER
     )
     share = Share(placement, "a")
     share.islands[0].epoch = 3

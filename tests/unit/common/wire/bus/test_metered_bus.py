@@ -42,12 +42,12 @@ def test_puts_questions_and_answers_are_counted_on_both_sides() -> None:
     for _ in range(2):
         event = server.receive(1.0)
         assert isinstance(event, Message | Query)
-        server.note(event)
+        server.count_received(event)
         if isinstance(event, Query):
             server.reply(event, b"1234567")
     reply = asker.receive(1.0)
     assert reply == Reply(token, b"1234567")
-    asker.note(reply)
+    asker.count_received(reply)
     assert counted(asker) == {"report": (0, 0, 1, 5), "ask": (1, 7, 1, 3)}
     assert counted(server) == {"report": (1, 5, 0, 0), "ask": (1, 3, 1, 7)}
 
@@ -55,5 +55,5 @@ def test_puts_questions_and_answers_are_counted_on_both_sides() -> None:
 def test_a_question_without_answer_counts_as_sent_only() -> None:
     asker = MeteredBus(SimulatedNetwork().bus("asker", is_router=True))
     token = asker.get(topics.HELLO, b"1", timeout_s=0.5)
-    asker.note(Reply(token, None))
+    asker.count_received(Reply(token, None))
     assert counted(asker) == {"hello": (0, 0, 1, 1)}

@@ -20,6 +20,7 @@ from atoll.wire.messages.workers import (
     Finished,
     HitStatement,
     Holding,
+    IslandFailure,
     IslandReport,
     JobAnnouncement,
     Mail,
@@ -37,9 +38,8 @@ from atoll.wire.messages.workers import (
     Reports,
     Schedule,
     Sent,
+    SliceCounters,
     States,
-    Tally,
-    Trouble,
     WorkerStatus,
 )
 
@@ -54,7 +54,7 @@ REPORT = EpochReport(
             generations=7,
             hit=HitStatement(generation=7, error=1e-10),
             additions=(Addition(complexity=3, error=0.1, mse=0.02, generation=5, program=b"\x01"),),
-            tallies=(Tally(generation=7, evaluations={"offspring": 12}),),
+            counters=(SliceCounters(generation=7, evaluations={"offspring": 12}),),
             best_error=0.1,
             digest=DIGEST,
         ),
@@ -68,7 +68,7 @@ PLACEMENT = Placement(
     workers=("w0", "w1"),
     epochs=10,
     interval=16,
-    course=CommitOrder(generations=100, stride=10, joining=4),
+    commit_order=CommitOrder(generations=100, stride=10, joining=4),
 )
 STATUS = WorkerStatus(
     instance="i",
@@ -76,7 +76,7 @@ STATUS = WorkerStatus(
     state="computing",
     progress=5,
     holdings=(Holding(**AT, islands=2, reported=4, commit=0),),
-    troubles=(Trouble(**AT, island=0, sentence="broke"),),
+    failures=(IslandFailure(**AT, island=0, sentence="broke"),),
 )
 
 ALL = [

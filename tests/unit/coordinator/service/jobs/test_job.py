@@ -10,7 +10,7 @@ from atoll.data.dataset import Dataset, Target
 from atoll.errors import LocalProtocolError, RemoteProtocolError
 from atoll.search.pareto import FrontEntry
 from atoll.wire.messages.views import FINAL_STATES
-from atoll.wire.messages.workers import Addition, EpochReport, Holding, IslandReport, Placement, Tally
+from atoll.wire.messages.workers import Addition, EpochReport, Holding, IslandReport, Placement, SliceCounters
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Pool, Refinement
 from atoll_coordinator.service.jobs.job import (
@@ -59,7 +59,7 @@ def running(**budget: object) -> Job:
                 workers=("w0", "w1"),
                 epochs=archipelago.collector.limits.epochs,
                 interval=16,
-                course=commit_order_of(job.config),
+                commit_order=commit_order_of(job.config),
             ),
             0.0,
         )
@@ -75,7 +75,7 @@ def report(island: int, epoch: int, variable: str = "x", term: int = 2, program:
         generations=100,
         hit=None,
         additions=(addition,),
-        tallies=tuple(Tally(generation=end, evaluations={"offspring": 10}) for end in range(10, 101, 10)),
+        counters=tuple(SliceCounters(generation=end, evaluations={"offspring": 10}) for end in range(10, 101, 10)),
         best_error=0.5,
         digest=f"{epoch:032x}",
     )

@@ -7,7 +7,7 @@ import pytest
 from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll.search.commit_order import CommitOrder
 from atoll.wire.messages.handshake import Hello
-from atoll.wire.messages.workers import Doing, Holding, IslandReport, Placement, Tally, WorkerStatus
+from atoll.wire.messages.workers import Doing, Holding, IslandReport, Placement, SliceCounters, WorkerStatus
 from atoll_coordinator.service.monitoring.stalls import PATIENCE_S, Stillness, named, stall_of
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.collector import Limits
@@ -39,9 +39,9 @@ def worker(membership: Membership, name: str, now: float, beats: int = 1, **says
 
 
 def report(island: int, epoch: int) -> IslandReport:
-    tallies = (Tally(generation=10, evaluations={}),)
+    counters = (SliceCounters(generation=10, evaluations={}),)
     return IslandReport(
-        island=island, generations=10, hit=None, additions=(), tallies=tallies, best_error=None, digest="ab" * 16
+        island=island, generations=10, hit=None, additions=(), counters=counters, best_error=None, digest="ab" * 16
     )
 
 
@@ -51,7 +51,7 @@ def archipelago(*reported: int, epochs: int = 3) -> Archipelago:
     made = Archipelago("job", "x", limits, lambda front: 0.0, lambda program: None)
     placement = Placement(
         incarnation=1, term=1, job="job", variable="x", workers=("a", "b", "a", "b"), epochs=50, interval=16,
-        course=COMMIT_ORDER,
+        commit_order=COMMIT_ORDER,
     )  # fmt: skip
     made.place(placement, 0.0)
     for epoch in range(epochs):

@@ -4,7 +4,16 @@ import pytest
 
 from atoll.errors import RemoteProtocolError
 from atoll.search.commit_order import CommitOrder
-from atoll.wire.messages.workers import Commit, EpochReport, Holding, IslandReport, Placement, Schedule, States, Tally
+from atoll.wire.messages.workers import (
+    Commit,
+    EpochReport,
+    Holding,
+    IslandReport,
+    Placement,
+    Schedule,
+    SliceCounters,
+    States,
+)
 from atoll.wire.state_transfer import State, cut
 from atoll_coordinator.service.search.archipelago import PLAN_COMMITS, Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoints import FIRST_INTERVAL
@@ -23,7 +32,7 @@ def place(made: Archipelago, term: int, now: float = 0.0) -> None:
     made.place(
         Placement(
             incarnation=1, term=term, job="job", variable="x", workers=WORKERS, epoch=made.durable, epochs=1000,
-            interval=made.interval, course=COMMIT_ORDER,
+            interval=made.interval, commit_order=COMMIT_ORDER,
         ),
         now,
     )  # fmt: skip
@@ -33,9 +42,9 @@ def report(made: Archipelago, first: int, last: int, term: int = 1) -> None:
     """Have both islands report the epochs from `first` to below `last`."""
     for epoch in range(first, last):
         for island, worker in enumerate(WORKERS):
-            tally = Tally(generation=10, evaluations={"offspring": epoch + 1})
+            tally = SliceCounters(generation=10, evaluations={"offspring": epoch + 1})
             each = IslandReport(
-                island=island, generations=10, hit=None, additions=(), tallies=(tally,), best_error=None,
+                island=island, generations=10, hit=None, additions=(), counters=(tally,), best_error=None,
                 digest=f"{epoch:08x}{island:08x}",
             )  # fmt: skip
             made.receive(worker, EpochReport(job="job", variable="x", term=term, epoch=epoch, islands=(each,)), 1.0)

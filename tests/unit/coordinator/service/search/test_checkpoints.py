@@ -38,7 +38,7 @@ PLACEMENT = Placement(
     epoch=16,
     epochs=100,
     interval=8,
-    course=CommitOrder(generations=100, stride=10, joining=8),
+    commit_order=CommitOrder(generations=100, stride=10, joining=8),
 )
 
 

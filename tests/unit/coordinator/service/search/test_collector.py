@@ -12,7 +12,7 @@ from atoll.errors import RemoteProtocolError
 from atoll.search.commit_order import CommitOrder
 from atoll.search.pareto import FrontEntry, merge
 from atoll.wire.codec import decode, encode
-from atoll.wire.messages.workers import Addition, HitStatement, IslandReport, Tally
+from atoll.wire.messages.workers import Addition, HitStatement, IslandReport, SliceCounters
 from atoll_coordinator.service.search.collector import Collector, DivergedError, Limits, additions_of
 from atoll_coordinator.service.search.cut import Cut
 
@@ -55,8 +55,8 @@ def report(
             for order, at in enumerate(found_at)
         ),
         runners_up=tuple(near),
-        tallies=tuple(
-            Tally(generation=end, evaluations={"offspring": count * end // 100, "fit": 2 * count * end // 100})
+        counters=tuple(
+            SliceCounters(generation=end, evaluations={"offspring": count * end // 100, "fit": 2 * count * end // 100})
             for end in ends
         ),
         best_error=error,
@@ -212,7 +212,7 @@ def test_states_of_different_generations_are_not_compared(collector: Collector) 
     "broken",
     [
         report(0, generations=40).model_copy(update={"generations": 50}),
-        report(0).model_copy(update={"tallies": ()}),
+        report(0).model_copy(update={"counters": ()}),
         report(0, hit=20).model_copy(update={"hit": HitStatement(generation=10, error=0.0)}),
         report(0, hit=20).model_copy(update={"hit": HitStatement(generation=17, error=0.0), "generations": 17}),
         report(0, generations=110),

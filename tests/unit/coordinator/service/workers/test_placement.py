@@ -56,7 +56,14 @@ def archipelago(*workers: str, islands: int = 4) -> Archipelago:
     made = Archipelago("job", "x", limits, lambda front: 0.0, lambda program: None)
     if workers:
         placement = Placement(
-            incarnation=1, term=1, job="job", variable="x", workers=workers, epochs=10, interval=16, course=COMMIT_ORDER
+            incarnation=1,
+            term=1,
+            job="job",
+            variable="x",
+            workers=workers,
+            epochs=10,
+            interval=16,
+            commit_order=COMMIT_ORDER,
         )
         made.place(placement, 0.0)
     return made

@@ -14,14 +14,14 @@ from atoll.data.dataset import Dataset, Target
 from atoll.errors import RemoteProtocolError
 from atoll.search.commit_order import CommitOrder, Position
 from atoll.wire.codec import dataset_to_bytes
-from atoll.wire.messages.workers import Tally
-from atoll_island_worker.compute.compute import ComputeFailed, IslandCompute, WarmedUp, WarmUpNote
+from atoll.wire.messages.workers import SliceCounters
+from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
 from atoll_island_worker.compute.engine import Engine
-from atoll_island_worker.session.events import Abandoned, Broken, Computed, JobReady, Rejected, Unloadable
+from atoll_island_worker.session.events import Abandoned, Broken, Computed, JobReady, LoadFailed, Rejected
 from atoll_island_worker.session.tasks import Task, TaskKey
 
 LIMIT_S = 20.0
-COURSE = CommitOrder(generations=100, stride=10, joining=8)
+COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 
 
 class FakeOutcome:
@@ -33,7 +33,7 @@ class FakeOutcome:
 
     def __init__(self, generations: int, evaluations: int) -> None:
         self.generations = generations
-        self.tallies = {generations: {"offspring": evaluations}}
+        self.counters = {generations: {"offspring": evaluations}}
 
 
 class FakeIsland:
@@ -82,8 +82,8 @@ def words(monkeypatch: pytest.MonkeyPatch) -> "queue.Queue[object]":
 
 
 @pytest.fixture
-def compute(words: "queue.Queue[object]") -> Iterator[IslandCompute]:
-    made = IslandCompute()
+def compute(words: "queue.Queue[object]") -> Iterator[ComputeThread]:
+    made = ComputeThread()
     made.attach(words.put)
     values = np.linspace(0.0, 1.0, 5)
     dataset = Dataset(("x",), values[None, :].copy(), (Target("x", "dx/dt", values, 0.0, 1.0),), {"x": "x"})
@@ -98,74 +98,74 @@ def key(island: int, epoch: int = 0, term: int = 1) -> TaskKey:
 
 
 def task(of: TaskKey, blocks: Mapping[int, bytes] | None = None, is_last: bool = False) -> Task:
-    return Task(of, blocks, is_last, course=COURSE)
+    return Task(of, blocks, is_last, commit_order=COMMIT_ORDER)
 
 
-def test_an_epoch_is_computed_and_reported(compute: IslandCompute, words: "queue.Queue[object]") -> None:
+def test_an_epoch_is_computed_and_reported(compute: ComputeThread, words: "queue.Queue[object]") -> None:
     before = compute.progress
-    compute.advance(task(key(0)))
+    compute.run(task(key(0)))
     word = words.get(timeout=LIMIT_S)
     assert isinstance(word, Computed)
     assert (word.key, word.emigrants, word.senders) == (key(0), {0: b"own", 1: b"other"}, frozenset({1, 2}))
-    assert word.report.tallies == (Tally(generation=100, evaluations={"offspring": 10}),)
+    assert word.report.counters == (SliceCounters(generation=100, evaluations={"offspring": 10}),)
     assert compute.progress > before
 
 
-def test_the_next_epoch_begins_with_the_immigrants(compute: IslandCompute, words: "queue.Queue[object]") -> None:
-    compute.advance(task(key(0)))
+def test_the_next_epoch_begins_with_the_immigrants(compute: ComputeThread, words: "queue.Queue[object]") -> None:
+    compute.run(task(key(0)))
     words.get(timeout=LIMIT_S)
-    compute.advance(task(key(0, 1), {1: b"one"}, is_last=True))
+    compute.run(task(key(0, 1), {1: b"one"}, is_last=True))
     word = words.get(timeout=LIMIT_S)
     assert isinstance(word, Computed)
-    assert word.report.tallies[-1].evaluations == {"offspring": 20}
+    assert word.report.counters[-1].evaluations == {"offspring": 20}
     assert word.emigrants == {}
 
 
-def test_refused_immigrants_are_said(compute: IslandCompute, words: "queue.Queue[object]") -> None:
-    compute.advance(task(key(0)))
+def test_refused_immigrants_are_said(compute: ComputeThread, words: "queue.Queue[object]") -> None:
+    compute.run(task(key(0)))
     words.get(timeout=LIMIT_S)
-    compute.advance(task(key(0, 1), {1: b"bad"}))
+    compute.run(task(key(0, 1), {1: b"bad"}))
     assert words.get(timeout=LIMIT_S) == Rejected(key(0, 1), "a block is malformed")
 
 
-def test_what_breaks_is_said_and_the_thread_goes_on(compute: IslandCompute, words: "queue.Queue[object]") -> None:
-    compute.advance(task(key(8)))
+def test_what_breaks_is_said_and_the_thread_goes_on(compute: ComputeThread, words: "queue.Queue[object]") -> None:
+    compute.run(task(key(8)))
     word = words.get(timeout=LIMIT_S)
     assert isinstance(word, Broken)
     assert "island 8 of x broke in epoch 0" in word.sentence
     assert "as it was told" in word.sentence
-    compute.advance(task(key(0)))
+    compute.run(task(key(0)))
     assert isinstance(words.get(timeout=LIMIT_S), Computed)
 
 
-def test_what_is_discarded_is_given_up_without_a_word(compute: IslandCompute, words: "queue.Queue[object]") -> None:
-    compute.advance(task(key(7)))
+def test_what_is_discarded_is_given_up_without_a_word(compute: ComputeThread, words: "queue.Queue[object]") -> None:
+    compute.run(task(key(7)))
     compute.discard(key(7).share)
-    compute.advance(task(key(0, term=2)))
+    compute.run(task(key(0, term=2)))
     word = words.get(timeout=LIMIT_S)
     assert isinstance(word, Computed)
     assert word.key == key(0, term=2)
 
 
-def test_an_island_stops_where_the_target_was_met(compute: IslandCompute, words: "queue.Queue[object]") -> None:
-    compute.advance(task(key(7)))
-    compute.stop_at(key(7).share, Position(0, 500, 7), COURSE)
+def test_an_island_stops_where_the_target_was_met(compute: ComputeThread, words: "queue.Queue[object]") -> None:
+    compute.run(task(key(7)))
+    compute.stop_at(key(7).share, Position(0, 500, 7), COMMIT_ORDER)
     word = words.get(timeout=LIMIT_S)
     assert isinstance(word, Computed)
     assert (word.report.generations, word.emigrants) == (500, {})
-    compute.advance(task(key(0, 1), {1: b"one"}))
+    compute.run(task(key(0, 1), {1: b"one"}))
     assert words.get(timeout=LIMIT_S) == Abandoned(key(0, 1))
 
 
-def test_an_unreadable_dataset_is_said(compute: IslandCompute, words: "queue.Queue[object]") -> None:
+def test_an_unreadable_dataset_is_said(compute: ComputeThread, words: "queue.Queue[object]") -> None:
     compute.load("other", JobConfig(), b"no dataset")
     word = words.get(timeout=LIMIT_S)
-    assert isinstance(word, Unloadable)
+    assert isinstance(word, LoadFailed)
     assert word.job == "other"
 
 
 def test_a_warm_up_says_what_it_does_also_before_anybody_listens(words: "queue.Queue[object]") -> None:
-    compute = IslandCompute()
+    compute = ComputeThread()
     compute.warm_up()
     compute.attach(words.put)
     assert words.get(timeout=LIMIT_S) == WarmUpNote("compiling")
@@ -180,7 +180,7 @@ def test_a_warm_up_that_fails_says_why(words: "queue.Queue[object]", monkeypatch
         raise OSError("the disk is full")
 
     monkeypatch.setattr(sys.modules["atoll_island_worker.compute.warmup"], "warm_up", fail)
-    compute = IslandCompute()
+    compute = ComputeThread()
     compute.attach(words.put)
     compute.warm_up()
     word = words.get(timeout=LIMIT_S)
@@ -190,7 +190,7 @@ def test_a_warm_up_that_fails_says_why(words: "queue.Queue[object]", monkeypatch
 
 
 def test_an_error_outside_of_an_epoch_is_reported_when_it_ends_the_thread(
-    compute: IslandCompute, words: "queue.Queue[object]", monkeypatch: pytest.MonkeyPatch
+    compute: ComputeThread, words: "queue.Queue[object]", monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
         raise MemoryError("no room for the dataset")
@@ -201,8 +201,8 @@ def test_an_error_outside_of_an_epoch_is_reported_when_it_ends_the_thread(
     assert word == ComputeFailed("the compute thread failed: MemoryError: no room for the dataset")
 
 
-def test_closing_ends_the_thread_even_under_way(compute: IslandCompute) -> None:
-    compute.advance(task(key(7)))
+def test_closing_ends_the_thread_even_under_way(compute: ComputeThread) -> None:
+    compute.run(task(key(7)))
     compute.close()
     assert not compute._thread.is_alive()
     compute.close()

@@ -1,0 +1,169 @@
+"""The thread that computes islands: it takes commands, runs the queue of tasks slice by slice, and posts results.
+
+It never touches the bus itself. `ComputeThread.progress` rises while it gets on, so that a heartbeat can tell slow work
+from a hung process.
+"""
+
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from atoll.config import JobConfig
+from atoll.search.commit_order import CommitOrder, Position
+from atoll_island_worker.compute.engine import Engine
+from atoll_island_worker.compute.run_queue import RunQueue, brief
+from atoll_island_worker.session.events import JobReady, LoadFailed, Outcome, Snapshot
+from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
+
+_LOG = logging.getLogger(__name__)
+_JOIN_LIMIT_S: Final = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class WarmUpNote:
+    """Something a person should know about the warm-up, such as that kernels are being compiled."""
+
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class WarmedUp:
+    """The kernels are loaded and have run; it took `seconds`. `fingerprint` names what the bits depend on."""
+
+    seconds: float
+    fingerprint: str
+
+
+@dataclass(frozen=True, slots=True)
+class ComputeFailed:
+    """The kernels cannot be compiled or run here, or the compute thread has ended by an error; the worker ends."""
+
+    sentence: str
+
+
+Result = WarmUpNote | WarmedUp | ComputeFailed | JobReady | LoadFailed | Snapshot | Outcome
+"""What the compute thread posts."""
+
+
+class ComputeThread:
+    """Computes the islands of one worker, one slice at a time. Methods return at once; results are posted later."""
+
+    def __init__(self) -> None:
+        self._commands: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._unposted: list[Result] = []
+        self._post: Callable[[object], None] | None = None
+        self._lock = threading.Lock()
+        self._closed = False
+        self._progress = 0
+        self._engine = Engine()
+        self._queue = RunQueue(self._engine.begin, time.monotonic)
+        self._thread = threading.Thread(target=self._work, name="compute", daemon=True)
+        self._thread.start()
+
+    @property
+    def progress(self) -> int:
+        """A number that rises while work gets on."""
+        return self._progress
+
+    @property
+    def current(self) -> TaskKey | None:
+        """The task of the last slice; None before the first."""
+        return self._queue.current
+
+    def attach(self, post: Callable[[object], None]) -> None:
+        """Post every result, also those that came before, through `post`."""
+        with self._lock:
+            self._post = post
+            for result in self._unposted:
+                post(result)
+            self._unposted.clear()
+
+    def warm_up(self) -> None:
+        """Make the kernels ready: any number of WarmUpNote, then WarmedUp or ComputeFailed."""
+        self._commands.put(self._warm_up)
+
+    def load(self, job: str, config: JobConfig, dataset: bytes, weight: float = 1.0) -> None:
+        """Load a job's configuration and encoded dataset: JobReady or LoadFailed. Its turns are shared by `weight`."""
+        self._commands.put(lambda: self._load(job, config, dataset, weight))
+
+    def run(self, task: Task) -> None:
+        """Compute one epoch of one island: Computed, Rejected, Broken or Abandoned follows, unless it is discarded.
+
+        Before that comes the Snapshot, where one is wanted; of a held epoch nothing else comes. Several take turns.
+        """
+        self._commands.put(lambda: self._post_all(self._queue.add(task)))
+
+    def stop_at(self, share: ShareKey, hit: Position, commit_order: CommitOrder) -> None:
+        """Compute nothing of this archipelago that is not needed when the target was met there."""
+        self._commands.put(lambda: self._post_all(self._queue.stop_at(share, hit, commit_order)))
+
+    def discard(self, share: ShareKey) -> None:
+        """Forget the islands of an archipelago under one term, and give up those under way."""
+        self._commands.put(lambda: self._discard(share))
+
+    def discard_job(self, job: str) -> None:
+        """Forget a job's dataset, and give up its tasks."""
+        self._commands.put(lambda: self._discard_job(job))
+
+    def close(self) -> None:
+        """Give up everything. Waits a little for the thread; it is a daemon and keeps no process alive. Repeatable."""
+        self._closed = True
+        self._commands.put(None)
+        self._thread.join(_JOIN_LIMIT_S)
+
+    # -------------------------------------------------------------------------- on the compute thread
+
+    def _work(self) -> None:
+        try:
+            self._compute_until_closed()
+        except BaseException as error:  # a worker without this thread would send heartbeats and compute nothing
+            _LOG.exception("the compute thread failed")
+            self._post_all([ComputeFailed(f"the compute thread failed: {brief(error)}")])
+
+    def _compute_until_closed(self) -> None:
+        while not self._closed:
+            if self._queue.is_idle or not self._commands.empty():
+                command = self._commands.get()
+                if command is None:
+                    return
+                command()
+            else:
+                self._post_all(self._queue.turn())
+            self._progress += 1
+
+    def _post_all(self, results: Iterable[Result]) -> None:
+        with self._lock:
+            for result in results:
+                if self._post is None:
+                    self._unposted.append(result)
+                else:
+                    self._post(result)
+
+    def _warm_up(self) -> None:
+        began = time.monotonic()
+        try:
+            from atoll.compilation.sources import WORKER, source_digest
+            from atoll_island_worker.compute.warmup import warm_up
+
+            warm_up(lambda sentence: self._post_all([WarmUpNote(sentence)]))
+        except Exception as error:  # whatever it was, it is reported, and the worker ends
+            _LOG.exception("warm-up failed")
+            self._post_all([ComputeFailed(f"the kernels cannot be made ready on this machine: {brief(error)}")])
+        else:
+            self._post_all([WarmedUp(time.monotonic() - began, source_digest(WORKER))])
+
+    def _load(self, job: str, config: JobConfig, dataset: bytes, weight: float) -> None:
+        self._queue.set_weight(job, weight)
+        self._post_all([self._engine.load(job, config, dataset)])
+
+    def _discard(self, share: ShareKey) -> None:
+        self._queue.discard(share)
+        self._engine.forget(share)
+
+    def _discard_job(self, job: str) -> None:
+        self._queue.discard_job(job)
+        self._engine.forget_job(job)

@@ -1,0 +1,128 @@
+"""The connection to the coordinator: what greetings carry, what their answers change, absence and drain."""
+
+import pytest
+
+from atoll import PROTOCOL_VERSION, VERSION
+from atoll.errors import RefusedError, UnreachableError
+from atoll.wire.bus.simulated_bus import SimulatedNetwork
+from atoll.wire.codec import decode, encode
+from atoll.wire.messages.handshake import Greeting, GreetingAnswer, Refusal, Welcome
+from atoll_island_worker.connection.connection import ALONE_S, CoordinatorConnection
+from atoll_island_worker.connection.requests import Request, Requests
+from atoll_island_worker.session.events import Reset
+
+WAIT_S = 10.0
+
+
+class SentRequests(Requests):
+    """Requests that keep the payloads of greetings."""
+
+    def __init__(self, network: SimulatedNetwork, name: str) -> None:
+        super().__init__(network.bus(name), name)
+        self.greetings: list[bytes] = []
+
+    def ask(self, key: str, payload: bytes, timeout_s: float, request: Request) -> None:
+        self.greetings.append(payload)
+
+
+class Made:
+    """A connection whose greetings are kept."""
+
+    def __init__(self, name: str = "w0", grace_s: float = 30.0) -> None:
+        self.network = SimulatedNetwork()
+        self.requests = SentRequests(self.network, name)
+        self.connection = CoordinatorConnection(self.requests._bus, self.requests, name, WAIT_S, None, grace_s)
+
+    def greeting(self) -> object:
+        self.connection.greet()
+        return decode(self.requests.greetings[-1], Greeting).body
+
+
+def welcome(realm: str = "r", incarnation: int = 1) -> bytes:
+    body = Welcome(realm=realm, incarnation=incarnation, protocol=1, version="0", engine=1)
+    return encode(GreetingAnswer(body=body))
+
+
+def test_a_greeting_names_us_and_carries_the_fingerprint_once_there_is_one() -> None:
+    made = Made()
+    first = made.greeting()
+    assert (first.role, first.name, first.version, first.fingerprint) == ("worker", "w0", VERSION, "")
+    made.connection.kernels_ready("f")
+    second = made.greeting()
+    assert (second.fingerprint, second.instance) == ("f", first.instance)
+
+
+def test_every_process_is_another_instance() -> None:
+    assert Made().connection.instance != Made().connection.instance
+
+
+def test_a_worker_is_accepted_only_after_a_greeting_with_a_fingerprint() -> None:
+    made = Made()
+    assert made.connection.handle_answer("", welcome()) is None
+    assert not made.connection.is_accepted
+    made.connection.kernels_ready("f")
+    greetings = len(made.requests.greetings)
+    assert made.connection.handle_answer("", welcome()) is None
+    assert len(made.requests.greetings) == greetings + 1
+    assert made.connection.handle_answer("f", welcome()) is None
+    assert len(made.requests.greetings) == greetings + 1
+    assert made.connection.is_accepted
+
+
+def test_another_incarnation_or_realm_voids_what_is_held() -> None:
+    made = Made()
+    made.connection.handle_answer("", welcome())
+    assert made.connection.handle_answer("", welcome(incarnation=2)) == Reset(2)
+    assert made.connection.handle_answer("", welcome(realm="s")) == Reset(0)
+    assert made.connection.handle_answer("", welcome(realm="r")) == Reset(0)
+    assert made.requests.realm == "r"
+
+
+def test_a_coordinator_that_is_away_for_too_long_ends_the_worker() -> None:
+    made = Made()
+    made.connection.handle_answer("", welcome())
+    made.network.run(2 * WAIT_S)
+    made.connection.check_absence()
+    assert made.connection.exit_code is None
+    made.connection.link_lost()
+    made.network.run(2 * WAIT_S + WAIT_S)
+    made.connection.check_absence()
+    assert made.connection.exit_code is None
+    made.network.run(3 * WAIT_S + 0.1)
+    made.connection.check_absence()
+    assert made.connection.exit_code == UnreachableError.exit_code
+    assert "has not answered for 10 s" in str(made.connection.error)
+
+
+def test_a_worker_drains_once_and_does_not_wait_for_a_coordinator_that_is_gone() -> None:
+    made = Made()
+    made.connection.handle_answer("", welcome())
+    assert made.connection.drain()
+    assert not made.connection.drain()
+    made.connection.link_lost()
+    made.network.run(ALONE_S + 0.1)
+    made.connection.check_absence()
+    assert made.connection.exit_code == 0
+
+
+@pytest.mark.parametrize("grace_s", [0.0, 30.0])
+def test_a_worker_without_a_coordinator_or_without_grace_ends_at_once(grace_s: float) -> None:
+    made = Made(grace_s=grace_s)
+    if grace_s == 0.0:
+        made.connection.handle_answer("", welcome())
+    assert not made.connection.drain()
+    assert made.connection.exit_code == 0
+
+
+def test_a_refusal_ends_the_worker_in_the_coordinators_words() -> None:
+    connection = Made().connection
+    body = Refusal(protocol=9, version="9", engine=9, sentence="too old, take 9")
+    connection.handle_answer("", encode(GreetingAnswer(body=body)))
+    assert connection.exit_code == RefusedError.exit_code
+    assert str(connection.error) == "too old, take 9"
+
+
+def test_an_answer_that_is_not_understood_names_our_version() -> None:
+    connection = Made().connection
+    connection.handle_answer("", b"\x00")
+    assert f"Atoll {VERSION} (protocol {PROTOCOL_VERSION})" in str(connection.error)
