@@ -27,9 +27,8 @@ from atoll.errors import UsageError
 from atoll.expression.kernels.tape import LANES
 from atoll.expression.operators import BY_NAME
 from atoll_coordinator.cli.terminal.output import note, say, table
-from benchmarks.harness.figures import write_figures
-from benchmarks.harness.options import whole
-from benchmarks.harness.reporting import load, plain_errors
+from benchmarks.harness.command_line import plain_errors, whole
+from benchmarks.harness.record import Record, load
 from benchmarks.kernels.corpus import CORPUS, load_corpus, make_corpus, save_corpus
 from benchmarks.kernels.speeds import OperatorSpeed, Peak, Speed, operator_speed, parts_of, peak, speed, wrong
 
@@ -153,7 +152,7 @@ def _measure(options: argparse.Namespace, arguments: Sequence[str]) -> int:
         "by_rows": [asdict(its) for its in speeds],
         "by_operator": [asdict(its) for its in operators],
     }
-    write_figures(options.out, "kernels", arguments, figures)
+    Record("kernels", arguments, options.out).write(**figures)
     return 1 if bad else 0
 
 

@@ -21,15 +21,14 @@ from typing import Final
 
 from atoll.errors import UsageError
 from atoll_coordinator.cli.terminal.output import note, say
-from benchmarks.harness.figures import write_figures
-from benchmarks.harness.journal import Journal
-from benchmarks.harness.options import positive, whole
-from benchmarks.harness.reporting import load, plain_errors, seeds
-from benchmarks.harness.services import Searches, searching
+from benchmarks.harness.command_line import plain_errors, positive, seeds, whole
+from benchmarks.harness.record import Record, load
+from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.systems import TABLE_III
 from benchmarks.noise import cases as noise_cases
 from benchmarks.noise.data import VARIANTS, Key, Variant, case
 from benchmarks.noise.goals import goals, shown
+from benchmarks.noise.journal import Journal
 from benchmarks.noise.judging import Outcome, outcome
 from benchmarks.noise.search import search
 from benchmarks.noise.tables import by_equation, by_grade, by_level, line, misses, summarized
@@ -109,7 +108,7 @@ def show(outcomes: Sequence[Outcome], options: argparse.Namespace, arguments: Se
         "goals": [asdict(each) for each in expected],
         "searches": [asdict(each) for each in outcomes],
     }
-    write_figures(options.json, "noise", arguments, figures)
+    Record("noise", arguments, options.json).write(**figures)
     return all(each.is_met for each in expected)
 
 
@@ -120,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with plain_errors("benchmarks.noise"):
         if options.section is not None:
             rows = noise_cases.show(options.section, options.workers, options.max_time, options.seeds)
-            write_figures(options.json, f"noise --{options.section}", words, {"rows": rows})
+            Record(f"noise --{options.section}", words, options.json).write(rows=rows)
             return 0
         _check(options)
         journal = Journal(options.resume or options.out, options.resume is not None, words)

@@ -15,7 +15,7 @@ from atoll.data.table import Table
 from atoll.errors import AtollError
 from atoll_coordinator.cli.terminal.output import clipped, note, say, shortened, table
 from atoll_coordinator.data.reading.files import read_table
-from benchmarks.harness.services import Searches, searching
+from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.stopwatch import Stopwatch, largest_child_mb
 from benchmarks.harness.systems import Sampled, trajectories, with_noise
 from benchmarks.judging.fractions import FloatArray

@@ -6,7 +6,7 @@ from typing import Any
 
 from atoll.config import PRESETS, JobConfig
 from atoll.errors import AtollError
-from benchmarks.harness.services import Searches
+from benchmarks.harness.service import Searches
 from benchmarks.harness.stopwatch import Stopwatch
 from benchmarks.noise.data import Case, Key
 from benchmarks.noise.judging import Outcome, failed, outcome

@@ -23,10 +23,9 @@ from atoll.errors import AtollError, UnreachableError
 from atoll_coordinator.cli.local.cluster import worker_command
 from atoll_coordinator.cli.terminal.output import say, table
 from atoll_coordinator.client import Client, connected
-from benchmarks.harness.figures import write_figures
-from benchmarks.harness.options import whole
-from benchmarks.harness.reporting import load, plain_errors
-from benchmarks.harness.services import CONNECT_LIMIT_S, Coordinating, coordinating
+from benchmarks.harness.command_line import plain_errors, whole
+from benchmarks.harness.record import Record, load
+from benchmarks.harness.service import CONNECT_LIMIT_S, Coordinating, coordinating
 
 COLUMNS: Final = 5
 GOAL_BYTES: Final = 10**9
@@ -105,7 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with plain_errors("benchmarks.operations.big_data"):
         most, seconds = measured(options.megabytes, options.workers)
     words = sys.argv[1:] if arguments is None else arguments
-    write_figures(options.out, "bigdata", words, {"most_bytes": most, "seconds": seconds})
+    Record("big_data", words, options.out).write(most_bytes=most, until_all_compute_s=seconds)
     say(table(("process", "most MB in memory"), [(name, f"{size / 1e6:.0f}") for name, size in most.items()]))
     say(
         f"\n{options.megabytes} MB reached {options.workers} workers, which computed, {seconds:.1f} s after submit was "

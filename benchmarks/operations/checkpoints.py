@@ -23,10 +23,9 @@ from typing import Any, Final
 from atoll.config import PRESETS, JobConfig
 from atoll.wire.messages.views import JobView
 from atoll_coordinator.cli.terminal.output import note, say, table
-from benchmarks.harness.figures import write_figures
-from benchmarks.harness.options import whole
-from benchmarks.harness.reporting import load, plain_errors, seeds
-from benchmarks.harness.services import TIED_COORDINATOR, Searches, searching
+from benchmarks.harness.command_line import plain_errors, seeds, whole
+from benchmarks.harness.record import Record, load
+from benchmarks.harness.service import TIED_COORDINATOR, Searches, searching
 from benchmarks.harness.systems import SYSTEMS, trajectories
 from benchmarks.kernels.derivatives import table_of
 
@@ -167,7 +166,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for seed in options.seeds:
             pairs.append(measured(its, options, seed))
             figures = [{**asdict(pair), "cost": pair.cost} for pair in pairs]
-            write_figures(options.out, "checkpoints", words, {"pairs": figures})
+            Record("checkpoints", words, options.out).write(pairs=figures)
     say(pairs_table(pairs))
     cost = statistics.median(its.cost for its in pairs)
     say(f"\ncost {cost:.1%} in the median, goal at most {GOAL:.0%}; load {load():.1f}")

@@ -22,8 +22,9 @@ from typing import Final
 from atoll.errors import AtollError
 from atoll_coordinator.cli.signals import raising_interrupts
 from atoll_coordinator.cli.terminal.output import note, say, table
-from benchmarks.harness.reporting import load, machine, plain_errors
-from benchmarks.harness.services import searching
+from benchmarks.harness.command_line import plain_errors
+from benchmarks.harness.record import load, machine
+from benchmarks.harness.service import searching
 from benchmarks.harness.systems import TABLE_III, trajectories, write_csv
 
 UNREACHABLE: Final = 1e-300

@@ -26,9 +26,8 @@ from atoll.errors import AtollError, UnreachableError, UsageError
 from atoll.wire.messages.views import FINAL_STATES, JobView
 from atoll_coordinator.cli.terminal.output import note, say, table
 from atoll_coordinator.client import Client
-from benchmarks.harness.figures import write_figures
-from benchmarks.harness.options import whole
-from benchmarks.harness.reporting import load, plain_errors
+from benchmarks.harness.command_line import plain_errors, whole
+from benchmarks.harness.record import Record, load
 from benchmarks.harness.systems import TABLE_III, trajectories
 from benchmarks.kernels.derivatives import table_of
 from benchmarks.operations.machines import Machines, can_have_networks, running
@@ -217,7 +216,7 @@ def main(words: Sequence[str] | None = None) -> int:
             finally:
                 if campaign.blows:
                     campaign.show()
-                    write_figures(options.out, "faults", arguments, _figures(campaign))
+                    Record("faults", arguments, options.out).write(**_figures(campaign))
     return int(not all(each.is_equal for each in campaign.jobs))
 
 

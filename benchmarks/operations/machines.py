@@ -20,7 +20,7 @@ from atoll.errors import AtollError, UsageError
 from atoll_coordinator.cli.local.cluster import worker_command
 from atoll_coordinator.cli.signals import raising_interrupts
 from atoll_coordinator.client import Client, connected
-from benchmarks.harness.services import CONNECT_LIMIT_S, Searches
+from benchmarks.harness.service import CONNECT_LIMIT_S, Searches
 
 COORDINATOR: Final = "coordinator"
 ROUTER: Final = "router"

@@ -21,10 +21,9 @@ from atoll.errors import AtollError, UnreachableError
 from atoll.wire.messages.views import FINAL_STATES
 from atoll_coordinator.cli.terminal.output import note, say, table
 from atoll_coordinator.client import Client, connected
-from benchmarks.harness.figures import write_figures
-from benchmarks.harness.options import whole
-from benchmarks.harness.reporting import load, plain_errors
-from benchmarks.harness.services import CONNECT_LIMIT_S, Searches, searching
+from benchmarks.harness.command_line import plain_errors, whole
+from benchmarks.harness.record import Record, load
+from benchmarks.harness.service import CONNECT_LIMIT_S, Searches, searching
 
 LIMIT_S: Final = 600.0
 ROWS: Final = 200
@@ -103,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not found:
             raise AtollError("no job was measured")
     words = sys.argv[1:] if arguments is None else arguments
-    write_figures(options.out, "manyjobs", words, {"jobs": [asdict(each) for each in found]})
+    Record("many_jobs", words, options.out).write(jobs=[asdict(each) for each in found])
     rows = [(str(e.seed), e.state, f"{e.seconds:.1f}", "same" if e.is_same else "DIFFERS") for e in found]
     say(table(("seed", "state", "ended after s", "digest"), rows))
     good = sum(each.state == "done" and each.is_same for each in found)

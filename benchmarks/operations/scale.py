@@ -27,9 +27,8 @@ from atoll.data.table import Table
 from atoll.errors import AtollError, UnreachableError
 from atoll_coordinator.cli.terminal.output import note, say, table
 from atoll_coordinator.client import Client, connected
-from benchmarks.harness.figures import write_figures
-from benchmarks.harness.reporting import load
-from benchmarks.harness.services import CONNECT_LIMIT_S, Coordinating, coordinating
+from benchmarks.harness.record import Record, load
+from benchmarks.harness.service import CONNECT_LIMIT_S, Coordinating, coordinating
 from benchmarks.operations.island_samples import Samples, sampled
 
 ISLANDS_EACH: Final = 8
@@ -274,7 +273,7 @@ def measure_scale(islands: Sequence[int], options: Any, arguments: Sequence[str]
     for number in islands:
         loads.append(measured(number, samples, options.period, options.seconds))
         figures = {"loads": [{**asdict(its), "microseconds": its.microseconds} for its in loads]}
-        write_figures(options.out, "scale", arguments, {**figures, "growth": growth(loads)})
+        Record("scale", arguments, options.out).write(**figures, growth=growth(loads))
     say(loads_table(loads))
     power = growth(loads)
     if power is not None:

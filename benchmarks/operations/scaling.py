@@ -30,10 +30,9 @@ from atoll.data.table import Table
 from atoll.errors import AtollError
 from atoll_coordinator.cli.terminal.output import note, say, table
 from atoll_coordinator.client import connected
-from benchmarks.harness.figures import write_figures
-from benchmarks.harness.options import positive, whole
-from benchmarks.harness.reporting import load, plain_errors, seeds
-from benchmarks.harness.services import Searches, searching
+from benchmarks.harness.command_line import plain_errors, positive, seeds, whole
+from benchmarks.harness.record import Record, load
+from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.systems import TABLE_III, trajectories
 from benchmarks.kernels.derivatives import table_of
 from benchmarks.operations.scale import measure_scale
@@ -219,7 +218,7 @@ class Findings:
             "speed_up": speed_ups(self.timings),
             "seeds_that_differ": differing(self.timings),
         }
-        write_figures(self.out, "scaling", self.arguments, figures)
+        Record("scaling", self.arguments, self.out).write(**figures)
 
     def show(self) -> None:
         """Print the table and the sentences below it."""

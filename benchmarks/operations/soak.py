@@ -23,9 +23,8 @@ from atoll.search.seeding import Stream, stream_key
 from atoll.wire.messages.views import FINAL_STATES, JobView
 from atoll_coordinator.cli.terminal.output import note, say, table
 from atoll_coordinator.client import Client, connected
-from benchmarks.harness.figures import write_figures
-from benchmarks.harness.options import positive
-from benchmarks.harness.reporting import load, plain_errors
+from benchmarks.harness.command_line import plain_errors, positive
+from benchmarks.harness.record import Record, load
 from benchmarks.harness.systems import trajectories
 from benchmarks.kernels.derivatives import table_of
 from benchmarks.operations.machines import COORDINATOR, Machines, running
@@ -225,7 +224,7 @@ def main(words: Sequence[str] | None = None) -> int:
         finally:
             is_well = soak.show()
             figures = {"samples": [asdict(each) for each in soak.samples], "jobs": dict(soak.jobs), "wrong": soak.wrong}
-            write_figures(options.out, "soak", arguments, figures)
+            Record("soak", arguments, options.out).write(**figures)
     return int(not is_well)
 
 

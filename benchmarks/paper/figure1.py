@@ -24,8 +24,9 @@ from typing import Any
 import numpy as np
 
 from atoll_coordinator.cli.terminal.output import note, say, table
-from benchmarks.harness.reporting import plain_errors
-from benchmarks.harness.runs import Figures, add_options, canvas, in_parallel, positive, save
+from benchmarks.harness.command_line import add_run_options, plain_errors, whole
+from benchmarks.harness.parallel import canvas, in_parallel, save
+from benchmarks.harness.record import Record
 from benchmarks.paper.archipelago import SAMPLE
 from benchmarks.paper.figure1_runs import (
     ARMS,
@@ -142,7 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.rows <= 2 * SAMPLE:
         parser.error(f"--rows {options.rows} is too few for predictors of {SAMPLE}: give more than {2 * SAMPLE}")
-    figures = Figures("figure1", sys.argv[1:] if arguments is None else arguments, options.out)
+    figures = Record("figure1", sys.argv[1:] if arguments is None else arguments, options.out)
     asked = tasks(options)
     runs: list[Run] = []
     with plain_errors("benchmarks.paper.figure1"):
@@ -165,11 +166,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.paper.figure1", description=__doc__.split("\n")[0])
-    parser.add_argument("--runs", type=positive, default=100, help="runs of each arm on the function (%(default)s)")
-    parser.add_argument("--targets", type=positive, default=500, help="random targets (%(default)s)")
-    parser.add_argument("--generations", type=positive, default=6000, help="of a run, at most (%(default)s)")
-    parser.add_argument("--rows", type=positive, default=200, help="points of a target (%(default)s)")
-    add_options(parser)
+    parser.add_argument("--runs", type=whole, default=100, help="runs of each arm on the function (%(default)s)")
+    parser.add_argument("--targets", type=whole, default=500, help="random targets (%(default)s)")
+    parser.add_argument("--generations", type=whole, default=6000, help="of a run, at most (%(default)s)")
+    parser.add_argument("--rows", type=whole, default=200, help="points of a target (%(default)s)")
+    add_run_options(parser)
     return parser
 
 

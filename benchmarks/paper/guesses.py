@@ -19,10 +19,9 @@ from atoll.data.dataset import Dataset, Problem, Target
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.cli.terminal.output import count, note, say, table
 from atoll_coordinator.service.jobs.defaults import resolve
-from benchmarks.harness.options import positive
-from benchmarks.harness.reporting import plain_errors, seeds
-from benchmarks.harness.runs import Figures, in_parallel
-from benchmarks.harness.runs import add_options as add_run_options
+from benchmarks.harness.command_line import add_run_options, plain_errors, positive, seeds
+from benchmarks.harness.parallel import in_parallel
+from benchmarks.harness.record import Record
 from benchmarks.harness.systems import TRUTH, trajectories
 from benchmarks.judging.evaluation import evaluate
 from benchmarks.paper.archipelago import Archipelago
@@ -124,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.set_defaults(seeds=seeds("0-4"))
     options = parser.parse_args(words)
     with plain_errors("benchmarks.paper.guesses"):
-        figures = Figures("guesses", words, options.out)
+        figures = Record("guesses", words, options.out)
         tasks = [
             Task(index, kind, seed, options.limit)
             for index in range(len(EQUATIONS))

@@ -20,8 +20,9 @@ from scipy.interpolate import make_interp_spline
 
 from atoll.config import PRESETS, JobConfig
 from atoll_coordinator.data.prepare import prepare
-from benchmarks.harness.reporting import Report, add_common, plain_errors
-from benchmarks.harness.services import Searches, searching
+from benchmarks.harness.command_line import add_search_options, plain_errors
+from benchmarks.harness.report import Report
+from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.systems import SYSTEMS, TABLE_III, TRUTH, FloatArray, Sampled, trajectories
 from benchmarks.judging.verdict import Question, judged
 from benchmarks.kernels.derivatives import table_of
@@ -119,7 +120,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--step", type=float, default=0.02, help="sampling step (%(default)s; the paper's is 0.1)")
     parser.add_argument("--system", choices=TABLE_III, action="append", help="repeat for several; default: all seven")
     parser.add_argument("--extras", action="store_true", help="the pendulum and the scaled system instead")
-    add_common(parser, "0-4", 120.0)
+    add_search_options(parser, "0-4", 120.0)
     return parser
 
 

@@ -27,8 +27,9 @@ from atoll.expression.operators import SIN
 from atoll.expression.program import Program
 from atoll.expression.text.infix import to_infix
 from atoll_coordinator.cli.terminal.output import count, note, say, table
-from benchmarks.harness.reporting import plain_errors
-from benchmarks.harness.runs import Figures, add_options, canvas, in_parallel, positive, save
+from benchmarks.harness.command_line import add_run_options, plain_errors, whole
+from benchmarks.harness.parallel import canvas, in_parallel, save
+from benchmarks.harness.record import Record
 from benchmarks.judging.evaluation import evaluate, node_values
 from benchmarks.paper.archipelago import Archipelago, configured, problem_of
 from benchmarks.paper.published import FRESH, LARGEST_ERROR, ROWS, USUAL, Row
@@ -229,7 +230,7 @@ def tasks(options: argparse.Namespace) -> list[Task]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run all rows and print the table; return 0 when preset ``default`` reached every published figure, else 1."""
     options = _parser().parse_args(arguments)
-    figures = Figures("table1", sys.argv[1:] if arguments is None else arguments, options.out)
+    figures = Record("table1", sys.argv[1:] if arguments is None else arguments, options.out)
     asked = tasks(options)
     sizes = {key: len(list(group)) for key, group in itertools.groupby(asked, _group)}
     groups: dict[tuple[str, Preset], list[Run]] = {key: [] for key in sizes}
@@ -269,8 +270,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.paper.table1", description=__doc__.split("\n")[0])
     parser.add_argument("--row", choices=ROWS, action="append", help="repeat for several; default: all but density")
     parser.add_argument("--preset", choices=PRESETS, action="append", help="default: both")
-    parser.add_argument("--evaluations", type=positive, help="point evaluations of a run, instead of the row's")
-    add_options(parser)
+    parser.add_argument("--evaluations", type=whole, help="point evaluations of a run, instead of the row's")
+    add_run_options(parser)
     return parser
 
 

@@ -26,9 +26,9 @@ from atoll.data.table import Table
 from atoll.errors import UsageError
 from atoll_coordinator.cli.terminal.output import clipped, note, say, shortened, table
 from atoll_coordinator.data.prepare import prepare
-from benchmarks.harness.options import positive
-from benchmarks.harness.reporting import Report, add_common, plain_errors
-from benchmarks.harness.services import Searches, searching
+from benchmarks.harness.command_line import add_search_options, plain_errors, positive
+from benchmarks.harness.report import Report
+from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.systems import SYSTEMS, TABLE_III, TRUTH, Sampled, trajectories
 from benchmarks.judging.verdict import Question, Verdict, judged, miss
 from benchmarks.kernels.derivatives import table_of
@@ -255,7 +255,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--preset", choices=PRESETS, default="default")
     parser.add_argument("--target-error", type=positive, help="normalized error at which a search ends")
     parser.add_argument("--to-the-end", action="store_true", help="use all of --max-time, also without progress")
-    add_common(parser, "0-4", 120.0)
+    add_search_options(parser, "0-4", 120.0)
     return parser
 
 

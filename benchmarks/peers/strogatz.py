@@ -25,9 +25,10 @@ from atoll.config import PRESETS, JobConfig
 from atoll.wire.messages.views import JobView
 from atoll_coordinator.cli.terminal.output import error_text, say, table
 from atoll_coordinator.data.prepare import prepare
-from benchmarks.harness.records import Records
-from benchmarks.harness.reporting import Report, add_common, plain_errors
-from benchmarks.harness.services import Searches, searching
+from benchmarks.harness.command_line import add_search_options, plain_errors
+from benchmarks.harness.record import Record
+from benchmarks.harness.report import Report
+from benchmarks.harness.service import Searches, searching
 from benchmarks.judging.verdict import Question, Verdict, judged
 from benchmarks.peers import strogatz_noise, strogatz_versus
 from benchmarks.peers.operon import require
@@ -148,7 +149,7 @@ def _compared(run: Callable[..., int], options: argparse.Namespace, known: Mappi
         options.target_error = SOLVED
     configs = {seed: configured(options, seed) for seed in options.seeds}
     with searching(options.workers) as searches:
-        return run(searches, options, configs, known, Records("strogatz", words, options.out))
+        return run(searches, options, configs, known, Record("strogatz", words, options.out))
 
 
 def _solved(options: argparse.Namespace, known: Mapping[str, str], words: list[str]) -> int:
@@ -193,7 +194,7 @@ def _parser() -> argparse.ArgumentParser:
         help="learn from 300 rows whose labels have Gaussian noise of LEVEL times their root mean square",
     )
     modes.add_argument("--versus", choices=["operon"], help="race to a normalized error of 1e-4")
-    add_common(parser, "0-2", 60.0)
+    add_search_options(parser, "0-2", 60.0)
     return parser
 
 

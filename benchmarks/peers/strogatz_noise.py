@@ -11,8 +11,8 @@ import numpy as np
 
 from atoll.config import JobConfig
 from atoll_coordinator.cli.terminal.output import count, note, say, table
-from benchmarks.harness.records import Records
-from benchmarks.harness.services import Searches
+from benchmarks.harness.record import Record
+from benchmarks.harness.service import Searches
 from benchmarks.judging.forms import compare
 from benchmarks.peers.srbench import STRICT, assess
 from benchmarks.peers.strogatz_files import Split, rows_of, split
@@ -57,7 +57,7 @@ class Outcome:
 
 
 def run(
-    searches: Searches, options: Namespace, configs: Mapping[int, JobConfig], known: Mapping[str, str], records: Records
+    searches: Searches, options: Namespace, configs: Mapping[int, JobConfig], known: Mapping[str, str], records: Record
 ) -> int:
     """Search all files at all levels with the configuration of each seed and print how often they were solved.
 

@@ -11,9 +11,8 @@ from atoll.config import JobConfig
 from atoll.data.table import Table
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.cli.terminal.output import error_text, note, say, table
-from benchmarks.harness.records import Records
-from benchmarks.harness.reporting import load
-from benchmarks.harness.services import Searches
+from benchmarks.harness.record import Record, load
+from benchmarks.harness.service import Searches
 from benchmarks.judging.evaluation import evaluate
 from benchmarks.judging.fractions import FloatArray
 from benchmarks.peers import operon
@@ -44,7 +43,7 @@ class Race:
 
 
 def run(
-    searches: Searches, options: Namespace, configs: Mapping[int, JobConfig], known: Mapping[str, str], records: Records
+    searches: Searches, options: Namespace, configs: Mapping[int, JobConfig], known: Mapping[str, str], records: Record
 ) -> int:
     """Let both search all files to the same target with equal seeds, one after the other, and print the times.
 

@@ -7,7 +7,7 @@ import pytest
 
 from atoll.errors import AtollError
 from atoll.wire.messages.views import JobView
-from benchmarks.harness.services import Searches
+from benchmarks.harness.service import Searches
 from benchmarks.harness.stopwatch import Stopwatch, largest_child_mb, resident_mb
 from benchmarks.noise.data import Key, case
 from benchmarks.noise.search import search

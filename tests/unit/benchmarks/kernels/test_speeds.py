@@ -10,7 +10,7 @@ from atoll.errors import DataError, UsageError
 from atoll.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, SIN, VARIABLE
 from atoll_island_worker.evolution.kernels.rows import padded_rows
 from atoll_island_worker.evolution.structures import empty_lists, empty_tape
-from benchmarks.harness.figures import write_figures
+from benchmarks.harness.record import Record
 from benchmarks.kernels import __main__ as kernels
 from benchmarks.kernels import speeds
 from benchmarks.kernels.corpus import CORPUS, EPOCHS, SIZE, load_corpus, make_corpus, save_corpus
@@ -99,7 +99,7 @@ def test_a_place_that_cannot_be_written_is_said(corpus, tmp_path):
     with pytest.raises(UsageError, match="name another file with --corpus"):
         save_corpus(corpus, tmp_path / "file" / "corpus.npz")
     with pytest.raises(UsageError, match="name another file with --out"):
-        write_figures(tmp_path / "file" / "figures.json", "kernels", [], {})
+        Record("kernels", [], tmp_path / "file" / "figures.json").write()
 
 
 @pytest.fixture

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from atoll.errors import DataError, UsageError
-from benchmarks.harness.journal import Journal, outcome_from
 from benchmarks.judging.coverage import Covered
 from benchmarks.noise import __main__ as noise
 from benchmarks.noise.cases import driven_case, hard_cases
 from benchmarks.noise.data import Key, case
 from benchmarks.noise.goals import goals, shown
+from benchmarks.noise.journal import Journal, outcome_from
 from benchmarks.noise.judging import EquationOutcome, Outcome, failed, outcome
 from benchmarks.noise.tables import by_equation, by_grade, by_level, misses, summarized
 

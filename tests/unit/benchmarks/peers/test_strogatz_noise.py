@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from atoll.config import PRESETS
-from benchmarks.harness.records import Records
+from benchmarks.harness.record import Record
 from benchmarks.peers import strogatz_noise
 from benchmarks.peers.srbench import Assessment
 from benchmarks.peers.strogatz_files import NAMES, rows_of, split
@@ -108,7 +108,7 @@ def test_all_files_levels_and_seeds_are_searched(folder, capsys, expression, cod
     options = Namespace(data=folder, file=["lv2"], noise=[0.0, 0.1], seeds=[3, 4])
     told, out = Told(expression), folder / "out.json"
     configs = dict.fromkeys(options.seeds, CONFIG)
-    assert run(told, options, configs, {"lv2": TRUTH}, Records("strogatz", [], out)) == code
+    assert run(told, options, configs, {"lv2": TRUTH}, Record("strogatz", [], out)) == code
     assert told.titles == [f"lv2 noise {level} seed {seed}" for level in ("0", "0.1") for seed in (3, 4)]
     contents = json.loads(out.read_text())
     assert len(contents["runs"]) == 4

@@ -7,7 +7,7 @@ from argparse import Namespace
 import numpy as np
 import pytest
 
-from benchmarks.harness.records import Records
+from benchmarks.harness.record import Record
 from benchmarks.peers import operon, strogatz_versus
 from benchmarks.peers.strogatz_files import rows_of
 from benchmarks.peers.strogatz_versus import Race, by_file, measured_error, race, run, summary, totals
@@ -85,7 +85,7 @@ def test_both_search_in_turn_and_all_is_written(folder, monkeypatch, capsys):
     monkeypatch.setattr(strogatz_versus, "search_apart", peers)
     options = Namespace(data=folder, file=["lv2"], seeds=[0, 1], target_error=1e-4, max_time=9.0)
     out = folder / "out.json"
-    assert run(Ours(), options, dict.fromkeys([0, 1]), {}, Records("strogatz", [], out)) == 0
+    assert run(Ours(), options, dict.fromkeys([0, 1]), {}, Record("strogatz", [], out)) == 0
     assert order == ["lv2 seed 0", ("lv2.csv", 0, 1e-4, 9.0), "lv2 seed 1", ("lv2.csv", 1, 1e-4, 9.0)]
     contents = json.loads(out.read_text())
     assert contents["summary"]["ratio"] == pytest.approx(0.25)

@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 
-from benchmarks.harness.records import Records
+from benchmarks.harness.record import Record
 
 
 @dataclass
@@ -14,7 +14,7 @@ class One:
 
 def test_every_record_is_in_the_file_at_once(tmp_path):
     file = tmp_path / "new" / "runs.json"
-    records = Records("race", ["--seeds", "0"], file)
+    records = Record("race", ["--seeds", "0"], file)
     records.add(One("a", 1.5))
     assert json.loads(file.read_text())["runs"] == [{"name": "a", "seconds": 1.5}]
     records.add(One("b", None))
@@ -28,5 +28,5 @@ def test_every_record_is_in_the_file_at_once(tmp_path):
 
 def test_without_a_file_nothing_is_written(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Records("race", [], None).add(One("a", 1.0))
+    Record("race", [], None).add(One("a", 1.0))
     assert list(tmp_path.iterdir()) == []

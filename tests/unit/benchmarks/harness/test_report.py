@@ -7,7 +7,8 @@ import json
 import pytest
 
 from atoll.errors import DataError
-from benchmarks.harness.reporting import Report, plain_errors, seeds
+from benchmarks.harness.command_line import plain_errors, seeds
+from benchmarks.harness.report import Report
 from tests.unit.benchmarks.judging.verdicts import VERDICT
 
 MISS = dataclasses.replace(VERDICT, found=False, exact=False, reason="a term is missing: v", seconds=2.0, seed=1)

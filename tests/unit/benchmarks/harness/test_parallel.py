@@ -7,8 +7,10 @@ import sys
 import pytest
 
 from atoll.errors import AtollError, UsageError
-from benchmarks.harness import runs
-from benchmarks.harness.runs import Figures, canvas, in_parallel, positive
+from benchmarks.harness import parallel as runs
+from benchmarks.harness.command_line import whole
+from benchmarks.harness.parallel import canvas, in_parallel
+from benchmarks.harness.record import Record
 
 
 @pytest.fixture(autouse=True)
@@ -35,7 +37,7 @@ def test_runs_that_never_end_are_given_up(monkeypatch):
 
 
 def test_the_file_holds_the_machine_beside_the_figures(tmp_path):
-    Figures("table1", ["--row", "P2"], tmp_path / "new" / "f.json").write(runs=[1, 2])
+    Record("table1", ["--row", "P2"], tmp_path / "new" / "f.json").write(runs=[1, 2])
     written = json.loads((tmp_path / "new" / "f.json").read_text("utf-8"))
     assert (written["benchmark"], written["runs"]) == ("table1", [1, 2])
     assert {"machine", "load_before", "load_after", "seconds", "arguments"} <= set(written)
@@ -52,4 +54,4 @@ def test_a_number_of_processes_is_at_least_one(text):
     import argparse
 
     with pytest.raises(argparse.ArgumentTypeError, match="whole number"):
-        positive(text)
+        whole(text)

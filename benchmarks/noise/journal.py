@@ -5,14 +5,13 @@ itself, so that it can be judged anew without searching again.
 """
 
 import json
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from atoll.errors import DataError, UsageError
-from benchmarks.harness.reporting import load, machine
+from benchmarks.harness.record import head
 from benchmarks.judging.coverage import Covered
 from benchmarks.noise.data import Key
 from benchmarks.noise.judging import EquationOutcome, Outcome
@@ -40,8 +39,7 @@ class Journal:
             self._read(path)
         elif path.exists():
             raise UsageError(f"{path} exists already; continue it with --resume {path}, or name another file")
-        date = time.strftime("%Y-%m-%d %H:%M")
-        self._write({"head": {"arguments": list(arguments), "date": date, "load": load(), "machine": machine()}})
+        self._write({"head": head("noise", arguments)})
 
     def add(self, outcome: Outcome, answer: Mapping[str, Any] | None = None) -> None:
         """Take in a search that has ended, with the contents of its result.json if it has one."""
