@@ -6,7 +6,8 @@ from hypothesis import strategies as st
 
 from atoll.config import Angle, DataConfig, JobConfig
 from atoll.errors import AtollError, DataError
-from atoll_coordinator.data.prepare import describe, prepare
+from atoll_coordinator.data.description import describe
+from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from tests.unit.coordinator.data.tables import table_of
 

@@ -42,7 +42,7 @@ class Request:
 
     def read(self) -> "Table":
         """Read the files and say on stderr what they hold; raises DataError."""
-        from atoll_coordinator.data.reading.description import describe
+        from atoll_coordinator.data.description import describe
         from atoll_coordinator.data.reading.files import read_table
 
         table = read_table(self.files, self.config.data)

@@ -1,0 +1,13 @@
+"""From measurement files to the regression problems of a job. `prepare` tells the whole way, stage by stage:
+
+- `reading`: files -> `Table`, on the client's side; `description`: what a table holds, in lines for a person
+- `roles`: column names and options -> `Roles`, symbols of expressions, left-hand sides
+- `prior_knowledge`: guesses and known equations, checked and resolved against the roles
+- `trajectories`: `Table` and `Roles` -> `Measurements`: rows, trajectories, times, states, split at gaps
+- `differentiation`: `Measurements` -> one `StateEstimate` for each state: values, derivatives, uncertainties
+- `row_selection`: estimates -> `SelectedRows`, and why others are excluded
+- `assembly`: all of these -> `Preparation`, which `recording` defines: the dataset of the search and the recording
+- `settings`: every threshold that decides a number, with its reason
+
+Data go down this list. Which stage may import which is a contract in pyproject.toml.
+"""

@@ -4,7 +4,6 @@ What cannot be used is refused in one sentence, before anything is searched.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Final
 
 from atoll.config import JobConfig, PriorConfig, SpaceConfig
 from atoll.data.dataset import Dataset
@@ -15,24 +14,20 @@ from atoll.expression.program import Program
 from atoll.expression.simplification import complexity, simplify_program
 from atoll.expression.text.infix import PRINTABLE_SIZE, tree_size
 from atoll.expression.text.parsing import from_infix
-from atoll_coordinator.data.reading.columns import Roles, variable_columns
-from atoll_coordinator.data.reading.left_hand_sides import LeftSides
-from atoll_coordinator.data.reading.symbols import symbols_for
-
-GUESSES_PER_POPULATION: Final = 4
-"""At most one of so many individuals begins as a guess."""
+from atoll_coordinator.data.roles.left_hand_sides import LeftSides
+from atoll_coordinator.data.roles.roles import Roles
+from atoll_coordinator.data.settings import SETTINGS
 
 
-def resolve_roles(config: JobConfig, roles: Roles) -> tuple[JobConfig, tuple[str, ...]]:
+def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str]) -> tuple[JobConfig, tuple[str, ...]]:
     """Return the resolved configuration (see `resolve_prior`) and the equations of the job, in order.
 
     Those are the ones sought, all unless ``--only`` names some, and the known ones. Raises UsageError.
     """
-    symbols = symbols_for(variable_columns(roles, config.data.order))
     known = _sides(config, roles.equations, symbols).single("--known", config.prior.known)
     only = config.data.only
-    kept = tuple(name for name in roles.equations if not only or name in only or name in known)
-    return resolve_prior(config, kept, symbols), kept
+    equations = tuple(name for name in roles.equations if not only or name in only or name in known)
+    return resolve_prior(config, equations, symbols), equations
 
 
 def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[str, str]) -> JobConfig:
@@ -126,7 +121,7 @@ def _known_program(variable: str, text: str, names: Sequence[str]) -> Program:
 def _check_guesses(config: JobConfig, variable: str, texts: Sequence[str], names: Sequence[str]) -> None:
     """Raise UsageError unless every guess for `variable` can stand in its populations."""
     population = config.evolution.population
-    most = population // GUESSES_PER_POPULATION
+    most = population // SETTINGS.guesses_per_population
     if len(texts) > most:
         raise UsageError(
             f"--guess gives {len(texts)} guesses for '{variable}', but a population of {population} takes at most "

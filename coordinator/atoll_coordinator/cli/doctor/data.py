@@ -14,15 +14,17 @@ def check_data(options: argparse.Namespace) -> Iterator[Finding]:
         return
     from atoll_coordinator.cli.options.parser import parse
     from atoll_coordinator.cli.request import request_of
-    from atoll_coordinator.data.reading.description import describe
+    from atoll_coordinator.data.description import describe
     from atoll_coordinator.data.reading.files import read_table
-    from atoll_coordinator.data.reading.measured import measured
+    from atoll_coordinator.data.roles.roles import assign_roles
+    from atoll_coordinator.data.trajectories.measurements import take_measurements
 
     given = {name: value for name, value in vars(options).items() if name != "verb"}
     try:
         request = request_of(argparse.Namespace(**{**vars(parse(["submit", *options.data])), **given}))
         table = read_table([Path(name) for name in options.data], request.config.data)
-        text, remarks = describe(table, request.config), measured(table, request.config.data).warnings
+        text = describe(table, request.config)
+        remarks = take_measurements(table, *assign_roles(table, request.config.data)).warnings
     except (DataError, UsageError) as error:
         yield problem("data", error)
         return

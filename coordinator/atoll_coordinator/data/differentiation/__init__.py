@@ -1,0 +1,12 @@
+"""Values, derivatives and their uncertainties, one state at a time: `derivatives.estimate_states`.
+
+- `derivatives`: whether a state is smoothed or interpolated, and its `StateEstimate`
+- `smoothing`: loess, its span, degree and thinning selected by cross-validation, and the noise estimated
+- `robust`: weights that take outliers out of loess
+- `interpolation`: derivatives of data without noise
+- `inputs`: slopes of inputs, for simulations
+- `standard_deviation`: the scale by which values are judged
+- `kernels`: compiled loops of loess and of interpolation; `warmup` compiles or loads them
+
+`Measurements` go in, estimates come out: signals -> smoother -> smoothed signals -> estimate.
+"""

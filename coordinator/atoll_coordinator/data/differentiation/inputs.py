@@ -34,7 +34,7 @@ def _shape_preserving(times: FloatArray, values: FloatArray) -> FloatArray:
 _KINDS: Final[tuple[_Slopes, ...]] = (_smooth, _shape_preserving)
 
 
-def input_slopes(times: Sequence[FloatArray], values: Sequence[FloatArray]) -> list[FloatArray]:
+def estimate_input_slopes(times: Sequence[FloatArray], values: Sequence[FloatArray]) -> list[FloatArray]:
     """Return slopes of one input along each trajectory.
 
     The input is taken as smooth or as shape-preserving, whichever predicts rows that are left out better. A linear
@@ -45,18 +45,18 @@ def input_slopes(times: Sequence[FloatArray], values: Sequence[FloatArray]) -> l
         values: of the input at these times, finite.
     """
     _, exponent = math.frexp(max(float(np.max(np.abs(each))) for each in values))
-    runs = [(its, np.ldexp(each, -exponent)) for its, each in zip(times, values, strict=True)]
-    best = min(_KINDS, key=lambda kind: _left_out_error(kind, runs))
+    samples = [(each_times, np.ldexp(each, -exponent)) for each_times, each in zip(times, values, strict=True)]
+    best = min(_KINDS, key=lambda kind: _left_out_error(kind, samples))
     with np.errstate(over="ignore", under="ignore"):
-        return [np.ldexp(best(*run), exponent) for run in runs]
+        return [np.ldexp(best(*sample), exponent) for sample in samples]
 
 
-def _left_out_error(kind: _Slopes, runs: Sequence[tuple[FloatArray, FloatArray]]) -> float:
+def _left_out_error(kind: _Slopes, samples: Sequence[tuple[FloatArray, FloatArray]]) -> float:
     """Return the sum of absolute errors at inner rows when every other row is left out, first the odd then the even."""
     from scipy.interpolate import CubicHermiteSpline
 
     total = 0.0
-    for times, values in runs:
+    for times, values in samples:
         for first in (0, 1):
             kept = slice(first, None, 2)
             left_out = slice(first + 1, len(times) - 1, 2)

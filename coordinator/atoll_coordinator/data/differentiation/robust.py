@@ -12,86 +12,81 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
-from atoll_coordinator.data.differentiation.smoothing import Choice, Run, Smoothed, choose, smooth
+from atoll_coordinator.data.differentiation.smoothing import (
+    Signal,
+    SmoothedSignal,
+    Smoother,
+    select_smoother,
+    smooth,
+)
+from atoll_coordinator.data.settings import SETTINGS
 
-ROUNDS: Final = 6
-"""Most rounds of smoothing and weighing; with fewer outliers it ends earlier."""
-REACH: Final = 6.0
-"""Residuals beyond this many times the median one have no weight (Cleveland 1979)."""
-DEVIATION: Final = 1.4826
+NORMAL_DEVIATION: Final = 1.4826
 """Standard deviation of normal residuals over the median of their size."""
-FINEST: Final = 1e-5
-"""Share of the state's standard deviation that the median residual counts as at least: of data without noise, bias and
-rounding must not be taken for outliers."""
-ISOLATED: Final = 0.5
-"""An outlier's neighbours have at most this share of its residual; at a jump that is not resolved they have more."""
-FEWEST: Final = 3
-SPARSEST: Final = 150
-"""Residuals are heavy-tailed when `FEWEST` of them, and one of this many, are isolated and far out: measured with
-noise of 0.2 to 10 % there were at most 2 in 400 without outliers."""
+LIMITS = SETTINGS.robustness
 
 
 @dataclass(frozen=True, eq=False)
-class Trusted:
-    """Runs with a trust in every row, the smoother chosen with it, and the median residual by which it was measured."""
+class RobustFit:
+    """Signals with robustness weights, the smoother selected with them, and the median residual they are based on."""
 
-    runs: tuple[Run, ...]
-    choice: Choice
+    signals: tuple[Signal, ...]
+    smoother: Smoother
     median: float
 
+    @property
+    def outliers(self) -> int:
+        """How many rows have no weight."""
+        return sum(signal.weights.tolist().count(0.0) for signal in self.signals)
 
-def trusted(runs: Sequence[Run], degrees: Sequence[int]) -> Trusted:
-    """Return `runs` with less trust in rows far from the curve, none in outliers."""
-    its = Trusted(tuple(runs), choose(runs, degrees), 0.0)
-    least = FINEST * moments(np.concatenate([run.values for run in runs]))[1]
-    for _ in range(ROUNDS):
-        residuals = _residuals(its.runs, [smooth(run, its.choice) for run in its.runs])
+
+def fit_robustly(signals: Sequence[Signal], degrees: Sequence[int]) -> RobustFit:
+    """Return `signals` with low robustness weights in rows far from the curve, 0 in outliers."""
+    fit = RobustFit(tuple(signals), select_smoother(signals, degrees), 0.0)
+    least = LIMITS.least_residual * moments(np.concatenate([signal.values for signal in signals]))[1]
+    for _ in range(LIMITS.rounds):
+        residuals = _residuals(fit.signals, [smooth(signal, fit.smoother) for signal in fit.signals])
         median = max(_median(residuals), least)
         if not median > 0.0:
             break
-        weighed = tuple(_weighed(run, part, median) for run, part in zip(runs, residuals, strict=True))
-        is_settled = outliers(weighed) == outliers(its.runs)
-        its = Trusted(weighed, choose(weighed, degrees), median)
-        if is_settled:
+        weighted = tuple(_weigh(signal, part, median) for signal, part in zip(signals, residuals, strict=True))
+        before, fit = fit.outliers, RobustFit(weighted, select_smoother(weighted, degrees), median)
+        if fit.outliers == before:
             break
-    return its
+    return fit
 
 
-def retrusted(run: Run, its: Trusted) -> Run:
-    """Return another run with the trust that the same smoother and the same median residual give its rows."""
-    for _ in range(ROUNDS if its.median > 0.0 else 0):
-        (residuals,) = _residuals([run], [smooth(run, its.choice)])
-        run = _weighed(run, residuals, its.median)
-    return run
+def weigh_by(fit: RobustFit, signal: Signal) -> Signal:
+    """Return another signal with the robustness weights that smoother and median residual of `fit` give its rows."""
+    for _ in range(LIMITS.rounds if fit.median > 0.0 else 0):
+        (residuals,) = _residuals([signal], [smooth(signal, fit.smoother)])
+        signal = _weigh(signal, residuals, fit.median)
+    return signal
 
 
-def outliers(runs: Sequence[Run]) -> int:
-    """Return how many rows have no trust."""
-    return sum(run.weights.tolist().count(0.0) for run in runs)
-
-
-def has_heavy_tails(runs: Sequence[Run], smoothed: Sequence[Smoothed]) -> bool:
+def has_heavy_tails(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> bool:
     """Say whether some rows lie so far from the curve, and so alone, that they cannot be noise like the others'."""
-    residuals = _residuals(runs, smoothed)
-    limit = REACH * DEVIATION * _median(residuals)
-    count = sum(_isolated(np.abs(part).tolist(), limit) for part in residuals)
-    return limit > 0.0 and count >= max(FEWEST, sum(len(part) for part in residuals) / SPARSEST)
+    residuals = _residuals(signals, smoothed)
+    limit = LIMITS.reach * NORMAL_DEVIATION * _median(residuals)
+    count = sum(_count_isolated(np.abs(part).tolist(), limit) for part in residuals)
+    return limit > 0.0 and count >= max(LIMITS.fewest, sum(len(part) for part in residuals) / LIMITS.rows_per_outlier)
 
 
-def _isolated(sizes: list[float], limit: float) -> int:
+def _count_isolated(sizes: list[float], limit: float) -> int:
     """Return how many of `sizes` exceed `limit` and are at least twice those beside them."""
     padded = [0.0, *sizes, 0.0]
     return sum(
-        size > limit and max(before, after) <= ISOLATED * size
+        size > limit and max(before, after) <= LIMITS.isolated * size
         for before, size, after in zip(padded, sizes, padded[2:], strict=False)
     )
 
 
-def _residuals(runs: Sequence[Run], smoothed: Sequence[Smoothed]) -> list[FloatArray]:
-    """Return measured minus smoothed values, over the deviation that a row of this precision has."""
-    parts = [run.values - its.fits[0] for run, its in zip(runs, smoothed, strict=True)]
+def _residuals(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> list[FloatArray]:
+    """Return measured minus smoothed values, over the standard deviation that a row of this inverse variance has."""
+    parts = [signal.values - fit.fits[0] for signal, fit in zip(signals, smoothed, strict=True)]
     return [
-        part if run.precision is None else part * np.sqrt(run.precision) for part, run in zip(parts, runs, strict=True)
+        part if signal.inverse_variances is None else part * np.sqrt(signal.inverse_variances)
+        for part, signal in zip(parts, signals, strict=True)
     ]
 
 
@@ -101,8 +96,8 @@ def _median(residuals: Sequence[FloatArray]) -> float:
     return float(ordered[len(ordered) // 2])
 
 
-def _weighed(run: Run, residuals: FloatArray, median: float) -> Run:
-    """Return `run` with bisquare weights (Cleveland 1979, section 2)."""
-    shares = residuals / (REACH * median)
+def _weigh(signal: Signal, residuals: FloatArray, median: float) -> Signal:
+    """Return `signal` with bisquare weights (Cleveland 1979, section 2)."""
+    shares = residuals / (LIMITS.reach * median)
     rest = np.maximum(1.0 - shares * shares, 0.0)
-    return replace(run, trust=rest * rest)
+    return replace(signal, robustness_weights=rest * rest)

@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.differentiation.derivatives import Way, estimate
-from atoll_coordinator.data.differentiation.smoothing import Choice, Run, smooth
+from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_derivatives
+from atoll_coordinator.data.differentiation.smoothing import Signal, Smoother, smooth
 
 _ROWS: Final = 24
 
@@ -20,7 +20,7 @@ def warm_up() -> None:
         return
     numbers = np.arange(float(_ROWS))
     times = 0.1 * numbers
-    noisy, clean = Run(times, numbers * 31.0 % 47.0), Run(times, 1.0 / (1.0 + times))
-    estimate([noisy], Way())
-    estimate([clean], Way())
-    smooth(noisy, Choice(5, 1, 0.0, thinning=2))
+    noisy, clean = Signal(times, numbers * 31.0 % 47.0), Signal(times, 1.0 / (1.0 + times))
+    estimate_derivatives([noisy], Differentiation())
+    estimate_derivatives([clean], Differentiation())
+    smooth(noisy, Smoother(5, 1, 0.0, thinning=2))

@@ -21,7 +21,7 @@ from atoll.config import DataConfig
 from atoll.data.dataset import FloatArray
 from atoll.data.table import Table
 from atoll.errors import DataError
-from atoll_coordinator.data.reading.columns import mentioned, split_unit, trajectory_name, without_units
+from atoll_coordinator.data.roles.options import find_trajectory_column, named_columns, split_unit, strip_units
 
 MISSING: Final = frozenset({"", "na", "n/a", "#n/a", "nan", "-nan", "+nan", "null", "none"})
 """Cells, in lower case, that stand for a missing number."""
@@ -188,8 +188,8 @@ def _table_of(file: str, rows: _Rows, config: DataConfig) -> Table:
             raise DataError(f"{file} has {names.count(name)} columns named '{name}'; give each column its own name")
     if not rows.lines:
         raise DataError(f"{file} has a header but no rows; rows of numbers are expected below it")
-    config = without_units(config, names)
-    needed, trajectory = mentioned(config), trajectory_name(names, config)
+    config = strip_units(config, names)
+    needed, trajectory = named_columns(config), find_trajectory_column(names, config)
     kept: list[tuple[str, str, FloatArray]] = []
     places = enumerate(zip(rows.headers, rows.columns, strict=True), start=1)
     skipped = [f"column {place}" for place, (header, cells) in places if not header and any(map(str.strip, cells))]

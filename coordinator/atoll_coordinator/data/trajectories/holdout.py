@@ -6,62 +6,54 @@ They take no part in any choice, neither of smoothing nor of equations, so that 
 from collections.abc import Sequence
 from typing import Final
 
-from atoll.data.table import Table
 from atoll.errors import DataError, UsageError
-from atoll_coordinator.data.reading.columns import Roles, check_known
-from atoll_coordinator.data.trajectories.trajectories import plain_number
+from atoll_coordinator.data.trajectories.trajectories import format_number
 
 MANY: Final = 10
 """So many values are listed in a message."""
-Runs = Sequence[tuple[int, int]]
 
 
-def held_out_runs(
-    holdout: int | str | None, table: Table, roles: Roles, rows: Sequence[int], runs: Runs
-) -> tuple[bool, ...]:
+def select_held_out(holdout: int | str | None, trajectory: str | None, values: Sequence[float]) -> tuple[bool, ...]:
     """Return for each trajectory whether it is held out.
 
     Args:
         holdout: how many of the last trajectories, or ``COLUMN=VALUE``.
-        table: what was read.
-        roles: the part of every column.
-        rows: the rows kept of the table.
-        runs: half-open ranges into `rows`, one for each trajectory.
+        trajectory: the trajectory column, if there is one.
+        values: of that column, one for each trajectory.
 
     Raises:
         UsageError: the trajectories are not told apart by that column.
         DataError: there are too few trajectories, or none with that value.
     """
+    count = len(values)
     if holdout is None:
-        return (False,) * len(runs)
+        return (False,) * count
     if isinstance(holdout, int):
-        chosen = [place >= len(runs) - holdout for place in range(len(runs))]
+        held_out = [place >= count - holdout for place in range(count)]
     else:
-        chosen = _with_value(holdout, table, roles, [rows[first] for first, _ in runs])
-    if all(chosen):
-        count = "is only one trajectory" if len(runs) == 1 else f"are {len(runs)} trajectories"
-        raise DataError(f"--holdout {holdout} would keep everything from the search: there {count}; leave at least one")
-    return tuple(chosen)
+        held_out = _with_value(holdout, trajectory, values)
+    if all(held_out):
+        there = "is only one trajectory" if count == 1 else f"are {count} trajectories"
+        raise DataError(f"--holdout {holdout} would keep everything from the search: there {there}; leave at least one")
+    return tuple(held_out)
 
 
-def _with_value(holdout: str, table: Table, roles: Roles, rows: Sequence[int]) -> list[bool]:
-    """Return for each trajectory, beginning in `rows`, whether it has the value that ``COLUMN=VALUE`` names."""
+def _with_value(holdout: str, trajectory: str | None, values: Sequence[float]) -> list[bool]:
+    """Return for each trajectory whether it has the value that ``COLUMN=VALUE`` names."""
     name, _, text = holdout.rpartition("=")
-    if name != roles.trajectory:
-        check_known(name, table)
-        by = "blank rows or files" if roles.trajectory is None else f"column '{roles.trajectory}'"
+    if name != trajectory:
+        by = "blank rows or files" if trajectory is None else f"column '{trajectory}'"
         advice = f"add --trajectory {name}, or give the number of trajectories to hold out"
         raise UsageError(f"--holdout names column '{name}', but trajectories are told apart by {by}; {advice}")
-    values = [float(table.column(name)[row]) for row in rows]
-    chosen = [value == _number(holdout, text) for value in values]
-    if not any(chosen):
-        known = ", ".join(plain_number(value) for value in values[:MANY])
+    held_out = [value == _parse_number(holdout, text) for value in values]
+    if not any(held_out):
+        known = ", ".join(format_number(value) for value in values[:MANY])
         more = ", …" if len(values) > MANY else ""
         raise DataError(f"--holdout {holdout}: no trajectory has this value; there are {known}{more}")
-    return chosen
+    return held_out
 
 
-def _number(holdout: str, text: str) -> float:
+def _parse_number(holdout: str, text: str) -> float:
     try:
         return float(text)
     except ValueError:

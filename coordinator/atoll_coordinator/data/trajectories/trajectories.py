@@ -1,100 +1,112 @@
-"""Trajectories: rows of a table that belong to one continuous measurement, and what is done to them before smoothing.
+"""Trajectories: rows of a table that belong to one continuous measurement, their times, states and names. Pure.
 
 Times are centred over the whole data set, and made exactly even where they are even within their own precision, so
-that an offset of 1900 or of 10**9 costs nothing. Angles are unwrapped. Pure.
+that an offset of 1900 or of 10**9 costs no precision. Angles are unwrapped.
 """
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
-from atoll.config import Angle
 from atoll.data.dataset import FloatArray
 from atoll.data.table import Table
-from atoll_coordinator.data.reading.checks import check_length, check_times
-from atoll_coordinator.data.reading.columns import Roles
+from atoll_coordinator.data.roles.roles import Roles
+from atoll_coordinator.data.settings import SETTINGS
+from atoll_coordinator.data.trajectories.angles import unwrap
+from atoll_coordinator.data.trajectories.checks import check_no_turns, check_trajectory, check_varies
 
-RADIANS_PER_DEGREE: Final = math.pi / 180.0
 LARGEST_PLAIN: Final = 1e15
 """Whole numbers below this are written without an exponent."""
+Range = tuple[int, int]
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectories:
-    """Where the rows kept of a table lie: `rows` table rows in order, `runs` half-open ranges into `rows`.
+    """States along trajectories.
 
-    `times[i]` are the times of run i less `offset`, the centre of all times, ascending strictly; `names[i]` is what the
-    user knows run i by.
+    `names[i]` is what the user knows trajectory i by; `times[i]` are its times less `offset`, the centre of all times,
+    ascending strictly; `states[name][i]` is a state along it, angles unwrapped and in radians.
     """
 
-    rows: tuple[int, ...]
-    runs: tuple[tuple[int, int], ...]
-    times: tuple[FloatArray, ...]
     names: tuple[str, ...]
+    times: tuple[FloatArray, ...]
     offset: float
-
-    def split(self, values: FloatArray) -> list[FloatArray]:
-        """Return the part of `values` (one per kept row) that belongs to each run."""
-        return [values[first:last] for first, last in self.runs]
+    states: Mapping[str, Sequence[FloatArray]]
 
 
-def runs_of(table: Table, rows: Sequence[int], trajectory: str | None) -> tuple[tuple[int, int], ...]:
-    """Return the half-open ranges into `rows` between which a new trajectory begins."""
-    numbers = table.column(trajectory) if trajectory is not None else np.zeros(table.rows)
-    segment = np.zeros(table.rows, dtype=np.int64)
-    for start in table.starts[1:]:
-        segment[start:] += 1
-    breaks = [
-        place
-        for place, (row, after) in enumerate(pairwise(rows), start=1)
-        if segment[row] != segment[after] or numbers[row] != numbers[after]
-    ]
-    return tuple(pairwise([0, *breaks, len(rows)]))
+def find_ranges(starts: Sequence[int], rows: Sequence[int], numbers: FloatArray) -> tuple[Range, ...]:
+    """Return the half-open ranges into `rows`, one for each trajectory.
+
+    Args:
+        starts: rows of the table at which a file begins or blank rows end, the first one 0.
+        rows: the rows of the table that are used.
+        numbers: of the trajectories, at all rows of the table: where they change, another trajectory begins.
+    """
+    segments = np.searchsorted(starts, rows, side="right")
+    is_break = (segments[1:] != segments[:-1]) | (numbers[rows[1:]] != numbers[rows[:-1]])
+    return tuple(pairwise([0, *(np.flatnonzero(is_break) + 1).tolist(), len(rows)]))
 
 
-def trajectories_of(table: Table, roles: Roles, rows: Sequence[int]) -> Trajectories:
-    """Return the trajectories among `rows`; raises DataError when one is too short or its times do not ascend."""
+def split_trajectories(
+    table: Table,
+    roles: Roles,
+    rows: Sequence[int],
+    ranges: Sequence[Range],
+    raw: Mapping[str, FloatArray],
+    columns: Mapping[str, FloatArray],
+) -> Trajectories:
+    """Return names, times and states along each trajectory.
+
+    Args:
+        table: what was read.
+        roles: with a time.
+        rows: the rows of the table that are used.
+        ranges: half-open ranges into `rows`, one for each trajectory.
+        raw: columns of the table at all its rows, by name.
+        columns: the same at `rows`, angles in radians.
+
+    Raises:
+        DataError: a trajectory is too short, its times do not ascend, or a state looks like a wrapped angle.
+    """
     assert roles.time is not None
-    raw = table.column(roles.time)[list(rows)]
-    runs = runs_of(table, rows, roles.trajectory)
-    for number, (first, last) in enumerate(runs, start=1):
-        check_times(table, roles.time, raw[first:last], rows[first:last])
-        check_length(table, rows[first:last], number)
-    centre = 0.5 * (float(np.min(raw)) + float(np.max(raw)))
-    times = tuple(_evened(raw[first:last], centre) for first, last in runs)
-    return Trajectories(tuple(rows), runs, times, _names(table, rows, runs, roles.trajectory), centre)
+    times = raw[roles.time][list(rows)]
+    for number, (first, last) in enumerate(ranges, start=1):
+        check_trajectory(table, roles.time, times[first:last], rows[first:last], number)
+    states = {name: [columns[name][first:last] for first, last in ranges] for name in roles.states}
+    angles = {angle.column for angle in roles.angles}
+    for name, parts in states.items():
+        if name in angles:
+            states[name] = [unwrap(part) for part in parts]
+            check_varies(table, name, np.concatenate(states[name]), "state")
+        else:
+            check_no_turns(name, parts)
+    names = tuple(str(number) for number, _ in enumerate(ranges, start=1))
+    if roles.trajectory is not None:
+        names = distinguish([format_number(float(raw[roles.trajectory][rows[first]])) for first, _ in ranges])
+    centre = 0.5 * (float(np.min(times)) + float(np.max(times)))
+    centred = tuple(_center_times(times[first:last], centre) for first, last in ranges)
+    return Trajectories(names, centred, centre, states)
 
 
-def _names(
-    table: Table, rows: Sequence[int], runs: Sequence[tuple[int, int]], trajectory: str | None
-) -> tuple[str, ...]:
-    """Return numbers from 1, or values of the trajectory column; one that comes again is followed by b, c, …"""
-    if trajectory is None:
-        return tuple(str(number) for number, _ in enumerate(runs, start=1))
-    numbers = table.column(trajectory)
-    return distinguished([plain_number(float(numbers[rows[first]])) for first, _ in runs])
-
-
-def plain_number(value: float) -> str:
+def format_number(value: float) -> str:
     """Return a number as a person would write it: without a needless fraction."""
     return f"{value:.0f}" if value.is_integer() and abs(value) < LARGEST_PLAIN else repr(value)
 
 
-def distinguished(names: Sequence[str]) -> tuple[str, ...]:
+def distinguish(names: Sequence[str]) -> tuple[str, ...]:
     """Return `names` with a letter behind each that came before: 2, 2b, 2c, …, 2z, 2aa."""
-    result: list[str] = []
+    distinct: list[str] = []
     taken: set[str] = set()
     for name in names:
         number = 0
         while name + _letters(number) in taken:
             number += 1
-        result.append(name + _letters(number))
-        taken.add(result[-1])
-    return tuple(result)
+        distinct.append(name + _letters(number))
+        taken.add(distinct[-1])
+    return tuple(distinct)
 
 
 def _letters(number: int) -> str:
@@ -106,34 +118,19 @@ def _letters(number: int) -> str:
     return text
 
 
-def _evened(times: FloatArray, centre: float) -> FloatArray:
+def _center_times(times: FloatArray, centre: float) -> FloatArray:
     """Return times - centre, exactly even when they are even to within their last bits."""
-    precision = 4.0 * float(np.spacing(np.max(np.abs(times))))
-    step = _plainest(float(times[-1]) - float(times[0]), len(times) - 1, precision)
+    precision = SETTINGS.trajectories.time_rounding * float(np.spacing(np.max(np.abs(times))))
+    step = _round_step(float(times[-1]) - float(times[0]), len(times) - 1, precision)
+    is_resolved = precision < SETTINGS.trajectories.largest_rounding * step
     steps: FloatArray = step * np.arange(len(times), dtype=np.float64)
-    if np.all(np.abs(times - (float(times[0]) + steps)) <= precision) and precision < 0.1 * step:
+    if np.all(np.abs(times - (float(times[0]) + steps)) <= precision) and is_resolved:
         return (float(times[0]) - centre) + steps
     return times - centre
 
 
-def _plainest(length: float, steps: int, precision: float) -> float:
+def _round_step(length: float, steps: int, precision: float) -> float:
     """Return the step with the fewest digits that spans `length` in `steps` to within `precision`."""
     step = length / steps
     rounded = (float(f"{step:.{digits}g}") for digits in range(1, 17))
     return next((each for each in rounded if abs(each * steps - length) <= precision), step)
-
-
-def in_radians(values: FloatArray, angle: Angle) -> FloatArray:
-    """Return an angle's values in radians: sin and cos of expressions need them."""
-    return values * RADIANS_PER_DEGREE if angle.degrees else values
-
-
-def unwrapped(values: FloatArray) -> FloatArray:
-    """Return an angle (radians) of one run with jumps of more than half a turn taken out."""
-    turn = 2.0 * math.pi
-    result = values.copy()
-    turns = 0
-    for index in range(1, len(values)):
-        turns -= round((float(values[index]) - float(values[index - 1])) / turn)
-        result[index] = float(values[index]) + turns * turn
-    return result

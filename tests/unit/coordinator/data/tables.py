@@ -3,6 +3,8 @@
 import numpy as np
 
 from atoll.data.table import Table
+from atoll_coordinator.data.roles.roles import assign_roles
+from atoll_coordinator.data.trajectories.measurements import take_measurements
 
 
 def table_of(columns, starts=(0,), skipped=()):
@@ -17,3 +19,8 @@ def oscillator(rows=60, step=0.1, start=0.0):
     times = start + step * np.arange(rows)
     phases = step * np.arange(rows)
     return {"t": times, "x": np.cos(phases), "y": -np.sin(phases)}
+
+
+def measurements_of(table, config):
+    """Return the measurements that a table holds under these options."""
+    return take_measurements(table, *assign_roles(table, config))

@@ -5,9 +5,9 @@ import pytest
 from atoll.config import DataConfig, EvolutionConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll.errors import UsageError
 from atoll.expression.text.infix import to_infix
+from atoll_coordinator.data.description import describe
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs, resolve_prior
-from atoll_coordinator.data.reading.description import describe
 from atoll_coordinator.service.jobs.defaults import resolve
 from tests.unit.coordinator.data.tables import oscillator, table_of
 

@@ -2,7 +2,7 @@
 
 Everything here feeds the search and must give the same bits everywhere: plain loops in a fixed order, no library
 reductions. Letters: R rows of one trajectory, B bins, K rows of a loess window, D degrees. Times ascend strictly;
-`trust` (R,) says between 0 and 1 how much a row counts. Oracles written from the definitions stand in
+`row_weights` (R,) say how much a row counts. Oracles written from the definitions stand in
 ``tests/oracles/smoothing.py``.
 """
 
@@ -33,16 +33,16 @@ def window_start(start: int, row: int, span: int, times: FloatArray) -> int:
 
 @inlined
 def widen_window(
-    row: int, start: int, window: int, times: FloatArray, trust: FloatArray, fewest: int
+    row: int, start: int, window: int, times: FloatArray, row_weights: FloatArray, fewest: int
 ) -> tuple[int, int]:
-    """Return start and length of a window that has `fewest` rows with trust, if there are so many.
+    """Return start and length of a window that has `fewest` rows with weight, if there are so many.
 
     It grows by the row that is next in time, to the whole trajectory at most.
     """
     stop = start + window
     count = 0
     for j in range(start, stop):
-        if trust[j] > 0.0:
+        if row_weights[j] > 0.0:
             count += 1
     while count < fewest and stop - start < len(times):
         to_left = stop == len(times) or (start > 0 and times[row] - times[start - 1] <= times[stop] - times[row])
@@ -50,7 +50,7 @@ def widen_window(
             start -= 1
         else:
             stop += 1
-        if trust[start if to_left else stop - 1] > 0.0:
+        if row_weights[start if to_left else stop - 1] > 0.0:
             count += 1
     return start, stop - start
 
@@ -64,24 +64,25 @@ def weigh_window(
     window: int,
     span: int,
     times: FloatArray,
-    trust: FloatArray,
+    row_weights: FloatArray,
 ) -> float:
-    """Fill offsets (in bandwidths) and weights of rows [start, start + window): tricube times trust; return bandwidth.
+    """Fill offsets (in bandwidths) and weights of rows [start, start + window); return the bandwidth.
 
-    Cleveland 1979, eq. 2.1; the bandwidth lies half a row beyond the farthest one so that each row counts, and grows
-    in proportion where the span exceeds the trajectory. Where no row has trust, all have.
+    Weights are tricube (Cleveland 1979, eq. 2.1) times row weight; where no row has one, all have 1. The bandwidth lies
+    half a row beyond the farthest one so that each row counts, and grows in proportion where the span exceeds the
+    trajectory.
     """
     reach = max(times[row] - times[start], times[start + window - 1] - times[row])
     bandwidth = reach * (1.0 + 1.0 / window) * max(1.0, span / window)
     total = 0.0
     for j in range(window):
-        total += trust[start + j]
+        total += row_weights[start + j]
     for j in range(window):
         offset = (times[start + j] - times[row]) / bandwidth
         distance = abs(offset)
         rest = 1.0 - distance * distance * distance
         offsets[j] = offset
-        weights[j] = rest * rest * rest * (trust[start + j] if total > 0.0 else 1.0)
+        weights[j] = rest * rest * rest * (row_weights[start + j] if total > 0.0 else 1.0)
     return float(bandwidth)
 
 
@@ -108,12 +109,13 @@ def next_polynomial(
 
 @allocating_kernel
 def validate_into(
-    sums: FloatArray, times: FloatArray, values: FloatArray, trust: FloatArray, span: int, every: int
+    sums: FloatArray, times: FloatArray, values: FloatArray, row_weights: FloatArray, span: int, every: int
 ) -> None:
     """Add to `sums` (3, D), for loess of degrees 0 to 4 at one in `every` rows, what cross-validation needs.
 
-    Row 0 sums squared residuals, row 1 leverages, row 2 the trust by which either is weighed. `span` is the number of
-    nearest rows. A degree that a window cannot bear adds infinity; where too few of its rows have trust, it is widened.
+    Row 0 sums squared residuals, row 1 leverages, row 2 the row weights by which either is weighed. `span` is the
+    number of nearest rows. A degree that a window cannot bear adds infinity; where too few of its rows have weight, it
+    is widened.
     """
     rows = len(times)
     narrow = min(span, rows)
@@ -122,11 +124,11 @@ def validate_into(
     at_zero = np.empty((2, 3))
     left = 0
     for row in range(rows):
-        if trust[row] <= 0.0 or (row * SPREADING) % RANGE >= RANGE // every:
+        if row_weights[row] <= 0.0 or (row * SPREADING) % RANGE >= RANGE // every:
             continue
         left = window_start(left, row, narrow, times)
-        start, window = widen_window(row, left, narrow, times, trust, min(narrow, sums.shape[1] + 1))
-        weigh_window(offsets, weights, row, start, window, span, times, trust)
+        start, window = widen_window(row, left, narrow, times, row_weights, min(narrow, sums.shape[1] + 1))
+        weigh_window(offsets, weights, row, start, window, span, times, row_weights)
         at_zero[:] = 0.0
         at_zero[0, 0] = 1.0
         current[:window] = 1.0
@@ -150,9 +152,9 @@ def validate_into(
                 beta = norm / norm_before if degree > 0 else 0.0
                 next_polynomial(at_zero, current, last, offsets[:window], moment / norm, beta)
                 norm_before = norm
-            sums[0, degree] += trust[row] * (fit * fit)
-            sums[1, degree] += trust[row] * (leverage * trust[row])
-            sums[2, degree] += trust[row]
+            sums[0, degree] += row_weights[row] * (fit * fit)
+            sums[1, degree] += row_weights[row] * (leverage * row_weights[row])
+            sums[2, degree] += row_weights[row]
 
 
 @allocating_kernel
@@ -161,17 +163,17 @@ def loess_into(
     gains: FloatArray,
     times: FloatArray,
     values: FloatArray,
-    trust: FloatArray,
-    precision: FloatArray,
+    row_weights: FloatArray,
+    inverse_variance: FloatArray,
     span: int,
     degrees: int,
 ) -> None:
     """Fill `fits` (3, R) with the value, slope and curvature of loess over the `span` nearest rows.
 
-    `precision` (R,), positive, divides the variance of each row's noise. `gains` (4, R) receives noise gains, the roots
-    of the sums of squared weights with which the values enter, over their precision, and the leverage, the weight of a
-    row's own value in its fit. `degrees` counts the degrees used: 3 is a parabola; where too few rows of a window have
-    trust, it is widened.
+    `inverse_variance` (R,), positive, is that of each row's errors, up to a factor. `gains` (4, R) receives noise
+    gains, the roots of the sums of squared weights with which the values enter, over their inverse variance, and the
+    leverage, the weight of a row's own value in its fit. `degrees` counts the degrees used: 3 is a parabola; where too
+    few rows of a window have weight, it is widened.
     """
     rows = len(times)
     offsets, weights = np.empty(rows), np.empty(rows)
@@ -182,8 +184,8 @@ def loess_into(
     narrow = min(span, rows)
     for row in range(rows):
         left = window_start(left, row, narrow, times)
-        start, window = widen_window(row, left, narrow, times, trust, min(narrow, degrees + 1))
-        bandwidth = weigh_window(offsets, weights, row, start, window, span, times, trust)
+        start, window = widen_window(row, left, narrow, times, row_weights, min(narrow, degrees + 1))
+        bandwidth = weigh_window(offsets, weights, row, start, window, span, times, row_weights)
         at_zero[:] = 0.0
         at_zero[0, 0] = 1.0
         current[:window] = 1.0
@@ -213,7 +215,7 @@ def loess_into(
             total, gain = 0.0, 0.0
             for j in range(window):
                 total += influence[derivative, j] * (values[start + j] - values[row])
-                gain += influence[derivative, j] * influence[derivative, j] / precision[start + j]
+                gain += influence[derivative, j] * influence[derivative, j] / inverse_variance[start + j]
             fits[derivative, row] = total * unit + (values[row] if derivative == 0 else 0.0)
             gains[derivative, row] = np.sqrt(gain) * unit
             unit /= bandwidth
@@ -223,30 +225,30 @@ def loess_into(
 def thin_into(
     bin_times: FloatArray,
     bin_values: FloatArray,
-    bin_trust: FloatArray,
+    bin_weights: FloatArray,
     times: FloatArray,
     values: FloatArray,
-    trust: FloatArray,
+    row_weights: FloatArray,
 ) -> None:
-    """Fill times, values and trust (B,) of bins, B even parts of the rows, with means; the former two by trust.
+    """Fill times, values and weights (B,) of bins, B even parts of the rows, with means; the former two by row weight.
 
-    A bin without a trusted row has the plain means and no trust.
+    A bin without weight has the plain means.
     """
     rows, bins = len(times), len(bin_times)
     for index in range(bins):
         first, last = index * rows // bins, (index + 1) * rows // bins
         total = 0.0
         for row in range(first, last):
-            total += trust[row]
+            total += row_weights[row]
         time, value, whole = 0.0, 0.0, 0.0
         for row in range(first, last):
-            weight = trust[row] if total > 0.0 else 1.0
+            weight = row_weights[row] if total > 0.0 else 1.0
             time += weight * (times[row] - times[first])
             value += weight * (values[row] - values[first])
             whole += weight
         bin_times[index] = times[first] + time / whole
         bin_values[index] = values[first] + value / whole
-        bin_trust[index] = total / (last - first)
+        bin_weights[index] = total / (last - first)
 
 
 @kernel

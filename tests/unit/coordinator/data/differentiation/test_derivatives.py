@@ -5,32 +5,33 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll_coordinator.data.differentiation.derivatives import END_ROWS, Way, end_rows, estimate
-from atoll_coordinator.data.differentiation.smoothing import Run
+from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_derivatives
+from atoll_coordinator.data.differentiation.interpolation import END_ROWS, mark_ends
+from atoll_coordinator.data.differentiation.smoothing import Signal
 
 
 def waves(rows=200, noise=0.0, seed=0, uneven=False, scale=1.0, offset=0.0):
-    """Return two runs of sin(t), with the true first and second derivatives of all rows."""
+    """Return two signals of sin(t), with the true first and second derivatives of all rows."""
     rng = np.random.default_rng(seed)
-    runs, first, second = [], [], []
+    signals, first, second = [], [], []
     for phase in (0.0, 1.0):
         steps = rng.uniform(0.5, 1.5, rows) if uneven else np.ones(rows)
         times = np.cumsum(steps) * 0.05
-        runs.append(Run(times, offset + scale * (np.sin(times + phase) + noise * rng.standard_normal(rows))))
+        signals.append(Signal(times, offset + scale * (np.sin(times + phase) + noise * rng.standard_normal(rows))))
         first.append(scale * np.cos(times + phase))
         second.append(-scale * np.sin(times + phase))
-    return runs, np.concatenate(first), np.concatenate(second)
+    return signals, np.concatenate(first), np.concatenate(second)
 
 
 @pytest.mark.parametrize("uneven", [False, True])
 @pytest.mark.parametrize("order", [1, 2])
 def test_data_without_noise_are_interpolated(order, uneven):
-    runs, *truths = waves(uneven=uneven)
-    its = estimate(runs, Way(order))
-    inner = end_rows([200, 200]) == 0
-    assert its.interpolated
-    assert its.noise == 0.0
-    assert its.values.tolist() == [value for run in runs for value in run.values]
+    signals, *truths = waves(uneven=uneven)
+    its = estimate_derivatives(signals, Differentiation(order))
+    inner = mark_ends([200, 200]) == 0
+    assert its.is_interpolated
+    assert its.target_noise == 0.0
+    assert its.values.tolist() == [value for signal in signals for value in signal.values]
     errors = np.abs(its.derivative - truths[order - 1])[inner]
     assert errors.max() < 1e-9
     assert errors.mean() < its.uncertainty[inner].mean()
@@ -38,42 +39,42 @@ def test_data_without_noise_are_interpolated(order, uneven):
 
 @pytest.mark.parametrize("noise", [0.003, 0.03, 0.3])
 def test_noisy_data_are_smoothed(noise):
-    runs, truth, _ = waves(noise=noise)
-    its = estimate(runs, Way())
-    assert not its.interpolated
-    assert its.noise == pytest.approx(noise / np.std(truth), rel=0.2)
+    signals, truth, _ = waves(noise=noise)
+    its = estimate_derivatives(signals, Differentiation())
+    assert not its.is_interpolated
+    assert its.target_noise == pytest.approx(noise / np.std(truth), rel=0.2)
     error = np.abs(its.derivative - truth).mean()
     assert 0.4 * its.uncertainty.mean() < error < 3 * its.uncertainty.mean()
 
 
 def test_rounding_to_six_digits_counts_as_little_noise_and_shows_in_the_uncertainty():
-    runs, truth, _ = waves()
-    rounded = [Run(run.times, np.round(run.values, 6)) for run in runs]
-    its = estimate(rounded, Way())
-    inner = end_rows([200, 200]) == 0
+    signals, truth, _ = waves()
+    rounded = [Signal(signal.times, np.round(signal.values, 6)) for signal in signals]
+    its = estimate_derivatives(rounded, Differentiation())
+    inner = mark_ends([200, 200]) == 0
     error = np.abs(its.derivative - truth)[inner].mean()
     assert error < 2 * its.uncertainty[inner].mean() < 1e-3
 
 
 def test_the_paper_preset_smooths_always():
-    runs, _, _ = waves()
-    assert not estimate(runs, Way(paper=True)).interpolated
+    signals, _, _ = waves()
+    assert not estimate_derivatives(signals, Differentiation(paper=True)).is_interpolated
 
 
 def test_the_second_derivative_of_noisy_data_is_smoothed():
-    runs, first, second = waves(noise=0.01)
-    its = estimate(runs, Way(2))
+    signals, first, second = waves(noise=0.01)
+    its = estimate_derivatives(signals, Differentiation(2))
     assert np.std(its.velocity - first) < 0.1
     assert np.std(its.derivative - second) < 0.4
 
 
 def test_a_jump_that_the_sampling_does_not_resolve_is_uncertain_where_it_is():
     times = np.arange(200) * 0.1
-    runs = [Run(times, np.sin(times) + np.tanh(40 * (times - 10.03)))]
-    its = estimate(runs, Way())
+    signals = [Signal(times, np.sin(times) + np.tanh(40 * (times - 10.03)))]
+    its = estimate_derivatives(signals, Differentiation())
     truth = np.cos(times) + 40 / np.cosh(np.clip(40 * (times - 10.03), -300, 300)) ** 2
     wrong = np.flatnonzero(np.abs(its.derivative - truth) > 1e-3)
-    assert its.interpolated
+    assert its.is_interpolated
     assert len(wrong)
     assert (its.uncertainty[wrong] > 1e-4).all()
     assert its.uncertainty[20] < 1e-6
@@ -90,15 +91,15 @@ def test_scale_and_offset_of_the_values_change_nothing_else(exponent, offset, no
     scale = 10.0**exponent
     plain, _, _ = waves(60, noise, uneven=uneven)
     moved, _, _ = waves(60, noise, uneven=uneven, scale=scale, offset=offset * scale)
-    its, others = estimate(plain, Way()), estimate(moved, Way())
-    inner = end_rows([60, 60]) == 0
-    assert its.interpolated == others.interpolated
-    tolerance = 3e-9 if its.interpolated else 1e-6
+    its, others = estimate_derivatives(plain, Differentiation()), estimate_derivatives(moved, Differentiation())
+    inner = mark_ends([60, 60]) == 0
+    assert its.is_interpolated == others.is_interpolated
+    tolerance = 3e-9 if its.is_interpolated else 1e-6
     assert others.derivative[inner] / scale == pytest.approx(its.derivative[inner], abs=tolerance)
 
 
 def test_ends_of_short_trajectories_are_not_left_out():
-    ends = end_rows([10, 30])
+    ends = mark_ends([10, 30])
     assert ends[:10].sum() == 0
     assert ends[10:].sum() == 2 * END_ROWS
     assert ends[10] == ends[-1] == 1.0
@@ -107,6 +108,6 @@ def test_ends_of_short_trajectories_are_not_left_out():
 @pytest.mark.parametrize("rows", [5, 6, 8, 15, 16])
 def test_short_trajectories_have_derivatives(rows):
     times = np.arange(rows) * 0.01
-    its = estimate([Run(times, np.exp(times))], Way())
+    its = estimate_derivatives([Signal(times, np.exp(times))], Differentiation())
     assert its.derivative == pytest.approx(np.exp(times), rel=1e-4)
     assert np.isfinite(its.uncertainty).all()

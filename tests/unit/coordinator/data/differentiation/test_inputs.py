@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from atoll_coordinator.data.differentiation.inputs import input_slopes
+from atoll_coordinator.data.differentiation.inputs import estimate_input_slopes
 
 
 def steps(rows, seed=0):
@@ -14,13 +14,13 @@ def steps(rows, seed=0):
 @pytest.mark.parametrize("scale", [1.0, 1e-300, 1e300])
 def test_a_linear_input_is_exact(scale):
     times = steps(30)
-    (slopes,) = input_slopes([times], [scale * (3.0 - 0.7 * times)])
+    (slopes,) = estimate_input_slopes([times], [scale * (3.0 - 0.7 * times)])
     assert slopes / scale == pytest.approx(np.full(30, -0.7), rel=1e-12)
 
 
 def test_a_smooth_input_is_interpolated_to_the_fourth_order():
     times = steps(100)
-    (slopes,) = input_slopes([times], [np.sin(times)])
+    (slopes,) = estimate_input_slopes([times], [np.sin(times)])
     between = np.linspace(times[3], times[-4], 999)
     curve = CubicHermiteSpline(times, np.sin(times), slopes)
     assert np.abs(curve(between) - np.sin(between)).max() < 3e-6
@@ -29,7 +29,7 @@ def test_a_smooth_input_is_interpolated_to_the_fourth_order():
 def test_a_switched_input_does_not_overshoot():
     times = [steps(60), steps(40, 1)]
     values = [np.where(each % 2.0 < 1.0, 0.0, 5.0) for each in times]
-    for its, part, slopes in zip(times, values, input_slopes(times, values), strict=True):
+    for its, part, slopes in zip(times, values, estimate_input_slopes(times, values), strict=True):
         curve = CubicHermiteSpline(its, part, slopes)(np.linspace(its[0], its[-1], 2000))
         assert -1e-12 < curve.min() <= curve.max() < 5.0 + 1e-12
 
@@ -37,13 +37,13 @@ def test_a_switched_input_does_not_overshoot():
 def test_all_trajectories_of_an_input_are_taken_alike():
     """A short smooth piece of an input that is switched elsewhere is shape-preserving too."""
     switched, smooth = steps(60), steps(8, 1)
-    alone = input_slopes([smooth], [np.sin(smooth)])[0]
-    both = input_slopes([switched, smooth], [np.where(switched % 2.0 < 1.0, 0.0, 5.0), np.sin(smooth)])[1]
+    alone = estimate_input_slopes([smooth], [np.sin(smooth)])[0]
+    both = estimate_input_slopes([switched, smooth], [np.where(switched % 2.0 < 1.0, 0.0, 5.0), np.sin(smooth)])[1]
     assert not np.allclose(alone, both)
 
 
 @pytest.mark.parametrize("rows", [5, 6, 7])
 def test_short_trajectories_have_slopes(rows):
     times = np.arange(float(rows))
-    (slopes,) = input_slopes([times], [times**2])
+    (slopes,) = estimate_input_slopes([times], [times**2])
     assert slopes == pytest.approx(2 * times)

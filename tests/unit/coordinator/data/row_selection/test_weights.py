@@ -5,9 +5,9 @@ import pytest
 
 from atoll.config import DataConfig, JobConfig
 from atoll.errors import DataError, UsageError
+from atoll_coordinator.data.description import describe
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.data.reading.description import describe
-from atoll_coordinator.data.row_selection.weights import relative_weights, weighty_enough
+from atoll_coordinator.data.row_selection.weights import normalize_weights, select_weighty_rows
 from tests.unit.coordinator.data.tables import oscillator, table_of
 
 ROWS = 300
@@ -114,14 +114,14 @@ def test_labels_of_little_weight_are_left_out_of_the_search():
 
 def test_most_rows_are_kept_whatever_their_weight():
     weights = np.array([1.0] * 60 + [1e-3] * 40)
-    assert len(weighty_enough(weights, [*range(100)])) == 100
+    assert len(select_weighty_rows(weights, [*range(100)])) == 100
     weights[60:70] = 1e-4
-    assert weighty_enough(weights, [*range(100)]) == [*range(60), *range(70, 100)]
+    assert select_weighty_rows(weights, [*range(100)]) == [*range(60), *range(70, 100)]
 
 
-def test_relative_weights_are_one_on_average():
-    assert relative_weights(np.array([1e300, 3e300])) == pytest.approx([0.5, 1.5])
-    assert relative_weights(np.full(5, 0.1)) is None
+def test_normalized_weights_are_one_on_average():
+    assert normalize_weights(np.array([1e300, 3e300])) == pytest.approx([0.5, 1.5])
+    assert normalize_weights(np.full(5, 0.1)) is None
 
 
 @pytest.mark.parametrize(("value", "found"), [(-1.0, "-1"), (np.nan, "an empty cell or NaN"), (np.inf, "inf")])

@@ -7,9 +7,8 @@ import pytest
 
 from atoll.config import Angle, DataConfig, JobConfig
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.data.reading.measured import measured
-from atoll_coordinator.data.trajectories.gaps import pieces_of, split_at_gaps
-from tests.unit.coordinator.data.tables import oscillator, table_of
+from atoll_coordinator.data.trajectories.gaps import find_pieces, split_at_gaps
+from tests.unit.coordinator.data.tables import measurements_of, oscillator, table_of
 
 
 def without(columns, *ranges):
@@ -19,7 +18,7 @@ def without(columns, *ranges):
 
 
 def split(columns, span=20, starts=(0,), **options):
-    its = measured(table_of(columns, starts), DataConfig(**options))
+    its = measurements_of(table_of(columns, starts), DataConfig(**options))
     return its, split_at_gaps(its, span)
 
 
@@ -40,12 +39,12 @@ def noisy(columns, noise=0.05):
     ],
 )
 def test_pieces_lie_between_gaps_longer_than_the_span(times, span, pieces):
-    assert pieces_of(times.astype(float), span) == pieces
+    assert find_pieces(times.astype(float), span) == pieces
 
 
 def test_times_drawn_at_random_have_no_gaps():
     times = np.sort(np.random.default_rng(0).uniform(0.0, 100.0, 10_000))
-    assert len(pieces_of(times, 5)) == 1
+    assert len(find_pieces(times, 5)) == 1
 
 
 def test_even_times_are_left_alone():
@@ -57,10 +56,13 @@ def test_a_trajectory_is_split_and_its_parts_are_named():
     columns = without(oscillator(200), (50, 80), (120, 160))
     its, pieces = split(columns, starts=(0, 10))
     assert pieces.trajectories is not None
-    assert pieces.runs == pieces.trajectories.runs == ((0, 10), (10, 50), (50, 90), (90, 130))
+    assert pieces.ranges == ((0, 10), (10, 50), (50, 90), (90, 130))
     assert pieces.trajectories.names == ("1", "2", "2b", "2c")
     assert [len(each) for each in pieces.trajectories.times] == [10, 40, 40, 40]
-    assert np.concatenate(pieces.states["x"]).tolist() == np.concatenate(its.states["x"]).tolist()
+    assert (
+        np.concatenate(pieces.trajectories.states["x"]).tolist()
+        == np.concatenate(its.trajectories.states["x"]).tolist()
+    )
     sentence = "2 gaps in the times are longer than what is smoothed at a time; trajectories are split there: 2 into "
     assert pieces.warnings[-1] == sentence + "2, 2b, 2c."
 
@@ -68,16 +70,16 @@ def test_a_trajectory_is_split_and_its_parts_are_named():
 def test_short_pieces_are_left_out():
     columns = without(oscillator(200), (50, 80), (83, 120))
     _, pieces = split(columns, inputs=("y",))
-    assert pieces.runs == ((0, 50), (50, 130))
+    assert pieces.ranges == ((0, 50), (50, 130))
     assert pieces.warnings[-1] == "3 rows in pieces of fewer than 5 rows between gaps are left out."
-    assert pieces.column("y").tolist() == [*columns["y"][:50], *columns["y"][53:]]
+    assert pieces.columns["y"].tolist() == [*columns["y"][:50], *columns["y"][53:]]
 
 
 def test_bursts_too_short_to_be_differentiated_are_bridged():
     columns = without(oscillator(400), *((first + 3, first + 33) for first in range(0, 330, 33)))
     columns = {name: values[:32] for name, values in columns.items()}
     its, whole = split(columns)
-    assert whole.runs == its.runs
+    assert whole.ranges == its.ranges
     assert whole.warnings[-1].startswith("10 gaps in the times are bridged although long, because the pieces")
 
 
@@ -85,7 +87,7 @@ def test_held_out_trajectories_are_split_too():
     columns = {name: np.tile(values, 2) for name, values in without(oscillator(100), (40, 70)).items()}
     _, pieces = split(columns, starts=(0, 70), holdout=1)
     assert pieces.held_out == (False, False, True, True)
-    assert pieces.indices(held_out=True) == list(range(70, 140))
+    assert pieces.held_out_rows == list(range(70, 140))
 
 
 def test_a_recording_has_the_pieces_as_trajectories():
@@ -116,7 +118,7 @@ def test_an_angle_is_unwrapped_before_it_is_split():
     columns = without(oscillator(200), (80, 120))
     columns["y"] = np.mod(0.5 * columns["t"], 2 * math.pi)
     _, pieces = split(columns, angles=(Angle(column="y"),))
-    assert np.concatenate(pieces.states["y"]) == pytest.approx(0.5 * columns["t"])
+    assert np.concatenate(pieces.trajectories.states["y"]) == pytest.approx(0.5 * columns["t"])
 
 
 def test_thirty_percent_of_the_rows_may_be_missing():

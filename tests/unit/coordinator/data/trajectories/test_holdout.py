@@ -8,8 +8,7 @@ import pytest
 from atoll.config import DataConfig, JobConfig
 from atoll.errors import DataError, UsageError
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.data.reading.measured import measured
-from tests.unit.coordinator.data.tables import oscillator, table_of
+from tests.unit.coordinator.data.tables import measurements_of, oscillator, table_of
 
 
 def three(noise=0.05, numbers=(4.0, 7.0, 2.5), rows=60):
@@ -37,7 +36,7 @@ def prepared(columns, preset="default", **options):
     ],
 )
 def test_trajectories_are_chosen_by_number_or_by_value(holdout, expected):
-    its = measured(table_of(three()), DataConfig(trajectory="run", holdout=holdout))
+    its = measurements_of(table_of(three()), DataConfig(trajectory="run", holdout=holdout))
     assert its.held_out == expected
 
 

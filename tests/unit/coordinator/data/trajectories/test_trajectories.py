@@ -3,16 +3,21 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.reading.columns import Roles
-from atoll_coordinator.data.trajectories.trajectories import distinguished, plain_number, trajectories_of, unwrapped
+from atoll_coordinator.data.roles.roles import Roles
+from atoll_coordinator.data.trajectories.angles import unwrap
+from atoll_coordinator.data.trajectories.trajectories import distinguish, find_ranges, format_number, split_trajectories
 from tests.unit.coordinator.data.tables import oscillator, table_of
 
 ROLES = Roles("t", None, ("x", "y"), ())
 
 
-def times_of(columns, starts=(0,)):
+def times_of(columns, starts=(0,), left_out=()):
     table = table_of(columns, starts)
-    return trajectories_of(table, ROLES, range(table.rows)).times
+    rows = [row for row in range(table.rows) if row not in left_out]
+    raw = dict(zip(table.names, table.columns, strict=True))
+    used = {name: raw[name][rows] for name in ROLES.states}
+    ranges = find_ranges(starts, rows, np.zeros(table.rows))
+    return split_trajectories(table, ROLES, rows, ranges, raw, used).times
 
 
 @pytest.mark.parametrize("start", [0.0, 1900.0, -3.0, 1e9])
@@ -37,22 +42,21 @@ def test_uneven_steps_stay_as_they_are():
 
 
 def test_dropped_rows_leave_an_uneven_step():
-    table = table_of(oscillator(20))
-    (times,) = trajectories_of(table, ROLES, [row for row in range(20) if row != 7]).times
+    (times,) = times_of(oscillator(20), left_out=[7])
     assert times[7] - times[6] == pytest.approx(0.2)
 
 
 def test_unwrapping_takes_out_jumps_of_more_than_half_a_turn():
     angles = np.cumsum(np.random.default_rng(1).uniform(-3.0, 3.0, 100))
-    assert unwrapped(np.mod(angles + np.pi, 2 * np.pi) - np.pi) - angles == pytest.approx(
+    assert unwrap(np.mod(angles + np.pi, 2 * np.pi) - np.pi) - angles == pytest.approx(
         np.full(100, round(-angles[0] / (2 * np.pi)) * 2 * np.pi), abs=1e-9
     )
 
 
 def test_names_that_come_again_get_letters():
-    assert distinguished(["2", "2", "3", "2"]) == ("2", "2b", "3", "2c")
-    assert distinguished(["7", "7", "7b"]) == ("7", "7b", "7bb")
-    many = distinguished(["1"] * 28)
+    assert distinguish(["2", "2", "3", "2"]) == ("2", "2b", "3", "2c")
+    assert distinguish(["7", "7", "7b"]) == ("7", "7b", "7bb")
+    many = distinguish(["1"] * 28)
     assert (many[25], many[26], many[27]) == ("1z", "1aa", "1ab")
 
 
@@ -61,4 +65,4 @@ def test_names_that_come_again_get_letters():
     [(4.0, "4"), (-3.0, "-3"), (0.5, "0.5"), (1e300, "1e+300"), (-0.0, "-0"), (1e15, "1000000000000000.0")],
 )
 def test_numbers_are_written_plainly(value, text):
-    assert plain_number(value) == text
+    assert format_number(value) == text

@@ -1,15 +1,17 @@
-"""Which column plays which part, and what is said when the options contradict each other or the file."""
+"""The role of each column, and what is said when the options contradict each other or the file."""
 
 import pytest
 
 from atoll.config import Angle, DataConfig
 from atoll.errors import DataError, UsageError
-from atoll_coordinator.data.reading.columns import Roles, resolve, without_units
+from atoll_coordinator.data.roles.options import strip_units
+from atoll_coordinator.data.roles.roles import Roles, assign_roles
 from tests.unit.coordinator.data.tables import table_of
 
 
 def roles(names, **options):
-    return resolve(table_of({name: [0.0, 1.0] for name in names.split()}, skipped=("who",)), DataConfig(**options))
+    table = table_of({name: [0.0, 1.0] for name in names.split()}, skipped=("who",))
+    return assign_roles(table, DataConfig(**options))[0]
 
 
 @pytest.mark.parametrize(
@@ -39,7 +41,7 @@ def roles(names, **options):
         ),
     ],
 )
-def test_every_column_gets_its_part(names, options, expected):
+def test_every_column_gets_its_role(names, options, expected):
     assert roles(names, **options) == expected
 
 
@@ -47,9 +49,9 @@ def test_columns_may_be_named_with_their_units():
     config = DataConfig(
         time="t [s]", states=("v [m/s]",), inputs=("u [N]",), only=("v [m/s]",), angles=(Angle(column="v [m/s]"),)
     )
-    numbered = without_units(DataConfig(trajectory="run [1]", holdout="run [1]=4"), ("t", "run"))
+    numbered = strip_units(DataConfig(trajectory="run [1]", holdout="run [1]=4"), ("t", "run"))
     assert (numbered.trajectory, numbered.holdout) == ("run", "run=4")
-    plain = without_units(config, ("t", "v", "u [N]"))
+    plain = strip_units(config, ("t", "v", "u [N]"))
     assert plain == DataConfig(time="t", states=("v",), inputs=("u [N]",), only=("v",), angles=(Angle(column="v"),))
 
 
@@ -98,4 +100,4 @@ def test_columns_that_are_not_there_are_refused(names, options, message):
 def test_a_time_column_of_text_is_named():
     table = table_of({"x": [0.0, 1.0]}, skipped=("t",))
     with pytest.raises(DataError, match=r"column 't' of a\.csv holds text"):
-        resolve(table, DataConfig())
+        assign_roles(table, DataConfig())

@@ -18,7 +18,7 @@ RESERVED: Final = frozenset(
 """Functions of expressions, and the names that sympy's parser itself writes into what it evaluates."""
 
 
-def symbols_for(columns: Sequence[str]) -> dict[str, str]:
+def assign_symbols(columns: Sequence[str]) -> dict[str, str]:
     """Return the symbol of each column: the name itself where it can be, else a rewritten one; all are unique. Pure."""
     symbols = {column: column for column in columns if _is_symbol(column)}
     taken = set(symbols.values())

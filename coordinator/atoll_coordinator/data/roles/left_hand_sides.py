@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final, TypeVar
 
 from atoll.errors import UsageError
-from atoll_coordinator.data.reading.columns import split_unit
+from atoll_coordinator.data.roles.options import split_unit
 
 Value = TypeVar("Value")
 
@@ -37,19 +37,19 @@ class LeftSides:
         Raises:
             UsageError: a left-hand side belongs to no variable; `option` is named.
         """
-        found = [(self.variable(option, text), value) for text, value in given.items()]
-        named = {name for name, _ in found}
+        pairs = [(self.variable(option, text), value) for text, value in given.items()]
+        named = {name for name, _ in pairs}
         return {
-            name: tuple(value for other, value in found if other == name) for name in self.variables if name in named
+            name: tuple(value for other, value in pairs if other == name) for name in self.variables if name in named
         }
 
     def single(self, option: str, given: Mapping[str, Value]) -> dict[str, Value]:
         """Return what is `given` for each variable; raises UsageError like `several`, or for a variable named twice."""
-        found = self.several(option, given)
-        twice = next((name for name, values in found.items() if len(values) > 1), None)
+        several = self.several(option, given)
+        twice = next((name for name, values in several.items() if len(values) > 1), None)
         if twice is not None:
             raise UsageError(f"{option} names the equation of '{twice}' twice; give one")
-        return {name: value for name, (value,) in found.items()}
+        return {name: value for name, (value,) in several.items()}
 
     def variable(self, option: str, text: str) -> str:
         """Return the variable that the left-hand side `text` belongs to; raises UsageError, naming `option`."""
@@ -58,9 +58,9 @@ class LeftSides:
             if name in self.variables:
                 return name
         named = [name for name in self.variables if self.symbols.get(name) == text]
-        found = named or [name for name in self.variables if self._is_derivative(text, name, self.order)]
-        if found:
-            return found[0]
+        fitting = named or [name for name in self.variables if self._is_derivative(text, name, self.order)]
+        if fitting:
+            return fitting[0]
         for order in _FORMS:
             if any(self._is_derivative(text, name, order) for name in self.variables):
                 raise UsageError(f"{option} names '{text}', a {_ORDINALS[order]} derivative, but {self._sought()}")

@@ -3,7 +3,7 @@
 import pytest
 
 from atoll.errors import UsageError
-from atoll_coordinator.data.reading.left_hand_sides import LeftSides
+from atoll_coordinator.data.roles.left_hand_sides import LeftSides
 
 SYMBOLS = {"x": "x", "v-x": "v_x", "dx": "dx", "u": "u"}
 

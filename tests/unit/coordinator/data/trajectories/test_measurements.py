@@ -7,13 +7,12 @@ import pytest
 
 from atoll.config import Angle, DataConfig
 from atoll.errors import DataError
-from atoll_coordinator.data.reading.measured import measured
-from tests.unit.coordinator.data.tables import oscillator, table_of
+from tests.unit.coordinator.data.tables import measurements_of, oscillator, table_of
 
 
 def refusal(columns, starts=(0,), **options):
     with pytest.raises(DataError) as raised:
-        measured(table_of(columns, starts), DataConfig(**options))
+        measurements_of(table_of(columns, starts), DataConfig(**options))
     assert raised.value.exit_code == 2
     return str(raised.value)
 
@@ -41,15 +40,15 @@ def test_infinity_is_refused_and_other_columns_are_mentioned():
 
 def test_columns_without_a_part_may_hold_anything():
     columns = changed("y", [5], math.nan)
-    assert len(measured(table_of(columns), DataConfig(states=("x",))).rows) == 60
+    assert measurements_of(table_of(columns), DataConfig(states=("x",))).row_count == 60
 
 
 def test_missing_rows_are_dropped_when_told():
     columns = changed("x", [11, 39], math.nan)
-    its = measured(table_of(columns), DataConfig(missing="drop"))
-    assert len(its.rows) == 58
-    assert 11 not in its.rows
-    assert its.warnings == ("2 of 60 rows hold NaN or infinity and were dropped.",)
+    measurements = measurements_of(table_of(columns), DataConfig(missing="drop"))
+    assert measurements.row_count == 58
+    assert measurements.columns["t"].tolist() == np.delete(columns["t"], [11, 39]).tolist()
+    assert measurements.warnings == ("2 of 60 rows hold NaN or infinity and were dropped.",)
 
 
 def test_nothing_left_after_dropping_is_refused():
@@ -79,8 +78,8 @@ def test_a_constant_target_is_refused():
 
 
 def test_a_constant_input_is_only_remarked():
-    its = measured(table_of(changed("y", slice(None), 2.5)), DataConfig(inputs=("y",)))
-    assert its.warnings == ("Column 'y' is constant and of no use to an equation.",)
+    measurements = measurements_of(table_of(changed("y", slice(None), 2.5)), DataConfig(inputs=("y",)))
+    assert measurements.warnings == ("Column 'y' is constant and of no use to an equation.",)
 
 
 def test_constant_time_is_refused():
@@ -101,9 +100,9 @@ def test_times_that_go_back_are_refused():
 
 def test_times_may_start_again_where_a_trajectory_does():
     columns = {name: np.tile(values, 2) for name, values in oscillator(30).items()}
-    assert len(measured(table_of(columns, starts=(0, 30)), DataConfig()).runs) == 2
+    assert len(measurements_of(table_of(columns, starts=(0, 30)), DataConfig()).ranges) == 2
     columns["run"] = np.repeat([7.0, 3.0], 30)
-    assert len(measured(table_of(columns), DataConfig(trajectory="run")).runs) == 2
+    assert len(measurements_of(table_of(columns), DataConfig(trajectory="run")).ranges) == 2
 
 
 @pytest.mark.parametrize(("turn", "name", "option"), [(2 * math.pi, "2 pi", "y"), (360.0, "360", "y:deg")])
@@ -130,7 +129,7 @@ def test_unmarked_turns_of_an_angle_are_refused(turn, name, option, low):
 def test_other_jumps_are_none_of_an_angle(values):
     columns = oscillator(200)
     columns["y"] = values
-    measured(table_of(columns), DataConfig())
+    measurements_of(table_of(columns), DataConfig())
 
 
 @pytest.mark.parametrize("degrees", [False, True])
@@ -138,9 +137,9 @@ def test_a_marked_angle_is_unwrapped_into_radians(degrees):
     columns = oscillator(200)
     smooth = np.linspace(0.1, 25.0, 200)
     columns["y"] = np.degrees(smooth) % 360 if degrees else smooth % (2 * math.pi)
-    its = measured(table_of(columns), DataConfig(angles=(Angle(column="y", degrees=degrees),)))
-    assert its.states["y"][0] == pytest.approx(smooth)
-    assert its.warnings == (("Degrees were converted to radians: y.",) if degrees else ())
+    measurements = measurements_of(table_of(columns), DataConfig(angles=(Angle(column="y", degrees=degrees),)))
+    assert measurements.trajectories.states["y"][0] == pytest.approx(smooth)
+    assert measurements.warnings == (("Degrees were converted to radians: y.",) if degrees else ())
 
 
 def test_an_angle_that_only_makes_full_turns_is_constant():
@@ -151,6 +150,6 @@ def test_an_angle_that_only_makes_full_turns_is_constant():
 
 def test_columns_of_text_and_unused_time_are_remarked():
     table = table_of(oscillator(), skipped=("who",))
-    warnings = measured(table, DataConfig(target="y")).warnings
+    warnings = measurements_of(table, DataConfig(target="y")).warnings
     assert warnings[0] == "Columns of text or without a name are not used: who."
     assert warnings[1] == "Column 't' is taken for time and not used; add --inputs t to use it."

@@ -5,7 +5,7 @@ import pytest
 
 from atoll.config import DataConfig, JobConfig
 from atoll.errors import DataError
-from atoll_coordinator.data.reading.description import describe
+from atoll_coordinator.data.description import describe
 from atoll_coordinator.data.reading.files import read_table
 from tests.unit.coordinator.data.tables import oscillator, table_of
 

@@ -1,0 +1,143 @@
+"""The regression problems of a job, put together from selected rows. Pure."""
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from atoll.data.dataset import Dataset, FloatArray, Target
+from atoll.errors import DataError
+from atoll_coordinator.data.assembly.recordings import build_recording
+from atoll_coordinator.data.differentiation.derivatives import StateEstimate
+from atoll_coordinator.data.differentiation.kernels.stencils import moments
+from atoll_coordinator.data.differentiation.standard_deviation import (
+    derivative_standard_deviation,
+    representable_standard_deviation,
+)
+from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.data.row_selection.rows import SelectedRows
+from atoll_coordinator.data.settings import SETTINGS
+from atoll_coordinator.data.trajectories.measurements import Measurements
+
+
+def assemble_given(
+    measurements: Measurements,
+    weights: FloatArray | None,
+    selected: list[int],
+    equations: Collection[str],
+    symbols: Mapping[str, str],
+) -> Preparation:
+    """Return the problems of a table that holds the left-hand sides: labels or derivatives, taken as exact.
+
+    Args:
+        measurements: without trajectories.
+        weights: of the rows, 1 on average; None: all are 1.
+        selected: the rows that the search sees.
+        equations: of which problems are made.
+        symbols: by column name, the name in expressions.
+    """
+    roles, warnings = measurements.roles, measurements.warnings
+    searched = len(measurements.searched_rows)
+    if len(selected) < searched:
+        count = f"{searched - len(selected)} of {searched} rows"
+        warnings = (*warnings, f"{count} have little weight and are left out of the search.")
+    targets = []
+    for name, column in zip(roles.equations, roles.derivatives or roles.equations, strict=True):
+        values = measurements.columns[column]
+        deviation = representable_standard_deviation(column, values[selected])
+        targets.append(Target(name, roles.left_hand_sides[name], values, 0.0, deviation))
+    inputs = np.array([measurements.columns[name] for name in roles.variables])
+    sought = [target for target in targets if target.variable in equations]
+    whole = Dataset(tuple(symbols.values()), inputs, tuple(sought), dict(symbols), warnings)
+    held_out = measurements.held_out_rows
+    return Preparation(
+        _take_rows(whole, selected),
+        None,
+        _take_rows(whole, held_out) if held_out else None,
+        None if weights is None else weights[selected],
+    )
+
+
+def assemble_differentiated(
+    measurements: Measurements,
+    weights: FloatArray | None,
+    estimates: Sequence[StateEstimate],
+    selected: SelectedRows,
+    equations: Collection[str],
+    symbols: Mapping[str, str],
+) -> Preparation:
+    """Return the problems and the recording that smoothed and differentiated states make.
+
+    Args:
+        measurements: with trajectories.
+        weights: of the rows, 1 on average; None: all are 1.
+        estimates: one for each state.
+        selected: the rows that the search sees, and those that equations are judged by.
+        equations: of which problems are made.
+        symbols: by column name, the name in expressions.
+
+    Raises:
+        DataError: too few rows are selected, or a derivative cannot be a target.
+    """
+    roles = measurements.roles
+    warnings = (*measurements.warnings, *selected.warnings, *_remarks(measurements, estimates, selected))
+    inputs = measurements.inputs
+    values = [estimate.values for estimate in estimates]
+    values += [estimate.velocity for estimate in estimates if roles.velocities]
+    values += [np.concatenate(parts) for parts in inputs]
+    targets = [
+        _target(name, roles.left_hand_sides[name], estimate, selected.searched)
+        for name, estimate in zip(roles.states, estimates, strict=True)
+    ]
+    sought = [target for target in targets if target.variable in equations]
+    whole = Dataset(tuple(symbols.values()), np.array(values), tuple(sought), dict(symbols), warnings)
+    return Preparation(
+        _take_rows(whole, selected.searched),
+        build_recording(measurements, weights, estimates, inputs, selected, symbols),
+        _take_rows(whole, selected.held_out) if selected.held_out else None,
+    )
+
+
+def _take_rows(dataset: Dataset, rows: list[int]) -> Dataset:
+    targets = [replace(each, values=np.ascontiguousarray(each.values[rows])) for each in dataset.targets]
+    return replace(dataset, inputs=np.ascontiguousarray(dataset.inputs[:, rows]), targets=tuple(targets))
+
+
+def _target(name: str, lhs: str, estimate: StateEstimate, rows: list[int]) -> Target:
+    """Return the target over all rows, with the uncertainty and the standard deviation of those selected."""
+    values = np.ascontiguousarray(estimate.derivative[rows])
+    scale = derivative_standard_deviation(name, values)
+    uncertainty, _ = moments(np.ascontiguousarray(estimate.uncertainty[rows] / scale))
+    if not math.isfinite(uncertainty):
+        raise DataError(f"the uncertainty of the derivative of '{name}' cannot be told; sample more often")
+    _, deviation = moments(values)
+    if deviation < scale:  # constant but for rounding, of which a comparison of two orders sees only a part
+        uncertainty = max(uncertainty, deviation / scale)
+    return Target(name, lhs, estimate.derivative, uncertainty, scale, estimate.target_noise)
+
+
+def _remarks(measurements: Measurements, estimates: Sequence[StateEstimate], selected: SelectedRows) -> list[str]:
+    """Return sentences about what smoothing met; raises DataError when too few rows are left."""
+    states = measurements.roles.states
+    if len(selected.searched) < SETTINGS.checks.min_rows:
+        named = ", ".join(states)
+        raise DataError(f"only {len(selected.searched)} rows of {named} can be differentiated; sample more of them")
+    remarks = []
+    for state, estimate in zip(states, estimates, strict=True):
+        if estimate.outliers:
+            remarks.append(_outlier_remark(state, estimate.outliers, measurements.row_count))
+    tailed = [state for state, estimate in zip(states, estimates, strict=True) if estimate.has_heavy_tails]
+    if tailed:
+        remarks.append(
+            f"Some measurements of {', '.join(tailed)} look like outliers; --robust takes their weight away."
+        )
+    if any(measurements.held_out) and not selected.held_out:
+        remarks.append("No row that was held out can be differentiated well; equations are not judged by them.")
+    return remarks
+
+
+def _outlier_remark(state: str, count: int, rows: int) -> str:
+    sentence = f"State '{state}' has {count} {'outlier' if count == 1 else 'outliers'} without weight"
+    many = "; so many suggest that rows are too far apart for --robust, not that they are wrong"
+    return sentence + (many if count > SETTINGS.robustness.most_outliers * rows else "") + "."

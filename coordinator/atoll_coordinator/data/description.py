@@ -1,0 +1,66 @@
+"""What was read, in a few lines for a person. Pure, and cheap: nothing is smoothed or compiled."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from atoll.config import JobConfig, PriorConfig
+from atoll.data.dataset import FloatArray
+from atoll.data.table import Table
+from atoll_coordinator.data.prior_knowledge import resolve_equations
+from atoll_coordinator.data.roles.roles import Roles, assign_roles
+from atoll_coordinator.data.roles.symbols import assign_symbols
+from atoll_coordinator.data.trajectories.measurements import Measurements, take_measurements
+
+
+def describe(table: Table, config: JobConfig) -> str:
+    """Return lines on files, trajectories, rows, time, columns and what is known beforehand.
+
+    Raises:
+        UsageError: options contradict each other, or what is known beforehand cannot be used.
+        DataError: the measurements cannot be used as they are.
+    """
+    roles, options = assign_roles(table, config.data)
+    measurements = take_measurements(table, roles, options)
+    config = config.model_copy(update={"data": options})
+    resolved, _ = resolve_equations(config, roles, assign_symbols(roles.variables))
+    lines = [_size(table, measurements)]
+    if roles.time is not None:
+        times = _times(measurements.columns[roles.time], measurements.ranges)
+        lines.append(f"time {_with_unit(table, roles.time)}: {times}")
+    named = [("states", roles.states), ("derivatives", roles.derivatives), ("inputs", roles.inputs)]
+    if roles.target is not None:
+        named = [("target", (roles.target,)), ("inputs", roles.inputs)]
+    named.append(("weights", () if roles.weights is None else (roles.weights,)))
+    lines += [f"{role}: {', '.join(_with_unit(table, name) for name in names)}" for role, names in named if names]
+    return "\n".join([*lines, *_prior(resolved.prior, roles)])
+
+
+def _prior(prior: PriorConfig, roles: Roles) -> list[str]:
+    sides = roles.left_hand_sides
+    known = [f"known: {sides[name]} = {text}" for name, text in prior.known.items()]
+    return known + [f"guess: {sides[name]} = {text}" for name, texts in prior.guesses.items() for text in texts]
+
+
+def _size(table: Table, measurements: Measurements) -> str:
+    files = ", ".join(table.files) if len(table.files) <= 3 else f"{len(table.files)} files"
+    count = len(measurements.ranges)
+    trajectories = f"{count} trajectories, " if count > 1 else ""
+    used = f" ({measurements.row_count} without missing values)" if measurements.row_count < table.rows else ""
+    return f"{files}: {trajectories}{table.rows} rows{used}"
+
+
+def _with_unit(table: Table, name: str) -> str:
+    unit = table.units[table.names.index(name)]
+    return f"{name} [{unit}]" if unit else name
+
+
+def _times(times: FloatArray, ranges: Sequence[tuple[int, int]]) -> str:
+    """Return range and step of the times, such as ``0 to 9.98, step 0.02``."""
+    steps = np.sort(np.concatenate([np.diff(times[first:last]) for first, last in ranges]))
+    text = f"{float(np.min(times)):g} to {float(np.max(times)):g}"
+    if not len(steps):
+        return text
+    low, high, middle = float(steps[0]), float(steps[-1]), float(steps[len(steps) // 2])
+    is_even = high - low <= 1e-6 * abs(middle) + 8.0 * float(np.spacing(np.max(np.abs(times))))
+    return f"{text}, step {middle:g}" if is_even else f"{text}, steps {low:g} to {high:g}"

@@ -1,0 +1,102 @@
+"""Derivatives of data without noise: polynomials through the 3 to 15 nearest rows, for one state at a time (pure).
+
+Each row takes the stencil whose step from the next narrower one is least (weights by Fornberg 1988, good for uneven
+steps). That difference between two orders is the row's uncertainty.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll_coordinator.data.differentiation.kernels.stencils import (
+    HALF_WIDTHS,
+    best_stencil_into,
+    differences_into,
+    left_out_into,
+    moments,
+)
+from atoll_coordinator.data.differentiation.smoothing import Signal, SmoothedSignal
+from atoll_coordinator.data.settings import SETTINGS
+
+LIMITS = SETTINGS.interpolation
+END_ROWS = LIMITS.end_rows
+STENCIL_ROWS = 2 * HALF_WIDTHS + 1
+
+
+def mark_ends(lengths: Sequence[int]) -> FloatArray:
+    """Return 1.0 at rows that stand at the ends of long enough trajectories, else 0.0."""
+    ends = np.zeros(sum(lengths))
+    first = 0
+    for length in lengths:
+        if length >= LIMITS.trimmed_length:
+            ends[first : first + END_ROWS] = 1.0
+            ends[first + length - END_ROWS : first + length] = 1.0
+        first += length
+    return ends
+
+
+def predict_left_out(signals: Sequence[Signal]) -> tuple[FloatArray, FloatArray]:
+    """Return errors of predicting each row from its neighbours, and their noise gains, both (R, H)."""
+    errors, gains = [], []
+    for signal in signals:
+        shape = (len(signal.times), HALF_WIDTHS)
+        errors.append(np.empty(shape))
+        gains.append(np.empty(shape))
+        left_out_into(errors[-1], gains[-1], signal.times, signal.values)
+    return np.concatenate(errors), np.concatenate(gains)
+
+
+def estimate_value_noise(errors: FloatArray, gains: FloatArray) -> float:
+    """Return an upper estimate of the values' noise: the median left-out error over its gain, at the best width."""
+    noises = np.sort(np.abs(errors) / gains, axis=0)[len(errors) // 2]
+    return min(float(noise) for noise in noises if not math.isnan(float(noise)))
+
+
+def is_interpolation_better(signals: Sequence[Signal], errors: FloatArray, smoothed: Sequence[SmoothedSignal]) -> bool:
+    """Say whether interpolation predicts rows that are left out better than loess does.
+
+    Args:
+        signals: one state along each trajectory.
+        errors: by which interpolation misses the rows, from `predict_left_out`.
+        smoothed: loess of each of `signals`.
+    """
+    inner = mark_ends([len(signal.times) for signal in signals]) == 0.0
+    by_loess = _loess_errors(signals, smoothed)[inner]
+    for share in LIMITS.judged_shares:
+        by_interpolation = min(_typical_size(errors[inner, width], share) for width in range(HALF_WIDTHS))
+        if by_interpolation < _typical_size(by_loess, share):
+            return True
+    return False
+
+
+def interpolate_derivative(signals: Sequence[Signal], order: int, noise: float) -> tuple[FloatArray, FloatArray]:
+    """Return the derivative of the given order and its uncertainty, both (R,), over the rows of all signals."""
+    derivatives, uncertainties = [], []
+    for signal in signals:
+        rows = len(signal.times)
+        slopes, gains = np.empty((rows, HALF_WIDTHS)), np.empty((rows, HALF_WIDTHS))
+        differences_into(slopes, gains, signal.times, signal.values, order)
+        derivatives.append(np.empty(rows))
+        uncertainties.append(np.empty(rows))
+        rounding = np.maximum(noise, 2.0**-53 * np.abs(signal.values))
+        best_stencil_into(derivatives[-1], uncertainties[-1], slopes, gains, rounding)
+    return np.concatenate(derivatives), np.concatenate(uncertainties)
+
+
+def _loess_errors(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> FloatArray:
+    """Return the leave-one-out errors (R,) of loess: residual / (1 - leverage)."""
+    values = np.concatenate([signal.values for signal in signals])
+    fits = np.concatenate([each.fits[0] for each in smoothed])
+    leverages = np.concatenate([each.gains[3] for each in smoothed])
+    errors: FloatArray = (values - fits) / np.maximum(1.0 - leverages, LIMITS.least_freedom)
+    return errors
+
+
+def _typical_size(errors: FloatArray, share: float) -> float:
+    """Return the root mean square of the smallest errors; infinite when not all of them are finite."""
+    ordered = np.sort(np.abs(errors))[: max(1, int(share * len(errors)))]
+    mean, deviation = moments(ordered)
+    size = math.sqrt(mean * mean + deviation * deviation)
+    return size if math.isfinite(size) else math.inf

@@ -1,0 +1,32 @@
+"""The standard deviation by which values are judged, for values of any size. Pure."""
+
+from atoll.data.dataset import FloatArray
+from atoll.errors import DataError
+from atoll_coordinator.data.differentiation.kernels.stencils import moments
+from atoll_coordinator.data.settings import SETTINGS
+
+LIMITS = SETTINGS.scale
+
+
+def bounded_standard_deviation(values: FloatArray, least: float = LIMITS.rounding) -> float:
+    """Return the standard deviation, or `least` times the mean's size where the values hardly vary."""
+    mean, deviation = moments(values)
+    return max(deviation, least * abs(mean), LIMITS.smallest)
+
+
+def representable_standard_deviation(name: str, values: FloatArray) -> float:
+    """Return the standard deviation; raises DataError when it is beyond the range of numbers."""
+    deviation = bounded_standard_deviation(values)
+    if not LIMITS.smallest < deviation < 1.0 / LIMITS.smallest:
+        raise DataError(f"the values of '{name}' are too large or too small to compute with; choose another unit")
+    return deviation
+
+
+def derivative_standard_deviation(state: str, values: FloatArray) -> float:
+    """Return the standard deviation of a state's derivative; raises DataError when there is none to compute with."""
+    if not values.any():
+        raise DataError(
+            f"state '{state}' stands still wherever it can be differentiated, as one that is switched between values "
+            f"does, so that no equation can be sought; make it an input with --inputs {state}"
+        )
+    return representable_standard_deviation(f"derivative of {state}", values)

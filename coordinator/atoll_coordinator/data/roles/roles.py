@@ -1,0 +1,163 @@
+"""The role of every column: time, trajectory, state, input, target, derivative, weight. Pure."""
+
+import difflib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from atoll.config import Angle, DataConfig
+from atoll.data.table import Table
+from atoll.errors import DataError, UsageError
+from atoll_coordinator.data.roles.options import check_options, find_trajectory_column, named_columns, strip_units
+
+TIME_NAMES: Final = ("t", "time")
+
+
+@dataclass(frozen=True)
+class Roles:
+    """Column names by their role; `inputs` are variables without an equation.
+
+    `target` is set in explicit regression and `derivatives` (one per state) where they are given; with neither, the
+    states are differentiated in time, `order` times. `weights` is the column that says how much each row counts.
+    `angles` are the states and inputs that are angles, with their unit; `offsets` the states measured up to an offset.
+    """
+
+    time: str | None
+    trajectory: str | None
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    target: str | None = None
+    derivatives: tuple[str, ...] = ()
+    weights: str | None = None
+    order: Literal[1, 2] = 1
+    angles: tuple[Angle, ...] = ()
+    offsets: tuple[str, ...] = ()
+
+    @property
+    def used(self) -> tuple[str, ...]:
+        """Every column that is used, once."""
+        extra = [name for name in (self.time, self.trajectory, self.target, self.weights) if name is not None]
+        return tuple(dict.fromkeys((*extra, *self.states, *self.inputs, *self.derivatives)))
+
+    @property
+    def equations(self) -> tuple[str, ...]:
+        """Columns for which an equation is sought."""
+        return self.states if self.target is None else (self.target,)
+
+    @property
+    def left_hand_sides(self) -> dict[str, str]:
+        """The left-hand side of each equation as it is printed."""
+        if self.target is not None:
+            return {self.target: self.target}
+        time, power = self.time or "t", "2" if self.order == 2 else ""
+        return {name: f"d{power}{name}/d{time}{power}" for name in self.states}
+
+    @property
+    def velocities(self) -> tuple[str, ...]:
+        """Names of the velocities that are variables: one for each state for order 2, else none."""
+        taken = (*self.states, *self.inputs)
+        return tuple(_unused(f"{name}_dot", taken) for name in self.states) if self.order == 2 else ()
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """What expressions may use: states, for order 2 their velocities, and inputs."""
+        return (*self.states, *self.velocities, *self.inputs)
+
+
+def _unused(name: str, taken: Sequence[str]) -> str:
+    return _unused(name + "_", taken) if name in taken else name
+
+
+def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
+    """Return the role of every column, and `config` with columns named as the table does, without units.
+
+    Raises:
+        UsageError: options contradict each other.
+        DataError: a column does not exist, holds text or is missing.
+    """
+    config = strip_units(config, table.names)
+    check_options(config)
+    trajectory = find_trajectory_column(table.names, config)
+    for name in sorted(named_columns(config)):
+        _check_known(name, table)
+    if isinstance(config.holdout, str):
+        _check_known(config.holdout.rpartition("=")[0], table)
+    roles = _assigned(table.names, config, trajectory)
+    _check_time(roles, table)
+    _check_equations(roles, config)
+    _check_angles(roles)
+    return roles, config
+
+
+def _check_known(name: str, table: Table) -> None:
+    """Raise DataError when the table has no column `name`."""
+    if name in table.names:
+        return
+    if name in table.skipped:
+        raise DataError(f"column '{name}' holds text; a column of numbers is expected")
+    close = difflib.get_close_matches(name, table.names, n=1, cutoff=0.6)
+    hint = f"; did you mean '{close[0]}'?" if close else ""
+    raise DataError(f"there is no column '{name}' in {table.files[0]}, which has {', '.join(table.names)}{hint}")
+
+
+def _assigned(names: Sequence[str], config: DataConfig, trajectory: str | None) -> Roles:
+    time = config.time or next((name for name in TIME_NAMES if name in names and _is_free(name, config)), None)
+    taken = {time, trajectory, config.target, config.weights, *config.inputs, *(config.derivatives or ())}
+    rest = tuple(name for name in names if name not in taken)
+    states, inputs = config.states if config.states is not None else rest, config.inputs
+    if config.target is not None:
+        inputs = (*(config.states or ()), *config.inputs) or rest or ((time,) if time is not None else ())
+        time, states = None, ()
+    return Roles(
+        time,
+        trajectory,
+        states,
+        inputs,
+        config.target,
+        config.derivatives or (),
+        config.weights,
+        config.order,
+        config.angles,
+        config.offsets,
+    )
+
+
+def _is_free(name: str, config: DataConfig) -> bool:
+    """Say whether a column called t or time may be the time: as an input it may, in another role it may not."""
+    other = (config.target, config.trajectory, config.weights, *(config.states or ()), *(config.derivatives or ()))
+    return name not in other
+
+
+def _check_time(roles: Roles, table: Table) -> None:
+    """Raise DataError when there is a time, but as text."""
+    name = next((name for name in TIME_NAMES if name in table.skipped), None)
+    if name is not None and roles.time is None and roles.target is None and not roles.derivatives:
+        raise DataError(f"column '{name}' of {table.files[0]} holds text, such as dates; convert it to numbers first")
+
+
+def _check_equations(roles: Roles, config: DataConfig) -> None:
+    if not roles.equations:
+        raise DataError("no column is left to be a state; name the states with --states")
+    if roles.target is not None and not roles.inputs:
+        raise DataError(f"there is no column besides '{roles.target}' from which it could be computed; add one")
+    if roles.derivatives and len(roles.derivatives) != len(roles.states):
+        states = ", ".join(roles.states)
+        counts = f"{len(roles.derivatives)} derivatives were named for the states {states}"
+        raise UsageError(f"{counts}; name as many states with --states, in the same order")
+    if roles.target is None and not roles.derivatives and roles.time is None:
+        looked = config.time or " or ".join(TIME_NAMES)
+        raise DataError(f"no time column was found (looked for {looked}); name it with --time, or use --target COLUMN")
+    for name in config.only or ():
+        if name not in roles.equations:
+            raise UsageError(f"--only names '{name}', but equations are sought for {', '.join(roles.equations)}")
+    for name in config.offsets:
+        if name not in roles.states:
+            raise UsageError(f"--offsets names '{name}', but the states are {', '.join(roles.states)}; remove it")
+
+
+def _check_angles(roles: Roles) -> None:
+    for angle in roles.angles:
+        if angle.column not in (*roles.states, *roles.inputs, roles.target):
+            raise UsageError(f"--angle names '{angle.column}', which is neither a state nor an input; remove it")
+        if roles.target is not None and angle.column == roles.target:
+            raise UsageError(f"--angle names '{angle.column}', the target of an explicit regression; remove it")

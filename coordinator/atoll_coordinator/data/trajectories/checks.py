@@ -1,0 +1,200 @@
+"""Checks of measurements before anything is computed from them. Each failure is one sentence with advice. Pure."""
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll.config import DataConfig
+from atoll.data.dataset import FloatArray
+from atoll.data.table import Table
+from atoll.errors import DataError
+from atoll_coordinator.data.roles.roles import TIME_NAMES, Roles
+from atoll_coordinator.data.settings import SETTINGS
+
+BoolArray = npt.NDArray[np.bool_]
+MIN_ROWS = SETTINGS.checks.min_rows
+
+
+def select_usable_rows(
+    table: Table, roles: Roles, columns: Mapping[str, FloatArray], config: DataConfig
+) -> tuple[list[int], list[str]]:
+    """Return the rows whose used columns are finite and whose weight is not negligible, and sentences for the user.
+
+    Args:
+        table: what was read.
+        roles: of its columns.
+        columns: of the table, by name.
+        config: whether rows with missing numbers are dropped, and which choices were left open.
+
+    Raises:
+        DataError: there are too few rows, a weight is negative or no number, or a used column is not finite in a row
+            with weight although such rows are not to be dropped.
+    """
+    _check_count(table, table.rows)
+    weighted, unused = _weighted_rows(table, roles.weights, columns)
+    rows, dropped = _finite_rows(table, roles, weighted, config.missing == "drop")
+    sentences = [sentence for sentence in (unused, dropped) if sentence is not None]
+    return rows, sentences + _remarks(table, roles, columns, rows, config)
+
+
+def check_searched_rows(table: Table, roles: Roles, columns: Mapping[str, FloatArray], rows: Sequence[int]) -> None:
+    """Raise DataError when the `rows` that the search may see are too few, or what is sought is constant in them."""
+    _check_count(table, len(rows))
+    for name in roles.derivatives or roles.equations:
+        role = "state" if name in roles.states else "derivative" if roles.derivatives else "target"
+        check_varies(table, name, columns[name][rows], role)
+
+
+def check_varies(table: Table, name: str, values: FloatArray, role: str) -> None:
+    """Raise DataError when a column that is a state, a derivative or the target is constant."""
+    if len(values) and np.all(values == values[0]):
+        value = f"{float(values[0]) + 0.0:g}"
+        advice = "choose states with --states, or make it an input with --inputs" if role == "state" else "name another"
+        raise DataError(f"{role} '{name}' of {table.files[0]} is constant ({value} in every row); {advice}")
+
+
+def check_trajectory(table: Table, name: str, times: FloatArray, rows: Sequence[int], number: int) -> None:
+    """Raise DataError unless trajectory `number` (from 1), at table rows `rows`, is long enough and its times ascend.
+
+    Args:
+        table: what was read.
+        name: the time column.
+        times: of the trajectory.
+        rows: of the trajectory, in the table.
+        number: of the trajectory.
+    """
+    if len(times) > 1 and np.all(times == times[0]):
+        raise DataError(f"the time column '{name}' is constant ({float(times[0]):g}); name another with --time")
+    for row, (before, after) in zip(rows[1:], pairwise(times.tolist()), strict=True):
+        if after == before:
+            problem = f"time {after!r} is repeated at {table.places([row])}"
+            raise DataError(f"{problem}; keep one row, or mark trajectories (--trajectory COLUMN or blank rows)")
+        if after < before:
+            problem = f"time goes back from {before!r} to {after!r} at {table.places([row])}"
+            raise DataError(f"{problem}; sort the rows, or mark trajectories (--trajectory COLUMN or blank rows)")
+    if len(rows) < MIN_ROWS:
+        count = f"{len(rows)} {'row' if len(rows) == 1 else 'rows'}"
+        place = table.places([rows[0]])
+        raise DataError(
+            f"trajectory {number}, which begins in {place}, has {count}; at least {MIN_ROWS} are needed: "
+            "leave it out, or check what separates trajectories"
+        )
+
+
+def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
+    """Raise DataError when a state jumps by a full turn, as a wrapped angle does.
+
+    A wrapped angle stays within one turn, and where it jumps it moves on smoothly once the turn is taken out.
+    """
+    limits = SETTINGS.checks
+    low = min(float(np.min(part)) for part in parts)
+    high = max(float(np.max(part)) for part in parts)
+    for turn, called, suffix in limits.turns:
+        if not limits.least_turn * turn < high - low <= limits.most_turn * turn:
+            continue
+        jumps = sum(_count_turns(part, turn) for part in parts)
+        if jumps:
+            count = f"{jumps} time{'s' if jumps > 1 else ''}"
+            raise DataError(
+                f"state '{name}' jumps by about {called} {count}, as a wrapped angle does; "
+                f"add --angle {name}{suffix} so that it is unwrapped"
+            )
+
+
+def _count_turns(values: FloatArray, turn: float) -> int:
+    """Count isolated steps that are small only modulo `turn`."""
+    steps = np.abs(np.diff(values))
+    limits, count = SETTINGS.checks, 0
+    for index, step in enumerate(steps.tolist()):
+        near = [float(steps[other]) for other in (index - 1, index + 1) if 0 <= other < len(steps)]
+        around = max((each for each in near if each < limits.least_turn * turn), default=0.0)
+        is_alone = step > limits.least_turn * turn and step > limits.jump_over_neighbours * around
+        if is_alone and abs(step - turn) <= limits.jump_excess * around + limits.jump_rounding * turn:
+            count += 1
+    return count
+
+
+def _check_count(table: Table, count: int) -> None:
+    """Raise DataError when `count` rows are too few for any search."""
+    if count < MIN_ROWS:
+        rows = "row" if count == 1 else "rows"
+        raise DataError(f"{table.files[0]} has {count} {rows} of data; at least {MIN_ROWS} are needed")
+
+
+def _weighted_rows(table: Table, name: str | None, columns: Mapping[str, FloatArray]) -> tuple[list[int], str | None]:
+    """Return the rows that have weight, all of them without a column, and a sentence when others are left out."""
+    if name is None:
+        return [*range(table.rows)], None
+    weights = columns[name]
+    bad = [int(row) for row in np.flatnonzero(~(np.isfinite(weights) & (weights >= 0.0)))]
+    if bad:
+        value = float(weights[bad[0]])
+        value_text = "an empty cell or NaN" if math.isnan(value) else f"{value:g}"
+        raise DataError(
+            f"the weights '{name}' hold {value_text} in {table.places(bad)}; a weight is a number from 0 (a row that "
+            "is not used) up, such as 1/variance"
+        )
+    least = SETTINGS.checks.smallest_weight * float(np.max(weights, initial=0.0))
+    rows = [int(row) for row in np.flatnonzero(weights > least)]
+    if len(rows) < MIN_ROWS:
+        raise DataError(
+            f"only {len(rows)} rows of {table.files[0]} have a weight above zero in '{name}'; at least {MIN_ROWS} are "
+            "needed"
+        )
+    count = table.rows - len(rows)
+    return rows, f"{count} of {table.rows} rows have no weight and are left out." if count else None
+
+
+def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) -> tuple[list[int], str | None]:
+    """Return those of the rows `weighted` whose used columns are all finite, and a sentence when rows were dropped."""
+    used = [table.names.index(name) for name in roles.used]
+    bad = ~np.isfinite(table.columns[used])
+    without_weight = np.ones(table.rows, dtype=np.bool_)
+    without_weight[weighted] = False
+    bad &= ~without_weight
+    kept = [int(row) for row in np.flatnonzero(~(bad.any(axis=0) | without_weight))]
+    if len(kept) == len(weighted):
+        return kept, None
+    if not drop:
+        raise DataError(_not_finite(table, used, bad))
+    if not kept:
+        raise DataError(f"every row of {table.files[0]} holds NaN or infinity; nothing is left to search")
+    count = len(weighted) - len(kept)
+    return kept, f"{count} of {table.rows} rows hold NaN or infinity and were dropped."
+
+
+def _not_finite(table: Table, used: Sequence[int], bad: BoolArray) -> str:
+    """Name the first bad column and its rows, and say how many rows are bad over all."""
+    names = [table.names[index] for index in used]
+    first = next(place for place in range(len(used)) if bad[place].any())
+    rows = [int(row) for row in np.flatnonzero(bad[first])]
+    is_missing = bool(np.isnan(table.columns[used[first]][rows]).all())
+    text = f"column '{names[first]}' holds {'NaN or an empty cell' if is_missing else 'NaN or infinity'}"
+    text += f" in {table.places(rows)}"
+    others = [name for name, each in zip(names, bad, strict=True) if each.any() and name != names[first]]
+    if others:
+        total = int(bad.any(axis=0).sum())
+        text += f", and so do {', '.join(others)} ({total} rows over all)"
+    return text + "; correct them, or add --missing drop to leave such rows out"
+
+
+def _remarks(
+    table: Table, roles: Roles, columns: Mapping[str, FloatArray], rows: list[int], config: DataConfig
+) -> list[str]:
+    """Return sentences about choices that the user may not expect."""
+    remarks = []
+    if table.skipped:
+        remarks.append(f"Columns of text or without a name are not used: {', '.join(table.skipped)}.")
+    if roles.target is not None and config.states is None and not config.inputs:
+        left = [name for name in TIME_NAMES if name in table.names and name not in roles.used]
+        remarks += [f"Column '{name}' is taken for time and not used; add --inputs {name} to use it." for name in left]
+    degrees = [angle.column for angle in roles.angles if angle.degrees]
+    if degrees:
+        remarks.append(f"Degrees were converted to radians: {', '.join(degrees)}.")
+    variables = [name for name in (*roles.states, *roles.inputs) if name not in roles.equations or roles.derivatives]
+    constant = [name for name in variables if np.all(columns[name][rows] == columns[name][rows[0]])]
+    remarks += [f"Column '{name}' is constant and of no use to an equation." for name in constant]
+    return remarks

@@ -1,0 +1,99 @@
+"""The rows of a table that are used, checked: all that is known before anything is smoothed. Pure.
+
+Cheap enough for a client to meet every objection to its data before it uploads them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from atoll.config import DataConfig
+from atoll.data.dataset import FloatArray
+from atoll.data.table import Table
+from atoll_coordinator.data.roles.roles import Roles
+from atoll_coordinator.data.trajectories.angles import convert_to_radians, unwrap
+from atoll_coordinator.data.trajectories.checks import check_searched_rows, select_usable_rows
+from atoll_coordinator.data.trajectories.holdout import select_held_out
+from atoll_coordinator.data.trajectories.trajectories import Range, Trajectories, find_ranges, split_trajectories
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """What was measured in the R rows of a table that are used.
+
+    `columns[name]` (R,) are the used columns, angles in radians; `ranges` are half-open ranges of rows, one for each
+    trajectory, and `held_out` says of each whether it is kept from the search; `trajectories` is None where the
+    left-hand sides are given; `warnings` are sentences for the user.
+    """
+
+    roles: Roles
+    columns: Mapping[str, FloatArray]
+    ranges: tuple[Range, ...]
+    held_out: tuple[bool, ...]
+    trajectories: Trajectories | None
+    warnings: tuple[str, ...]
+
+    @property
+    def row_count(self) -> int:
+        """How many rows there are."""
+        return self.ranges[-1][1]
+
+    @property
+    def weights(self) -> FloatArray | None:
+        """The weight of each row as it was given, (R,); None without a column of weights."""
+        return None if self.roles.weights is None else self.columns[self.roles.weights]
+
+    @property
+    def searched_rows(self) -> list[int]:
+        """The rows of trajectories that the search may see."""
+        return self._rows(held_out=False)
+
+    @property
+    def held_out_rows(self) -> list[int]:
+        """The rows of held-out trajectories."""
+        return self._rows(held_out=True)
+
+    def _rows(self, *, held_out: bool) -> list[int]:
+        chosen = [each for each, is_held_out in zip(self.ranges, self.held_out, strict=True) if is_held_out == held_out]
+        return [row for first, last in chosen for row in range(first, last)]
+
+    @property
+    def inputs(self) -> list[list[FloatArray]]:
+        """Each input along each trajectory, unwrapped if it is an angle."""
+        angles = {angle.column for angle in self.roles.angles}
+        parts = [[self.columns[name][first:last] for first, last in self.ranges] for name in self.roles.inputs]
+        return [
+            [unwrap(part) for part in each] if name in angles else each
+            for name, each in zip(self.roles.inputs, parts, strict=True)
+        ]
+
+
+def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measurements:
+    """Select the rows that are used and check what was measured.
+
+    Args:
+        table: what was read.
+        roles: of its columns.
+        config: the options, columns named as in `table`.
+
+    Raises:
+        UsageError: trajectories to hold out are not told apart by the column that is named.
+        DataError: the measurements cannot be used as they are; the message says where and what to do.
+    """
+    raw = dict(zip(table.names, table.columns, strict=True))
+    rows, warnings = select_usable_rows(table, roles, raw, config)
+    numbers = np.zeros(table.rows) if roles.trajectory is None else raw[roles.trajectory]
+    ranges = find_ranges(table.starts, rows, numbers)
+    first_rows = [rows[first] for first, _ in ranges]
+    held_out = select_held_out(config.holdout, roles.trajectory, numbers[first_rows].tolist())
+    searched = [row for (first, last), out in zip(ranges, held_out, strict=True) if not out for row in rows[first:last]]
+    check_searched_rows(table, roles, raw, searched)
+    angles = {angle.column: angle for angle in roles.angles}
+    angles |= {
+        name: angles[state] for state, name in zip(roles.states, roles.derivatives, strict=False) if state in angles
+    }
+    columns = {name: convert_to_radians(raw[name][rows], angles.get(name)) for name in roles.used}
+    is_given = roles.target is not None or roles.derivatives
+    trajectories = None if is_given else split_trajectories(table, roles, rows, ranges, raw, columns)
+    return Measurements(roles, columns, ranges, held_out, trajectories, tuple(warnings))
