@@ -2,7 +2,8 @@
 
 ``config``, ``data`` and ``expression`` say what a job is; ``search`` holds the rules that both sides must apply alike
 (fronts, random streams, the commit order); ``wire`` the messages and the bus; ``compilation`` the kernels' compiler;
-``machine`` what this process may use of its machine; ``command_line``, ``logs`` and ``errors`` what both programs say.
+``machine`` what this process may use of its machine; ``command_line``, ``program``, ``logs`` and ``errors`` what both
+command lines share.
 
 `atoll` imports neither `atoll_coordinator` nor `atoll_island_worker`.
 """

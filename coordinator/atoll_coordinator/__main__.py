@@ -1,8 +1,17 @@
-"""``python -m atoll_coordinator``: the same program as the console script."""
+"""The entry of the program: the console script, and ``python -m atoll_coordinator``."""
 
-import sys
+import os
 
-from atoll_coordinator.cli.main import main
+
+def main() -> None:
+    """Run the program; Ctrl-C ends it without a traceback, as soon as it is here."""
+    try:
+        from atoll.program import run_program
+
+        run_program("atoll_coordinator.cli.main")
+    except KeyboardInterrupt:
+        os._exit(130)
+
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

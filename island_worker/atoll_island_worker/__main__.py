@@ -1,8 +1,17 @@
-"""``python -m atoll_island_worker``: the same program as the console script."""
+"""The entry of the program: the console script, and ``python -m atoll_island_worker``."""
 
-import sys
+import os
 
-from atoll_island_worker.cli import main
+
+def main() -> None:
+    """Run the program; Ctrl-C ends it without a traceback, as soon as it is here."""
+    try:
+        from atoll.program import run_program
+
+        run_program("atoll_island_worker.cli")
+    except KeyboardInterrupt:
+        os._exit(130)
+
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -13,7 +13,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, NoReturn
 
 from atoll.command_line import seconds
-from atoll_island_worker.launch import guarded, work, work_together
+from atoll.program import exit_code_of, raise_interrupts
+from atoll_island_worker.launch import complain, work, work_together
 
 if TYPE_CHECKING:
     from atoll.wire.addresses import Destination
@@ -40,22 +41,9 @@ examples:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command line and return its exit code; as a program (`argv` None) end the process with it.
-
-    A process that works may have a thread in the middle of compiling machine code, which cannot be stopped; what must
-    be closed has been closed by then, so the process ends without waiting for anything.
-    """
-    if argv is None:
-        from atoll.machine.garbage import collect_rarely
-
-        collect_rarely()
+    """Run one command line (None: that of the process) and return its exit code."""
     words = sys.argv[1:] if argv is None else argv
-    code = guarded(lambda: _dispatch(_parse(words)))
-    if argv is None:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
-    return code
+    return exit_code_of(lambda: _dispatch(_parse(words)), complain)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -137,13 +125,14 @@ def _dispatch(options: argparse.Namespace) -> int:
     credentials = credentials_of(vars(options), os.environ, "connect")
     connect = _destination(options, credentials)
     name = _name_for(credentials.name if credentials is not None else None, options.name)
+    raise_interrupts()
     number = options.processes
     if number is None:
         number, reason = choose_number(os.environ)
         sys.stderr.write(f"island-worker: {number} {'process' if number == 1 else 'processes'}: {reason}\n")
     if number == 1 and not options.leave:
-        say = partial(hand_over, options.sentences) if options.sentences is not None else None
-        return guarded(partial(work, connect, name, options, options.parent), say)
+        say = partial(hand_over, options.sentences) if options.sentences is not None else complain
+        return exit_code_of(partial(work, connect, name, options, options.parent), say)
     names = [f"{name[:58]}-{index}" for index in range(number)]
     return work_together(connect, names, options)
 

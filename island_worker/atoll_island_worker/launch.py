@@ -7,32 +7,19 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
+
+from atoll.program import exit_code_of
 
 if TYPE_CHECKING:
     from atoll.wire.addresses import Destination
     from atoll_island_worker.processes.exit_reasons import Sentences
     from atoll_island_worker.processes.supervisor import Child
 
-INTERRUPTED: Final = 130
 
-
-def guarded(work: Callable[[], int], say: Callable[[str], None] | None = None) -> int:
-    """Do `work`; return its exit code, or the one of the error that it raised, which is said in one sentence."""
-    from atoll.errors import AtollError
-
-    try:
-        return work()
-    except AtollError as error:
-        if say is not None:
-            say(str(error))
-        else:
-            sys.stderr.write(f"island-worker: {error}\n")
-        return error.exit_code
-    except KeyboardInterrupt:
-        return INTERRUPTED
-    except SystemExit as error:
-        return error.code if isinstance(error.code, int) else 0
+def complain(sentence: str) -> None:
+    """Write a sentence about an error on stderr."""
+    sys.stderr.write(f"island-worker: {sentence}\n")
 
 
 def work_together(connect: "Destination", names: Sequence[str], options: argparse.Namespace) -> int:
@@ -91,8 +78,8 @@ def _work_as_fork(
 ) -> int:  # fmt: skip
     """Work as a fork, for what is left of the lifetime."""
     options.lifetime = remaining()
-    say = sentences.hand_over if sentences is not None else None
-    return guarded(partial(work, connect, name, options, parent), say)
+    say = sentences.hand_over if sentences is not None else complain
+    return exit_code_of(partial(work, connect, name, options, parent), say)
 
 
 def work(connect: "Destination", name: str, options: argparse.Namespace, parent: int | None) -> int:

@@ -2,8 +2,9 @@
 
 from typing import Final
 
+from atoll.program import INTERRUPTED as INTERRUPTED
+
 DONE: Final = 0
 FAILED: Final = 1
 BAD_INPUT: Final = 2
 TARGET_MISSED: Final = 4
-INTERRUPTED: Final = 130

@@ -1,66 +1,31 @@
-"""The entry of the ``coordinator`` program: parse, dispatch, and turn every error into one sentence and an exit code.
+"""The command line of the ``coordinator`` program: parse, dispatch, turn every error into a sentence and an exit code.
 
 Nothing heavy is imported here; each verb's module is imported when it is called.
 """
 
-import contextlib
 import importlib
 import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from atoll.program import exit_code_of, flush_streams, raise_interrupts
+
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command line and return its exit code; as a program (`argv` None) end the process with it.
-
-    Whatever must be closed is closed by then, so the process does not wait for the interpreter to take itself apart,
-    which takes long once the libraries for numbers are loaded. Never raises but SystemExit after ``--help``.
-    """
-    if argv is None:
-        from atoll.machine.garbage import collect_rarely
-
-        open_closed_streams()
-        collect_rarely()
-    code = _guarded(sys.argv[1:] if argv is None else argv)
-    if argv is None:
-        _flush()
-        os._exit(code)
-    return code
-
-
-def _guarded(argv: Sequence[str]) -> int:
-    from atoll.errors import AtollError
-    from atoll_coordinator.cli.exit_codes import FAILED, INTERRUPTED
-
+    """Run one command line (None: that of the process) and return its exit code."""
+    words = sys.argv[1:] if argv is None else argv
     try:
-        return _dispatch(argv)
-    except AtollError as error:
-        return _complain(str(error), error.exit_code)
-    except KeyboardInterrupt:
-        return INTERRUPTED
+        return exit_code_of(lambda: _dispatch(words), _complain)
     except BrokenPipeError:
         return _forget_stdout()
     except Exception as error:
         if os.environ.get("ATOLL_DEBUG") == "1":
             raise
-        return _complain(_record(error), FAILED)
+        from atoll_coordinator.cli.exit_codes import FAILED
 
-
-def _flush() -> None:
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError):
-            stream.flush()
-
-
-def open_closed_streams() -> None:
-    """Let standard streams that were closed before the start lead nowhere, so that no file takes their numbers."""
-    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
-        os.set_inheritable(number, True)
-    os.close(number)
-    sys.stdin = sys.stdin or open(0, encoding="utf-8")  # noqa: SIM115  it is open as long as the process
-    sys.stdout = sys.stdout or open(1, "w", encoding="utf-8")  # noqa: SIM115
-    sys.stderr = sys.stderr or open(2, "w", encoding="utf-8")  # noqa: SIM115
+        _complain(_record(error))
+        return FAILED
 
 
 def _dispatch(argv: Sequence[str]) -> int:
@@ -68,15 +33,15 @@ def _dispatch(argv: Sequence[str]) -> int:
 
     options = parse(argv)
     handler = getattr(importlib.import_module(HANDLERS[options.verb]), options.verb)
+    raise_interrupts()
     code: int = handler(options)
     sys.stdout.flush()
     return code
 
 
-def _complain(sentence: str, code: int) -> int:
-    _flush()
+def _complain(sentence: str) -> None:
+    flush_streams()
     sys.stderr.write(f"coordinator: {sentence}\n")
-    return code
 
 
 def _forget_stdout() -> int:

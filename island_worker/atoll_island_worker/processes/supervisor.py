@@ -15,10 +15,10 @@ from types import FrameType
 from typing import Any, Final, Protocol
 
 from atoll.errors import AtollError
+from atoll.program import INTERRUPTED
 from atoll_island_worker.processes.exit_reasons import Sentences, say
 from atoll_island_worker.processes.restart_policy import Lives
 
-INTERRUPTED: Final = 130
 _STOP_LIMIT_S: Final = 5.0
 _LOOK_S: Final = 0.1
 

@@ -113,10 +113,10 @@ def test_closed_standard_streams_are_no_error() -> None:
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no device that is always full")
 def test_output_that_cannot_be_written_is_said() -> None:
     code = (
-        "from atoll_coordinator.cli import main\n"
+        "from atoll.program import run_program\n"
         "from atoll_coordinator.cli.terminal import output\n"
         "from atoll_coordinator.cli.verbs import jobs\n"
-        "jobs.jobs = lambda options: output.say('x'); main.main()"
+        "jobs.jobs = lambda options: output.say('x'); run_program('atoll_coordinator.cli.main')"
     )
     line = [sys.executable, "-c", code, "jobs"]
     with Path("/dev/full").open("w") as full:

@@ -34,11 +34,12 @@ from functools import partial
 from atoll_island_worker.processes import supervisor as supervision
 from atoll_island_worker.processes.fork_server import Forked
 from atoll_island_worker.processes.exit_reasons import Sentences
-from atoll_island_worker.launch import guarded
+from atoll.program import exit_code_of
+from atoll_island_worker.launch import complain
 supervision._STOP_LIMIT_S = float(sys.argv[1])
 code = compile(sys.argv[2], "child", "exec")
 grace_s = 30.0 if "0.5" in sys.argv[2] else 0.0
-start = partial(Forked, lambda: guarded(lambda: exec(code, {}) or 0))
+start = partial(Forked, lambda: exit_code_of(lambda: exec(code, {}) or 0, complain))
 with Sentences() as sentences:
     sys.exit(supervision.supervise({"w-0": start, "w-1": start}, sentences, None, grace_s))
 """

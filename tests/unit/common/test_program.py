@@ -1,0 +1,42 @@
+"""How both programs end: by Ctrl-C at any moment with exit code 130 and without a traceback."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+PROGRAM = """
+import os, sys, traceback
+package, *words = sys.argv[1:]
+sys.argv[1:] = words
+try:
+    os.write(1, b"begun\\n")
+    __import__(package + ".__main__", fromlist=["main"]).main()
+except KeyboardInterrupt as error:
+    frames = traceback.extract_tb(error.__traceback__)
+    entered = [each for each in frames if "/atoll" in each.filename and not each.filename.endswith("__main__.py")]
+    sys.exit(traceback.format_exc() if entered else 130)
+"""
+"""Runs a program from its first module on; what Python does before that cannot be guarded, and is not looked at."""
+
+
+@pytest.mark.parametrize(
+    "words", [["atoll_coordinator", "jobs"], ["atoll_coordinator", "run", "--help"], ["atoll_island_worker", "--help"]]
+)
+def test_an_interrupt_at_any_moment_is_exit_code_130_without_a_traceback(words: list[str]) -> None:
+    codes = set()
+    for delay_ms in (0, 1, 2, 3, 5, 7, 10, 14, 20, 28, 40, 56, 80, 113, 160):
+        command = [sys.executable, "-c", PROGRAM, *words]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"begun\n"
+            time.sleep(delay_ms / 1000.0)  # not to synchronise: any moment will do
+            process.send_signal(signal.SIGINT)
+            _, said = process.communicate(timeout=60.0)
+        assert b"Traceback" not in said
+        assert b"Exception ignored" not in said
+        codes.add(process.returncode)
+    assert 130 in codes
+    assert codes <= {0, 2, 130}
