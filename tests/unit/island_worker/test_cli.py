@@ -14,7 +14,6 @@ from atoll.wire.addresses import destination
 from atoll.wire.security.credentials import load
 from atoll_island_worker import cli
 from atoll_island_worker import worker as runtime
-from atoll_island_worker.connection.drain import Leaving
 from atoll_island_worker.processes import fork_server as forking
 from atoll_island_worker.processes import signals as processes
 from atoll_island_worker.processes import supervisor as supervision
@@ -86,10 +85,10 @@ def test_the_address_may_come_from_the_environment_and_the_name_from_host_and_pr
 def test_a_worker_leaves_after_its_lifetime_and_has_some_grace(
     words: list[str], lifetime_s: float | None, grace_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given: list[Leaving] = []
-    monkeypatch.setattr(runtime, "run_worker", lambda *arguments: given.append(arguments[3]) or 0)
+    given: list[tuple[float | None, float]] = []
+    monkeypatch.setattr(runtime, "run_worker", lambda *arguments: given.append(arguments[3:5]) or 0)
     assert cli.main(["--connect", "tcp/a:1", "--processes", "1", *words]) == 0
-    assert [(each.lifetime_s, each.grace_s) for each in given] == [(lifetime_s, grace_s)]
+    assert given == [(lifetime_s, grace_s)]
 
 
 @pytest.fixture
