@@ -60,6 +60,29 @@ def front_length(entry: FrontEntry, rows: int, uncertainty: float, standard_devi
     return 0.5 * rows * _log(misfit) + entry.complexity * _LN8 + 0.5 * constants * _log(float(rows))
 
 
+def select_member(front: Sequence[FrontEntry], rows: int, target: Target, target_error: float | None = None) -> int:
+    """Return the index of the member of least description length, the first of equals.
+
+    When members meet the error at which an equation counts as found, only those are considered, so that a search which
+    ended because its target was met never shows an equation that misses it.
+
+    Raises:
+        ValueError: the front is empty.
+    """
+    limit = target.convergence_error(target_error)
+    met = [index for index, entry in enumerate(front) if entry.error <= limit]
+    return min(met or range(len(front)), key=lambda index: (_member_length(front[index], rows, target), index))
+
+
+def _member_length(entry: FrontEntry, rows: int, target: Target) -> float:
+    return front_length(entry, rows, target.uncertainty, target.standard_deviation, count_constants(entry.program))
+
+
+def count_constants(program: bytes) -> int:
+    """Return the number of constants in the canonical bytes of a program."""
+    return program[1 : 1 + program[0]].count(CONSTANT)
+
+
 def _log(value: float) -> float:
     """Return ln(value), value > 0, by the series of artanh; equal on every machine, unlike the C library's."""
     mantissa, exponent = math.frexp(value)

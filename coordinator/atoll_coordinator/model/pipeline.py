@@ -1,41 +1,27 @@
-"""After the search: the equation that is shown, made of the front by the shortest description (ADR 0012).
+"""From the fronts of a search to the model that is shown and its verdict: the whole way on one page.
 
-The front stays as the search found it. What is made of it is a program with simple constants where the data cannot
-tell the difference, its errors on all rows, and the standard errors of its constants.
+1. The programs of the search are decoded, and stand beside guesses and known equations (selection/candidates.py).
+2. Without trajectories, each variable's equation is fitted to its target, and that is all (regression/equation.py).
+3. With trajectories, equations of noise-free targets are fitted first: where they converged, they stand.
+4. Systems of candidates are fitted to the trajectories and compared; the shortest description is the model
+   (selection/piece_lengths.py, which goes through selection/joint_search.py and selection/local_search.py).
+5. Its constants get errors, it is compared with its alternatives, simulated and judged (inference/conclusion.py).
 """
 
-import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from typing import Final
 
-import numpy as np
-import numpy.typing as npt
-
 from atoll.config import JobConfig
-from atoll.data.dataset import FloatArray, Problem
-from atoll.expression.operators import BY_NAME
-from atoll.expression.program import Program, constant_places, structure
 from atoll.machine.cores import usable_cores
-from atoll.search.pareto import FrontEntry
-from atoll_coordinator.data.prior_knowledge import known_programs
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.inference.conclusion import concluded
-from atoll_coordinator.model.refinement import NORMAL_95, Constant, Pools, Refined, Refinement
-from atoll_coordinator.model.regression.errors import errors_on
-from atoll_coordinator.model.regression.fit import Polisher
-from atoll_coordinator.model.regression.rounding import snapped
-from atoll_coordinator.model.regression.shortening import Candidate, Shortening
-from atoll_coordinator.model.regression.standard_errors import standard_errors
-from atoll_coordinator.model.selection.front import may_be_shown
+from atoll_coordinator.model.refinement import Pools, Refined, Refinement
+from atoll_coordinator.model.regression.equation import fit_equation, with_intervals
+from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.joint_search import Field
 from atoll_coordinator.model.selection.piece_lengths import chosen
-from atoll_coordinator.model.settings import SETTINGS
-from atoll_coordinator.model.structure.algebra import tidied
-from atoll_coordinator.model.structure.like_terms import gathered
 
 NOT_SIMULATED: Final = (
     "No system of equations could be simulated along the measured trajectories; those shown fit the derivatives alone."
@@ -43,130 +29,38 @@ NOT_SIMULATED: Final = (
 
 
 def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Refinement:
-    """Return the refined equation of each variable; those are missing of which the front has nothing better."""
-    problems = {name: preparation.dataset.problem(name) for name in pools}
+    """Return the refined equation of each variable; those are missing of which the front has nothing better.
+
+    Args:
+        preparation: the dataset of the search, and the recording unless left-hand sides were given.
+        config: the resolved configuration of the job.
+        pools: what the search handed on, by variable.
+    """
+    candidates = collect_candidates(preparation.dataset, config, pools)
     if preparation.recording is None:
-        weights = preparation.weights
-        found = {name: refine(problems[name], config, pool.front, weights) for name, pool in pools.items()}
         # errors of given left-hand sides are independent, those of smoothed ones are not: only here there are intervals
-        return Refinement({name: _with_intervals(refined) for name, refined in found.items() if refined is not None})
-    clean = {
-        name: refine(problems[name], config, pools[name].front) for name in pools if not problems[name].target.is_noisy
-    }
-    settled = {name: refined for name, refined in clean.items() if refined is not None}
-    known = known_programs(preparation.dataset, config)
-    variables = tuple(name for name in preparation.dataset.variables if name in pools or name in known)
+        equations = _by_regression(preparation, config, candidates)
+        return Refinement({name: with_intervals(equation) for name, equation in equations.items()})
+    is_noisy = {target.variable: target.is_noisy for target in preparation.dataset.targets}
+    settled = _by_regression(preparation, config, {name: its for name, its in candidates.items() if not is_noisy[name]})
     with ThreadPoolExecutor(usable_cores(os.environ)[0]) as executor:
-        field = Field(preparation.dataset, preparation.recording, config, variables, known, executor)
-        choice = chosen(field, pools, settled)
-        model = None if choice is None else concluded(choice, pools)
+        field = Field(preparation.dataset, preparation.recording, config, candidates, settled, executor)
+        choice = chosen(field)
+        model = None if choice is None else concluded(choice)
     if model is not None:
         return model
-    rest = {name: refine(problems[name], config, pools[name].front) for name in pools if name not in clean}
-    settled |= {name: refined for name, refined in rest.items() if refined is not None}
-    return Refinement(settled, warnings=(NOT_SIMULATED,))
+    rest = _by_regression(preparation, config, {name: its for name, its in candidates.items() if is_noisy[name]})
+    return Refinement({**settled, **rest}, warnings=(NOT_SIMULATED,))
 
 
-def refine(
-    problem: Problem, config: JobConfig, front: Sequence[FrontEntry], weights: FloatArray | None = None
-) -> Refined | None:
-    """Return the shortest model that can be made of `front`; None when that must stay as it is.
-
-    `weights` (R,) of the rows, 1 on average, decide the constants; errors are those of all rows alike.
-    That is so when the front is empty, and when a member meets the error at which the equation counts as found, but
-    nothing shorter does. Pure. Takes about a second for a few hundred noisy rows, less for exact ones.
-    """
-    programs = [Program.from_bytes(entry.program, len(problem.names)) for entry in front]
-    limit = problem.target.convergence_error(config.budget.target_error)
-    has_converged = any(entry.error <= limit for entry in front)
-    if has_converged:
-        kept = [index for index, entry in enumerate(front) if entry.error <= limit]
-    else:
-        kept, limit = [*range(len(front))], math.inf
-    variable = problem.target.variable
-    operators = frozenset(BY_NAME[name].code for name in config.space.operators_for(variable))
-    allowed = config.space.columns_for(variable, problem.names)
-    shortening = Shortening(
-        _spread(problem, SETTINGS.regression.compared_rows),
-        operators,
-        allowed,
-        _spread_weights(weights, SETTINGS.regression.compared_rows),
-    )
-    candidates = shortening.candidates([programs[index] for index in kept], looks_around=not has_converged)
-    for candidate in candidates[: SETTINGS.regression.attempts]:
-        member = kept[candidate.member]
-        refined = _finished(problem, candidate, member, config, weights)
-        is_member = structure(tidied(programs[member])) == structure(tidied(candidate.fitted.program))
-        refined = replace(refined, origin="front" if is_member else "descent")
-        if refined.error <= limit and may_be_shown(refined.program, config.space.max_size):
-            return _as_found(refined, front, programs)
-    return None
-
-
-def _with_intervals(refined: Refined) -> Refined:
-    """Return the equation with 95 % intervals, and with constants marked that the data do not determine."""
-    return replace(refined, constants=tuple(map(_with_interval, refined.constants)))
-
-
-def _with_interval(constant: Constant) -> Constant:
-    fitted, error = constant.fitted, constant.std_error
-    if fitted is None or error is None:
-        return constant
-    bounds = (fitted - NORMAL_95 * error, fitted + NORMAL_95 * error)
-    return replace(constant, interval=bounds, identifiable=error <= SETTINGS.inference.loose * abs(fitted))
-
-
-def _finished(
-    problem: Problem, candidate: Candidate, member: int, config: JobConfig, weights: FloatArray | None
-) -> Refined:
-    """Decide the constants on more rows where there are more; measure errors and standard errors."""
-    program = candidate.model.program
-    decisive = _spread(problem, SETTINGS.regression.deciding_rows)
-    criterion, polisher = (
-        RegressionCriterion.of(decisive.target),
-        Polisher(decisive, _spread_weights(weights, SETTINGS.regression.deciding_rows)),
-    )
-    if len(problem.target.values) > SETTINGS.regression.compared_rows:
-        program = snapped(polisher.fit(candidate.fitted.program), criterion, polisher).program
-    if may_be_shown(gathered(program), config.space.max_size):
-        program = gathered(program)
-    error, mse = errors_on(problem, program, config.evolution.loss)
-    fitted = polisher.fit(program).program
-    std_errors = standard_errors(polisher.fit(program, steps=0), criterion)
-    return Refined(member, program, error, mse, _constants(program, fitted, std_errors))
-
-
-def _constants(program: Program, fitted: Program, std_errors: Sequence[float]) -> tuple[Constant, ...]:
-    places = constant_places(program)
-    values, before = program.constants[places].tolist(), fitted.constants[places].tolist()
-    return tuple(map(Constant, values, before, std_errors))
-
-
-def _as_found(refined: Refined, front: Sequence[FrontEntry], programs: Sequence[Program]) -> Refined:
-    """Return `refined` with the errors that the search measured when the front has the very same program."""
-    for index, (entry, program) in enumerate(zip(front, programs, strict=True)):
-        if program == refined.program:
-            return replace(refined, member=index, error=entry.error, mse=entry.mse, origin="front")
-    return refined
-
-
-def _spread(problem: Problem, most: int) -> Problem:
-    """Return the problem on at most so many rows, spread evenly over all."""
-    rows = len(problem.target.values)
-    if rows <= most:
-        return problem
-    index = _places(rows, most)
-    target = replace(problem.target, values=problem.target.values[index])
-    return Problem(problem.names, np.ascontiguousarray(problem.inputs[:, index]), target)
-
-
-def _spread_weights(weights: FloatArray | None, most: int) -> FloatArray | None:
-    """Return the weights of the rows that `_spread` returns, 1 on average."""
-    if weights is None:
-        return None
-    chosen = weights if len(weights) <= most else weights[_places(len(weights), most)]
-    return np.asarray(chosen / chosen.mean())
-
-
-def _places(rows: int, most: int) -> npt.NDArray[np.intp]:
-    return np.asarray(np.arange(most) * rows // most)
+def _by_regression(
+    preparation: Preparation, config: JobConfig, candidates: Mapping[str, CandidateSet]
+) -> dict[str, Refined]:
+    """Return the equations that are fitted to their targets, of the variables that were searched."""
+    weights = preparation.weights if preparation.recording is None else None
+    equations = {
+        name: fit_equation(preparation.dataset.problem(name), config, each.front, weights)
+        for name, each in candidates.items()
+        if each.known is None
+    }
+    return {name: equation for name, equation in equations.items() if equation is not None}

@@ -3,12 +3,14 @@
 Letters: K constants of one program, T trajectories, R rows of one trajectory, S states.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program
+from atoll.expression.text.infix import PRINTABLE_SIZE, tree_size
 from atoll.search.pareto import FrontEntry
 
 Grade = Literal["exact", "good", "doubtful", "no model"]
@@ -34,6 +36,20 @@ class Pool:
 
 Pools = Mapping[str, Pool]
 """By variable, what the search hands on."""
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """A member of a front: its program, and its loss and mean squared error on all rows."""
+
+    program: Program
+    error: float
+    mse: float
+
+
+def decode_members(entries: Sequence[FrontEntry], inputs: int) -> tuple[Member, ...]:
+    """Return the members of a front; `inputs` is how many variables there are."""
+    return tuple(Member(Program.from_bytes(each.program, inputs), each.error, each.mse) for each in entries)
 
 
 @dataclass(frozen=True)
@@ -143,3 +159,8 @@ class Refinement:
     simulation: Simulation | None = None
     correlations: tuple[Correlation, ...] = ()
     warnings: tuple[str, ...] = ()
+
+
+def may_be_shown(program: Program, largest: int | None) -> bool:
+    """Tell whether a program is not larger than the user allows (None: any size), and can be printed."""
+    return len(program) <= (largest or math.inf) and tree_size(program) <= PRINTABLE_SIZE

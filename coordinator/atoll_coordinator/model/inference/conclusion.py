@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray, Problem
+from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, structure
 from atoll_coordinator.model.inference.uncertainty import (
     Errors,
@@ -21,12 +21,11 @@ from atoll_coordinator.model.inference.uncertainty import (
     spread_of,
 )
 from atoll_coordinator.model.inference.verdict import Evidence, judge
-from atoll_coordinator.model.refinement import Contender, Pool, Refined, Refinement, Simulated, Simulation
+from atoll_coordinator.model.refinement import Contender, Origin, Refined, Refinement, Simulated, Simulation
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.selection.alternatives import Race, decided
 from atoll_coordinator.model.selection.comparison import Contest, Standing
 from atoll_coordinator.model.selection.joint_search import Chosen, Field
-from atoll_coordinator.model.selection.origins import Origins
 from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks
 from atoll_coordinator.model.selection.rounding import rounded
 from atoll_coordinator.model.settings import SETTINGS
@@ -46,13 +45,19 @@ class _Final:
 
     field: Field
     race: Race
-    origins: Origins
+    origins: Sequence[Mapping[bytes, Origin]]
     unseen: Contest | None
     contest: Contest
     shown: tuple[Program, ...]
     openings: tuple[Opened, ...]
     free: Standing
     held: Standing
+
+    def origin(self, equation: int, program: Program) -> Origin:
+        """Return where a program came from, before its constants were made simple."""
+        if self.field.variables[equation] in self.field.known:
+            return "known"
+        return self.origins[equation].get(structure(tidied(program)), "descent")
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +68,10 @@ class _HeldOut:
     r2: tuple[float | None, ...]
 
 
-def concluded(choice: Chosen, pools: Mapping[str, Pool]) -> Refinement | None:
+def concluded(choice: Chosen) -> Refinement | None:
     """Return the refinement that the chosen system gives; None when it cannot be simulated on all rows."""
-    origins = Origins(choice.field, pools, choice.lists)
+    candidates = choice.field.candidates.values()
+    origins = tuple(each.origins(compared) for each, compared in zip(candidates, choice.lists, strict=True))
     final = _finalized(decided(choice, choice.field.dataset.inputs), origins)
     if final is None:
         return None
@@ -74,7 +80,7 @@ def concluded(choice: Chosen, pools: Mapping[str, Pool]) -> Refinement | None:
     constants = constants_of(final.contest, final.openings, final.shown, errors)
     out = None if final.unseen is None else _held_out(final, final.unseen, final.shown, errors)
     equations = {
-        name: _refined(final, index, constants[index], _foretold(final, out, index), pools.get(name))
+        name: _refined(final, index, constants[index], _foretold(final, out, index))
         for index, name in enumerate(field.variables)
     }
     its = final.contest.shooter.measurements
@@ -88,7 +94,7 @@ def concluded(choice: Chosen, pools: Mapping[str, Pool]) -> Refinement | None:
     )
 
 
-def _finalized(race: Race, origins: Origins) -> _Final | None:
+def _finalized(race: Race, origins: Sequence[Mapping[bytes, Origin]]) -> _Final | None:
     """Fit the chosen system to all rows, make its constants simple, and fit what is shown again."""
     whole = on_all_rows(race.choice)
     if whole is None:
@@ -151,7 +157,7 @@ def _carried_bands(final: _Final, unseen: Contest, shot: Shot, errors: Errors) -
     return None if near is None else bands(unseen.shooter.measurements, near, *spread_of(final.contest, free, errors))
 
 
-def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None, pool: Pool | None) -> Refined:
+def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None) -> Refined:
     field = final.field
     name, program = field.variables[index], final.shown[index]
     problem = field.dataset.problem(name)
@@ -177,8 +183,8 @@ def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None,
         rival=min((each.nats for each in rivals), default=None),
     )
     grade, reason = judge(evidence)
-    member = _member(program, pool, problem)
-    origin = final.origins.of(name, final.race.choice.standing.programs[index])
+    member = field.candidates[name].member_of(program)
+    origin = final.origin(index, final.race.choice.standing.programs[index])
     return Refined(member, program, error, mse, known.written, known.implied, contenders, grade, reason, origin)
 
 
@@ -189,17 +195,6 @@ def _no_elaborations(program: Program, contenders: Sequence[Contender]) -> list[
     """
     most = len(constant_places(program))
     return [each for each in contenders if not each.is_shown and len(constant_places(each.program)) <= most]
-
-
-def _member(program: Program, pool: Pool | None, problem: Problem) -> int | None:
-    """Return the index of the front member of the same structure, if there is one; a known equation is the only one."""
-    if pool is None:
-        return 0
-    key = structure(tidied(program))
-    for index, entry in enumerate(pool.front):
-        if structure(tidied(Program.from_bytes(entry.program, len(problem.names)))) == key:
-            return index
-    return None
 
 
 def _residuals(its: Measurements, shot: Shot, index: int) -> list[FloatArray]:
@@ -224,10 +219,10 @@ def _foretold(final: _Final, out: _HeldOut | None, index: int) -> float | None:
 
 def _contenders(final: _Final, index: int, held_out_r2: float | None) -> tuple[Contender, ...]:
     """Return the equation that is shown and what came closest to it, all other equations as they are."""
-    race, name = final.race, final.field.variables[index]
+    race = final.race
     contest, best = race.choice.contest, race.choice.standing
     r2 = r2_of(final.contest.shooter.measurements, final.held.shot, slice(None))[index]
-    origin = final.origins.of(name, best.programs[index])
+    origin = final.origin(index, best.programs[index])
     is_crossed = final.unseen is None and race.validated is not None
     found = [Contender(final.shown[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
     for rival in race.rivals[index]:
@@ -237,5 +232,5 @@ def _contenders(final: _Final, index: int, held_out_r2: float | None) -> tuple[C
         if nats <= SETTINGS.selection.validated_nats and final.unseen is not None:
             held_out_r2 = _held_out(final, final.unseen, rival.standing.programs).r2[index]
         is_crossed = rival.validated is not None
-        found.append(Contender(program, nats, r2, held_out_r2, False, is_crossed, final.origins.of(name, program)))
+        found.append(Contender(program, nats, r2, held_out_r2, False, is_crossed, final.origin(index, program)))
     return tuple(found)

@@ -22,13 +22,13 @@ from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
 from atoll.search.pareto import FrontEntry
 from atoll.wire.messages.views import JobState
 from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.model.criteria import select_member
 from atoll_coordinator.model.refinement import Constant, Origin, Refined, Refinement
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.report.diagnostics import noise, smoothing
 from atoll_coordinator.model.report.digest import result_digest
 from atoll_coordinator.model.report.numbers import finite
 from atoll_coordinator.model.report.trust import candidates, correlations, simulation, verdict
-from atoll_coordinator.model.selection.front import select
 
 SCHEMA: Final = 1
 KNOWN: Final = "known"
@@ -174,7 +174,7 @@ def equation_of(outcome: VariableOutcome, dataset: Dataset, config: JobConfig) -
     if not printable:
         return None
     front = [outcome.front[index] for index in printable]
-    member = printable[select(front, len(target.values), target, config.budget.target_error)]
+    member = printable[select_member(front, len(target.values), target, config.budget.target_error)]
     entry = outcome.front[member]
     origin: Origin = "known" if outcome.why == KNOWN else "front"
     return Refined(member, _program(entry, dataset), entry.error, entry.mse, origin=origin)

@@ -1,17 +1,84 @@
-"""Candidates for one variable's equation, the best first: its trajectories alone, the other states as smoothed."""
+"""Candidates for one variable's equation: where they come from, and which are the best.
+
+They are ranked by the variable's trajectories alone, the other states as smoothed.
+"""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from atoll.data.dataset import Problem
+from atoll.config import JobConfig
+from atoll.data.dataset import Dataset, Problem
 from atoll.expression.program import Program, structure
+from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs
+from atoll_coordinator.model.refinement import Member, Origin, Pools, decode_members
 from atoll_coordinator.model.regression.fit import Polisher
 from atoll_coordinator.model.selection.comparison import Contest, distinct
 from atoll_coordinator.model.selection.elimination import eliminated
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.term_libraries import Term
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateSet:
+    """The programs that one variable's equation may be made of, by where they come from.
+
+    `front` and `runners_up` are what the search handed on, `guesses` what it began with; a `known` equation is given.
+    """
+
+    front: tuple[Member, ...] = ()
+    runners_up: tuple[Program, ...] = ()
+    guesses: tuple[Program, ...] = ()
+    known: Program | None = None
+
+    @property
+    def programs(self) -> list[Program]:
+        """All programs but a known one: front, runners-up, guesses."""
+        return [*(member.program for member in self.front), *self.runners_up, *self.guesses]
+
+    def origins(self, compared: Sequence[Program]) -> dict[bytes, Origin]:
+        """Return by structure where programs come from, the first origin counts; `compared` are all candidates.
+
+        A program of none of these structures was made of them by leaving out, adding or changing parts.
+        """
+        programs: dict[Origin, Sequence[Program]] = {
+            "front": [member.program for member in self.front],
+            "runner-up": self.runners_up,
+            "guess": self.guesses,
+            "library": compared if len(compared) > 1 else (),
+        }
+        origins: dict[bytes, Origin] = {}
+        for origin, those in programs.items():
+            for program in those:
+                origins.setdefault(structure(tidied(program)), origin)
+        return origins
+
+    def member_of(self, program: Program) -> int | None:
+        """Return the index of the front member of this structure, None without one; a known equation is member 0."""
+        if self.known is not None:
+            return 0
+        key = structure(tidied(program))
+        same = (index for index, member in enumerate(self.front) if structure(tidied(member.program)) == key)
+        return next(same, None)
+
+
+def collect_candidates(dataset: Dataset, config: JobConfig, pools: Pools) -> dict[str, CandidateSet]:
+    """Return the candidates of each variable that was searched or is known, in the dataset's order, decoded."""
+    known, guesses = known_programs(dataset, config), guessed_programs(dataset, config)
+    inputs = len(dataset.names)
+    return {
+        name: CandidateSet(known=known[name])
+        if name in known
+        else CandidateSet(
+            decode_members(pools[name].front, inputs),
+            tuple(member.program for member in decode_members(pools[name].runners_up, inputs)),
+            tuple(guesses.get(name, ())),
+        )
+        for name in dataset.variables
+        if name in pools or name in known
+    }
 
 
 def ranked(

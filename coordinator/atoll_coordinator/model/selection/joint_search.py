@@ -7,7 +7,8 @@ by counts, never by the clock.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -15,13 +16,11 @@ from atoll.config import JobConfig
 from atoll.data.dataset import Dataset
 from atoll.expression.operators import BY_NAME
 from atoll.expression.program import Program
-from atoll_coordinator.data.prior_knowledge import guessed_programs
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.criteria import is_function
-from atoll_coordinator.model.refinement import Pool, Refined
-from atoll_coordinator.model.selection.candidates import ranked
+from atoll_coordinator.model.refinement import Refined, may_be_shown
+from atoll_coordinator.model.selection.candidates import CandidateSet, ranked
 from atoll_coordinator.model.selection.comparison import Contest, Standing
-from atoll_coordinator.model.selection.front import may_be_shown
 from atoll_coordinator.model.selection.local_search import Descent
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
@@ -48,19 +47,29 @@ class Chosen:
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """What is modelled: the `variables` that have an equation, by their states' indices in the recording.
+    """What is modelled: the variables that have `candidates`, in the order of the equations.
 
-    `known` are their equations as far as they are given; `executor` has the threads that fit systems, none when they
-    are fitted one after another; `piece` is how many rows are simulated at a stretch, at most.
+    `settled` are equations that were fitted to noise-free targets; `executor` has the threads that fit systems, none
+    when they are fitted one after another; `piece` is how many rows are simulated at a stretch, at most.
     """
 
     dataset: Dataset
     recording: Recording
     config: JobConfig
-    variables: tuple[str, ...]
-    known: Mapping[str, Program]
+    candidates: Mapping[str, CandidateSet]
+    settled: Mapping[str, Refined] = field(default_factory=dict)
     executor: Executor | None = None
     piece: int = SETTINGS.shooting.piece
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the equations."""
+        return tuple(self.candidates)
+
+    @cached_property
+    def known(self) -> dict[str, Program]:
+        """The equations that are given."""
+        return {name: each.known for name, each in self.candidates.items() if each.known is not None}
 
     def may_be_shown(self, program: Program) -> bool:
         """Tell whether the job's equations may be as large as `program`."""
@@ -95,19 +104,16 @@ class Field:
         return [variable_program(self.dataset.names.index(velocity)) for velocity in velocities]
 
 
-def candidates_of(field: Field, pools: Mapping[str, Pool], settled: Mapping[str, Refined]) -> list[list[Program]]:
+def ranked_candidates(field: Field) -> list[list[Program]]:
     """Return the candidates of each variable, the best first.
 
-    Args:
-        field: what is modelled.
-        pools: what the search handed on.
-        settled: equations by derivatives. Without noise those of converged searches are the only candidates, unless the
-            trajectories show that one of them only comes close, as a cosine of little does to a square.
+    Without noise the equation of a converged search is the only candidate, unless the trajectories show that one of
+    them only comes close, as a cosine of little does to a square.
     """
-    lists = [_candidates(field, name, pools, settled) for name in field.variables]
+    lists = [_candidates(field, name) for name in field.variables]
     if any(len(its) != 1 for its in lists) or len(field.known) == len(lists) or _is_exact(field, lists):
         return lists
-    return [_compared(field, name, pools, settled) for name in field.variables]
+    return [_compared(field, name) for name in field.variables]
 
 
 def selected(
@@ -136,28 +142,25 @@ def selected(
     return Chosen(field, contest, best)
 
 
-def _candidates(field: Field, name: str, pools: Mapping[str, Pool], settled: Mapping[str, Refined]) -> list[Program]:
+def _candidates(field: Field, name: str) -> list[Program]:
     """Return the candidates of one variable, the best first."""
     if name in field.known:
         return [field.known[name]]
     target = field.dataset.problem(name).target
-    if name in settled and not target.is_noisy:
-        its = settled[name]
+    if name in field.settled and not target.is_noisy:
+        its = field.settled[name]
         if its.error <= target.convergence_error(field.config.budget.target_error):
             return [tidied(its.program)]
-    return _compared(field, name, pools, settled)
+    return _compared(field, name)
 
 
-def _compared(field: Field, name: str, pools: Mapping[str, Pool], settled: Mapping[str, Refined]) -> list[Program]:
+def _compared(field: Field, name: str) -> list[Program]:
     """Return all candidates of one variable, the best first."""
     if name in field.known:
         return [field.known[name]]
     problem = field.dataset.problem(name)
-    programs = [settled[name].program] if name in settled else []
-    pool = pools[name]
-    entries = [*pool.front, *pool.runners_up]
-    programs += [Program.from_bytes(entry.program, len(problem.names)) for entry in entries]
-    programs += guessed_programs(field.dataset, field.config).get(name, ())
+    programs = [field.settled[name].program] if name in field.settled else []
+    programs += field.candidates[name].programs
     its = replace(field.measurements([name]).thinned(SETTINGS.selection.compared_rows), coherence=1.0)
     contest = field.contest(its, [name])
     best = ranked(contest, problem, programs, _libraries(field, name, its))

@@ -5,29 +5,22 @@ rows. Shorter pieces, each from an initial state of its own, can still be fitted
 longest that can be fitted are taken.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from atoll.expression.program import Program
-from atoll_coordinator.model.refinement import Pool, Refined
 from atoll_coordinator.model.selection.comparison import Contest, Standing
-from atoll_coordinator.model.selection.joint_search import Chosen, Field, candidates_of, selected
+from atoll_coordinator.model.selection.joint_search import Chosen, Field, ranked_candidates, selected
 from atoll_coordinator.model.settings import SETTINGS
 
 
-def chosen(field: Field, pools: Mapping[str, Pool], settled: Mapping[str, Refined]) -> Chosen | None:
-    """Return the best system of equations and the longest pieces it can be fitted to, None if it cannot at all.
-
-    Args:
-        field: what is modelled.
-        pools: what the search handed on.
-        settled: equations by derivatives; those of converged searches without noise are not compared with others.
-    """
+def chosen(field: Field) -> Chosen | None:
+    """Return the best system of equations and the longest pieces it can be fitted to, None if it cannot at all."""
     if field.recording.offsets:
         field = replace(field, piece=_longest(field))
-    lists = candidates_of(field, pools, settled)
+    lists = ranked_candidates(field)
     if not all(lists):
         return None
     found: list[Chosen] = []

@@ -14,9 +14,8 @@ from atoll.wire.messages.limits import chunk_count
 from atoll.wire.messages.views import FINAL_STATES, JobState
 from atoll.wire.messages.workers import Commit, EpochReport, JobAnnouncement
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.criteria import front_length
+from atoll_coordinator.model.criteria import count_constants, front_length
 from atoll_coordinator.model.refinement import Pool, Refinement
-from atoll_coordinator.model.selection.front import count_constants
 from atoll_coordinator.service.jobs.defaults import stagnation_of
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.checkpoints import StoredProgress

@@ -11,9 +11,10 @@ from atoll.expression.program import Program
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import RegressionCriterion
-from atoll_coordinator.model.pipeline import refine, refine_all
-from atoll_coordinator.model.refinement import Pool, Refined
+from atoll_coordinator.model.pipeline import refine_all
+from atoll_coordinator.model.refinement import Pool, Refined, decode_members
 from atoll_coordinator.model.regression import shortening as shorten
+from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.regression.fit import Polisher
 from atoll_coordinator.model.regression.rounding import snapped
 from atoll_coordinator.model.regression.standard_errors import description_length
@@ -26,6 +27,10 @@ def lotka(x, y):
 
 def quotient(x, y):
     return 4.0 - 2.0 * y / (x + 2.0 / x)
+
+
+def refine(its, config, front):
+    return fit_equation(its, config, decode_members(front, len(its.names)))
 
 
 def refined_text(its, *front: str, config=CONFIG) -> str:

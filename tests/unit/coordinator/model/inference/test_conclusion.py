@@ -9,7 +9,7 @@ import pytest
 from atoll.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll.data.dataset import Dataset, Target
 from atoll.expression.operators import BY_NAME
-from atoll.expression.program import constant_places
+from atoll.expression.program import constant_places, structure
 from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prepare import prepare
@@ -18,7 +18,8 @@ from atoll_coordinator.model.inference.conclusion import _deviation, _no_elabora
 from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.refinement import Contender, Pool
 from atoll_coordinator.model.selection import joint_search as model
-from atoll_coordinator.model.selection import origins
+from atoll_coordinator.model.selection.candidates import collect_candidates
+from atoll_coordinator.model.structure.algebra import tidied
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, pools, table
 
@@ -261,7 +262,6 @@ def test_origins_are_told_by_structure():
     config = JobConfig(space=ARITHMETIC, prior=PriorConfig(guesses={"y": ("3.5*y*y",)}, known={"z": "x*z"}))
     targets = tuple(Target(name, f"d{name}/dt", np.arange(9.0), 0.0, 1.0) for name in "xyz")
     dataset = Dataset(("x", "y", "z"), np.ones((3, 9)), targets, {name: name for name in "xyz"})
-    field = model.Field(dataset, None, config, ("x", "y", "z"), {"z": from_infix("x*z", "xyz")})
 
     def programs(*texts):
         return [from_infix(text, ("x", "y", "z")) for text in texts]
@@ -269,10 +269,15 @@ def test_origins_are_told_by_structure():
     def entries(*texts):
         return tuple(FrontEntry(1, 0.1, 0.1, 0, 0, 0, program.to_bytes()) for program in programs(*texts))
 
-    found = {"x": Pool(entries("2.5*x"), entries("x + y")), "y": Pool(entries("y", "3*y"))}
-    lists = [programs("2.5*x", "1.5*x + 0.5*x*y"), programs("3.0*y", "x*y"), programs("x*z")]
-    its = origins.Origins(field, found, lists)
-    of = {text: its.of("x", *programs(text)) for text in ("7.0*x", "x + y", "2.0*x + 0.25*x*y", "x - y")}
-    assert of == {"7.0*x": "front", "x + y": "runner-up", "2.0*x + 0.25*x*y": "library", "x - y": "descent"}
-    assert [its.of("y", *programs(text)) for text in ("2.0*y*y", "y", "x*y")] == ["guess", "front", "library"]
-    assert its.of("z", *programs("x*z")) == "known"
+    pools = {"x": Pool(entries("2.5*x"), entries("x + y")), "y": Pool(entries("y", "3*y"))}
+    candidates = collect_candidates(dataset, config, pools)
+    compared = {"x": programs("2.5*x", "1.5*x + 0.5*x*y"), "y": programs("3.0*y", "x*y")}
+
+    def origins(name, *texts):
+        by_structure = candidates[name].origins(compared[name])
+        return [by_structure.get(structure(tidied(program))) for program in programs(*texts)]
+
+    texts = ("7.0*x", "x + y", "2.0*x + 0.25*x*y", "x - y")
+    assert origins("x", *texts) == ["front", "runner-up", "library", None]
+    assert origins("y", "2.0*y*y", "y", "x*y") == ["guess", "front", "library"]
+    assert candidates["z"].known == programs("x*z")[0]

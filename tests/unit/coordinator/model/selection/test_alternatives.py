@@ -10,6 +10,7 @@ from atoll.expression.program import structure
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection import alternatives as rivals
 from atoll_coordinator.model.selection.alternatives import decided
+from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
 from atoll_coordinator.model.selection.joint_search import Chosen, Field
 from atoll_coordinator.model.settings import SETTINGS
@@ -25,7 +26,8 @@ def choice(starts=STARTS, known=(), data=None):
     """Return the choice of the truth, with others that were tried."""
     config = JobConfig(data=data) if data is not None else JobConfig()
     preparation = prepare(table(SWING, starts, TIMES, 0.05, 130), config)
-    field = Field(preparation.dataset, preparation.recording, config, ("x", "y"), dict.fromkeys(known))
+    candidates = {name: CandidateSet(known=SWING.parsed("y") if name in known else None) for name in ("x", "y")}
+    field = Field(preparation.dataset, preparation.recording, config, candidates)
     contest = field.contest(field.measurements(field.variables), field.variables)
     best = contest.stand([SWING.parsed("y"), SWING.parsed(TRUTH)])
     contest.halved(best, 1, [SWING.parsed(text) for text in (TRUTH, *OTHERS)], ((12, 20),))

@@ -7,7 +7,8 @@ from atoll.config import BudgetConfig, JobConfig, SpaceConfig
 from atoll.expression.program import structure
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.refinement import Refined
-from atoll_coordinator.model.selection.joint_search import Field, candidates_of
+from atoll_coordinator.model.selection.candidates import collect_candidates
+from atoll_coordinator.model.selection.joint_search import Field, ranked_candidates
 from atoll_coordinator.model.structure.algebra import tidied
 from tests.unit.coordinator.model.shooting.made import Known, pools, table
 
@@ -20,16 +21,16 @@ CONFIG = JobConfig(space=SpaceConfig(operators=("+", "-", "*", "cos")), budget=B
 
 @pytest.fixture(scope="module")
 def prepared():
-    preparation = prepare(table(DRAG, ([3.0], [2.0]), 0.1 * np.arange(60.0)), CONFIG)
-    return preparation, Field(preparation.dataset, preparation.recording, CONFIG, ("v",), {})
+    return prepare(table(DRAG, ([3.0], [2.0]), 0.1 * np.arange(60.0)), CONFIG)
 
 
 def candidates(prepared, text):
     """Return the candidates when a converged search has found `text`."""
-    preparation, field = prepared
-    its = pools(preparation, v=(text,))
+    its = pools(prepared, v=(text,))
     (entry,) = its["v"].front
-    (found,) = candidates_of(field, its, {"v": Refined(0, DRAG.parsed(text), entry.error, entry.mse)})
+    settled = {"v": Refined(0, DRAG.parsed(text), entry.error, entry.mse)}
+    candidates = collect_candidates(prepared.dataset, CONFIG, its)
+    (found,) = ranked_candidates(Field(prepared.dataset, prepared.recording, CONFIG, candidates, settled))
     return found
 
 

@@ -9,6 +9,7 @@ from atoll.config import JobConfig, SpaceConfig
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection import joint_search as model
 from atoll_coordinator.model.selection import piece_lengths
+from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.joint_search import Field
 from atoll_coordinator.model.selection.piece_lengths import chosen, on_all_rows, remarks
 from atoll_coordinator.model.settings import SETTINGS
@@ -29,31 +30,34 @@ def lorenz(_, z):
     return [10.0 * (y - x), x * (28.0 - w) - y, x * y - 8.0 / 3.0 * w]
 
 
-def field_of(known, starts, times, noise, config=CONFIG):
+def field_of(known, starts, times, noise, config=CONFIG, given=None, **texts):
+    """Return what is modelled when the search has handed on `texts`; `given` are known equations."""
     preparation = prepare(table(known, starts, times, noise, 150), config)
-    return preparation, Field(preparation.dataset, preparation.recording, config, known.states, {})
+    candidates = collect_candidates(preparation.dataset, config, pools(preparation, **texts))
+    candidates |= {name: CandidateSet(known=known.parsed(text)) for name, text in (given or {}).items()}
+    return Field(preparation.dataset, preparation.recording, config, candidates)
+
+
+SWING_TEXTS = {"x": ("y",), "y": ("-1.9*x - 0.2*y",)}
 
 
 def test_regular_trajectories_are_simulated_in_whole():
-    preparation, field = field_of(SWING, ([1.0, 2.0], [0.5, -1.0]), 0.1 * np.arange(220.0), 0.03)
-    choice = chosen(field, pools(preparation, x=("y",), y=("-1.9*x - 0.2*y",)), {})
+    field = field_of(SWING, ([1.0, 2.0], [0.5, -1.0]), 0.1 * np.arange(220.0), 0.03, **SWING_TEXTS)
+    choice = chosen(field)
     assert choice.field.piece == field.piece
     assert np.diff(choice.contest.shooter.measurements.bounds, axis=1).ravel().tolist() == [220, 220]
     assert list(remarks(choice.field)) == []
 
 
 def chaotic():
-    """Return pools and a field: Lorenz's system, of which an initial state tells nothing after some hundred rows."""
+    """Return what is modelled: Lorenz's system, of which an initial state tells nothing after some hundred rows."""
     known = Known(("x", "y", "w"), lorenz)
-    preparation, field = field_of(known, ([1.0, 2.0, 20.0],), 0.02 * np.arange(500.0), 0.02)
-    truth = {"x": ("9.0*(y - x)",), "y": ("27.0*x - x*w - 0.9*y",), "w": ("x*y - 2.5*w",)}
-    fixed = replace(field, known={name: known.parsed(text) for name, (text,) in zip(
-        ("x", "y", "w"), (("10.0*(y - x)",), ("28.0*x - x*w - y",), ("x*y - 2.6*w",)), strict=True)})  # fmt: skip
-    return fixed, pools(preparation, **truth)
+    given = {"x": "10.0*(y - x)", "y": "28.0*x - x*w - y", "w": "x*y - 2.6*w"}
+    return field_of(known, ([1.0, 2.0, 20.0],), 0.02 * np.arange(500.0), 0.02, given=given)
 
 
 def test_chaotic_ones_are_simulated_in_pieces_and_that_is_said():
-    choice = chosen(*chaotic(), {})
+    choice = chosen(chaotic())
     assert choice.field.piece in SETTINGS.selection.shorter_pieces
     (remark,) = remarks(choice.field)
     assert f"pieces of {choice.field.piece} rows" in remark
@@ -62,19 +66,19 @@ def test_chaotic_ones_are_simulated_in_pieces_and_that_is_said():
 
 def test_when_the_work_is_used_up_no_shorter_pieces_are_tried(monkeypatch):
     monkeypatch.setattr(piece_lengths, "SETTINGS", settings("selection", pieces_work=1))
-    field, its = chaotic()
-    assert chosen(field, its, {}).field.piece == field.piece
+    field = chaotic()
+    assert chosen(field).field.piece == field.piece
 
 
 def test_no_candidate_is_no_choice():
-    preparation, field = field_of(SWING, ([1.0, 2.0],), 0.1 * np.arange(40.0), 0.03)
-    nothing = replace(field, config=JobConfig(space=SpaceConfig(operators=("exp", "*"))))
-    assert chosen(nothing, pools(preparation, x=("exp(9.0*x*x)",), y=("y*y*y*y",)), {}) is None
+    texts = {"x": ("exp(9.0*x*x)",), "y": ("y*y*y*y",)}
+    field = field_of(SWING, ([1.0, 2.0],), 0.1 * np.arange(40.0), 0.03, **texts)
+    assert chosen(replace(field, config=JobConfig(space=SpaceConfig(operators=("exp", "*"))))) is None
 
 
 def test_a_choice_on_some_rows_is_fitted_to_all():
-    preparation, field = field_of(SWING, [[1.0 + 0.3 * index, 2.0] for index in range(20)], 0.1 * np.arange(80.0), 0.03)
-    choice = chosen(field, pools(preparation, x=("y",), y=("-1.9*x - 0.2*y",)), {})
+    starts = [[1.0 + 0.3 * index, 2.0] for index in range(20)]
+    choice = chosen(field_of(SWING, starts, 0.1 * np.arange(80.0), 0.03, **SWING_TEXTS))
     assert choice.contest.shooter.measurements.rows < 1_600
     whole = on_all_rows(choice)
     assert whole.contest.shooter.measurements.rows == 1_600

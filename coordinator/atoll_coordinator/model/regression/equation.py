@@ -1,0 +1,131 @@
+"""The equation of one variable by regression on its target: the shortest that the front leads to (ADR 0012).
+
+The front stays as the search found it. What is made of it is a program with simple constants where the data cannot
+tell the difference, its errors on all rows, and the standard errors of its constants.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll.config import JobConfig
+from atoll.data.dataset import FloatArray, Problem
+from atoll.expression.operators import BY_NAME
+from atoll.expression.program import Program, constant_places, structure
+from atoll_coordinator.model.criteria import RegressionCriterion
+from atoll_coordinator.model.refinement import NORMAL_95, Constant, Member, Refined, may_be_shown
+from atoll_coordinator.model.regression.errors import errors_on
+from atoll_coordinator.model.regression.fit import Polisher
+from atoll_coordinator.model.regression.rounding import snapped
+from atoll_coordinator.model.regression.shortening import Candidate, Shortening
+from atoll_coordinator.model.regression.standard_errors import standard_errors
+from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.model.structure.algebra import tidied
+from atoll_coordinator.model.structure.like_terms import gathered
+
+
+def fit_equation(
+    problem: Problem, config: JobConfig, front: Sequence[Member], weights: FloatArray | None = None
+) -> Refined | None:
+    """Return the shortest model that can be made of `front`; None when that must stay as it is.
+
+    `weights` (R,) of the rows, 1 on average, decide the constants; errors are those of all rows alike.
+    That is so when the front is empty, and when a member meets the error at which the equation counts as found, but
+    nothing shorter does. Pure. Takes about a second for a few hundred noisy rows, less for exact ones.
+    """
+    limit = problem.target.convergence_error(config.budget.target_error)
+    has_converged = any(member.error <= limit for member in front)
+    if has_converged:
+        kept = [index for index, member in enumerate(front) if member.error <= limit]
+    else:
+        kept, limit = [*range(len(front))], math.inf
+    variable = problem.target.variable
+    operators = frozenset(BY_NAME[name].code for name in config.space.operators_for(variable))
+    allowed = config.space.columns_for(variable, problem.names)
+    shortening = Shortening(
+        _spread(problem, SETTINGS.regression.compared_rows),
+        operators,
+        allowed,
+        _spread_weights(weights, SETTINGS.regression.compared_rows),
+    )
+    candidates = shortening.candidates([front[index].program for index in kept], looks_around=not has_converged)
+    for candidate in candidates[: SETTINGS.regression.attempts]:
+        member = kept[candidate.member]
+        refined = _finished(problem, candidate, member, config, weights)
+        is_member = structure(tidied(front[member].program)) == structure(tidied(candidate.fitted.program))
+        refined = replace(refined, origin="front" if is_member else "descent")
+        if refined.error <= limit and may_be_shown(refined.program, config.space.max_size):
+            return _as_found(refined, front)
+    return None
+
+
+def with_intervals(refined: Refined) -> Refined:
+    """Return the equation with 95 % intervals, and with constants marked that the data do not determine."""
+    return replace(refined, constants=tuple(map(_with_interval, refined.constants)))
+
+
+def _with_interval(constant: Constant) -> Constant:
+    fitted, error = constant.fitted, constant.std_error
+    if fitted is None or error is None:
+        return constant
+    bounds = (fitted - NORMAL_95 * error, fitted + NORMAL_95 * error)
+    return replace(constant, interval=bounds, identifiable=error <= SETTINGS.inference.loose * abs(fitted))
+
+
+def _finished(
+    problem: Problem, candidate: Candidate, member: int, config: JobConfig, weights: FloatArray | None
+) -> Refined:
+    """Decide the constants on more rows where there are more; measure errors and standard errors."""
+    program = candidate.model.program
+    decisive = _spread(problem, SETTINGS.regression.deciding_rows)
+    criterion, polisher = (
+        RegressionCriterion.of(decisive.target),
+        Polisher(decisive, _spread_weights(weights, SETTINGS.regression.deciding_rows)),
+    )
+    if len(problem.target.values) > SETTINGS.regression.compared_rows:
+        program = snapped(polisher.fit(candidate.fitted.program), criterion, polisher).program
+    if may_be_shown(gathered(program), config.space.max_size):
+        program = gathered(program)
+    error, mse = errors_on(problem, program, config.evolution.loss)
+    fitted = polisher.fit(program).program
+    std_errors = standard_errors(polisher.fit(program, steps=0), criterion)
+    return Refined(member, program, error, mse, _constants(program, fitted, std_errors))
+
+
+def _constants(program: Program, fitted: Program, std_errors: Sequence[float]) -> tuple[Constant, ...]:
+    places = constant_places(program)
+    values, before = program.constants[places].tolist(), fitted.constants[places].tolist()
+    return tuple(map(Constant, values, before, std_errors))
+
+
+def _as_found(refined: Refined, front: Sequence[Member]) -> Refined:
+    """Return `refined` with the errors that the search measured when the front has the very same program."""
+    for index, member in enumerate(front):
+        if member.program == refined.program:
+            return replace(refined, member=index, error=member.error, mse=member.mse, origin="front")
+    return refined
+
+
+def _spread(problem: Problem, most: int) -> Problem:
+    """Return the problem on at most so many rows, spread evenly over all."""
+    rows = len(problem.target.values)
+    if rows <= most:
+        return problem
+    index = _places(rows, most)
+    target = replace(problem.target, values=problem.target.values[index])
+    return Problem(problem.names, np.ascontiguousarray(problem.inputs[:, index]), target)
+
+
+def _spread_weights(weights: FloatArray | None, most: int) -> FloatArray | None:
+    """Return the weights of the rows that `_spread` returns, 1 on average."""
+    if weights is None:
+        return None
+    chosen = weights if len(weights) <= most else weights[_places(len(weights), most)]
+    return np.asarray(chosen / chosen.mean())
+
+
+def _places(rows: int, most: int) -> npt.NDArray[np.intp]:
+    return np.asarray(np.arange(most) * rows // most)
