@@ -1,7 +1,11 @@
 """What the command lines of both programs share. Light, because ``--help`` must be instant."""
 
 import argparse
-from typing import Any, Final
+import re
+from collections.abc import Callable
+from typing import Any, Final, NoReturn
+
+from atoll.errors import UsageError
 
 LOG_FORMATS: Final = ("text", "json")
 LOG_LEVELS: Final = ("debug", "info", "warning", "error")
@@ -12,6 +16,49 @@ TLS_OPTIONS: Final = {
     "--tls-key": ("ATOLL_TLS_KEY", "the certificate's private key, unencrypted"),
 }
 """The option of each file, the environment variable in its place, and what the file is (all PEM)."""
+
+
+_UNITS: Final = {"": 1.0, "ms": 1e-3, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+
+
+class Parser(argparse.ArgumentParser):
+    """Raises UsageError where argparse would print its usage and exit; options are not abbreviated."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, **settings)
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{_reworded(message)}; see {self.prog} --help")
+
+
+def _reworded(message: str) -> str:
+    """Return argparse's complaint in the order found, expected."""
+    choice = re.fullmatch(r"argument (.+): invalid choice: (.+) \(choose from (.+)\)", message)
+    if choice:
+        return f"{choice[1]} must be one of {choice[3]}, but {choice[2]} was given"
+    return message.replace("unrecognized arguments:", "unknown option").removeprefix("argument ")
+
+
+def whole_number(least: int, most: int) -> Callable[[str], int]:
+    """Return the type of an option that is a whole number within limits; it raises ArgumentTypeError."""
+
+    def parse(text: str) -> int:
+        if not (re.fullmatch("-?[0-9]{1,6}", text) and least <= int(text) <= most):
+            raise argparse.ArgumentTypeError(f"expected a whole number from {least} to {most}, but {text!r} was given")
+        return int(text)
+
+    return parse
+
+
+def duration(text: str) -> float:
+    """Return the seconds of ``90``, ``90s``, ``30m`` or ``1.5h``, at least 0; raises ArgumentTypeError."""
+    match = re.fullmatch(r"\s*([^\s]*?)(ms|min|[smhd]?)\s*", text)
+    try:
+        if match is not None:
+            return seconds(match[1]) * _UNITS[match[2]]
+    except argparse.ArgumentTypeError:
+        pass
+    raise argparse.ArgumentTypeError(f"a time such as 90s, 30m or 12h was expected, but {text!r} was given")
 
 
 def seconds(text: str) -> float:
@@ -33,3 +80,12 @@ def add_log_options(parser: Any) -> None:
     parser.add_argument(
         "--log-level", choices=LOG_LEVELS, default="info", help="the least level that is logged (default: info)"
     )
+
+
+def add_tls_options(parser: argparse.ArgumentParser) -> None:
+    """Add ``--tls-ca``, ``--tls-cert`` and ``--tls-key``; see `atoll.wire.security.credentials`."""
+    group = parser.add_argument_group(
+        "certificates", "PEM files for tls/HOST:PORT; deploy/tls/make-authority makes them"
+    )
+    for option, (variable, text) in TLS_OPTIONS.items():
+        group.add_argument(option, metavar="FILE", help=f"{text} (default: ${variable})")

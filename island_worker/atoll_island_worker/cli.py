@@ -10,9 +10,9 @@ import re
 import sys
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import TYPE_CHECKING, Final
 
-from atoll.command_line import seconds
+from atoll.command_line import Parser, add_log_options, add_tls_options, duration, seconds
 from atoll.program import exit_code_of, raise_interrupts
 from atoll_island_worker.launch import complain, work, work_together
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 _WAIT_S: Final = 10.0
 _GRACE_S: Final = 30.0
-_UNITS: Final = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 _NAME: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _MOST_PROCESSES: Final = 1024
 
@@ -46,26 +45,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     return exit_code_of(lambda: _dispatch(_parse(words)), complain)
 
 
-class _Parser(argparse.ArgumentParser):
-    """Raises UsageError where argparse would print its usage and exit."""
-
-    def error(self, message: str) -> NoReturn:
-        from atoll.errors import UsageError
-
-        sentence = message.replace("unrecognized arguments:", "unknown option").removeprefix("argument ")
-        raise UsageError(f"{sentence}; see {self.prog} --help")
-
-
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     from atoll import VERSION
-    from atoll.command_line import TLS_OPTIONS, add_log_options
 
-    parser = _Parser(
+    parser = Parser(
         prog="island-worker",
         description="Evolve islands for a coordinator: connects to it, computes what it places here, ends with it.",
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument(
         "--connect",
@@ -84,8 +70,6 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         default=None,
         help="worker processes; auto (default): one per core that may be used",
     )
-    for option, (variable, text) in TLS_OPTIONS.items():
-        parser.add_argument(option, metavar="FILE", help=f"{text}, for tls/HOST:PORT (default: ${variable})")
     parser.add_argument(
         "--name", type=_name, help="name in lists and logs (default: host and process id, behind the certificate's)"
     )
@@ -99,17 +83,18 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--lifetime",
         metavar="TIME",
-        type=_duration,
+        type=duration,
         help="leave after this time, such as 90s, 30m or 12h: what is computed here is handed over, nothing is lost",
     )
     parser.add_argument(
         "--grace",
         metavar="TIME",
-        type=_duration,
+        type=duration,
         default=_GRACE_S,
         help="how long handing over may take, then and after SIGTERM; a second SIGTERM ends at once (default: 30s)",
     )
     add_log_options(parser)
+    add_tls_options(parser)
     parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # end with this process
     parser.add_argument("--sentences", type=int, help=argparse.SUPPRESS)  # why we end is written there
     parser.add_argument("--leave", action="store_true", help=argparse.SUPPRESS)  # the workers to the parent, and end
@@ -202,14 +187,3 @@ def _name(text: str) -> str:
     if _NAME.fullmatch(text):
         return text
     raise argparse.ArgumentTypeError(f"up to 64 letters, digits, - and _ were expected, but {text!r} was given")
-
-
-def _duration(text: str) -> float:
-    """Return seconds: a number of them, or a number with one of the units s, m, h and d."""
-    number, factor = (text[:-1], _UNITS[text[-1]]) if text[-1:] in _UNITS else (text, 1.0)
-    try:
-        return seconds(number) * factor
-    except argparse.ArgumentTypeError:
-        raise argparse.ArgumentTypeError(
-            f"a time such as 90s, 30m or 12h was expected, but {text!r} was given"
-        ) from None

@@ -4,7 +4,7 @@ Pure apart from reading the job file. Every refusal is one sentence that names t
 """
 
 import argparse
-import re
+import contextlib
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -12,13 +12,12 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
+from atoll.command_line import duration
 from atoll.config import PRESETS, DataConfig, JobConfig
 from atoll.errors import UsageError
 from atoll.expression.operators import BY_NAME
 from atoll_coordinator.cli.options.name_lists import names
 from atoll_coordinator.cli.options.prior_knowledge import prior_settings
-
-_SECONDS: Final = {"": 1.0, "ms": 1e-3, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 
 
 def job_config(options: argparse.Namespace) -> JobConfig:
@@ -39,10 +38,10 @@ def job_config(options: argparse.Namespace) -> JobConfig:
 
 def seconds(text: str, option: str = "--max-time") -> float:
     """Return the seconds of ``90``, ``60s``, ``10m`` or ``1.5h``; raises UsageError."""
-    match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)(ms|s|min|m|h|d|)", text.strip())
-    if not match or float(match[1]) <= 0:
-        raise UsageError(f"{option} must be a time above zero such as 90, 60s, 10m or 1h, but {text!r} was given")
-    return float(match[1]) * _SECONDS[match[2]]
+    with contextlib.suppress(argparse.ArgumentTypeError):
+        if (found := duration(text)) > 0.0:
+            return found
+    raise UsageError(f"{option} must be a time above zero such as 90, 60s, 10m or 1h, but {text!r} was given")
 
 
 def epochs(text: str, option: str = "--max-epochs") -> dict[str, Any]:

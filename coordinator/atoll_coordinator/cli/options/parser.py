@@ -5,13 +5,13 @@ module that `HANDLERS` names.
 """
 
 import argparse
-import re
 import sys
 from collections.abc import Sequence
 from typing import Any, Final, NoReturn
 
+from atoll.command_line import Parser, add_tls_options, whole_number
 from atoll.errors import UsageError
-from atoll_coordinator.cli.options.service import add_doctor, add_router, add_serve, add_tls
+from atoll_coordinator.cli.options.service import add_doctor, add_router, add_serve
 
 HANDLERS: Final = {
     "run": "atoll_coordinator.cli.verbs.run",
@@ -38,20 +38,6 @@ EXIT_CODES: Final = (
 RESULT_FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
 MOST_WORKERS: Final = 1024
 MOST_LINES: Final = 1000
-
-
-class _Parser(argparse.ArgumentParser):
-    """Raises UsageError where argparse would print its usage and exit."""
-
-    def error(self, message: str) -> NoReturn:
-        raise UsageError(f"{self._reword(message)}; see {self.prog} --help")
-
-    def _reword(self, message: str) -> str:
-        """Return argparse's complaint in the order found, expected."""
-        choice = re.fullmatch(r"argument (.+): invalid choice: (.+) \(choose from (.+)\)", message)
-        if choice:
-            return f"{choice[1]} must be one of {choice[3]}, but {choice[2]} was given"
-        return message.replace("unrecognized arguments:", "unknown option").removeprefix("argument ")
 
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:
@@ -83,12 +69,10 @@ def _join_operators(argv: Sequence[str]) -> list[str]:
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of the whole command line."""
-    parser = _Parser(
+    parser = Parser(
         prog="coordinator",
         description="Atoll finds the differential equations behind measured trajectories.",
         epilog=EXIT_CODES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", title="commands")
@@ -115,8 +99,6 @@ def _verb(verbs: Any, name: str, text: str) -> argparse.ArgumentParser:
         help=text,
         description=text[0].upper() + text[1:] + ".",
         epilog=EXIT_CODES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     return parser
 
@@ -125,7 +107,10 @@ def _add_run(verbs: Any) -> None:
     parser = _verb(verbs, "run", "search on this machine; nothing needs to be started beforehand")
     _add_job(parser)
     parser.add_argument(
-        "--workers", type=_workers, metavar="N", help="worker processes (default: one per core this process may use)"
+        "--workers",
+        type=whole_number(1, MOST_WORKERS),
+        metavar="N",
+        help="worker processes (default: one per core this process may use)",
     )
     parser.add_argument("--out", metavar="DIR", help="folder of result.json and the log (default: runs/JOB)")
 
@@ -137,7 +122,7 @@ def _add_submit(verbs: Any) -> None:
     parser.add_argument("--no-wait", action="store_true", help="print the job id, and nothing else, and return")
     parser.add_argument("--out", metavar="DIR", help="also write result.json into this folder")
     parser.add_argument(
-        "--priority", type=_priority, default=0, metavar="N",
+        "--priority", type=whole_number(-10, 10), default=0, metavar="N",
         help="-10 to 10; each step doubles the job's share of the workers, and it is taken up sooner (default: 0)",
     )  # fmt: skip
 
@@ -167,7 +152,11 @@ def _add_readers(verbs: Any) -> None:
             parser.add_argument("--follow", action="store_true", help=text)
         if name == "logs":
             parser.add_argument(
-                "--lines", type=_lines, default=200, metavar="N", help="at most the N last events (default: 200)"
+                "--lines",
+                type=whole_number(1, MOST_LINES),
+                default=200,
+                metavar="N",
+                help="at most the N last events (default: 200)",
             )
         if name == "workers":
             parser.add_argument("--coordinator", action="store_true", help="show the coordinator's own counters")
@@ -182,7 +171,7 @@ def _add_result(parser: argparse.ArgumentParser) -> None:
 
 def _add_connect(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--connect", metavar="tcp/HOST:PORT", help="the coordinator (default: $ATOLL_CONNECT)")
-    add_tls(parser)
+    add_tls_options(parser)
 
 
 def _add_job(parser: argparse.ArgumentParser) -> None:
@@ -258,21 +247,3 @@ def _add_budget(group: Any) -> None:
         metavar="E",
         help="normalized error at which an equation counts as found (default: from the data)",
     )
-
-
-def _workers(text: str) -> int:
-    return _whole(text, 1, MOST_WORKERS)
-
-
-def _lines(text: str) -> int:
-    return _whole(text, 1, MOST_LINES)
-
-
-def _priority(text: str) -> int:
-    return _whole(text, -10, 10)
-
-
-def _whole(text: str, least: int, most: int) -> int:
-    if not (re.fullmatch("-?[0-9]{1,6}", text) and least <= int(text) <= most):
-        raise argparse.ArgumentTypeError(f"expected a whole number from {least} to {most}, but {text!r} was given")
-    return int(text)

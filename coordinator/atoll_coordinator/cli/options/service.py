@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable
 from typing import Any, Final
 
-from atoll.command_line import TLS_OPTIONS, add_log_options, seconds
+from atoll.command_line import add_log_options, add_tls_options, seconds
 
 DEFAULT_LISTEN: Final = "tcp/127.0.0.1:7447"
 DEFAULT_STATE: Final = "atoll-state"
@@ -37,7 +37,7 @@ def add_serve(verb: Verb, verbs: Any) -> None:
         f"(500M, 8G); one of the two may be left out, and `all` keeps all (default: {DEFAULT_KEEP})",
     )  # fmt: skip
     _add_connect_file(parser)
-    add_tls(parser)
+    add_tls_options(parser)
     _add_roster(parser)
     add_log_options(parser)
     parser.add_argument(
@@ -79,7 +79,7 @@ def add_router(verb: Verb, verbs: Any) -> None:
         help="the router, or the coordinator, to which this one passes on what is not for its site; repeatable",
     )
     _add_connect_file(parser)
-    add_tls(parser)
+    add_tls_options(parser)
     _add_roster(parser)
     add_log_options(parser)
 
@@ -101,7 +101,7 @@ def add_doctor(verb: Verb, verbs: Any) -> argparse.ArgumentParser:
         "--quick", action="store_true", help="look only whether the coordinator's address accepts connections"
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
-    add_tls(parser)
+    add_tls_options(parser)
     return parser
 
 
@@ -126,11 +126,3 @@ def _add_roster(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--roster", metavar="FILE", help='who may do what, by the names in certificates (TOML: lab1 = "worker")'
     )
-
-
-def add_tls(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group(
-        "certificates", "PEM files for tls/HOST:PORT; deploy/tls/make-authority makes them"
-    )
-    for option, (variable, text) in TLS_OPTIONS.items():
-        group.add_argument(option, metavar="FILE", help=f"{text} (default: ${variable})")
