@@ -7,7 +7,7 @@ from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll.wire import topics
 from atoll.wire.bus.zenoh_bus import open_client, open_router
 from atoll_coordinator.client import Client
-from atoll_coordinator.service.ports import Ports
+from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_island_worker.worker import Worker

@@ -25,7 +25,7 @@ from atoll.wire.security.credentials import Credentials, load
 from atoll_coordinator.cli.main import main
 from atoll_coordinator.cli.verbs.router import upstream_settings
 from atoll_coordinator.client import Client, connected
-from atoll_coordinator.service.ports import Ports
+from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_island_worker.worker import Worker

@@ -230,7 +230,7 @@ def test_checkpoints_of_another_engine_fail_the_job(
 ) -> None:
     lasting.submit(config())
     lasting.client.pause(2.5)
-    monkeypatch.setattr("atoll_coordinator.service.controller.ENGINE_REVISION", 99)
+    monkeypatch.setattr("atoll_coordinator.service.jobs.checks.ENGINE_REVISION", 99)
     restart(lasting, tmp_path)
     assert "engine revision" in (lasting.finish().reason or "")
 

@@ -61,11 +61,11 @@ def test_nothing_heavy_is_left_of_a_job_that_has_ended(end: str, monkeypatch: py
     if end == "cancelled":
         world.client.cancel("job")
     elif end == "failed":
-        controller.job_failed("job", "internal", "it broke", world.network.now)
+        controller.fail_job("job", "internal", "it broke", world.network.now)
     assert world.finish().state == end
     world.client.pause(3.0)
     assert watched.left() == []
-    assert controller._keeper.held == 0
+    assert controller.checkpoints.held_bytes == 0
 
 
 def test_a_worker_remembers_the_terms_of_some_jobs_that_have_ended_and_no_more(

@@ -208,8 +208,8 @@ def test_a_stranger_who_makes_up_what_it_holds_fills_no_memory() -> None:
         status = WorkerStatus(
             instance=member.hello.instance, incarnation=1, state="ready", progress=number, holdings=(holding,)
         )
-        controller.heartbeat("w0", status, world.network.now)
-    assert len(controller.watch._waited) < 5
+        controller.add_heartbeat("w0", status, world.network.now)
+    assert len(controller.counters._waited_s) < 5
 
 
 def test_a_job_of_the_id_of_a_deleted_one_is_searched_like_any_other() -> None:

@@ -12,6 +12,7 @@ from atoll.wire.bus.interface import Reply
 from atoll.wire.codec import decode, encode
 from atoll.wire.messages.workers import Pull, PullAnswer, PullStates, States
 from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.workers.crash_loops import FAIL_AFTER
 from tests.simulation.world import World, bus_of
 
 POISON = ("job", "x", 12)
@@ -55,15 +56,14 @@ class Ward:
             self.world.start_worker(f"w{self.number}", poisonous=POISON, slowness=5.0)
         self.world.at(self.world.network.now + 1.0, self._look)
 
-    def state_of(self, variable: str = "x") -> str:
-        suspicion = self.world.service.controller.watch._suspicions.get(("job", variable))
-        return suspicion.state if suspicion is not None else "sound"
+    def deaths(self, variable: str = "x") -> int:
+        return self.world.service.controller.crash_loops.loop(("job", variable)).deaths
 
-    def until(self, state: str, variable: str = "x") -> None:
-        """Let time pass until an archipelago is thought of so."""
+    def until(self, deaths: int, variable: str = "x") -> None:
+        """Let time pass until so many deaths are counted for an archipelago."""
         end = self.world.network.now + 100.0
-        while self.state_of(variable) != state:
-            assert self.world.network.now < end, f"it never became {state}"
+        while self.deaths(variable) != deaths:
+            assert self.world.network.now < end, f"there were never {deaths} deaths"
             self.world.client.pause(0.02)
 
 
@@ -76,22 +76,22 @@ def ward(tmp_path: Path) -> Iterator[Ward]:
 
 def test_a_coordinator_that_is_started_again_at_each_death_finds_the_poison_all_the_same(ward: Ward) -> None:
     ward.world.submit(config(), "x")
-    for state in ("once", "twice", "isolated", "again"):
-        ward.until(state)
+    for deaths in range(1, FAIL_AFTER):
+        ward.until(deaths)
         ward.restart()
-        assert ward.state_of() == state
+        assert ward.deaths() == deaths
     view = ward.world.finish()
     assert (view.state, view.fault) == ("failed", "poison")
     assert ward.world.store.deaths("job") == ()
 
 
-def test_a_commit_makes_suspicion_be_forgotten(ward: Ward) -> None:
+def test_a_commit_makes_deaths_be_forgotten(ward: Ward) -> None:
     ward.world.submit(config(10_000), "y")
     ward.world.client.pause(1.0)
     ward.world.crash(next(iter(ward.world.workers)))
-    ward.until("once", "y")
+    ward.until(1, "y")
     assert len(ward.world.store.deaths("job")) == 1
-    ward.until("sound", "y")
+    ward.until(0, "y")
     assert ward.world.store.deaths("job") == ()
     assert ward.world.client.status("job").state == "running"
 

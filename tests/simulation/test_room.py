@@ -4,7 +4,7 @@ import pytest
 
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll.wire.bus.faults import Plan
-from atoll_coordinator.service.search import checkpoint_coordinator as keeping
+from atoll_coordinator.service.search import checkpoint_coordinator
 from tests.simulation.schedule import schedule_of
 from tests.simulation.soak import play
 from tests.simulation.world import World, comparable
@@ -27,18 +27,18 @@ def run(monkeypatch: pytest.MonkeyPatch) -> tuple[list[str], list[int]]:
     """Have jobs of three variables searched; return their answers, and the bytes held at each look."""
     monkeypatch.setattr("tests.simulation.stub.HIT_EPOCHS", 10**9)
     world = World(workers=2, plan=Plan(delay_s=(0.02, 0.06)), slowness=5.0)
-    keeper, held = world.service.controller._keeper, []
-    came = keeper.states_came
+    checkpoints, held = world.service.controller.checkpoints, []
+    add_states = checkpoints.add_states
 
-    def states_came(*arguments: object) -> None:
-        came(*arguments)  # type: ignore[arg-type]
-        held.append(keeper.held)
+    def observed_add_states(*arguments: object) -> None:
+        add_states(*arguments)  # type: ignore[arg-type]
+        held.append(checkpoints.held_bytes)
 
-    monkeypatch.setattr(keeper, "states_came", states_came)
+    monkeypatch.setattr(checkpoints, "add_states", observed_add_states)
     for seed in range(JOBS):
         world.submit(config(seed), "x,y,z", f"job{seed}")
     assert [world.finish(f"job{seed}").state for seed in range(JOBS)] == ["done"] * JOBS
-    assert keeper.held == 0
+    assert checkpoints.held_bytes == 0
     return [comparable(world.result(f"job{seed}")) for seed in range(JOBS)], held
 
 
@@ -46,14 +46,14 @@ def test_without_any_room_one_checkpoint_goes_through_at_a_time(monkeypatch: pyt
     answers, held = run(monkeypatch)
     assert max(held) > ISLANDS * STATE_BYTES
     with monkeypatch.context() as crowded:
-        crowded.setattr(keeping, "MOST_BYTES", 0)
+        crowded.setattr(checkpoint_coordinator, "MAX_BYTES", 0)
         crowded_answers, crowded_held = run(crowded)
     assert crowded_answers == answers
     assert 0 < max(crowded_held) <= ISLANDS * STATE_BYTES
 
 
 def test_nor_do_faults_make_anybody_wait_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(keeping, "MOST_BYTES", 0)
+    monkeypatch.setattr(checkpoint_coordinator, "MAX_BYTES", 0)
     for seed in range(300, 308):
         outcome = play(schedule_of(seed))
         assert not outcome.wrong, outcome.wrong

@@ -15,7 +15,7 @@ from atoll.wire.bus.interface import Event
 from atoll.wire.bus.simulated_bus import SimulatedBus, SimulatedNetwork
 from atoll.wire.messages.workers import EpochReport
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.service.ports import Ports
+from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_island_worker.session.events import Computed
 from atoll_island_worker.worker import Worker
@@ -149,7 +149,7 @@ class Troupe:
 
     def _watch_reports(self, service: Service) -> None:
         """Have every report that is accepted compared with who computed it."""
-        take = service.controller.report
+        take = service.controller.add_report
 
         def report(worker: str, report: EpochReport, now: float) -> None:
             job = service.controller.jobs.get(report.job)
@@ -163,7 +163,7 @@ class Troupe:
                 if len(self.made.get(key, ())) != 1:
                     self.wrong.append(f"{key} was evolved by {self.made.get(key)} and accepted")
 
-        service.controller.report = report  # type: ignore[method-assign]
+        service.controller.add_report = report  # type: ignore[method-assign]
 
     # ----------------------------------------------------------------------------------------- workers
 

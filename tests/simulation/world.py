@@ -20,8 +20,8 @@ from atoll.wire.messages.views import FINAL_STATES, JobView
 from atoll_coordinator.client import Client
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.pipeline import refine_all
+from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.background.tasks import Preparer, Refiner
-from atoll_coordinator.service.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_island_worker.worker import Worker

@@ -10,20 +10,17 @@ from functools import singledispatchmethod
 from typing import Final
 
 from atoll import VERSION
-from atoll.config import JobConfig
 from atoll.errors import RemoteProtocolError
 from atoll.logs import fields
 from atoll.machine import usage
 from atoll.wire import topics
 from atoll.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from atoll.wire.bus.metered_bus import MeteredBus
-from atoll.wire.codec import decode, encode
+from atoll.wire.codec import decode
 from atoll.wire.messages.limits import MAX_MESSAGE
 from atoll.wire.messages.views import CoordinatorView, Counters
 from atoll.wire.messages.workers import (
-    Control,
     EpochReport,
-    Pull,
     PullAnswer,
     PullReports,
     PullStates,
@@ -34,32 +31,29 @@ from atoll.wire.messages.workers import (
 )
 from atoll.wire.rejects import Rejects
 from atoll.wire.security.access_control import Roster
-from atoll_coordinator.model.refinement import Pools
+from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.background.runner import CheckpointWritten, TaskRunner
 from atoll_coordinator.service.background.tasks import JobPrepared, JobRefined, PreparationFailed
 from atoll_coordinator.service.controller import Controller
-from atoll_coordinator.service.effects import WorkerWord
-from atoll_coordinator.service.jobs.job import Prepared
-from atoll_coordinator.service.ports import Ports, StorePort
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.handshake import Handshake
 from atoll_coordinator.service.requests.router import RequestRouter
-from atoll_coordinator.service.search.archipelago import Checkpoint
+from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import ABSENCE_S
 
 _LOG = logging.getLogger(__name__)
 
 TICK_S: Final = 0.5
-PULL_TIMEOUT_S: Final = 5.0
 _TICK: Final = "tick"
 _ABSENCE: Final = "absence"
 
 
 @dataclass(frozen=True, slots=True)
-class _Look:
-    """Posted by the timer, behind everything that has come before it: silence counts only then."""
+class _TimeCheck:
+    """Posted by the timer, behind all events that came before it: only then does silence count."""
 
 
 class Service:
@@ -68,7 +62,7 @@ class Service:
     def __init__(
         self,
         bus: Bus,
-        store: StorePort,
+        store: Store,
         *,
         expected_workers: int = 1,
         dismisses_workers: bool = False,
@@ -91,15 +85,15 @@ class Service:
         self._dropped = 0
         self._store = store
         self._dismisses_workers = dismisses_workers
-        self._ports = ports or Ports()
-        self._tasks = TaskRunner(self._ports, store, self._bus.post)
+        ports = ports or Ports()
+        self._tasks = TaskRunner(ports, store, self._bus.post)
         self._is_linked = True
-        self._asked: dict[int, tuple[str, PullReports | PullStates]] = {}
-        self.controller: Final = Controller(store, self, self._ports.clock, expected_workers)
+        self._workers = WorkerChannel(self._bus, store.realm)
+        self.controller: Final = Controller(store, self._workers, self._tasks, ports.clock, expected_workers)
         authorization = Authorization(roster, store)
-        self._deletion = JobDeletion(self.controller, store, self._ports.clock, self._ports.retention)
+        self._deletion = JobDeletion(self.controller, store, ports.clock, ports.retention)
         clients = ClientRequests(self.controller, store, authorization, self._deletion, bus.now, self.view)
-        handshake = Handshake(self.controller, store, authorization, self.rejects, bus.now, self._ports.clock)
+        handshake = Handshake(self.controller, store, authorization, self.rejects, bus.now, ports.clock)
         self._requests = RequestRouter(self.controller, store, handshake, clients, self.rejects)
 
     # ------------------------------------------------------------------------------------------- life
@@ -115,9 +109,9 @@ class Service:
             self._bus.serve(expression)
         for expression in (topics.HELLO, topics.all_greetings()):
             self._bus.serve(expression)
-        self._bus.post(_Look())  # jobs that were taken over are prepared at once
+        self._bus.post(_TimeCheck())  # jobs that were taken over are prepared at once
         self._bus.call_later(TICK_S, _TICK)
-        self.controller.watch.started(realm, self._store.incarnation)
+        self.controller.events.record_start(realm, self._store.incarnation)
 
     def run(self, stop: threading.Event) -> None:
         """Start, and work until `stop` is set."""
@@ -133,9 +127,9 @@ class Service:
                     self.step(event)
         finally:
             self._tasks.close()
-        self.controller.watch.chronicle.flush()
+        self.controller.events.flush()
         if self._dismisses_workers:
-            self._put(topics.control(self._store.realm), Control(body=Shutdown(sentence="the coordinator ended")))
+            self._workers.publish(Shutdown(sentence="the coordinator ended"))
 
     def step(self, event: Event) -> None:
         """Take in one event. What a peer did wrong is counted, logged once and changes nothing."""
@@ -162,36 +156,6 @@ class Service:
             store=self._store.timing(),
         )
 
-    # ------------------------------------------------------------------------------- what others hear
-
-    def tell(self, body: WorkerWord, worker: str | None = None) -> None:
-        """See `Outlet.tell`."""
-        self._put(topics.control(self._store.realm, worker), Control(body=body))
-
-    def pull(self, worker: str, body: PullReports | PullStates) -> None:
-        """See `Outlet.pull`."""
-        key = topics.worker(self._store.realm, worker, "pull")
-        self._asked[self._bus.get(key, encode(Pull(body=body)), PULL_TIMEOUT_S)] = (worker, body)
-
-    def write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> None:
-        """See `Outlet.write`."""
-        self._tasks.write(checkpoint, progress, elapsed)
-
-    def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
-        """See `Outlet.prepare`."""
-        self._tasks.prepare(job, table, config)
-
-    def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
-        """See `Outlet.refine`."""
-        self._tasks.refine(job, prepared, pools)
-
-    def stop(self, job: str) -> None:
-        """See `Outlet.stop`."""
-        self._tasks.cancel(job)
-
-    def _put(self, key: str, message: Control) -> None:
-        self._bus.put(key, encode(message))
-
     # ----------------------------------------------------------------------------------------- events
 
     @singledispatchmethod
@@ -201,35 +165,35 @@ class Service:
     @_on.register
     def _on_timer(self, event: Timer) -> None:
         if event.name == _TICK:
-            self._bus.post(_Look())
+            self._bus.post(_TimeCheck())
             self._bus.call_later(TICK_S, _TICK)
         elif event.name == _ABSENCE:
-            self._bus.post(_Look())
+            self._bus.post(_TimeCheck())
 
     @_on.register
     def _on_posted(self, event: Posted) -> None:
         item, now = event.item, self._bus.now()
         match item:
-            case _Look():
-                self._look(now)
+            case _TimeCheck():
+                self._check_time(now)
             case JobPrepared():
                 self._store.put_blob(item.data)
-                self.controller.prepared(item.job, item.prepared, now)
+                self.controller.start_search(item.job, item.prepared, now)
             case PreparationFailed():
-                self.controller.job_failed(item.job, item.fault, item.sentence, now)
+                self.controller.fail_job(item.job, item.fault, item.sentence, now)
             case JobRefined():
-                self.controller.refined(item.job, item.refinement, now)
+                self.controller.finish_job(item.job, item.refinement, now)
             case CheckpointWritten():
                 if item.error is not None:
                     raise item.error
-                self.controller.written(item.checkpoint, now)
+                self.controller.commit_checkpoint(item.checkpoint, now)
 
-    def _look(self, now: float) -> None:
+    def _check_time(self, now: float) -> None:
         """Let time pass, now that everything has been taken in that had come before."""
         if self._bus.dropped > self._dropped:
             self._dropped = self._bus.dropped
             _LOG.warning("messages were dropped, since they came too fast", extra=fields(dropped=self._dropped))
-            self.controller.membership.renew(now)
+            self.controller.membership.renew_leases(now)
         if self._is_linked:  # else nobody can be heard, and nobody's silence says anything
             self.controller.tick(now)
         self._deletion.delete_expired(now)
@@ -240,13 +204,13 @@ class Service:
         _LOG.warning("router link", extra=fields(up=event.up))
         self._is_linked = event.up
         if event.up:
-            self.controller.membership.renew(self._bus.now())
+            self.controller.membership.renew_leases(self._bus.now())
 
     @_on.register
     def _on_presence(self, event: Presence) -> None:
         key = topics.parse(event.key)
         if isinstance(key, topics.WorkerKey):
-            self.controller.membership.see(key.worker, event.present, self._bus.now())
+            self.controller.membership.record_presence(key.worker, event.present, self._bus.now())
             if not event.present:
                 self._bus.call_later(ABSENCE_S, _ABSENCE)
 
@@ -256,32 +220,32 @@ class Service:
         match key:
             case topics.WorkerKey(part="status"):
                 status = decode(event.payload, WorkerStatus, MAX_MESSAGE)
-                self.controller.heartbeat(key.worker, status, self._bus.now())
+                self.controller.add_heartbeat(key.worker, status, self._bus.now())
             case topics.WorkerKey(part="report"):
                 report = decode(event.payload, EpochReport, MAX_MESSAGE)
-                self.controller.report(key.worker, report, self._bus.now())
+                self.controller.add_report(key.worker, report, self._bus.now())
             case _:
                 raise RemoteProtocolError(f"nothing is expected on key {event.key}")
 
     @_on.register
     def _on_reply(self, event: Reply) -> None:
-        asked = self._asked.pop(event.token, None)
+        asked = self._workers.take_pull(event.token)
         match asked:
             case (worker, PullStates() as pull):
-                self._states_came(worker, pull, event.payload)
+                self._add_states(worker, pull, event.payload)
             case (worker, PullReports()) if event.payload is not None:
                 body = decode(event.payload, PullAnswer, MAX_MESSAGE).body
                 for report in body.reports if isinstance(body, Reports) else ():
-                    self.controller.report(worker, report, self._bus.now())
+                    self.controller.add_report(worker, report, self._bus.now())
 
-    def _states_came(self, worker: str, pull: PullStates, payload: bytes | None) -> None:
+    def _add_states(self, worker: str, pull: PullStates, payload: bytes | None) -> None:
         """Hand on what came, also that nothing came: it is asked for again."""
         try:
             body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else None
         except RemoteProtocolError:
-            self.controller.states_came(worker, pull, None, self._bus.now())
+            self.controller.add_states(worker, pull, None, self._bus.now())
             raise
-        self.controller.states_came(worker, pull, body if isinstance(body, States) else None, self._bus.now())
+        self.controller.add_states(worker, pull, body if isinstance(body, States) else None, self._bus.now())
 
     # ---------------------------------------------------------------------------------------- queries
 

@@ -11,8 +11,8 @@ import pytest
 from atoll.config import JobConfig
 from atoll.wire.bus.simulated_bus import SimulatedNetwork
 from atoll_coordinator.service.background.child_main import load_refinement
-from atoll_coordinator.service.ports import Ports
-from atoll_coordinator.service.service import Service
+from atoll_coordinator.service.background.ports import Ports
+from atoll_coordinator.service.background.runner import TaskRunner
 from atoll_coordinator.service.store.store import Store
 from tests.task_pools import LocalPool
 from tests.unit.documents import ROOT
@@ -80,12 +80,12 @@ class Order:
         self.done.append("warmed up")
 
     def run(self) -> list[str]:
-        """Have a service prepare a job; return what was done, in order."""
+        """Have a job prepared; return what was done, in order."""
         with Store.open(None) as store:
             bus = SimulatedNetwork(0).bus("coordinator", is_router=True)
             pool = LocalPool()
             pool.preload = self.preload  # type: ignore[method-assign]
-            Service(bus, store, ports=Ports(pool, preparer=self.prepare)).prepare("j", b"", JobConfig())
+            TaskRunner(Ports(pool, preparer=self.prepare), store, bus.post).prepare("j", b"", JobConfig())
         return self.done
 
 

@@ -199,7 +199,7 @@ class Coordinator:
         with contextlib.closing(ProcessPool()) as pool:
             pool.preload(load_preparation)  # loads while the rest of this is loaded
             from atoll.wire.bus.zenoh_bus import open_router
-            from atoll_coordinator.service.ports import Ports
+            from atoll_coordinator.service.background.ports import Ports
             from atoll_coordinator.service.service import Service
             from atoll_coordinator.service.store.store import Store
 

@@ -56,7 +56,7 @@ def _serve(
     options: argparse.Namespace, wanted: Destination, roster: Roster | None, pool: "ProcessPool", stop: threading.Event
 ) -> None:
     """Serve with this pool of processes until `stop` is set."""
-    from atoll_coordinator.service.ports import Ports
+    from atoll_coordinator.service.background.ports import Ports
     from atoll_coordinator.service.service import Service
     from atoll_coordinator.service.store.retention import Retention
 

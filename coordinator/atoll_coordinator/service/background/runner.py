@@ -7,10 +7,11 @@ from functools import partial
 from atoll.config import JobConfig
 from atoll_coordinator.model.refinement import Pools
 from atoll_coordinator.service.background.child_main import load_refinement
+from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.background.tasks import preparation_failed, prepare_job, refine_job, refinement_failed
 from atoll_coordinator.service.jobs.job import Prepared
-from atoll_coordinator.service.ports import Ports, StorePort
 from atoll_coordinator.service.search.archipelago import Checkpoint
+from atoll_coordinator.service.store.store import Store
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +25,7 @@ class CheckpointWritten:
 class TaskRunner:
     """Runs tasks where the ports say. `post` may be called by any thread."""
 
-    def __init__(self, ports: Ports, store: StorePort, post: Callable[[object], None]) -> None:
+    def __init__(self, ports: Ports, store: Store, post: Callable[[object], None]) -> None:
         self._ports = ports
         self._store = store
         self._post = post

@@ -18,7 +18,7 @@ from atoll_coordinator.model.criteria import count_constants, front_length
 from atoll_coordinator.model.refinement import Pool, Refinement
 from atoll_coordinator.service.jobs.defaults import stagnation_of
 from atoll_coordinator.service.search.archipelago import Archipelago
-from atoll_coordinator.service.search.checkpoints import StoredProgress
+from atoll_coordinator.service.search.checkpoints import StoredSearchState
 from atoll_coordinator.service.search.collector import DivergedError, Limits, Measure
 from atoll_coordinator.service.search.cut import Cut
 from atoll_coordinator.service.store.jobs import JobRecord
@@ -39,14 +39,14 @@ JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class KeepCuts:
-    """Commit the cuts, all or none of them, then tell the workers that their archipelagos are closed."""
+class CommitCuts:
+    """Commit the cuts, all or none of them, then close their archipelagos on the workers."""
 
     cuts: tuple[Cut, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class TellCommit:
+class PublishCommit:
     """Tell the workers what they may forget."""
 
     commit: Commit
@@ -54,17 +54,17 @@ class TellCommit:
 
 @dataclass(frozen=True, slots=True)
 class Refine:
-    """All is cut: have the equations made of these pools, by variable; `Job.take_refined` follows."""
+    """All is cut: have the equations made of these pools, by variable; `Job.finish` follows."""
 
     pools: dict[str, Pool]
 
 
 @dataclass(frozen=True, slots=True)
-class Conclude:
-    """The job has ended: commit its result, then close it."""
+class CommitResult:
+    """The job has ended: commit its result, then close it on the workers."""
 
 
-JobAction = KeepCuts | TellCommit | Refine | Conclude
+JobAction = CommitCuts | PublishCommit | Refine | CommitResult
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +117,11 @@ class Job:
         """Whether nothing can happen to it any more."""
         return self.state in FINAL_STATES
 
+    def open_archipelago(self, variable: str) -> Archipelago | None:
+        """Return the archipelago of a variable while it is searched."""
+        archipelago = self.archipelagos.get(variable) if self.state == "running" else None
+        return archipelago if archipelago is not None and archipelago.cut is None else None
+
     @property
     def open_archipelagos(self) -> tuple[Archipelago, ...]:
         """The archipelagos that are still searched."""
@@ -138,12 +143,12 @@ class Job:
             priority=self.priority,
         )
 
-    def prepare(self) -> None:
-        """Note that its data are being prepared."""
+    def start_preparing(self) -> None:
+        """Take in that its data are being prepared."""
         self._step("prepare")
 
-    def begin(
-        self, prepared: Prepared, cuts: Mapping[str, Cut], resumed: Mapping[str, StoredProgress] | None = None
+    def start(
+        self, prepared: Prepared, cuts: Mapping[str, Cut], resumed: Mapping[str, StoredSearchState] | None = None
     ) -> list[JobAction]:
         """Set up the archipelagos; those of `cuts` have ended before, those of `resumed` go on from a checkpoint.
 
@@ -157,13 +162,13 @@ class Job:
             if target.variable in cuts:
                 archipelago.restore(cuts[target.variable])
             elif resumed and target.variable in resumed:
-                archipelago.resume(resumed[target.variable].progress())
+                archipelago.resume(resumed[target.variable].search_state())
                 self.searched_before = max(self.searched_before, resumed[target.variable].search_seconds)
             self.archipelagos[target.variable] = archipelago
-        return self._conclude_if_cut()
+        return self._refine_if_cut()
 
-    def start(self, now: float) -> None:
-        """Note that islands have been placed: the time of the search begins, once."""
+    def start_search(self, now: float) -> None:
+        """Take in that islands have been placed: the time of the search begins, once."""
         if self.started_at is None:
             self.started_at = now
 
@@ -171,7 +176,7 @@ class Job:
         """Return how long the search has lasted, under earlier incarnations as well."""
         return self.searched_before + (now - self.started_at if self.started_at is not None else 0.0)
 
-    def receive(self, worker: str, report: EpochReport, now: float) -> list[JobAction]:
+    def add_report(self, worker: str, report: EpochReport, now: float) -> list[JobAction]:
         """Take in a report; raises RemoteProtocolError when it cannot be."""
         archipelago = self.archipelagos.get(report.variable)
         if self.state != "running":
@@ -179,10 +184,10 @@ class Job:
         if archipelago is None:
             raise RemoteProtocolError(f"job {self.id} has no variable {report.variable!r}")
         try:
-            advanced = archipelago.receive(worker, report, self.search_seconds(now))
+            advanced = archipelago.add_report(worker, report, self.search_seconds(now))
         except DivergedError as error:
             return self.fail("diverged", str(error))
-        return self._after_epoch(archipelago) if advanced else self._commit_of(archipelago)
+        return self._after_epoch(archipelago) if advanced else self._publish_due_commit(archipelago)
 
     def tick(self, now: float) -> list[JobAction]:
         """Let time pass: `--max-time` cuts every variable at its last completely reported epoch."""
@@ -193,15 +198,15 @@ class Job:
         for archipelago in open_ones:
             archipelago.collector.cut_now("max-time")
         cuts = tuple(each.cut for each in open_ones if each.cut is not None)
-        return [KeepCuts(cuts), *self._conclude_if_cut()] if cuts else []
+        return [CommitCuts(cuts), *self._refine_if_cut()] if cuts else []
 
-    def take_refined(self, refinement: Refinement) -> list[JobAction]:
-        """Take in what refining gave, and end; without effect on a job that does not wait for it."""
+    def finish(self, refinement: Refinement) -> list[JobAction]:
+        """End with what refining gave; without effect on a job that is not being refined."""
         if self.state != "refining":
             return []
         self.refinement = refinement
         self._step("refined")
-        return [Conclude()]
+        return [CommitResult()]
 
     def cancel(self) -> list[JobAction]:
         """End it and keep what has been found; without effect on a job that has ended.
@@ -213,7 +218,7 @@ class Job:
         for archipelago in self.open_archipelagos:
             archipelago.collector.cut_now("cancelled")
         self._step("cancel")
-        return [Conclude()]
+        return [CommitResult()]
 
     def fail(self, fault: Fault, sentence: str) -> list[JobAction]:
         """End it with a reason; without effect on a job that has ended."""
@@ -221,7 +226,7 @@ class Job:
             return []
         self._step("fail")
         self.fault, self.reason = fault, sentence
-        return [Conclude()]
+        return [CommitResult()]
 
     def validate(self) -> None:
         """Check the invariants; raises AssertionError."""
@@ -252,14 +257,14 @@ class Job:
 
     def _after_epoch(self, archipelago: Archipelago) -> list[JobAction]:
         if archipelago.cut is None:
-            return self._commit_of(archipelago)
-        return [KeepCuts((archipelago.cut,)), *self._conclude_if_cut()]
+            return self._publish_due_commit(archipelago)
+        return [CommitCuts((archipelago.cut,)), *self._refine_if_cut()]
 
-    def _commit_of(self, archipelago: Archipelago) -> list[JobAction]:
-        commit = archipelago.forget_due()
-        return [TellCommit(commit)] if commit is not None else []
+    def _publish_due_commit(self, archipelago: Archipelago) -> list[JobAction]:
+        commit = archipelago.due_commit()
+        return [PublishCommit(commit)] if commit is not None else []
 
-    def _conclude_if_cut(self) -> list[JobAction]:
+    def _refine_if_cut(self) -> list[JobAction]:
         if self.open_archipelagos:
             return []
         self._step("searched")

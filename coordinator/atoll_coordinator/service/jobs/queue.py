@@ -9,7 +9,7 @@ MAX_RUNNING: Final = 4
 """Jobs searched at the same time; further ones wait for their turn."""
 
 
-def in_line(jobs: Iterable[Job]) -> list[Job]:
+def waiting_jobs(jobs: Iterable[Job]) -> list[Job]:
     """Return the jobs that wait for their turn, the next one first; `jobs` are in the order in which they came."""
     waiting = [job for job in jobs if job.state == "queued"]
     return sorted(waiting, key=lambda job: -job.priority)
@@ -21,18 +21,18 @@ def next_job(jobs: Iterable[Job]) -> Job | None:
     states = [job.state for job in jobs]
     if "preparing" in states or states.count("running") >= MAX_RUNNING:
         return None
-    return next(iter(in_line(jobs)), None)
+    return next(iter(waiting_jobs(jobs)), None)
 
 
 def ahead_of(job: Job, jobs: Iterable[Job]) -> int | None:
     """Return how many jobs are before this one in the line; None when it does not wait there."""
-    return in_line(jobs).index(job) if job.state == "queued" else None
+    return waiting_jobs(jobs).index(job) if job.state == "queued" else None
 
 
 def waits_for_turn(job: Job, jobs: Iterable[Job]) -> str:
     """Return in words what a queued job waits for."""
     jobs = tuple(jobs)
-    ahead = in_line(jobs).index(job)
+    ahead = waiting_jobs(jobs).index(job)
     if ahead:
         return f"waits for its turn ({ahead} {'job' if ahead == 1 else 'jobs'} before it)"
     running = sum(each.state in ("preparing", "running") for each in jobs)

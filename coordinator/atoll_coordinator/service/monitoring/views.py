@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from atoll import VERSION
 from atoll.config import JobConfig
 from atoll.expression.text.infix import to_infix
-from atoll.wire.messages.views import JobState, JobView, VariableView
+from atoll.wire.messages.views import JobCounters, JobState, JobView, VariableView
 from atoll_coordinator.model.report.numbers import finite
 from atoll_coordinator.model.report.result import KNOWN, Account, VariableOutcome, build_result, equation_of
 from atoll_coordinator.model.report.trust import verdict
@@ -19,7 +19,6 @@ from atoll_coordinator.service.jobs.queue import ahead_of, waits_for_turn
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.cut import Why
 from atoll_coordinator.service.store.jobs import JobRecord
-from atoll_coordinator.service.workers.membership import Membership
 
 
 def job_result(job: Job, now: float) -> dict[str, Any]:
@@ -64,15 +63,26 @@ def outcome_of(archipelago: Archipelago) -> VariableOutcome:
             archipelago.variable, pool.front, cut.epochs, cut.generation, cut.evaluations, cut.seconds, cut.why,
             runners_up=pool.runners_up,
         )  # fmt: skip
-    progress = archipelago.collector.progress
+    state = archipelago.collector.state
     return VariableOutcome(
-        archipelago.variable, progress.front, progress.epochs, None, progress.evaluations, progress.seconds,
-        runners_up=progress.runners_up,
+        archipelago.variable, state.front, state.epochs, None, state.evaluations, state.seconds,
+        runners_up=state.runners_up,
     )  # fmt: skip
 
 
-def job_view(job: Job, membership: Membership, now: float, jobs: Sequence[Job]) -> JobView:
-    """Return what `jobs` and `status` show of a live job, or of one that ends now; `jobs` are all live ones."""
+def job_view(
+    job: Job, jobs: Sequence[Job], now: float, waits_for: str, counters: JobCounters, stalls: tuple[str, ...]
+) -> JobView:
+    """Return what `jobs` and `status` show of a live job, or of one that ends now.
+
+    Args:
+        job: any of `jobs`, or one that ends now.
+        jobs: all live ones.
+        now: the bus's seconds.
+        waits_for: what its archipelagos without workers wait for, in words.
+        counters: of this job.
+        stalls: why its archipelagos stand still, in words.
+    """
     outcomes = outcomes_of(job)
     evaluations = sum(sum(outcome.evaluations.values()) for outcome in outcomes)
     seconds = job.search_seconds(now)
@@ -83,17 +93,19 @@ def job_view(job: Job, membership: Membership, now: float, jobs: Sequence[Job]) 
         state=job.state,
         seed=job.config.seed,
         preset=job.config.preset,
-        reason=job.reason or _waits_for(job, membership, jobs),
+        reason=_reason(job, jobs, waits_for),
         fault=job.fault,
         warnings=job.prepared.dataset.warnings if job.prepared else (),
         submitted=job.submitted,
         elapsed=now - job.submitted_at,
-        workers=_workers(job),
+        workers=len({worker for each in job.open_archipelagos for worker in each.workers}),
         point_evaluations=evaluations,
         point_evaluations_per_second=evaluations / seconds if seconds > 0.0 and evaluations else None,
         variables=variables,
         priority=job.priority,
         ahead=ahead_of(job, jobs),
+        stalls=stalls,
+        counters=counters,
         target_error=job.config.budget.target_error,
     )
 
@@ -180,20 +192,9 @@ def _stored_variable_view(equation: dict[str, Any]) -> VariableView:
     return VariableView(**known, point_evaluations=equation["point_evaluations"], finished=True)
 
 
-def _workers(job: Job) -> int:
-    placements = [each.placement for each in job.open_archipelagos]
-    return len({worker for placement in placements if placement is not None for worker in placement.workers})
-
-
-def _waits_for(job: Job, membership: Membership, jobs: Sequence[Job]) -> str | None:
-    """Return what a job waits for, if it cannot get on by itself."""
+def _reason(job: Job, jobs: Sequence[Job], waits_for: str) -> str | None:
+    """Return why a job has failed, or what it waits for if it cannot get on by itself."""
     if job.state == "queued":
         return waits_for_turn(job, jobs)
-    if not any(each.placement is None for each in job.open_archipelagos):
-        return None
-    arriving = membership.arriving()
-    if arriving:
-        return f"waits for {arriving} worker{'s' if arriving > 1 else ''} to load or compile the kernels"
-    if not membership.ready():
-        return "waits for a worker: none has joined, or all are lost or leaving"
-    return "waits for the other workers to join"
+    is_waiting = any(each.placement is None for each in job.open_archipelagos)
+    return job.reason or (waits_for if is_waiting else None)

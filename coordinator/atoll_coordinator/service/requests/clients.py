@@ -28,9 +28,9 @@ from atoll.wire.messages.clients import (
 )
 from atoll.wire.messages.views import CoordinatorView, JobView
 from atoll_coordinator.service.controller import Controller
-from atoll_coordinator.service.ports import StorePort
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import JobDeletion
+from atoll_coordinator.service.store.store import Store
 
 MAX_STORED_BYTES: Final = 16 * 1024**3
 """Uploads are refused when all tables and datasets together would take more than this."""
@@ -42,7 +42,7 @@ class ClientRequests:
     """Answers the questions of clients, one by one."""
 
     def __init__(
-        self, controller: Controller, store: StorePort, authorization: Authorization, deletion: JobDeletion,
+        self, controller: Controller, store: Store, authorization: Authorization, deletion: JobDeletion,
         now: Callable[[], float], coordinator: Callable[[], CoordinatorView | None] = lambda: None,
     ) -> None:  # fmt: skip
         """`now` gives the bus's seconds, `coordinator` the view of the coordinator itself."""
@@ -102,7 +102,7 @@ class ClientRequests:
         """Return what happened; as much of it as one answer bears."""
         if question.job is not None and self._controller.view(question.job, self._now()) is None:
             return _unknown(question.job)
-        return EventList(events=self._controller.watch.chronicle.read(question.job, question.after, question.limit))
+        return EventList(events=self._controller.events.read(question.job, question.after, question.limit))
 
     def _upload(self, upload: Upload) -> Uploaded:
         if upload.data is None:

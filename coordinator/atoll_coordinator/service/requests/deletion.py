@@ -5,8 +5,8 @@ from typing import Final
 
 from atoll.errors import RefusedError
 from atoll_coordinator.service.controller import Controller
-from atoll_coordinator.service.ports import StorePort
 from atoll_coordinator.service.store.retention import KEEP_ALL, Retention
+from atoll_coordinator.service.store.store import Store
 
 CHECK_INTERVAL_S: Final = 60.0
 """How often expired jobs are looked for; while there are some, one is deleted at each tick."""
@@ -16,7 +16,7 @@ class JobDeletion:
     """Deletes ended jobs, each in one transaction of the store."""
 
     def __init__(
-        self, controller: Controller, store: StorePort, clock: Callable[[], str], retention: Retention = KEEP_ALL
+        self, controller: Controller, store: Store, clock: Callable[[], str], retention: Retention = KEEP_ALL
     ) -> None:
         """`clock` gives the time of day as ISO text."""
         self._controller = controller
@@ -32,11 +32,10 @@ class JobDeletion:
             raise RefusedError(f"job {job} is {live.state}; cancel it, or wait for its end, before you delete it")
         if job not in self._controller.ended:
             return
-        log = self._controller.watch.chronicle
-        log.flush()  # or its last events would be written after its end
+        self._controller.events.flush()  # or its last events would be written after its end
         self._store.delete_job(job)
         del self._controller.ended[job]
-        log.note("deleted", f"job {job} is deleted: {reason}")
+        self._controller.events.record("deleted", f"job {job} is deleted: {reason}")
 
     def delete_expired(self, now: float) -> None:
         """Delete the oldest ended job if it is not to be kept, at most one in a call; `now` in seconds of the bus."""

@@ -12,8 +12,8 @@ from atoll.wire.messages.handshake import Greeting, Hello, Refusal, Welcome
 from atoll.wire.messages.limits import MAX_MESSAGE
 from atoll.wire.rejects import Rejects
 from atoll_coordinator.service.controller import Controller
-from atoll_coordinator.service.ports import StorePort
 from atoll_coordinator.service.requests.authorization import Authorization
+from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.membership import version_refusal
 
 _LOG = logging.getLogger(__name__)
@@ -23,7 +23,7 @@ class Handshake:
     """Answers the greetings of workers and clients."""
 
     def __init__(
-        self, controller: Controller, store: StorePort, authorization: Authorization, rejects: Rejects,
+        self, controller: Controller, store: Store, authorization: Authorization, rejects: Rejects,
         now: Callable[[], float], clock: Callable[[], str],
     ) -> None:  # fmt: skip
         """`now` gives the bus's seconds, `clock` the time of day as ISO text. What is not understood is counted."""
@@ -64,7 +64,7 @@ class Handshake:
         refusal = version_refusal(hello) or self._authorization.refuse_role(hello)
         if refusal is not None or hello.role == "client" or name is None:
             return refusal
-        return self._controller.greet(hello, self._now())
+        return self._controller.register_worker(hello, self._now())
 
 
 def _refusal(sentence: str) -> Refusal:

@@ -11,16 +11,16 @@ from atoll.wire.messages.workers import Control, Pull, PullAnswer, PullStates, S
 from atoll.wire.rejects import Rejects
 from atoll.wire.state_transfer import cut
 from atoll_coordinator.service.controller import Controller
-from atoll_coordinator.service.ports import StorePort
 from atoll_coordinator.service.requests.clients import Body, ClientRequests
 from atoll_coordinator.service.requests.handshake import Handshake
+from atoll_coordinator.service.store.store import Store
 
 
 class RequestRouter:
     """Hands each query to the one who answers it."""
 
     def __init__(
-        self, controller: Controller, store: StorePort, handshake: Handshake, clients: ClientRequests, rejects: Rejects
+        self, controller: Controller, store: Store, handshake: Handshake, clients: ClientRequests, rejects: Rejects
     ) -> None:
         """`rejects` counts questions of clients that are not understood."""
         self._controller = controller

@@ -1,7 +1,7 @@
 """One archipelago as the coordinator sees it: collector, placement, checkpoints, how far its workers are. Pure.
 
-A checkpoint goes through three hands: its states are gathered from the workers; when all are there and all reports of
-the epochs before it are taken in, it is written; when it is durable, `committed` says what the workers are to be told.
+A checkpoint has three stages: its states are gathered from the workers; when all are there and all reports of the
+epochs before it are merged, it is written; when it is durable, `mark_durable` returns the commit that is published.
 """
 
 from collections.abc import Callable, Iterable
@@ -23,12 +23,12 @@ from atoll.wire.state_transfer import State
 from atoll_coordinator.service.search.checkpoints import (
     FIRST_INTERVAL,
     Gathering,
-    StoredProgress,
+    StoredSearchState,
     common_epoch,
     interval_of,
     schedule_after,
 )
-from atoll_coordinator.service.search.collector import Collector, Limits, Measure, Progress
+from atoll_coordinator.service.search.collector import Collector, Limits, Measure, SearchState
 from atoll_coordinator.service.search.cut import Cut
 
 FORGET_EPOCHS: Final = 16
@@ -40,6 +40,10 @@ PLAN_COMMITS: Final = 10
 """So many commits lie between two planned changes, unless a worker leaves."""
 
 
+ArchipelagoKey = tuple[str, str]
+"""Job and variable of an archipelago."""
+
+
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
     """All of a checkpoint, ready to be written."""
@@ -48,17 +52,22 @@ class Checkpoint:
     variable: str
     term: int
     epoch: int
-    progress: Progress
+    search_state: SearchState
     states: dict[int, State]
+
+    @property
+    def key(self) -> ArchipelagoKey:
+        """The archipelago."""
+        return (self.job, self.variable)
 
     @property
     def size(self) -> int:
         """Bytes of all states."""
         return sum(len(state.data) for state in self.states.values())
 
-    def stored_progress(self, search_seconds: float) -> StoredProgress:
-        """Return what is stored beside the states."""
-        return StoredProgress.of(self.progress, search_seconds)
+    def stored_search_state(self, search_seconds: float) -> StoredSearchState:
+        """Return what is stored beside the states of the islands."""
+        return StoredSearchState.of(self.search_state, search_seconds)
 
 
 class Archipelago:
@@ -88,6 +97,16 @@ class Archipelago:
         self._latest: list[int] = []
 
     @property
+    def key(self) -> ArchipelagoKey:
+        """Job and variable."""
+        return (self.job, self.variable)
+
+    @property
+    def workers(self) -> tuple[str, ...]:
+        """The workers that have islands of it, sorted; none without a placement."""
+        return tuple(sorted(set(self.placement.workers))) if self.placement is not None else ()
+
+    @property
     def cut(self) -> Cut | None:
         """Where the search ended; None while it goes on."""
         return self._kept_cut or self.collector.cut
@@ -98,13 +117,13 @@ class Archipelago:
         return self.placement is not None and self._schedule.holds and self.durable == self._schedule.last
 
     @property
-    def has_begun_only(self) -> bool:
+    def has_no_commit(self) -> bool:
         """Whether nothing has become durable since it was placed."""
         return self.placement is not None and self.durable == self.placement.epoch
 
     @property
-    def gathered(self) -> int | None:
-        """Bytes that are here of the checkpoint that is being gathered; None: there is none."""
+    def gathered_bytes(self) -> int | None:
+        """Bytes of the checkpoint that is being gathered; None: there is none."""
         return self._gathering.size if self._gathering is not None else None
 
     @property
@@ -121,10 +140,10 @@ class Archipelago:
         """Take over a cut that was committed earlier."""
         self._kept_cut = cut
 
-    def resume(self, progress: Progress) -> None:
+    def resume(self, state: SearchState) -> None:
         """Go on from a checkpoint that was committed earlier."""
-        self.collector.resume(progress)
-        self.durable = progress.epochs
+        self.collector.resume(state)
+        self.durable = state.epochs
 
     def place(self, placement: Placement, now: float) -> None:
         """Begin a term, at the last checkpoint that is durable."""
@@ -148,7 +167,7 @@ class Archipelago:
 
     # ----------------------------------------------------------------------------------------- reports
 
-    def receive(self, worker: str, report: EpochReport, seconds: float) -> bool:
+    def add_report(self, worker: str, report: EpochReport, seconds: float) -> bool:
         """Take in a report; return True when at least one more epoch is complete.
 
         Raises:
@@ -164,14 +183,14 @@ class Archipelago:
         if report.epoch < self.durable:
             return False
         self._check_report(worker, report, self.placement)
-        advanced = self.collector.receive(worker, report.epoch, report.islands, seconds)
-        self._note_latest((each.island for each in report.islands), report.epoch)
+        advanced = self.collector.add_reports(worker, report.epoch, report.islands, seconds)
+        self._update_latest((each.island for each in report.islands), report.epoch)
         return advanced
 
-    def note_holding(self, worker: str, holding: Holding) -> None:
+    def update_holding(self, worker: str, holding: Holding) -> None:
         """Take in how far a worker says its islands have come, and of which checkpoints it has snapshots."""
         if self.placement is not None:
-            self._note_latest(self.placement.islands_of(worker), holding.reported - 1)
+            self._update_latest(self.placement.islands_of(worker), holding.reported - 1)
             self._snapshots[worker] = holding.snapshots
 
     def missing_reports(self, worker: str, holding: Holding) -> PullReports | None:
@@ -185,9 +204,9 @@ class Archipelago:
         last = min(holding.reported, first + MOST_PULLED_EPOCHS)
         return PullReports(job=self.job, variable=self.variable, term=placement.term, first=first, last=last)
 
-    def forget_due(self) -> Commit | None:
+    def due_commit(self) -> Commit | None:
         """Return what workers may forget, when all islands have reported that much more; None: not yet."""
-        reached = min(min(self._latest, default=-1), self.collector.progress.epochs - 1)
+        reached = min(min(self._latest, default=-1), self.collector.state.epochs - 1)
         if reached < self._forget + FORGET_EPOCHS or self.cut is not None:
             return None
         self._forget = reached
@@ -195,7 +214,7 @@ class Archipelago:
 
     # ------------------------------------------------------------------------------------- checkpoints
 
-    def asks(self, most: int) -> list[tuple[str, PullStates]]:
+    def next_pulls(self, most: int) -> list[tuple[str, PullStates]]:
         """Return at most so many questions for states, each with its worker; begins a checkpoint when one is due."""
         placement = self.placement
         if placement is None or self.cut is not None or self.is_writing:
@@ -206,9 +225,9 @@ class Archipelago:
             if epoch is None or epoch not in (self._schedule.next, self._schedule.last):
                 return []
             self._gathering = Gathering(placement, epoch)
-        return self._gathering.asks(most)
+        return self._gathering.next_pulls(most)
 
-    def take_states(self, worker: str, asked: PullStates, body: States | None) -> None:
+    def add_states(self, worker: str, asked: PullStates, body: States | None) -> None:
         """Take in a worker's answer; None: there was none.
 
         Raises:
@@ -218,21 +237,21 @@ class Archipelago:
         if placement is None or gathering is None:
             return
         if (placement.term, gathering.epoch) == (asked.term, asked.epoch):
-            gathering.take(worker, body)
+            gathering.add(worker, body)
 
-    def checkpoint_due(self) -> Checkpoint | None:
-        """Return the checkpoint that can be written now, once; `committed` or another term follows."""
+    def take_complete_checkpoint(self) -> Checkpoint | None:
+        """Return the checkpoint that can be written now, once; `mark_durable` or another term follows."""
         placement, gathering = self.placement, self._gathering
         if placement is None or gathering is None or self.cut is not None or not gathering.is_complete:
             return None
-        progress = self.collector.at(gathering.epoch)
-        if progress is None:
+        state = self.collector.at(gathering.epoch)
+        if state is None:
             return None
         self._gathering, self.is_writing = None, True
         states = dict(sorted(gathering.states.items()))
-        return Checkpoint(self.job, self.variable, placement.term, gathering.epoch, progress, states)
+        return Checkpoint(self.job, self.variable, placement.term, gathering.epoch, state, states)
 
-    def committed(self, checkpoint: Checkpoint, now: float) -> Commit | None:
+    def mark_durable(self, checkpoint: Checkpoint, now: float) -> Commit | None:
         """Take in that a checkpoint is durable; return what the workers are to be told."""
         self.is_writing = False
         epochs, seconds = checkpoint.epoch - self.durable, now - self._durable_at
@@ -262,11 +281,11 @@ class Archipelago:
     def validate(self) -> None:
         """Check the invariants; raises AssertionError."""
         self.collector.validate()
-        assert self.durable <= self.collector.progress.epochs, "a checkpoint is ahead of the reports"
+        assert self.durable <= self.collector.state.epochs, "a checkpoint is ahead of the reports"
         assert self.placement is None or self.placement.epoch <= self.durable, "a term begins where nothing is durable"
         assert not self.is_writing or self._gathering is None, "two checkpoints are made at once"
 
-    def _note_latest(self, islands: Iterable[int], epoch: int) -> None:
+    def _update_latest(self, islands: Iterable[int], epoch: int) -> None:
         for island in islands:
             self._latest[island] = max(self._latest[island], epoch)
 

@@ -10,7 +10,7 @@ from atoll import ENGINE_REVISION
 from atoll.config import Model
 from atoll.wire.messages.workers import Placement, PullStates, Schedule, States
 from atoll.wire.state_transfer import Assembly, State
-from atoll_coordinator.service.search.collector import Progress
+from atoll_coordinator.service.search.collector import SearchState
 from atoll_coordinator.service.search.cut import CutEntry, entries, stored
 
 FIRST_INTERVAL: Final = 8
@@ -39,10 +39,11 @@ class Counted(Model):
     evaluations: dict[str, int]
 
 
-class StoredProgress(Model):
-    """A `Progress` as it is stored beside the states; `search_seconds` is how long the job had been searched by then.
+class StoredSearchState(Model):
+    """A `SearchState` as it is stored beside the states of the islands.
 
-    `engine` is the revision under which it came about; under another one the states mean something else.
+    `search_seconds` is how long the job had been searched by then. `engine` is the revision under which it came about;
+    under another one the states mean something else.
     """
 
     engine: int
@@ -57,24 +58,24 @@ class StoredProgress(Model):
     search_seconds: float
 
     @classmethod
-    def of(cls, progress: Progress, search_seconds: float) -> "StoredProgress":
-        """Return what is stored of a progress."""
+    def of(cls, state: SearchState, search_seconds: float) -> "StoredSearchState":
+        """Return what is stored of a search state."""
         return cls(
             engine=ENGINE_REVISION,
-            epochs=progress.epochs,
-            front=tuple(stored(entry) for entry in progress.front),
-            runners_up=tuple(stored(entry) for entry in progress.runners_up),
-            counted=tuple(Counted(island=k, evaluations=each) for k, each in progress.counted.items()),
-            evaluations=progress.evaluations,
-            best_length=progress.best_length if math.isfinite(progress.best_length) else None,
-            improved_at=progress.improved_at,
-            seconds=progress.seconds,
+            epochs=state.epochs,
+            front=tuple(stored(entry) for entry in state.front),
+            runners_up=tuple(stored(entry) for entry in state.runners_up),
+            counted=tuple(Counted(island=k, evaluations=each) for k, each in state.counted.items()),
+            evaluations=state.evaluations,
+            best_length=state.best_length if math.isfinite(state.best_length) else None,
+            improved_at=state.improved_at,
+            seconds=state.seconds,
             search_seconds=search_seconds,
         )
 
-    def progress(self) -> Progress:
+    def search_state(self) -> SearchState:
         """Return it as the collector goes on from it."""
-        return Progress(
+        return SearchState(
             epochs=self.epochs,
             front=entries(self.front),
             runners_up=entries(self.runners_up),
@@ -115,14 +116,14 @@ class Gathering:
         """The states that are here, by island."""
         return {island: state for each in self._assemblies.values() for island, state in each.states.items()}
 
-    def asks(self, most: int) -> list[tuple[str, PullStates]]:
+    def next_pulls(self, most: int) -> list[tuple[str, PullStates]]:
         """Return at most so many questions, each with its worker, and note them as under way."""
         waiting = [name for name, each in self._assemblies.items() if name not in self._asked and not each.is_complete]
-        asks = [(name, self._pull(self._assemblies[name])) for name in waiting[: max(0, most)]]
-        self._asked.update(name for name, _ in asks)
-        return asks
+        pulls = [(name, self._pull(self._assemblies[name])) for name in waiting[: max(0, most)]]
+        self._asked.update(name for name, _ in pulls)
+        return pulls
 
-    def take(self, worker: str, body: States | None) -> None:
+    def add(self, worker: str, body: States | None) -> None:
         """Take in a worker's answer; None: there was none, and it is asked again.
 
         Raises:

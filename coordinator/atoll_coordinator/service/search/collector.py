@@ -61,7 +61,7 @@ class _Filed:
 
 
 @dataclass(slots=True)
-class Progress:
+class SearchState:
     """The archipelago after its `epochs` completely reported epochs.
 
     `counted` are the point evaluations of each island that has any, `evaluations` their sums, both by part.
@@ -83,17 +83,17 @@ class Collector:
     def __init__(self, variable: str, limits: Limits, measure: Measure) -> None:
         self.variable: Final = variable
         self.limits: Final = limits
-        self.progress = Progress()
+        self.state = SearchState()
         self.cut: Cut | None = None
         self.duplicates = 0
         self._measure = measure
         self._filed: dict[tuple[int, int], _Filed] = {}
         self._whole: Counter[int] = Counter()
         self._with_hit: set[int] = set()
-        self._past: dict[int, Progress] = {}
+        self._past: dict[int, SearchState] = {}
         self._pending: Why | None = None
 
-    def receive(self, worker: str, epoch: int, reports: Iterable[IslandReport], seconds: float) -> bool:
+    def add_reports(self, worker: str, epoch: int, reports: Iterable[IslandReport], seconds: float) -> bool:
         """File reports of one epoch; return True when at least one more epoch is complete.
 
         Args:
@@ -113,12 +113,12 @@ class Collector:
             self._check(worker, epoch, report)
         for report in reports:
             self._file(worker, epoch, report)
-        before = self.progress.epochs
+        before = self.state.epochs
         if epoch != before:
             return False
-        while self.cut is None and self._is_complete(self.progress.epochs):
-            self._take_in(self.progress.epochs, seconds)
-        return self.progress.epochs > before
+        while self.cut is None and self._is_complete(self.state.epochs):
+            self._merge_epoch(self.state.epochs, seconds)
+        return self.state.epochs > before
 
     def _file(self, worker: str, epoch: int, report: IslandReport) -> None:
         """Keep a report, the first one of its island and epoch; count, so that not all need be looked through again."""
@@ -136,38 +136,38 @@ class Collector:
         """End at the last completely reported epoch; by time, not before the first one is complete."""
         if self.cut is not None:
             return
-        if self.progress.epochs == 0 and why != "cancelled":
+        if self.state.epochs == 0 and why != "cancelled":
             self._pending = why
             return
         self._end(why)
 
-    def at(self, epochs: int) -> Progress | None:
+    def at(self, epochs: int) -> SearchState | None:
         """Return how the archipelago stood after so many epochs; None: not so far yet, or forgotten."""
         return self._past.get(epochs)
 
     def forget(self, before: int) -> None:
         """Forget how it stood before so many epochs, and what was reported of them: none of it comes again."""
         self._past = {epochs: past for epochs, past in self._past.items() if epochs >= before}
-        if before <= self.progress.epochs:
+        if before <= self.state.epochs:
             self._filed = {key: filed for key, filed in self._filed.items() if key[0] >= before}
             self._whole = Counter({epoch: count for epoch, count in self._whole.items() if epoch >= before})
             self._with_hit = {epoch for epoch in self._with_hit if epoch >= before}
 
-    def resume(self, progress: Progress) -> None:
+    def resume(self, state: SearchState) -> None:
         """Go on from where an archipelago stood; only before the first report."""
-        self.progress = progress
+        self.state = state
 
     def first_missing(self, islands: Iterable[int], before: int) -> int | None:
         """Return the first epoch below `before` of which a report of any of these islands is missing; None: of none."""
         wanted = tuple(islands)
-        for epoch in range(self.progress.epochs, min(before, self.limits.epochs)):
+        for epoch in range(self.state.epochs, min(before, self.limits.epochs)):
             if any((epoch, island) not in self._filed for island in wanted):
                 return epoch
         return None
 
     def awaited(self) -> tuple[int, ...]:
         """Return the islands whose reports the next epoch still waits for; none once there is a cut."""
-        epoch, hit = self.progress.epochs, self._hit(self.progress.epochs)
+        epoch, hit = self.state.epochs, self._hit(self.state.epochs)
         filed = {island: self._filed[epoch, island].generations for _, island in self._keys(epoch)}
         islands = range(self.limits.islands) if self.cut is None else ()
         return tuple(island for island in islands if filed.get(island, 0) < self._needed(hit, island))
@@ -175,10 +175,10 @@ class Collector:
     def validate(self) -> None:
         """Check the invariants; raises AssertionError."""
         for (epoch, _), filed in self._filed.items():
-            assert (filed.report is None) == (epoch < self.progress.epochs), f"epoch {epoch} is half taken in"
-        lengths = [(entry.complexity, -entry.error) for entry in self.progress.front]
+            assert (filed.report is None) == (epoch < self.state.epochs), f"epoch {epoch} is half taken in"
+        lengths = [(entry.complexity, -entry.error) for entry in self.state.front]
         assert lengths == sorted(lengths), "the front is not in order"
-        assert all(entry.epoch < self.progress.epochs for entry in self.progress.front), "the front is ahead"
+        assert all(entry.epoch < self.state.epochs for entry in self.state.front), "the front is ahead"
 
     def _check(self, worker: str, epoch: int, report: IslandReport) -> None:
         if epoch >= self.limits.epochs or report.island >= self.limits.islands:
@@ -224,26 +224,26 @@ class Collector:
         """Return the keys of the reports of an epoch that are there, by island."""
         return [(epoch, island) for island in range(self.limits.islands) if (epoch, island) in self._filed]
 
-    def _take_in(self, epoch: int, seconds: float) -> None:
+    def _merge_epoch(self, epoch: int, seconds: float) -> None:
         """Merge one complete epoch as far as it counts, then ask the rules of ending in their order."""
         hit = self._hit(epoch)
         counted = [(report, self._needed(hit, report.island)) for report in self._release(epoch)]
-        progress = self.progress
+        state = self.state
         additions = [entry for each in counted for entry in additions_of(epoch, *each)]
         near = [entry for each in counted for entry in runners_up_of(epoch, *each)]
-        front, before = merge(progress.front, additions), (*progress.front, *progress.runners_up)
-        progress.runners_up = runners_up(front, (*before, *additions, *near), self.limits.runners_up)
-        if front != progress.front:
-            progress.front = front
-            self._note_improvement(epoch)
+        front, before = merge(state.front, additions), (*state.front, *state.runners_up)
+        state.runners_up = runners_up(front, (*before, *additions, *near), self.limits.runners_up)
+        if front != state.front:
+            state.front = front
+            self._update_best(epoch)
         for report, end in counted:
             if end > 0:
-                progress.counted[report.island] = evaluations_at(report, end)
-        progress.epochs = epoch + 1
-        progress.seconds = seconds
-        progress.evaluations = total_evaluations(progress.counted.values())
-        self._past[progress.epochs] = replace(progress, counted=dict(progress.counted))
-        self._consider_end(epoch, hit)
+                state.counted[report.island] = evaluations_at(report, end)
+        state.epochs = epoch + 1
+        state.seconds = seconds
+        state.evaluations = total_evaluations(state.counted.values())
+        self._past[state.epochs] = replace(state, counted=dict(state.counted))
+        self._end_if_due(epoch, hit)
 
     def _release(self, epoch: int) -> list[IslandReport]:
         """Return the reports of an epoch, by island, and keep no more of them than is needed to compare."""
@@ -255,16 +255,16 @@ class Collector:
             filed.report = None
         return reports
 
-    def _note_improvement(self, epoch: int) -> None:
-        length = self._measure(self.progress.front)
-        if length <= self.progress.best_length - IMPROVEMENT_NATS or math.isinf(self.progress.best_length):
-            self.progress.best_length = length
-            self.progress.improved_at = epoch
+    def _update_best(self, epoch: int) -> None:
+        length = self._measure(self.state.front)
+        if length <= self.state.best_length - IMPROVEMENT_NATS or math.isinf(self.state.best_length):
+            self.state.best_length = length
+            self.state.improved_at = epoch
 
-    def _consider_end(self, epoch: int, hit: Position | None) -> None:
+    def _end_if_due(self, epoch: int, hit: Position | None) -> None:
         if hit is not None:
             self._end("target", epoch * self.limits.commit_order.generations + hit.generation)
-        elif epoch - self.progress.improved_at >= self.limits.stagnation:
+        elif epoch - self.state.improved_at >= self.limits.stagnation:
             self._end("stagnation")
         elif epoch + 1 >= self.limits.epochs:
             self._end("max-epochs")
@@ -272,16 +272,16 @@ class Collector:
             self._end(self._pending)
 
     def _end(self, why: Why, generation: int | None = None) -> None:
-        progress = self.progress
+        state = self.state
         self.cut = Cut(
             variable=self.variable,
-            epochs=progress.epochs,
+            epochs=state.epochs,
             generation=generation,
             why=why,
-            front=tuple(stored(entry) for entry in progress.front),
-            evaluations=progress.evaluations,
-            seconds=progress.seconds,
-            runners_up=tuple(stored(entry) for entry in progress.runners_up),
+            front=tuple(stored(entry) for entry in state.front),
+            evaluations=state.evaluations,
+            seconds=state.seconds,
+            runners_up=tuple(stored(entry) for entry in state.runners_up),
         )
 
 

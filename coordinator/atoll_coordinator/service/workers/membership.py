@@ -1,6 +1,6 @@
 """The workers that the coordinator knows: who is there, in which state, and who is lost. Pure; time comes in."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -39,15 +39,6 @@ MEMBER_TRANSITIONS: Final[Mapping[MemberState, Mapping[MemberStep, MemberState]]
 """Whether a worker is there -> what happens -> whether it is there then. `stands`: it has computed for too long without
 getting on; `moves`: it gets on."""
 
-Patience = Callable[[str], float]
-"""The factor on a worker's leases."""
-
-
-def _usual(worker: str) -> float:
-    """Be as patient with every worker as the constants say."""
-    del worker
-    return 1.0
-
 
 @dataclass(slots=True)
 class Member:
@@ -81,18 +72,18 @@ class Membership:
 
     def __init__(self) -> None:
         self._members: dict[str, Member] = {}
-        self._looked_at: float | None = None
+        self._checked_at: float | None = None
 
     @property
-    def looked_at(self) -> float:
-        """When it was last looked who is there."""
-        return self._looked_at or 0.0
+    def checked_at(self) -> float:
+        """When it was last checked who is there; the bus's seconds."""
+        return self._checked_at or 0.0
 
     def member(self, worker: str) -> Member | None:
         """Return what is known of a worker."""
         return self._members.get(worker)
 
-    def greet(self, hello: Hello, now: float) -> str | None:
+    def register(self, hello: Hello, now: float) -> str | None:
         """Take in a worker; return a sentence instead when it must be refused."""
         refusal = version_refusal(hello) or self._name_refusal(hello) or self._fingerprint_refusal(hello)
         if refusal is not None:
@@ -104,7 +95,7 @@ class Membership:
             known.hello, known.heard_at = hello, now
         return None
 
-    def hear(self, worker: str, status: WorkerStatus, now: float) -> bool:
+    def record_heartbeat(self, worker: str, status: WorkerStatus, now: float) -> bool:
         """Take in a heartbeat; return False when this process is not known."""
         member = self._members.get(worker)
         if member is None or member.hello.instance != status.instance:
@@ -116,7 +107,7 @@ class Membership:
         member.step("moves" if gets_on and member.state == "hung" else "heard")
         return True
 
-    def see(self, worker: str, present: bool, now: float) -> None:
+    def record_presence(self, worker: str, present: bool, now: float) -> None:
         """Take in that a worker's presence came or went."""
         member = self._members.get(worker)
         if member is None:
@@ -127,23 +118,33 @@ class Membership:
             member.step("gone")
             member.gone_at = now
 
-    def renew(self, now: float) -> None:
+    def renew_leases(self, now: float) -> None:
         """Give everybody a fresh lease: their words may have been lost on our side."""
         for member in self._members.values():
             member.heard_at = member.progressed_at = now
             if member.gone_at is not None:
                 member.gone_at = now
 
-    def expire(self, now: float, patience: Patience = _usual) -> list[str]:
-        """Return the workers that are lost, or taken for hung, since the last look; `Member.lost_by` says why."""
-        if self._looked_at is not None and now - self._looked_at > GAP_S:
-            self.renew(now)
-        self._looked_at = now
-        lost = [name for name, member in self._members.items() if self._is_overdue(member, now, patience(name))]
-        for name in [
-            name for name, each in self._members.items() if each.state == "lost" and now - each.heard_at > FORGET_S
-        ]:
-            del self._members[name]
+    def expire(self, now: float, factors: Mapping[str, float] | None = None) -> list[Member]:
+        """Mark the workers whose leases are over as lost or hung; return those whose islands nobody computes by that.
+
+        `factors`, by worker, make leases longer; `Member.lost_by` says why a worker is lost.
+        """
+        if self._checked_at is not None and now - self._checked_at > GAP_S:
+            self.renew_leases(now)
+        self._checked_at = now
+        lost = []
+        for name, member in self._members.items():
+            end = lease_end(member, now, (factors or {}).get(name, 1.0))
+            if end is not None:
+                lost += [member] if member.state != "hung" else []
+                step, member.lost_by = end
+                member.step(step)
+        self._members = {
+            name: each
+            for name, each in self._members.items()
+            if each.state != "lost" or now - each.heard_at <= FORGET_S
+        }
         return lost
 
     def ready(self) -> tuple[str, ...]:
@@ -161,6 +162,15 @@ class Membership:
             member.state == "here" and not member.is_ready and not member.is_leaving
             for member in self._members.values()
         )
+
+    def waiting_reason(self) -> str:
+        """Return in words what an archipelago waits for that has no workers."""
+        arriving = self.arriving()
+        if arriving:
+            return f"waits for {arriving} worker{'s' if arriving > 1 else ''} to load or compile the kernels"
+        if not self.ready():
+            return "waits for a worker: none has joined, or all are lost or leaving"
+        return "waits for the other workers to join"
 
     def is_lost(self, worker: str) -> bool:
         """Tell whether islands placed on this worker have nobody to compute them."""
@@ -180,27 +190,6 @@ class Membership:
     def views(self, now: float) -> tuple[WorkerView, ...]:
         """Return what people are shown, sorted by name."""
         return tuple(_view(name, self._members[name], now) for name in sorted(self._members))
-
-    def _is_overdue(self, member: Member, now: float, patience: float) -> bool:
-        """Give a worker up whose time is over."""
-        if member.state == "absent":
-            is_over = member.is_leaving or now - (member.gone_at or 0.0) >= ABSENCE_S
-            return is_over and self._give_up(member, "its connection has gone")
-        silent, standing = now - member.heard_at, now - member.progressed_at
-        if member.state in ("here", "hung") and silent >= LEASE_S * patience:
-            return self._give_up(member, f"silent for {silent:.0f} s")
-        if member.state == "here" and _is_computing(member) and standing >= STANDING_S * patience:
-            member.step("stands")
-            member.lost_by = f"it has computed for {standing:.0f} s without getting on"
-            return True
-        return False
-
-    def _give_up(self, member: Member, why: str) -> bool:
-        """Count a worker as lost; return whether that is new to the islands it had."""
-        was_hung = member.state == "hung"
-        member.step("expired")
-        member.lost_by = why
-        return not was_hung
 
     def _name_refusal(self, hello: Hello) -> str | None:
         known = self._members.get(hello.name)
@@ -223,6 +212,19 @@ class Membership:
                     f"{other}; install the same version {VERSION} of Atoll on all of them"
                 )
         return None
+
+
+def lease_end(member: Member, now: float, factor: float) -> tuple[MemberStep, str] | None:
+    """Return what happens to a worker whose lease is over, and why; None: it is not. `factor` makes leases longer."""
+    if member.state == "absent":
+        is_over = member.is_leaving or now - (member.gone_at or 0.0) >= ABSENCE_S
+        return ("expired", "its connection has gone") if is_over else None
+    silent, standing = now - member.heard_at, now - member.progressed_at
+    if member.state in ("here", "hung") and silent >= LEASE_S * factor:
+        return "expired", f"silent for {silent:.0f} s"
+    if member.state == "here" and _is_computing(member) and standing >= STANDING_S * factor:
+        return "stands", f"it has computed for {standing:.0f} s without getting on"
+    return None
 
 
 def _is_computing(member: Member) -> bool:

@@ -1,66 +1,71 @@
-"""Which worker is kept for which isolated archipelago, and thereby who may compute what. Pure and deterministic."""
+"""Which worker is reserved for which quarantined archipelago, and thereby who may compute what. Pure."""
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 
+from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
+from atoll_coordinator.service.workers.crash_loops import CrashLoops
 from atoll_coordinator.service.workers.membership import Membership
 
-Key = tuple[str, str]
-"""Job and variable of an archipelago."""
 
+class Quarantine:
+    """One worker of its own for each quarantined archipelago, as far as there are workers."""
 
-class Isolation:
-    """A room of its own, one worker, for each isolated archipelago, as far as there are workers."""
-
-    def __init__(self, membership: Membership) -> None:
+    def __init__(self, membership: Membership, crash_loops: CrashLoops) -> None:
         self._membership = membership
-        self._rooms: dict[Key, str | None] = {}
+        self._crash_loops = crash_loops
+        self._reserved: dict[ArchipelagoKey, str | None] = {}
 
-    def furnish(self, isolated: Sequence[Key], others: int, load: Mapping[str, int]) -> None:
-        """Give rooms to the isolated archipelagos, in order.
+    def reserve(self, archipelagos: Sequence[Archipelago]) -> None:
+        """Reserve workers for the quarantined ones of all open archipelagos, in order."""
+        keys = [each.key for each in archipelagos]
+        quarantined = [key for key in keys if self._crash_loops.loop(key).state == "quarantined"]
+        load = Counter(worker for each in archipelagos for worker in each.workers)
+        workers = {worker for worker in self._reserved.values() if worker and not self._membership.is_lost(worker)}
+        self._reserved = reserve_workers(
+            quarantined,
+            len(keys) > len(quarantined),
+            sorted(workers.union(self._membership.ready())),
+            self._reserved,
+            load,
+        )
 
-        Args:
-            isolated: those not cut yet.
-            others: how many archipelagos are open that are not isolated.
-            load: of how many archipelagos each worker has islands.
-        """
-        ready = self._membership.ready()
-        kept = {
-            worker for worker in self._rooms.values() if worker is not None and not self._membership.is_lost(worker)
-        }
-        self._rooms = rooms(isolated, others > 0, sorted(kept.union(ready)), self._rooms, load)
-
-    def admits(self, key: Key, worker: str) -> bool:
+    def allows(self, key: ArchipelagoKey, worker: str) -> bool:
         """Tell whether an archipelago may be computed by that worker."""
-        if key in self._rooms:
-            return self._rooms[key] == worker
-        return worker not in self._rooms.values()
+        if key in self._reserved:
+            return self._reserved[key] == worker
+        return worker not in self._reserved.values()
 
-    def waits(self, key: Key) -> bool:
-        """Tell whether an archipelago is isolated and there is no worker to keep for it."""
-        return key in self._rooms and self._rooms[key] is None
+    def waiting(self, archipelagos: Iterable[Archipelago]) -> list[str]:
+        """Return the variables of the quarantined ones for which there is no worker."""
+        return [each.variable for each in archipelagos if self._reserved.get(each.key, "") is None]
 
-    def ready_for(self, key: Key) -> tuple[str, ...]:
+    def ready_for(self, key: ArchipelagoKey) -> tuple[str, ...]:
         """Return the workers that can compute an archipelago now, sorted."""
-        return tuple(worker for worker in self._membership.ready() if self.admits(key, worker))
+        return tuple(worker for worker in self._membership.ready() if self.allows(key, worker))
 
 
-def rooms(
-    isolated: Sequence[Key], has_others: bool, workers: Sequence[str], before: Mapping[Key, str | None],
-    load: Mapping[str, int],
-) -> dict[Key, str | None]:  # fmt: skip
-    """Return the worker kept for each isolated archipelago; None for one that must wait.
+def reserve_workers(
+    quarantined: Sequence[ArchipelagoKey], has_others: bool, workers: Sequence[str],
+    reserved: Mapping[ArchipelagoKey, str | None], load: Mapping[str, int],
+) -> dict[ArchipelagoKey, str | None]:  # fmt: skip
+    """Return the worker reserved for each quarantined archipelago; None for one that must wait.
 
-    Who has a room keeps it while its worker is among `workers`, all that are not lost. Others get the worker with the
-    least to do. One worker at least is left for the archipelagos that are not isolated.
+    Args:
+        quarantined: those that are open, in the order in which they are served.
+        has_others: whether other archipelagos are open; one worker at least is left for them.
+        workers: all that are not lost.
+        reserved: what was reserved before; an archipelago keeps its worker while that is among `workers`.
+        load: of how many archipelagos each worker has islands; the one with the least is taken.
     """
     number = len(workers) - has_others
-    chosen: dict[Key, str] = {}
-    for key in isolated:
-        worker = before.get(key)
+    chosen: dict[ArchipelagoKey, str] = {}
+    for key in quarantined:
+        worker = reserved.get(key)
         if worker is not None and worker in workers and len(chosen) < number:
             chosen[key] = worker
-    for key in isolated:
+    for key in quarantined:
         free = [worker for worker in workers if worker not in chosen.values()]
         if key not in chosen and len(chosen) < number:
             chosen[key] = min(free, key=lambda worker: (load.get(worker, 0), worker))
-    return {key: chosen.get(key) for key in isolated}
+    return {key: chosen.get(key) for key in quarantined}

@@ -1,90 +1,59 @@
-"""Sets right what a worker holds and should not, or should hold and does not. Knows no bus."""
+"""Compares what a worker holds with what is placed on it, and returns the messages that set it right. Pure."""
 
 from collections.abc import Mapping
 
-from atoll.wire.messages.workers import Close, CloseJob, Holding, Placements, WorkerStatus
-from atoll_coordinator.service.effects import Outlet
+from atoll.wire.messages.workers import Close, CloseJob, Commit, Holding, Placements, PullReports, WorkerStatus
 from atoll_coordinator.service.jobs.job import Job
-from atoll_coordinator.service.monitoring.monitor import Watch
 from atoll_coordinator.service.search.archipelago import Archipelago
 
+Correction = Close | CloseJob | Commit | Placements | PullReports
 
-class Holdings:
-    """What workers hold, compared with what is placed on them."""
 
-    def __init__(self, jobs: Mapping[str, Job], outlet: Outlet, watch: Watch) -> None:
-        """`jobs` are the live ones, by id, as they come and go."""
-        self._jobs = jobs
-        self._outlet = outlet
-        self._watch = watch
+def corrections(jobs: Mapping[str, Job], worker: str, status: WorkerStatus) -> list[Correction]:
+    """Return what a worker is sent after a heartbeat: what it may forget, what it lacks, pulls of lost reports."""
+    messages: list[Correction] = []
+    for holding in status.holdings:
+        messages += _correct_holding(jobs, worker, holding)
+    messages += [CloseJob(job=job) for job in status.jobs if not _is_open(jobs, job)]
+    held = {(each.job, each.variable) for each in status.holdings}
+    missing = [
+        archipelago.placement
+        for job in jobs.values()
+        for archipelago in job.open_archipelagos
+        if archipelago.placement is not None and worker in archipelago.workers and archipelago.key not in held
+    ]
+    return [*messages, Placements(placements=tuple(missing))] if missing else messages
 
-    def look(self, worker: str, status: WorkerStatus) -> None:
-        """Compare what a heartbeat says, and tell the worker what it lacks or may forget."""
-        held = {(each.job, each.variable): each for each in status.holdings}
-        for holding in status.holdings:
-            self._check_holding(worker, holding)
-        for job in status.jobs:
-            self._check_dataset(worker, job)
-        self._send_missing_placements(worker, held)
 
-    def is_current(self, job_id: str, variable: str, term: int) -> bool:
-        """Tell whether this is the term under which an archipelago is placed now."""
-        archipelago = self._archipelago(job_id, variable)
-        placement = archipelago.placement if archipelago is not None and archipelago.cut is None else None
-        return placement is not None and placement.term == term
+def _correct_holding(jobs: Mapping[str, Job], worker: str, holding: Holding) -> list[Correction]:
+    job = jobs.get(holding.job)
+    if job is None or not _is_open(jobs, holding.job):
+        return [CloseJob(job=holding.job)]
+    archipelago = job.archipelagos.get(holding.variable)
+    if archipelago is None or job.state != "running":
+        return []
+    if archipelago.cut is not None:
+        return [Close(job=holding.job, variable=holding.variable, term=holding.term)]
+    placement = archipelago.placement
+    if placement is None or holding.term > placement.term:
+        return []
+    if holding.term < placement.term:
+        return [Placements(placements=(placement,))]
+    return _catch_up(worker, archipelago, holding)
 
-    def _check_holding(self, worker: str, holding: Holding) -> None:
-        archipelago = self._archipelago(holding.job, holding.variable)
-        if archipelago is None or archipelago.cut is not None:
-            if not self._is_open(holding.job):
-                self._outlet.tell(CloseJob(job=holding.job), worker)
-            elif archipelago is not None:
-                self._outlet.tell(Close(job=holding.job, variable=holding.variable, term=holding.term), worker)
-            return
-        placement = archipelago.placement
-        if placement is None:
-            return
-        if holding.term < placement.term:
-            self._outlet.tell(Placements(placements=(placement,)), worker)
-        elif holding.term == placement.term:
-            self._catch_up(worker, archipelago, holding)
 
-    def _check_dataset(self, worker: str, job_id: str) -> None:
-        """Have a dataset forgotten that is needed no more."""
-        if not self._is_open(job_id):
-            self._outlet.tell(CloseJob(job=job_id), worker)
+def _catch_up(worker: str, archipelago: Archipelago, holding: Holding) -> list[Correction]:
+    """Return the pull of reports that were lost, and a commit that was."""
+    messages: list[Correction] = []
+    pull, commit = archipelago.missing_reports(worker, holding), archipelago.commit()
+    if pull is not None:
+        messages.append(pull)
+    if commit is not None and holding.commit < commit.epoch:
+        messages.append(commit)
+    return messages
 
-    def _is_open(self, job_id: str) -> bool:
-        """Tell whether islands of a job are computed now or will be: what is said to be closed may arrive late."""
-        job = self._jobs.get(job_id)
-        return job is not None and job.state in ("queued", "preparing", "running")
 
-    def _catch_up(self, worker: str, archipelago: Archipelago, holding: Holding) -> None:
-        """Pull reports that were lost, and repeat a commit that was."""
-        archipelago.note_holding(worker, holding)
-        self._watch.waited(worker, holding)
-        pull = archipelago.missing_reports(worker, holding)
-        if pull is not None:
-            self._outlet.pull(worker, pull)
-        due = archipelago.forget_due()
-        if due is not None:
-            self._outlet.tell(due)
-        commit = archipelago.commit()
-        if commit is not None and holding.commit < commit.epoch:
-            self._outlet.tell(commit, worker)
-
-    def _send_missing_placements(self, worker: str, held: dict[tuple[str, str], Holding]) -> None:
-        missing = [
-            archipelago.placement
-            for job in self._jobs.values()
-            for archipelago in job.open_archipelagos
-            if archipelago.placement is not None
-            and worker in archipelago.placement.workers
-            and (job.id, archipelago.variable) not in held
-        ]
-        if missing:
-            self._outlet.tell(Placements(placements=tuple(missing)), worker)
-
-    def _archipelago(self, job_id: str, variable: str) -> Archipelago | None:
-        job = self._jobs.get(job_id)
-        return job.archipelagos.get(variable) if job is not None and job.state == "running" else None
+def _is_open(jobs: Mapping[str, Job], job_id: str) -> bool:
+    """Tell whether islands of a job are computed now or will be."""
+    job = jobs.get(job_id)
+    return job is not None and job.state in ("queued", "preparing", "running")

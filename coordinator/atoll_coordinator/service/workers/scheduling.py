@@ -1,116 +1,162 @@
-"""Begins terms: sees which archipelagos are to be placed, or placed anew, and does so. Knows no bus.
-
-The order is always the same: first the placement is durable, then it is told.
-"""
+"""Decides which archipelagos begin a term now, and on which workers. Pure; it decides about time, never about bits."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Final
 
-from atoll.wire.codec import encode
-from atoll.wire.messages.workers import Close, Placement, Placements
-from atoll_coordinator.service.effects import Outlet
+from atoll.wire.messages.workers import Placement
 from atoll_coordinator.service.jobs.job import Job
-from atoll_coordinator.service.monitoring.monitor import Watch
-from atoll_coordinator.service.ports import StorePort
-from atoll_coordinator.service.search.archipelago import Archipelago
+from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
 from atoll_coordinator.service.workers.membership import Membership
-from atoll_coordinator.service.workers.placement import Placer
+from atoll_coordinator.service.workers.quarantine import Quarantine
+
+REPLACE_WITHIN_S: Final = 5.0
+"""A worker that joins this soon after a placement takes part in it: the little that was computed is computed again."""
+
+EXPECT_S: Final = 10.0
+"""How long the first ready worker waits for the others that are expected."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Chosen:
-    """An archipelago that is to be placed, and the worker of each of its islands."""
+class Assignment:
+    """An archipelago that begins a term, and the worker of each of its islands."""
 
     job: Job
     archipelago: Archipelago
     workers: tuple[str, ...]
 
+    def placement(self, incarnation: int, term: int) -> Placement:
+        """Return the placement under a term."""
+        limits = self.archipelago.collector.limits
+        return Placement(
+            incarnation=incarnation,
+            term=term,
+            job=self.archipelago.job,
+            variable=self.archipelago.variable,
+            workers=self.workers,
+            epoch=self.archipelago.durable,
+            epochs=limits.epochs,
+            interval=self.archipelago.interval,
+            commit_order=limits.commit_order,
+        )
 
-class Terms:
-    """The placements of all archipelagos, as they follow each other."""
 
-    def __init__(
-        self, membership: Membership, store: StorePort, outlet: Outlet, watch: Watch, expected_workers: int = 1
-    ) -> None:
-        """No island is placed before the expected workers are ready."""
+@dataclass(slots=True)
+class Plan:
+    """What changes: terms that begin, placements broken by a lost worker, held ones that have nobody to go to."""
+
+    assignments: list[Assignment] = field(default_factory=list)
+    broken: list[ArchipelagoKey] = field(default_factory=list)
+    released: list[Placement] = field(default_factory=list)
+
+
+class Scheduler:
+    """Plans the placements of all archipelagos from who is there now."""
+
+    def __init__(self, membership: Membership, quarantine: Quarantine, expected_workers: int = 1) -> None:
+        """No island is placed before `expected_workers` are ready, or have been waited for long enough."""
         self._membership = membership
-        self._store = store
-        self._outlet = outlet
-        self._watch = watch
-        self._placer = Placer(membership, expected_workers, watch.isolation)
+        self._quarantine = quarantine
+        self._expected = expected_workers
+        self._first_ready_at: float | None = None
 
-    def begin(self, jobs: Collection[Job], now: float) -> None:
-        """Place, or place anew, every archipelago that has nobody, or somebody who is lost, or newcomers to use."""
-        self._watch.furnish(jobs)
-        chosen: list[_Chosen] = []
+    def plan(self, jobs: Collection[Job], now: float) -> Plan:
+        """Plan terms for all archipelagos that have no workers, or lost ones, or could use more. `now` in bus seconds.
+
+        Archipelagos whose placements end are unplaced, and those that are to move are asked to hold.
+        """
+        self._quarantine.reserve([each for job in jobs for each in job.open_archipelagos])
+        plan = Plan()
         for job in jobs:
-            placed_before = 0
-            for archipelago in job.archipelagos.values():
-                if archipelago.cut is None and job.state == "running":
-                    workers = self._choose(job, archipelago, placed_before, now)
-                    chosen += [_Chosen(job, archipelago, workers)] if workers is not None else []
-                placed_before += archipelago.collector.limits.islands
-        self._issue(chosen, now)
+            first = 0
+            for archipelago in job.archipelagos.values() if job.state == "running" else ():
+                # The term after the current one begins at the checkpoint that is being written.
+                if archipelago.cut is None and not archipelago.is_writing:
+                    self._plan_one(plan, job, archipelago, first, now)
+                first += archipelago.collector.limits.islands
+        return plan
 
-    def _choose(self, job: Job, archipelago: Archipelago, first: int, now: float) -> tuple[str, ...] | None:
-        """Return the workers on which an archipelago is to be placed now; None: it stays as it is."""
-        if archipelago.is_writing:
-            return None  # the term after this one begins where that is durable
+    def _plan_one(self, plan: Plan, job: Job, archipelago: Archipelago, first: int, now: float) -> None:
         held = archipelago.placement if archipelago.is_held else None
-        if self._placer.is_broken(archipelago):
+        if self.is_broken(archipelago):
             archipelago.unplace()
-            self._watch.unplaced(archipelago)
+            plan.broken.append(archipelago.key)
         else:
-            self._plan(archipelago, now)
-        workers = self._placer.choose(archipelago, first, now)
-        if workers is None and held is not None:
-            for worker in dict.fromkeys(held.workers):
-                self._outlet.tell(Close(job=job.id, variable=archipelago.variable, term=held.term), worker)
-        return workers
+            self._prepare_change(archipelago, now)
+        self._update_expected(now)
+        workers = self.choose_workers(archipelago, first, now)
+        if workers is not None:
+            plan.assignments.append(Assignment(job, archipelago, workers))
+        elif held is not None:
+            plan.released.append(held)
 
-    def _plan(self, archipelago: Archipelago, now: float) -> None:
-        """Prepare a change of placement that loses nothing: for workers who leave, or newcomers.
+    def _prepare_change(self, archipelago: Archipelago, now: float) -> None:
+        """Prepare a change of placement that loses nothing, because workers leave or have joined.
 
         All islands are held at a checkpoint; when it is durable they are placed anew, or, if there is nobody left, kept
         until somebody comes. Soon after a placement it is quicker to compute the little that there is again.
         """
         if archipelago.is_held:
             archipelago.unplace()
-        elif self._placer.is_left(archipelago):
-            if archipelago.has_begun_only and self._placer.is_young(archipelago, now) and self._membership.ready():
+        elif any(self._membership.is_leaving(worker) for worker in archipelago.workers):
+            if archipelago.has_no_commit and self._is_young(archipelago, now) and self._membership.ready():
                 archipelago.unplace()
             else:
                 archipelago.request_hold()
-        elif self._placer.is_worth_planning(archipelago) and not self._placer.is_young(archipelago, now):
+        elif archipelago.may_plan and self._could_use_more(archipelago) and not self._is_young(archipelago, now):
             archipelago.request_hold()
 
-    def _issue(self, chosen: Sequence[_Chosen], now: float) -> None:
-        """Begin terms: first all of them in the store, since each commit takes its time, then on the bus."""
-        if not chosen:
-            return
-        placements: list[Placement] = []
-
-        def place(index: int, term: int) -> bytes:
-            placements.append(self._placement(chosen[index], term))
-            return encode(placements[-1])
-
-        self._store.begin_terms([(each.job.id, each.archipelago.variable) for each in chosen], place)
-        for each, placement in zip(chosen, placements, strict=True):
-            each.archipelago.place(placement, now)
-            each.job.start(now)
-            self._outlet.tell(Placements(placements=(placement,)))
-            self._watch.placed(placement)
-
-    def _placement(self, chosen: _Chosen, term: int) -> Placement:
-        archipelago = chosen.archipelago
-        return Placement(
-            incarnation=self._store.incarnation,
-            term=term,
-            job=archipelago.job,
-            variable=archipelago.variable,
-            workers=chosen.workers,
-            epoch=archipelago.durable,
-            epochs=archipelago.collector.limits.epochs,
-            interval=archipelago.interval,
-            commit_order=archipelago.collector.limits.commit_order,
+    def is_broken(self, archipelago: Archipelago) -> bool:
+        """Tell whether islands of this placement have nobody to compute them, or may not be where they are."""
+        return any(
+            self._membership.is_lost(worker) or not self._quarantine.allows(archipelago.key, worker)
+            for worker in archipelago.workers
         )
+
+    def choose_workers(self, archipelago: Archipelago, first: int, now: float) -> tuple[str, ...] | None:
+        """Return the worker of each island, or None when the archipelago keeps its placement or must wait.
+
+        Args:
+            archipelago: not cut yet.
+            first: islands of the job's variables before this one.
+            now: the bus's seconds.
+        """
+        ready = self._quarantine.ready_for(archipelago.key)
+        if not ready or len(self._membership.ready()) < self._expected:
+            return None
+        is_placed = archipelago.placement is not None
+        if is_placed and not (self._is_young(archipelago, now) and self._could_use_more(archipelago)):
+            return None
+        return spread(archipelago.collector.limits.islands, first, ready)
+
+    def _is_young(self, archipelago: Archipelago, now: float) -> bool:
+        """Tell whether little has been computed since the archipelago was placed."""
+        return now - archipelago.placed_at <= REPLACE_WITHIN_S
+
+    def _could_use_more(self, archipelago: Archipelago) -> bool:
+        """Tell whether more workers could be used than are."""
+        ready = len(self._quarantine.ready_for(archipelago.key))
+        return min(ready, archipelago.collector.limits.islands) > len(archipelago.workers)
+
+    def _update_expected(self, now: float) -> None:
+        """Expect one worker only, once all have been ready or the first one has waited long enough."""
+        ready = len(self._membership.ready())
+        if not ready:
+            return
+        if self._first_ready_at is None:
+            self._first_ready_at = now
+        if ready >= self._expected or now - self._first_ready_at >= EXPECT_S:
+            self._expected = 1
+
+
+def spread(islands: int, first: int, workers: Sequence[str]) -> tuple[str, ...]:
+    """Return for each island its worker: evenly, in turn over the sorted workers.
+
+    Args:
+        islands: how many there are.
+        first: islands placed before (of the job's other variables), so that the turn goes on where it stopped and
+            variables with fewer islands than workers come to lie on different workers.
+        workers: at least one, names unique.
+    """
+    order = sorted(workers)
+    return tuple(order[(first + island) % len(order)] for island in range(islands))

@@ -8,7 +8,7 @@ from atoll.config import JobConfig
 from atoll.errors import StoreError
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.store.store import JobRecord, Store
-from tests.unit.coordinator.service.requests.test_clients import Silent
+from tests.unit.coordinator.service.requests.test_clients import Tasks, controller_of
 
 EQUATION = {
     "variable": "x", "lhs": "dx/dt", "epoch": 3, "error": 0.1, "normalized_error": 0.01, "complexity": 3,
@@ -22,7 +22,7 @@ def recovered(store: Store, result: str) -> Controller:
     blob = store.put_blob(b"t,x\n0,1\n")
     store.add_job(JobRecord("job", "a job", JobConfig(seed=3).model_dump_json(), blob, "2026-01-01T00:00:00"))
     store.commit_result("job", "done", result)
-    controller = Controller(store, Silent(), lambda: "2026-01-01T00:00:01")
+    controller = controller_of(store, Tasks())
     controller.recover(0.0)
     return controller
 

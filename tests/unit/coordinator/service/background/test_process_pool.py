@@ -27,6 +27,7 @@ from atoll.wire.bus.simulated_bus import SimulatedNetwork
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.service.background import process_pool as module
 from atoll_coordinator.service.background.child_process import ProcessDiedError, cause_of
+from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.background.process_pool import ProcessPool, TaskCancelledError
 from atoll_coordinator.service.background.runner import TaskRunner
 from atoll_coordinator.service.background.tasks import (
@@ -39,7 +40,6 @@ from atoll_coordinator.service.background.tasks import (
     refine_job,
 )
 from atoll_coordinator.service.jobs.job import Prepared
-from atoll_coordinator.service.ports import Ports
 from atoll_coordinator.service.search.archipelago import Checkpoint
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store

@@ -15,18 +15,18 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Pool, Refinement
 from atoll_coordinator.service.jobs.job import (
     JOB_TRANSITIONS,
-    Conclude,
+    CommitCuts,
+    CommitResult,
     Job,
-    KeepCuts,
     Prepared,
+    PublishCommit,
     Refine,
-    TellCommit,
     check_program,
     commit_order_of,
     measure_of,
 )
-from atoll_coordinator.service.search.checkpoints import StoredProgress
-from atoll_coordinator.service.search.collector import Progress
+from atoll_coordinator.service.search.checkpoints import StoredSearchState
+from atoll_coordinator.service.search.collector import SearchState
 from atoll_coordinator.service.search.cut import Cut, stored
 from atoll_coordinator.service.store.jobs import JobRecord
 
@@ -47,8 +47,8 @@ def job_with(**budget: object) -> Job:
 
 def running(**budget: object) -> Job:
     job = job_with(**budget)
-    job.prepare()
-    job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {})
+    job.start_preparing()
+    job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {})
     for archipelago in job.archipelagos.values():
         archipelago.place(
             Placement(
@@ -63,7 +63,7 @@ def running(**budget: object) -> Job:
             ),
             0.0,
         )
-    job.start(0.0)
+    job.start_search(0.0)
     return job
 
 
@@ -91,22 +91,22 @@ def test_nothing_leads_out_of_a_final_state_and_everything_can_be_cancelled_befo
 def test_a_job_runs_until_every_variable_is_cut() -> None:
     job = running(max_epochs=1)
     for variable in ("x", "y"):
-        assert job.receive("w0", report(0, 0, variable), 1.0) == []
-        actions = job.receive("w1", report(1, 0, variable), 2.0)
-        assert isinstance(actions[0], KeepCuts)
+        assert job.add_report("w0", report(0, 0, variable), 1.0) == []
+        actions = job.add_report("w1", report(1, 0, variable), 2.0)
+        assert isinstance(actions[0], CommitCuts)
         assert any(isinstance(action, Refine) for action in actions) == (variable == "y")
     assert job.state == "refining"
     job.validate()
-    assert job.take_refined(Refinement()) == [Conclude()]
+    assert job.finish(Refinement()) == [CommitResult()]
     assert job.state == "done"
-    assert job.take_refined(Refinement()) == []
+    assert job.finish(Refinement()) == []
 
 
 def test_the_fronts_of_all_variables_are_refined_before_a_job_is_done() -> None:
     job = running(max_epochs=1)
     for variable in ("y", "x"):
-        job.receive("w0", report(0, 0, variable), 1.0)
-        *_, last = job.receive("w1", report(1, 0, variable), 2.0)
+        job.add_report("w0", report(0, 0, variable), 1.0)
+        *_, last = job.add_report("w1", report(1, 0, variable), 2.0)
     assert isinstance(last, Refine)
     errors = {name: [entry.error for entry in pool.front] for name, pool in last.pools.items()}
     assert errors == {"x": [0.5], "y": [0.5]}
@@ -116,15 +116,15 @@ def test_a_job_can_be_cancelled_while_it_is_refined() -> None:
     job = running(max_epochs=1)
     for variable in ("x", "y"):
         for island in (0, 1):
-            job.receive(f"w{island}", report(island, 0, variable), 1.0)
-    assert job.cancel() == [Conclude()]
+            job.add_report(f"w{island}", report(island, 0, variable), 1.0)
+    assert job.cancel() == [CommitResult()]
     assert job.state == "cancelled"
 
 
 def test_a_variable_can_have_fewer_epochs_than_the_others() -> None:
     job = running(max_epochs=9, max_epochs_of={"y": 1})
-    job.receive("w0", report(0, 0, "y"), 1.0)
-    job.receive("w1", report(1, 0, "y"), 1.0)
+    job.add_report("w0", report(0, 0, "y"), 1.0)
+    job.add_report("w1", report(1, 0, "y"), 1.0)
     assert [each.variable for each in job.open_archipelagos] == ["x"]
 
 
@@ -132,20 +132,20 @@ def test_time_cuts_every_variable() -> None:
     job = running(max_time=10.0)
     for variable in ("x", "y"):
         for island in (0, 1):
-            job.receive(f"w{island}", report(island, 0, variable), 1.0)
+            job.add_report(f"w{island}", report(island, 0, variable), 1.0)
     assert job.tick(9.9) == []
     actions = job.tick(10.0)
-    assert [type(action) for action in actions] == [KeepCuts, Refine]
-    assert isinstance(actions[0], KeepCuts)
+    assert [type(action) for action in actions] == [CommitCuts, Refine]
+    assert isinstance(actions[0], CommitCuts)
     assert [cut.variable for cut in actions[0].cuts] == ["x", "y"]
     assert job.state == "refining"
 
 
 def test_cancelling_keeps_what_was_found_and_happens_once() -> None:
     job = running()
-    job.receive("w0", report(0, 0), 1.0)
-    job.receive("w1", report(1, 0), 1.0)
-    assert job.cancel() == [Conclude()]
+    job.add_report("w0", report(0, 0), 1.0)
+    job.add_report("w1", report(1, 0), 1.0)
+    assert job.cancel() == [CommitResult()]
     cuts = [archipelago.cut for archipelago in job.archipelagos.values() if archipelago.cut is not None]
     assert [(cut.variable, cut.epochs, cut.why) for cut in cuts] == [("x", 1, "cancelled"), ("y", 0, "cancelled")]
     assert job.state == "cancelled"
@@ -154,15 +154,15 @@ def test_cancelling_keeps_what_was_found_and_happens_once() -> None:
 
 
 def test_a_job_can_be_cancelled_before_it_is_prepared() -> None:
-    assert job_with().cancel() == [Conclude()]
+    assert job_with().cancel() == [CommitResult()]
 
 
 def test_divergence_fails_the_job() -> None:
     job = running()
-    job.receive("w0", report(0, 0), 1.0)
+    job.add_report("w0", report(0, 0), 1.0)
     other = report(0, 0)
     changed = other.islands[0].model_copy(update={"digest": "f" * 32})
-    assert job.receive("w0", other.model_copy(update={"islands": (changed,)}), 1.0) == [Conclude()]
+    assert job.add_report("w0", other.model_copy(update={"islands": (changed,)}), 1.0) == [CommitResult()]
     assert (job.state, job.fault) == ("failed", "diverged")
 
 
@@ -181,13 +181,13 @@ def test_divergence_fails_the_job() -> None:
 def test_reports_that_cannot_be_are_refused_and_change_nothing(worker: str, wrong: EpochReport) -> None:
     job = running()
     with pytest.raises(RemoteProtocolError):
-        job.receive(worker, wrong, 1.0)
+        job.add_report(worker, wrong, 1.0)
     assert job.archipelagos["x"].collector.first_missing([0], 1) == 0
 
 
 def test_reports_of_a_lower_term_are_dropped() -> None:
     job = running()
-    assert job.receive("w0", report(0, 0, term=1), 1.0) == []
+    assert job.add_report("w0", report(0, 0, term=1), 1.0) == []
     assert job.archipelagos["x"].collector.first_missing([0], 1) == 0
 
 
@@ -196,8 +196,8 @@ def test_workers_are_told_in_steps_what_all_islands_have_reported() -> None:
     commits = []
     for epoch in range(40):
         for island in (0, 1):
-            actions = job.receive(f"w{island}", report(island, epoch), 1.0)
-            commits += [(epoch, action.commit) for action in actions if isinstance(action, TellCommit)]
+            actions = job.add_report(f"w{island}", report(island, epoch), 1.0)
+            commits += [(epoch, action.commit) for action in actions if isinstance(action, PublishCommit)]
     assert [(epoch, commit.reported, commit.epoch) for epoch, commit in commits] == [(16, 16, 0), (32, 32, 0)]
 
 
@@ -205,7 +205,7 @@ def test_under_a_new_term_old_epochs_count_once() -> None:
     job = running(stagnation=1000)
     for epoch in range(20):
         for island in (0, 1):
-            job.receive(f"w{island}", report(island, epoch), 1.0)
+            job.add_report(f"w{island}", report(island, epoch), 1.0)
     archipelago = job.archipelagos["x"]
     assert archipelago.placement is not None
     archipelago.place(archipelago.placement.model_copy(update={"term": 3}), 5.0)
@@ -213,58 +213,58 @@ def test_under_a_new_term_old_epochs_count_once() -> None:
     assert commit is not None
     assert (commit.term, commit.epoch, commit.reported) == (3, 0, 0)
     for island in (0, 1):
-        assert job.receive(f"w{island}", report(island, 0, term=3), 6.0) == []
-    assert archipelago.collector.progress.epochs == 20
-    assert archipelago.collector.progress.evaluations == {"offspring": 20}
+        assert job.add_report(f"w{island}", report(island, 0, term=3), 6.0) == []
+    assert archipelago.collector.state.epochs == 20
+    assert archipelago.collector.state.evaluations == {"offspring": 20}
 
 
 def test_a_job_goes_on_from_its_checkpoints_and_from_the_time_it_had_taken() -> None:
     job = job_with()
-    job.prepare()
-    kept = StoredProgress.of(Progress(epochs=24, evaluations={"offspring": 7}, improved_at=3), 12.5)
-    assert job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {}, {"x": kept}) == []
+    job.start_preparing()
+    kept = StoredSearchState.of(SearchState(epochs=24, evaluations={"offspring": 7}, improved_at=3), 12.5)
+    assert job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {}, {"x": kept}) == []
     resumed, new = job.archipelagos["x"], job.archipelagos["y"]
-    assert (resumed.durable, resumed.collector.progress.epochs, resumed.collector.progress.improved_at) == (24, 24, 3)
-    assert (new.durable, new.collector.progress.epochs) == (0, 0)
+    assert (resumed.durable, resumed.collector.state.epochs, resumed.collector.state.improved_at) == (24, 24, 3)
+    assert (new.durable, new.collector.state.epochs) == (0, 0)
     assert job.search_seconds(5.0) == 12.5
-    job.start(5.0)
+    job.start_search(5.0)
     assert job.search_seconds(6.0) == 13.5
 
 
 def test_the_time_of_what_has_ended_counts_after_a_restart() -> None:
     before = running(max_epochs=9, max_epochs_of={"y": 1})
     for island in (0, 1):
-        before.receive(f"w{island}", report(island, 0, "y"), 3.5)
+        before.add_report(f"w{island}", report(island, 0, "y"), 3.5)
     cut = before.archipelagos["y"].cut
     assert cut is not None
     job = job_with()
-    job.prepare()
-    job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"y": cut})
+    job.start_preparing()
+    job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"y": cut})
     assert job.search_seconds(5.0) == 3.5
 
 
 def test_reports_that_a_heartbeat_promises_and_that_did_not_come_are_pulled() -> None:
     job = running()
-    job.receive("w0", report(0, 0), 1.0)
-    job.receive("w0", report(0, 2), 1.0)
+    job.add_report("w0", report(0, 0), 1.0)
+    job.add_report("w0", report(0, 2), 1.0)
     holding = Holding(job="job", variable="x", term=2, islands=1, reported=3, commit=0)
     pull = job.archipelagos["x"].missing_reports("w0", holding)
     assert pull is not None
     assert (pull.first, pull.last, pull.term) == (1, 3, 2)
-    job.receive("w0", report(0, 1), 1.0)
+    job.add_report("w0", report(0, 1), 1.0)
     assert job.archipelagos["x"].missing_reports("w0", holding) is None
 
 
 def test_cuts_that_were_committed_before_a_restart_stand() -> None:
     job = job_with()
-    job.prepare()
+    job.start_preparing()
     cut = Cut(variable="x", epochs=3, generation=None, why="max-time", front=(), evaluations={}, seconds=1.0)
-    assert job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"x": cut}) == []
+    assert job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"x": cut}) == []
     assert [each.variable for each in job.open_archipelagos] == ["y"]
     other = job_with()
-    other.prepare()
+    other.start_preparing()
     both = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
-    assert other.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), both) == [
+    assert other.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), both) == [
         Refine({"x": Pool(()), "y": Pool(())})
     ]
 
@@ -281,9 +281,9 @@ def test_a_noisy_target_s_search_goes_on_below_its_floor() -> None:
 
 def test_the_number_of_runners_up_and_the_patience_are_those_of_the_configuration() -> None:
     job = job_with(stagnation=7)
-    job.prepare()
+    job.start_preparing()
     config = job.config.model_copy(update={"evolution": job.config.evolution.model_copy(update={"runners_up": 3})})
-    job.begin(Prepared(Preparation(DATASET), config, BLOB, 100), {})
+    job.start(Prepared(Preparation(DATASET), config, BLOB, 100), {})
     limits = job.archipelagos["x"].collector.limits
     assert (limits.runners_up, limits.stagnation) == (3, 7)
 
@@ -291,7 +291,7 @@ def test_the_number_of_runners_up_and_the_patience_are_those_of_the_configuratio
 def test_impossible_steps_are_our_bug() -> None:
     job = job_with()
     with pytest.raises(LocalProtocolError, match="queued and cannot prepared"):
-        job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), {})
+        job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {})
     with pytest.raises(LocalProtocolError, match="before it is prepared"):
         job.announcement()
 
@@ -304,7 +304,7 @@ def test_programs_are_checked() -> None:
 
 def test_runners_up_are_handed_on_beside_the_front() -> None:
     job = job_with()
-    job.prepare()
+    job.start_preparing()
     best, next_best = (FrontEntry(1, error, error, 0, 5, 0, bytes([1, 0, 0, 0, 0, 0])) for error in (0.5, 0.6))
     cut = Cut(
         variable="x",
@@ -317,5 +317,5 @@ def test_runners_up_are_handed_on_beside_the_front() -> None:
         seconds=1.0,
     )
     cuts = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
-    (refine,) = job.begin(Prepared(Preparation(DATASET), job.config, BLOB, 100), cuts)
+    (refine,) = job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), cuts)
     assert refine == Refine({name: Pool((best,), (next_best,)) for name in ("x", "y")})

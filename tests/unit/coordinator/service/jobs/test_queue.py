@@ -2,7 +2,7 @@
 
 from atoll.config import JobConfig
 from atoll_coordinator.service.jobs.job import Job
-from atoll_coordinator.service.jobs.queue import MAX_RUNNING, ahead_of, in_line, next_job, waits_for_turn
+from atoll_coordinator.service.jobs.queue import MAX_RUNNING, ahead_of, next_job, waiting_jobs, waits_for_turn
 from atoll_coordinator.service.store.jobs import JobRecord
 
 
@@ -14,7 +14,7 @@ def job(name: str, priority: int = 0, state: str = "queued") -> Job:
 
 def test_higher_priority_comes_first_then_who_came_first() -> None:
     jobs = [job("a"), job("b", 2), job("c", -1), job("d", 2), job("e", state="running")]
-    assert [each.id for each in in_line(jobs)] == ["b", "d", "a", "c"]
+    assert [each.id for each in waiting_jobs(jobs)] == ["b", "d", "a", "c"]
     assert [ahead_of(each, jobs) for each in jobs] == [2, 0, 3, 1, None]
 
 

@@ -1,7 +1,7 @@
 """Clients' questions: each gets one answer, and what is wrong a sentence."""
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -35,34 +35,34 @@ TABLE = b"t,x\n0,1\n"
 BLOB = hashlib.sha256(TABLE).hexdigest()
 
 
-class Silent:
-    """An outlet that keeps what it is told."""
+class Tasks:
+    """Takes the place of channel and task runner, and records what is started, cancelled and sent."""
 
     def __init__(self) -> None:
-        self.said: list[object] = []
+        self.calls: list[tuple[object, ...]] = []
 
-    def tell(self, body: object, worker: str | None = None) -> None:
-        self.said.append((worker, body))
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        return lambda *arguments: self.calls.append((name, *arguments))
 
-    def pull(self, worker: str, body: object) -> None:
-        self.said.append((worker, body))
-
-    def prepare(self, job: str, table: bytes, config: JobConfig) -> None:
-        self.said.append((job, table))
-
-    def stop(self, job: str) -> None:
-        self.said.append((None, f"stop {job}"))
+    @property
+    def prepared(self) -> list[tuple[object, ...]]:
+        return [(job, table) for name, job, table, *_ in (call for call in self.calls if call[0] == "prepare")]
 
 
-@pytest.fixture
-def outlet() -> Silent:
-    return Silent()
+def controller_of(store: Store, tasks: Tasks, time: str = "2026-01-01T00:00:00") -> Controller:
+    """Return a controller that reaches no workers and starts no processes."""
+    return Controller(store, tasks, tasks, lambda: time)
 
 
 @pytest.fixture
-def clients(outlet: Silent) -> Iterator[ClientRequests]:
+def tasks() -> Tasks:
+    return Tasks()
+
+
+@pytest.fixture
+def clients(tasks: Tasks) -> Iterator[ClientRequests]:
     with Store.open(None) as store:
-        controller = Controller(store, outlet, lambda: "2026-01-01T00:00:00")
+        controller = controller_of(store, tasks)
         deletion = JobDeletion(controller, store, lambda: "2026-01-01T00:00:00")
         yield ClientRequests(controller, store, Authorization(None, store), deletion, lambda: 5.0)
 
@@ -128,12 +128,12 @@ def test_an_ended_job_is_deleted_and_a_live_one_refused(clients: ClientRequests)
     assert not clients._store.has_blob(BLOB)
 
 
-def test_a_submitted_job_is_prepared_and_listed(clients: ClientRequests, outlet: Silent) -> None:
+def test_a_submitted_job_is_prepared_and_listed(clients: ClientRequests, tasks: Tasks) -> None:
     clients.answer("ann", chunk())
     answer = clients.answer("ann", Ask(body=Submit(job="j", name="n", config=JobConfig(seed=3), table=BLOB)))
     assert isinstance(answer, JobStatus)
     assert (answer.job.state, answer.job.seed) == ("preparing", 3)
-    assert outlet.said == [("j", TABLE)]
+    assert tasks.prepared == [("j", TABLE)]
     listed = clients.answer("ann", Ask(body=Jobs()))
     assert isinstance(listed, JobList)
     assert [view.job for view in listed.jobs] == ["j"]
@@ -141,7 +141,7 @@ def test_a_submitted_job_is_prepared_and_listed(clients: ClientRequests, outlet:
 
 
 def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(
-    clients: ClientRequests, outlet: Silent
+    clients: ClientRequests, tasks: Tasks
 ) -> None:
     clients.answer("ann", chunk())
     for name in ("a", "b"):
@@ -151,8 +151,8 @@ def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(
     cancelled = clients.answer("ann", Ask(body=Cancel(job="a")))
     assert isinstance(cancelled, JobStatus)
     assert cancelled.job.state == "cancelled"
-    assert ("b", TABLE) in outlet.said
-    assert (None, "stop a") in outlet.said  # it may be at work still
+    assert ("b", TABLE) in tasks.prepared
+    assert ("cancel", "a") in tasks.calls  # it may be at work still
     assert "before its search began" in failure(clients.answer("ann", Ask(body=GetResult(job="a")))).sentence
 
 
@@ -165,12 +165,12 @@ def test_without_workers_the_list_is_empty(clients: ClientRequests) -> None:
     assert clients.answer("ann", Ask(body=Workers())) == WorkerList(workers=())
 
 
-def test_a_stored_job_that_is_not_understood_fails_and_the_others_go_on(outlet: Silent) -> None:
+def test_a_stored_job_that_is_not_understood_fails_and_the_others_go_on(tasks: Tasks) -> None:
     with Store.open(None) as store:
         blob = store.put_blob(TABLE)
         for job, spec in (("old", '{"colour": "red"}'), ("torn", "{"), ("good", JobConfig(seed=3).model_dump_json())):
             store.add_job(JobRecord(job, job, spec, blob, "2026-01-01T00:00:00"))
-        controller = Controller(store, outlet, lambda: "2026-01-01T00:00:01")
+        controller = controller_of(store, tasks, "2026-01-01T00:00:01")
         controller.recover(0.0)
         assert list(controller.jobs) == ["good"]
         for job, said in (("old", "colour"), ("torn", "JSON")):
@@ -178,13 +178,13 @@ def test_a_stored_job_that_is_not_understood_fails_and_the_others_go_on(outlet: 
             assert view is not None
             assert (view.state, store.jobs()[0].state) == ("failed", "failed")
             assert said in (view.reason or "")
-        again = Controller(store, outlet, lambda: "2026-01-01T00:00:02")
+        again = controller_of(store, tasks, "2026-01-01T00:00:02")
         again.recover(2.0)
         assert (list(again.jobs), sorted(again.ended)) == (["good"], ["old", "torn"])
 
 
 def test_a_job_that_a_full_disk_kept_from_being_prepared_is_prepared_later(
-    clients: ClientRequests, outlet: Silent, monkeypatch: pytest.MonkeyPatch
+    clients: ClientRequests, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def is_full(*_: object, **__: object) -> bool:
         raise StoreError("the disk is full")
@@ -194,9 +194,9 @@ def test_a_job_that_a_full_disk_kept_from_being_prepared_is_prepared_later(
         full.setattr(Store, "update_job", is_full)
         ask = Ask(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB))
         assert "full" in failure(clients.answer("ann", ask)).sentence
-    assert outlet.said == []
+    assert tasks.prepared == []
     clients._controller.tick(6.0)
-    assert outlet.said == [("j", TABLE)]
+    assert tasks.prepared == [("j", TABLE)]
 
 
 def test_a_cancellation_that_cannot_be_made_durable_ends_the_coordinator(

@@ -14,7 +14,7 @@ from atoll_coordinator.service.requests.deletion import CHECK_INTERVAL_S, JobDel
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.retention import Retention
 from atoll_coordinator.service.store.store import Store
-from tests.unit.coordinator.service.requests.test_clients import Silent
+from tests.unit.coordinator.service.requests.test_clients import Tasks, controller_of
 
 DAY = 86400.0
 
@@ -34,7 +34,7 @@ def add(store: Store, name: str, finished: str | None) -> None:
 
 
 def deletion(store: Store, retention: Retention = Retention()) -> tuple[JobDeletion, Controller]:  # noqa: B008
-    controller = Controller(store, Silent(), lambda: "2026-01-31T00:00:00.000+00:00")
+    controller = controller_of(store, Tasks(), "2026-01-31T00:00:00.000+00:00")
     controller.recover(0.0)
     return JobDeletion(controller, store, lambda: "2026-01-31T00:00:00.000+00:00", retention), controller
 
@@ -57,7 +57,7 @@ def test_an_ended_job_is_deleted_and_its_end_is_noted(store: Store) -> None:
     deletes, controller = deletion(store)
     deletes.delete("a", "a client asked for it")
     assert (store.jobs(), controller.view("a", 0.0), controller.result("a", 0.0)) == ((), None, None)
-    (event,) = controller.watch.chronicle.read(None, 0, 9)
+    (event,) = controller.events.read(None, 0, 9)
     assert (event.event, event.job, event.text) == ("deleted", None, "job a is deleted: a client asked for it")
     deletes.delete("a", "the answer was lost, and it is asked for again")
 

@@ -47,7 +47,7 @@ def report(made: Archipelago, first: int, last: int, term: int = 1) -> None:
                 island=island, generations=10, hit=None, additions=(), counters=(tally,), best_error=None,
                 digest=f"{epoch:08x}{island:08x}",
             )  # fmt: skip
-            made.receive(worker, EpochReport(job="job", variable="x", term=term, epoch=epoch, islands=(each,)), 1.0)
+            made.add_report(worker, EpochReport(job="job", variable="x", term=term, epoch=epoch, islands=(each,)), 1.0)
 
 
 def state(island: int, epoch: int) -> State:
@@ -59,20 +59,20 @@ def hold(made: Archipelago, *snapshots: int, term: int = 1) -> None:
         holding = Holding(
             job="job", variable="x", term=term, islands=1, reported=0, commit=made.durable, snapshots=snapshots
         )
-        made.note_holding(worker, holding)
+        made.update_holding(worker, holding)
 
 
 def answer(made: Archipelago) -> None:
-    for worker, pull in made.asks(9):
-        made.take_states(worker, pull, States(pieces=cut(pull.islands, 0, lambda k, at=pull.epoch: state(k, at))))  # type: ignore[misc]
+    for worker, pull in made.next_pulls(9):
+        made.add_states(worker, pull, States(pieces=cut(pull.islands, 0, lambda k, at=pull.epoch: state(k, at))))  # type: ignore[misc]
 
 
 def commit(made: Archipelago, epoch: int, now: float, term: int = 1) -> tuple[Checkpoint, Commit]:
     hold(made, epoch, term=term)
     answer(made)
-    checkpoint = made.checkpoint_due()
+    checkpoint = made.take_complete_checkpoint()
     assert checkpoint is not None
-    told = made.committed(checkpoint, now)
+    told = made.mark_durable(checkpoint, now)
     assert told is not None
     made.validate()
     return checkpoint, told
@@ -81,21 +81,21 @@ def commit(made: Archipelago, epoch: int, now: float, term: int = 1) -> tuple[Ch
 def test_a_checkpoint_is_written_when_its_states_and_all_reports_before_it_are_there() -> None:
     made = archipelago()
     place(made, 1)
-    assert made.asks(9) == []
+    assert made.next_pulls(9) == []
     hold(made, 8)
     answer(made)
     report(made, 0, 7)
-    assert made.checkpoint_due() is None
+    assert made.take_complete_checkpoint() is None
     report(made, 7, 11)
-    checkpoint = made.checkpoint_due()
+    checkpoint = made.take_complete_checkpoint()
     assert checkpoint is not None
-    assert (checkpoint.epoch, checkpoint.term, checkpoint.progress.epochs) == (8, 1, 8)
-    assert checkpoint.progress.evaluations == {"offspring": 16}
+    assert (checkpoint.epoch, checkpoint.term, checkpoint.search_state.epochs) == (8, 1, 8)
+    assert checkpoint.search_state.evaluations == {"offspring": 16}
     assert checkpoint.states == {island: state(island, 8) for island in (0, 1)}
     assert made.is_writing
-    assert made.checkpoint_due() is None
-    assert made.asks(9) == []
-    told = made.committed(checkpoint, 4.0)
+    assert made.take_complete_checkpoint() is None
+    assert made.next_pulls(9) == []
+    told = made.mark_durable(checkpoint, 4.0)
     assert told is not None
     assert (told.epoch, told.schedule.next, made.durable, made.is_writing) == (8, 16, 8, False)
 
@@ -105,9 +105,9 @@ def test_only_checkpoints_that_were_told_of_are_gathered() -> None:
     place(made, 1)
     report(made, 0, 12)
     hold(made, 7)
-    assert made.asks(9) == []
+    assert made.next_pulls(9) == []
     hold(made, 8, 16)
-    assert {pull.epoch for _, pull in made.asks(9)} == {16}
+    assert {pull.epoch for _, pull in made.next_pulls(9)} == {16}
 
 
 def test_the_next_interval_follows_from_the_time_that_epochs_took() -> None:
@@ -125,8 +125,8 @@ def test_a_new_term_begins_at_the_commit_and_old_reports_are_compared_not_counte
     commit(made, 8, 1.0)
     place(made, 2)
     report(made, 8, 20, term=2)
-    assert made.collector.progress.epochs == 20
-    assert made.collector.progress.evaluations == {"offspring": 40}
+    assert made.collector.state.epochs == 20
+    assert made.collector.state.evaluations == {"offspring": 40}
     _, told = commit(made, made.durable + made.interval, 2.0, term=2)
     assert (told.term, told.epoch) == (2, 16)
 
@@ -145,12 +145,12 @@ def test_answers_of_a_former_term_are_dropped() -> None:
     made = archipelago()
     place(made, 1)
     hold(made, 8)
-    asks = made.asks(9)
+    asks = made.next_pulls(9)
     place(made, 2)
     for worker, pull in asks:
-        made.take_states(worker, pull, States(pieces=cut(pull.islands, 0, lambda island: state(island, 8))))
+        made.add_states(worker, pull, States(pieces=cut(pull.islands, 0, lambda island: state(island, 8))))
     report(made, 0, 8, term=2)
-    assert made.checkpoint_due() is None
+    assert made.take_complete_checkpoint() is None
 
 
 def test_a_write_that_ends_under_another_term_is_not_told() -> None:
@@ -159,10 +159,10 @@ def test_a_write_that_ends_under_another_term_is_not_told() -> None:
     report(made, 0, 8)
     hold(made, 8)
     answer(made)
-    checkpoint = made.checkpoint_due()
+    checkpoint = made.take_complete_checkpoint()
     assert checkpoint is not None
     made.unplace()
-    assert made.committed(checkpoint, 1.0) is None
+    assert made.mark_durable(checkpoint, 1.0) is None
     assert made.durable == 8
 
 
@@ -204,9 +204,9 @@ def test_what_was_committed_earlier_is_where_the_first_term_begins() -> None:
     place(other, 1)
     report(other, 0, 8)
     checkpoint, _ = commit(other, 8, 1.0)
-    made.resume(checkpoint.stored_progress(1.0).progress())
+    made.resume(checkpoint.stored_search_state(1.0).search_state())
     place(made, 2)
     report(made, 8, 12, term=2)
     report(other, 8, 12)
-    assert made.collector.progress == other.collector.progress
+    assert made.collector.state == other.collector.state
     assert made.interval == FIRST_INTERVAL

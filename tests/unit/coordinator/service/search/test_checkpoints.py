@@ -21,12 +21,12 @@ from atoll_coordinator.service.search.checkpoints import (
     PAUSE_S,
     SHARE,
     Gathering,
-    StoredProgress,
+    StoredSearchState,
     common_epoch,
     interval_of,
     schedule_after,
 )
-from atoll_coordinator.service.search.collector import Progress
+from atoll_coordinator.service.search.collector import SearchState
 
 STATES = {island: State.of(bytes([island]) * 30) for island in range(4)}
 PLACEMENT = Placement(
@@ -93,38 +93,38 @@ def answered(islands: tuple[int, ...], offset: int = 0, room: int = 1000) -> Sta
 
 def test_every_worker_is_asked_one_question_at_a_time_until_all_states_are_there() -> None:
     gathering = Gathering(PLACEMENT, 24)
-    ((worker, pull),) = gathering.asks(1)
+    ((worker, pull),) = gathering.next_pulls(1)
     assert (worker, pull.islands, pull.epoch, pull.term, gathering.under_way) == ("a", (0, 2), 24, 3, 1)
-    ((other, _),) = gathering.asks(5)
+    ((other, _),) = gathering.next_pulls(5)
     assert other == "b"
-    assert gathering.asks(5) == []
-    gathering.take("a", answered((0, 2), room=40))
-    ((_, rest),) = gathering.asks(5)
+    assert gathering.next_pulls(5) == []
+    gathering.add("a", answered((0, 2), room=40))
+    ((_, rest),) = gathering.next_pulls(5)
     assert (rest.islands, rest.offset) == ((2,), 10)
-    gathering.take("a", answered((2,), offset=10))
-    gathering.take("b", None)
+    gathering.add("a", answered((2,), offset=10))
+    gathering.add("b", None)
     assert not gathering.is_complete
-    assert [worker for worker, _ in gathering.asks(5)] == ["b"]
-    gathering.take("stranger", answered((1, 3)))
-    gathering.take("b", answered((1, 3)))
+    assert [worker for worker, _ in gathering.next_pulls(5)] == ["b"]
+    gathering.add("stranger", answered((1, 3)))
+    gathering.add("b", answered((1, 3)))
     assert gathering.is_complete
     assert gathering.states == STATES
 
 
 def test_a_damaged_state_is_asked_for_again() -> None:
     gathering = Gathering(PLACEMENT, 24)
-    gathering.asks(5)
+    gathering.next_pulls(5)
     (piece, *_) = answered((0, 2)).pieces
     with pytest.raises(RemoteProtocolError, match="damaged"):
-        gathering.take("a", States(pieces=(piece.model_copy(update={"data": b"x" * 30}),)))
-    ((worker, pull),) = gathering.asks(5)
+        gathering.add("a", States(pieces=(piece.model_copy(update={"data": b"x" * 30}),)))
+    ((worker, pull),) = gathering.next_pulls(5)
     assert (worker, pull.islands, pull.offset) == ("a", (0, 2), 0)
 
 
 @pytest.mark.parametrize("best_length", [12.5, -3.0, math.inf])
 def test_progress_comes_back_from_the_store_as_it_was(best_length: float) -> None:
     entry = FrontEntry(3, 0.1, 0.02, 5, 40, 1, b"\x01\x02")
-    progress = Progress(
+    state = SearchState(
         epochs=24,
         front=(entry,),
         runners_up=(entry,),
@@ -134,7 +134,7 @@ def test_progress_comes_back_from_the_store_as_it_was(best_length: float) -> Non
         improved_at=7,
         seconds=1.5,
     )
-    stored = decode(encode(StoredProgress.of(progress, 3.5)), StoredProgress)
-    assert stored.progress() == progress
+    stored = decode(encode(StoredSearchState.of(state, 3.5)), StoredSearchState)
+    assert stored.search_state() == state
     assert stored.search_seconds == 3.5
-    assert all(isinstance(one, int) and isinstance(two, int) for one, two in pairwise(stored.progress().counted))
+    assert all(isinstance(one, int) and isinstance(two, int) for one, two in pairwise(stored.search_state().counted))

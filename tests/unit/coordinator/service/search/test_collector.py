@@ -65,47 +65,47 @@ def report(
 
 
 def fill(collector: Collector, epoch: int, *reports: IslandReport) -> None:
-    collector.receive("w", epoch, reports or (report(0), report(1)), float(epoch + 1))
+    collector.add_reports("w", epoch, reports or (report(0), report(1)), float(epoch + 1))
 
 
 def test_an_epoch_counts_when_all_islands_have_reported_it(collector: Collector) -> None:
-    assert not collector.receive("w0", 0, [report(0)], 1.0)
-    assert collector.progress.epochs == 0
-    assert collector.receive("w1", 0, [report(1)], 2.0)
-    assert collector.progress.epochs == 1
-    assert collector.progress.seconds == 2.0
+    assert not collector.add_reports("w0", 0, [report(0)], 1.0)
+    assert collector.state.epochs == 0
+    assert collector.add_reports("w1", 0, [report(1)], 2.0)
+    assert collector.state.epochs == 1
+    assert collector.state.seconds == 2.0
 
 
 def test_later_epochs_wait_for_earlier_ones(collector: Collector) -> None:
     fill(collector, 1)
-    assert collector.progress.epochs == 0
+    assert collector.state.epochs == 0
     fill(collector, 0)
-    assert collector.progress.epochs == 2
+    assert collector.state.epochs == 2
 
 
 def test_the_same_report_again_changes_nothing_not_even_counters(collector: Collector) -> None:
     fill(collector, 0)
-    before = collector.progress.evaluations
-    assert not collector.receive("w9", 0, [report(0), report(1)], 9.0)
-    assert collector.progress.evaluations == before == {"fit": 40, "offspring": 20}
+    before = collector.state.evaluations
+    assert not collector.add_reports("w9", 0, [report(0), report(1)], 9.0)
+    assert collector.state.evaluations == before == {"fit": 40, "offspring": 20}
 
 
 def test_another_digest_for_the_same_key_is_divergence_and_names_both_workers(collector: Collector) -> None:
-    collector.receive("first", 0, [report(0)], 1.0)
+    collector.add_reports("first", 0, [report(0)], 1.0)
     with pytest.raises(DivergedError, match=r"first and second .* island 0 of x in epoch 0"):
-        collector.receive("second", 0, [report(0, digest="cd" * 16)], 2.0)
+        collector.add_reports("second", 0, [report(0, digest="cd" * 16)], 2.0)
 
 
 def test_divergence_is_noticed_also_after_the_epoch_was_complete(collector: Collector) -> None:
     fill(collector, 0)
     with pytest.raises(DivergedError):
-        collector.receive("late", 0, [report(1, digest="cd" * 16)], 2.0)
+        collector.add_reports("late", 0, [report(1, digest="cd" * 16)], 2.0)
 
 
 @pytest.mark.parametrize(("epoch", "island"), [(50, 0), (0, 2)])
 def test_islands_and_epochs_that_do_not_exist_are_refused(collector: Collector, epoch: int, island: int) -> None:
     with pytest.raises(RemoteProtocolError, match="there is none such"):
-        collector.receive("w", epoch, [report(0), report(island)], 1.0)
+        collector.add_reports("w", epoch, [report(0), report(island)], 1.0)
     assert collector.first_missing([0], 1) == 0
 
 
@@ -155,14 +155,14 @@ def test_what_an_island_did_beyond_the_hit_does_not_matter() -> None:
 
 
 def test_an_island_before_the_hit_must_have_come_as_far(collector: Collector) -> None:
-    assert not collector.receive("w", 0, [report(1, hit=20)], 1.0)
-    assert not collector.receive("w", 0, [report(0, generations=10)], 1.0)
+    assert not collector.add_reports("w", 0, [report(1, hit=20)], 1.0)
+    assert not collector.add_reports("w", 0, [report(0, generations=10)], 1.0)
     assert collector.cut is None
 
 
 def test_an_island_after_the_hit_counts_to_the_slice_before_and_need_not_have_begun(collector: Collector) -> None:
     fill(collector, 0, report(0, count=100), report(1, count=300))
-    assert collector.receive("w", 1, [report(0, hit=10, count=1100)], 2.0)
+    assert collector.add_reports("w", 1, [report(0, hit=10, count=1100)], 2.0)
     assert collector.cut is not None
     assert (collector.cut.generation, collector.cut.evaluations["offspring"]) == (110, 110 + 300)
 
@@ -170,9 +170,9 @@ def test_an_island_after_the_hit_counts_to_the_slice_before_and_need_not_have_be
 def test_in_the_first_epoch_groups_of_islands_count_one_after_the_other() -> None:
     limits = Limits(3, 50, 5, COMMIT_ORDER.model_copy(update={"joining": 1}))
     collector = Collector("x", limits, best_error)
-    collector.receive("w", 0, [report(1, hit=20)], 1.0)
+    collector.add_reports("w", 0, [report(1, hit=20)], 1.0)
     assert collector.cut is None
-    collector.receive("w", 0, [report(0)], 2.0)
+    collector.add_reports("w", 0, [report(0)], 2.0)
     assert collector.cut is not None
     assert collector.cut.evaluations["offspring"] == 10 + 2
 
@@ -185,9 +185,9 @@ def test_an_island_of_which_nothing_counts_keeps_its_former_counters(collector: 
 
 
 def test_a_report_given_up_at_a_hit_waits_for_the_report_of_that_hit(collector: Collector) -> None:
-    assert not collector.receive("w0", 0, [report(0, generations=20)], 1.0)
-    assert collector.progress.epochs == 0
-    assert collector.receive("w1", 0, [report(1, hit=20)], 2.0)
+    assert not collector.add_reports("w0", 0, [report(0, generations=20)], 1.0)
+    assert collector.state.epochs == 0
+    assert collector.add_reports("w1", 0, [report(1, hit=20)], 2.0)
     assert collector.cut is not None
 
 
@@ -198,14 +198,14 @@ def test_a_report_given_up_at_a_hit_waits_for_the_report_of_that_hit(collector: 
 def test_who_went_beyond_a_hit_contradicts_who_met_it(
     collector: Collector, first: IslandReport, second: IslandReport
 ) -> None:
-    collector.receive("first", 0, [first], 1.0)
+    collector.add_reports("first", 0, [first], 1.0)
     with pytest.raises(DivergedError, match=r"first and second"):
-        collector.receive("second", 0, [second], 2.0)
+        collector.add_reports("second", 0, [second], 2.0)
 
 
 def test_states_of_different_generations_are_not_compared(collector: Collector) -> None:
-    collector.receive("first", 0, [report(0, generations=40)], 1.0)
-    collector.receive("second", 0, [report(0, generations=60, digest="cd" * 16)], 2.0)
+    collector.add_reports("first", 0, [report(0, generations=40)], 1.0)
+    collector.add_reports("second", 0, [report(0, generations=60, digest="cd" * 16)], 2.0)
 
 
 @pytest.mark.parametrize(
@@ -220,7 +220,7 @@ def test_states_of_different_generations_are_not_compared(collector: Collector) 
 )
 def test_a_report_without_the_counters_of_its_slices_is_refused(collector: Collector, broken: IslandReport) -> None:
     with pytest.raises(RemoteProtocolError, match="slices missing"):
-        collector.receive("w", 0, [broken], 1.0)
+        collector.add_reports("w", 0, [broken], 1.0)
 
 
 def test_a_later_epoch_is_not_looked_at_once_there_is_a_cut(collector: Collector) -> None:
@@ -230,7 +230,7 @@ def test_a_later_epoch_is_not_looked_at_once_there_is_a_cut(collector: Collector
     assert collector.cut.epochs == 1
     assert [entry.error for entry in collector.cut.entries()] == [1.0]
     fill(collector, 2)
-    assert collector.progress.epochs == 1
+    assert collector.state.epochs == 1
 
 
 def test_a_search_that_does_not_get_better_stagnates(collector: Collector) -> None:
@@ -302,7 +302,7 @@ def test_the_order_of_arrival_and_repetitions_do_not_matter(order: list[tuple[in
         collector = Collector("x", Limits(islands=2, epochs=4, stagnation=9, commit_order=COMMIT_ORDER), best_error)
         for epoch, island in keys:
             error = 1.0 / (1 + epoch + 3 * island)
-            collector.receive("w", epoch, [report(island, error=error, count=epoch + island)], 1.0)
+            collector.add_reports("w", epoch, [report(island, error=error, count=epoch + island)], 1.0)
             collector.validate()
         return collector.cut
 
@@ -318,7 +318,7 @@ def collected(epochs: list[list[IslandReport]], order: list[tuple[int, int]]) ->
     """Return a collector of two runners-up that was told of (epoch, island) in that order."""
     collector = Collector("x", Limits(2, len(epochs), 9, COMMIT_ORDER, runners_up=2), best_error)
     for epoch, island in order:
-        collector.receive("w", epoch, [epochs[epoch][island]], 1.0)
+        collector.add_reports("w", epoch, [epochs[epoch][island]], 1.0)
     collector.validate()
     return collector
 
@@ -344,7 +344,7 @@ def test_a_member_of_the_front_that_is_displaced_becomes_a_runner_up() -> None:
     first, second = runner_up(3, 1.0, 1), runner_up(3, 0.9, 2)
     better = [report(0, found_at=()).model_copy(update={"additions": (each,)}) for each in (first, second)]
     epochs = [[each, report(1, found_at=())] for each in better]
-    pool = collected(epochs, [(0, 0), (0, 1), (1, 0), (1, 1)]).progress
+    pool = collected(epochs, [(0, 0), (0, 1), (1, 0), (1, 1)]).state
     assert [entry.error for entry in pool.front] == [0.9]
     assert [entry.error for entry in pool.runners_up] == [1.0]
 
@@ -359,7 +359,7 @@ def test_runners_up_found_after_the_hit_do_not_count() -> None:
 
 def test_without_a_number_no_runners_up_are_kept(collector: Collector) -> None:
     fill(collector, 0, report(0, near=[runner_up(3, 2.0, 3)]), report(1))
-    assert collector.progress.runners_up == ()
+    assert collector.state.runners_up == ()
 
 
 def test_a_cut_comes_back_from_the_store_with_its_pool() -> None:

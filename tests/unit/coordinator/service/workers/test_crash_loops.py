@@ -1,85 +1,129 @@
-"""What is thought of an archipelago whose workers die."""
+"""What follows when the workers of an archipelago die again and again."""
 
 import pytest
 
-from atoll.errors import LocalProtocolError
-from atoll_coordinator.service.workers.crash_loops import POISON_TRANSITIONS, Suspicion
+from atoll.wire.messages.views import EventView
+from atoll_coordinator.service.monitoring.event_log import EventLog
+from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.workers.crash_loops import FAIL_AFTER, QUARANTINE_AFTER, CrashLoop, CrashLoops
+
+KEY = ("job", "x")
 
 
-def dead(number: int) -> tuple[str, str]:
+def process(number: int) -> tuple[str, str]:
     return f"w{number}", f"i{number}"
 
 
-def after(deaths: int) -> Suspicion:
-    suspicion = Suspicion()
+def after(deaths: int) -> CrashLoop:
+    loop = CrashLoop()
     for term in range(1, deaths + 1):
-        assert suspicion.died(term, dead(term))
-    return suspicion
+        assert loop.add_death(term, process(term))
+    return loop
 
 
 @pytest.mark.parametrize(
-    ("deaths", "state"), [(0, "sound"), (1, "once"), (2, "twice"), (3, "isolated"), (4, "again"), (5, "condemned")]
+    ("deaths", "state"),
+    [(0, "healthy"), (1, "suspicious"), (2, "suspicious"), (3, "quarantined"), (4, "quarantined"), (5, "failed")],
 )
-def test_each_term_that_ends_by_a_death_makes_it_worse(deaths: int, state: str) -> None:
-    suspicion = after(deaths)
-    assert suspicion.state == state
-    assert suspicion.is_isolated == (deaths in (3, 4))
+def test_the_state_follows_from_the_number_of_terms_that_ended_by_a_death(deaths: int, state: str) -> None:
+    assert (after(deaths).deaths, after(deaths).state) == (deaths, state)
 
 
-def test_a_commit_makes_it_sound_again_whatever_was_before() -> None:
-    for deaths in range(5):
-        suspicion = after(deaths)
-        assert suspicion.commits(16)
-        assert suspicion.state == "sound"
-        assert suspicion.died(9, dead(9))
-        assert suspicion.state == "once"
+def test_a_commit_makes_it_healthy_again_whatever_was_before() -> None:
+    for deaths in range(FAIL_AFTER):
+        loop = after(deaths)
+        loop.add_commit(16)
+        assert loop.state == "healthy"
+        assert loop.add_death(9, process(9))
+        assert loop.deaths == 1
 
 
-def test_a_commit_of_an_epoch_that_was_committed_before_is_no_news() -> None:
-    suspicion = Suspicion()
-    assert suspicion.commits(32)
-    assert suspicion.died(1, dead(1))
-    assert not suspicion.commits(16)
-    assert not suspicion.commits(32)
-    assert suspicion.state == "once"
+def test_a_commit_of_an_epoch_that_was_committed_before_changes_nothing() -> None:
+    loop = CrashLoop()
+    loop.add_commit(32)
+    assert loop.add_death(1, process(1))
+    for epoch in (16, 32):
+        loop.add_commit(epoch)
+        assert loop.deaths == 1
 
 
 def test_several_deaths_under_one_term_count_once() -> None:
-    suspicion = Suspicion()
-    assert suspicion.died(1, dead(1))
-    assert not suspicion.died(1, dead(2))
-    assert suspicion.state == "once"
+    loop = CrashLoop()
+    assert loop.add_death(1, process(1))
+    assert not loop.add_death(1, process(2))
+    assert loop.deaths == 1
 
 
 def test_a_process_that_comes_back_takes_its_death_back() -> None:
-    for deaths in range(1, 5):
-        suspicion, before = after(deaths), after(deaths - 1).state
-        assert suspicion.came_back(dead(deaths))
-        assert suspicion.state == before
-        assert not suspicion.came_back(dead(deaths))
+    for deaths in range(1, FAIL_AFTER):
+        loop = after(deaths)
+        assert loop.withdraw(process(deaths))
+        assert loop.deaths == deaths - 1
+        assert not loop.withdraw(process(deaths))
 
 
 def test_a_term_that_others_died_under_too_still_counts() -> None:
-    suspicion = after(1)
-    suspicion.died(1, dead(7))
-    assert not suspicion.came_back(dead(1))
-    assert suspicion.state == "once"
-    assert suspicion.came_back(dead(7))
-    assert suspicion.state == "sound"
+    loop = after(1)
+    loop.add_death(1, process(7))
+    assert not loop.withdraw(process(1))
+    assert loop.deaths == 1
+    assert loop.withdraw(process(7))
+    assert loop.deaths == 0
 
 
 def test_another_process_of_the_same_name_takes_nothing_back() -> None:
-    suspicion = after(2)
-    assert not suspicion.came_back(("w1", "another"))
-    assert suspicion.state == "twice"
+    loop = after(2)
+    assert not loop.withdraw(("w1", "another"))
+    assert loop.deaths == 2
 
 
-def test_what_is_condemned_stays_so() -> None:
-    suspicion = after(5)
-    assert not suspicion.died(6, dead(6))
-    assert not suspicion.came_back(dead(5))
-    suspicion.commits(16)
-    assert suspicion.state == "condemned"
-    assert POISON_TRANSITIONS["condemned"] == {}
-    with pytest.raises(LocalProtocolError, match="has no death"):
-        suspicion._step("death")
+def test_what_has_failed_stays_so() -> None:
+    loop = after(FAIL_AFTER)
+    assert not loop.add_death(6, process(6))
+    assert not loop.withdraw(process(5))
+    loop.add_commit(16)
+    assert loop.state == "failed"
+
+
+def started(store: Store) -> CrashLoops:
+    """Return the crash loops as a coordinator begins with them that is started on this store."""
+    loops = CrashLoops(store, EventLog(store, lambda: "2026-01-01T00:00:00"))
+    loops.recover("job")
+    return loops
+
+
+def events(store: Store, loops: CrashLoops) -> list[EventView]:
+    return list(loops._events.read("job", 0, 99))
+
+
+def test_deaths_are_counted_over_restarts_until_the_job_fails() -> None:
+    with Store.open(None) as store:
+        store.add_job(JobRecord("job", "", "{}", store.put_blob(b"t"), "2026-01-01T00:00:00"))
+        kinds = []
+        for number in range(1, FAIL_AFTER):
+            loops = started(store)
+            assert loops.add_death(KEY, number, process(number), "silent for 15 s") is None
+            kinds.append([event.event for event in events(store, loops)])
+            loops.save()
+            assert started(store).loop(KEY).deaths == number
+        assert kinds == [[]] * (QUARANTINE_AFTER - 1) + [["isolated"]] * 2
+        reason = started(store).add_death(KEY, FAIL_AFTER, process(FAIL_AFTER), "silent for 15 s")
+        assert reason is not None
+        assert "islands of x end the workers" in reason
+        assert "in 5 placements in a row" in reason
+        assert "the last was w5: silent for 15 s" in reason
+
+
+def test_a_commit_ends_the_quarantine_and_a_return_the_suspicion() -> None:
+    with Store.open(None) as store:
+        store.add_job(JobRecord("job", "", "{}", store.put_blob(b"t"), "2026-01-01T00:00:00"))
+        loops = started(store)
+        for number in range(QUARANTINE_AFTER):
+            loops.add_death(KEY, number, process(number), "gone")
+        loops.add_commit(KEY, 8)
+        assert loops.loop(KEY).state == "healthy"
+        loops.add_death(KEY, 9, process(9), "gone")
+        loops.withdraw(process(9))
+        assert loops.loop(KEY).state == "healthy"
+        assert [event.event for event in events(store, loops)] == ["isolated", "pardoned", "pardoned"]

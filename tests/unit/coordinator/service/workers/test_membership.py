@@ -28,8 +28,8 @@ def status(state: WorkerState = "ready", instance: str = "a") -> WorkerStatus:
 
 def with_worker(name: str = "w0") -> Membership:
     membership = Membership()
-    assert membership.greet(hello(name), 0.0) is None
-    assert membership.hear(name, status(), 0.0)
+    assert membership.register(hello(name), 0.0) is None
+    assert membership.record_heartbeat(name, status(), 0.0)
     return membership
 
 
@@ -40,55 +40,55 @@ def test_every_state_knows_every_step() -> None:
 
 def test_a_worker_is_ready_once_it_says_so() -> None:
     membership = Membership()
-    membership.greet(hello(), 0.0)
+    membership.register(hello(), 0.0)
     assert (membership.ready(), membership.arriving()) == ((), 1)
-    membership.hear("w0", status("compiling"), 1.0)
+    membership.record_heartbeat("w0", status("compiling"), 1.0)
     assert (membership.ready(), membership.arriving()) == ((), 1)
-    membership.hear("w0", status("waiting"), 2.0)
+    membership.record_heartbeat("w0", status("waiting"), 2.0)
     assert (membership.ready(), membership.arriving()) == (("w0",), 0)
 
 
 def test_heartbeats_of_unknown_processes_are_not_taken_in() -> None:
     membership = with_worker()
-    assert not membership.hear("stranger", status(), 1.0)
-    assert not membership.hear("w0", status(instance="other"), 1.0)
+    assert not membership.record_heartbeat("stranger", status(), 1.0)
+    assert not membership.record_heartbeat("w0", status(instance="other"), 1.0)
 
 
 def test_a_worker_whose_presence_is_gone_is_lost_after_a_while() -> None:
     membership = with_worker()
-    membership.see("w0", False, 1.0)
+    membership.record_presence("w0", False, 1.0)
     assert membership.ready() == ()
     assert membership.expire(1.0 + 0.9 * ABSENCE_S) == []
     assert not membership.is_lost("w0")
-    assert membership.expire(1.0 + ABSENCE_S) == ["w0"]
+    assert membership.expire(1.0 + ABSENCE_S) == [membership.member("w0")]
     assert membership.is_lost("w0")
     assert membership.expire(1.0 + 2 * ABSENCE_S) == []
 
 
 def test_nobody_is_lost_for_what_the_coordinator_could_not_hear() -> None:
     membership = with_worker()
-    membership.greet(hello("w1"), 0.0)
-    membership.hear("w1", status(), 0.0)
-    membership.see("w0", False, 0.5)
-    membership.renew(60.0)
+    membership.register(hello("w1"), 0.0)
+    membership.record_heartbeat("w1", status(), 0.0)
+    membership.record_presence("w0", False, 0.5)
+    membership.renew_leases(60.0)
     assert membership.expire(60.0 + 0.9 * ABSENCE_S) == []
-    assert membership.expire(60.0 + ABSENCE_S) == ["w0"]
+    assert membership.expire(60.0 + ABSENCE_S) == [membership.member("w0")]
     assert membership.expire(60.0 + ABSENCE_S + 1.0) == []
 
 
 def test_a_worker_whose_presence_returns_in_time_is_not_lost() -> None:
     membership = with_worker()
-    membership.see("w0", False, 1.0)
-    membership.see("w0", True, 2.0)
+    membership.record_presence("w0", False, 1.0)
+    membership.record_presence("w0", True, 2.0)
     assert membership.ready() == ("w0",)
     assert membership.expire(4.0) == []
 
 
 def test_a_silent_worker_is_lost_and_comes_back_when_it_is_heard_again() -> None:
     membership = with_worker()
-    lost = [(second, name) for second in range(1, 30) for name in membership.expire(float(second))]
+    lost = [(second, each.hello.name) for second in range(1, 30) for each in membership.expire(float(second))]
     assert lost == [(int(LEASE_S), "w0")]
-    assert membership.hear("w0", status(), 30.0)
+    assert membership.record_heartbeat("w0", status(), 30.0)
     assert membership.ready() == ("w0",)
 
 
@@ -100,23 +100,23 @@ def test_a_gap_in_our_own_loop_gives_everybody_a_fresh_lease() -> None:
 
 def test_the_same_name_is_free_again_when_its_bearer_is_gone() -> None:
     membership = with_worker()
-    refusal = membership.greet(hello(instance="b"), 1.0)
+    refusal = membership.register(hello(instance="b"), 1.0)
     assert refusal is not None
     assert "--name" in refusal
-    membership.see("w0", False, 2.0)
+    membership.record_presence("w0", False, 2.0)
     assert membership.is_new(hello(instance="b"))
-    assert membership.greet(hello(instance="b"), 2.1) is None
+    assert membership.register(hello(instance="b"), 2.1) is None
     assert not membership.is_new(hello(instance="b"))
     assert membership.ready() == ()
 
 
 def test_other_kernels_are_refused_and_both_fingerprints_named() -> None:
     membership = with_worker()
-    refusal = membership.greet(hello("w1", fingerprint="g"), 1.0)
+    refusal = membership.register(hello("w1", fingerprint="g"), 1.0)
     assert refusal is not None
     assert " g," in refusal
     assert "with f;" in refusal
-    assert membership.greet(hello("w1", fingerprint=""), 1.0) is None
+    assert membership.register(hello("w1", fingerprint=""), 1.0) is None
 
 
 def test_clients_need_the_same_protocol_only() -> None:
@@ -129,11 +129,11 @@ def test_clients_need_the_same_protocol_only() -> None:
 
 def test_views_show_what_people_want_to_know() -> None:
     membership = with_worker()
-    membership.greet(hello("v", "x"), 1.0)
+    membership.register(hello("v", "x"), 1.0)
     first, second = membership.views(3.0)
     assert (first.worker, first.state, first.islands) == ("v", "compiling", 0)
     assert (second.worker, second.state, second.islands, second.silent, second.host) == ("w0", "ready", 4, 3.0, "lab")
-    membership.see("w0", False, 3.0)
+    membership.record_presence("w0", False, 3.0)
     membership.expire(20.0)
     assert [view.state for view in membership.views(20.0)] == ["lost", "lost"]
 
@@ -143,7 +143,7 @@ def test_lost_workers_are_forgotten_in_the_end() -> None:
     for minute in range(100):
         for second in (0.0, 2.0, 4.0):
             membership.expire(60.0 * minute + second)
-    membership.see("w0", False, 6000.0)
+    membership.record_presence("w0", False, 6000.0)
     for second in range(6000, 6000 + 4000, 2):
         membership.expire(float(second))
     assert membership.views(11000.0) == ()
@@ -153,7 +153,7 @@ def compute(membership: Membership, until: int, progress: int = 1, since: int = 
     """Let w0 be heard every second, always with the same progress; return the seconds at which it was given up."""
     lost = []
     for second in range(since, until):
-        membership.hear("w0", status("computing").model_copy(update={"progress": progress}), float(second))
+        membership.record_heartbeat("w0", status("computing").model_copy(update={"progress": progress}), float(second))
         lost += [second for _ in membership.expire(float(second))]
     return lost
 
@@ -168,9 +168,9 @@ def test_a_worker_that_computes_without_getting_on_is_hung_until_it_gets_on() ->
     member = membership.member("w0")
     assert member is not None
     assert member.lost_by == "it has computed for 60 s without getting on"
-    membership.hear("w0", status("ready"), 101.0)
+    membership.record_heartbeat("w0", status("ready"), 101.0)
     assert membership.is_lost("w0")
-    membership.hear("w0", status("computing").model_copy(update={"progress": 2}), 102.0)
+    membership.record_heartbeat("w0", status("computing").model_copy(update={"progress": 2}), 102.0)
     assert membership.ready() == ("w0",)
     assert compute(membership, 150, progress=2, since=103) == []
 
@@ -179,11 +179,13 @@ def test_loading_waiting_and_getting_on_are_no_hanging() -> None:
     for state in ("compiling", "waiting", "ready"):
         membership = with_worker()
         for second in range(200):
-            membership.hear("w0", status(state), float(second))  # type: ignore[arg-type]
+            membership.record_heartbeat("w0", status(state), float(second))  # type: ignore[arg-type]
             assert membership.expire(float(second)) == []
     membership = with_worker()
     for second in range(200):
-        membership.hear("w0", status("computing").model_copy(update={"progress": second // 50}), float(second))
+        membership.record_heartbeat(
+            "w0", status("computing").model_copy(update={"progress": second // 50}), float(second)
+        )
         assert membership.expire(float(second)) == []
 
 
@@ -196,7 +198,7 @@ def test_a_hung_worker_that_goes_silent_is_lost_without_being_given_up_twice() -
 
 def test_patience_stretches_every_lease() -> None:
     membership = with_worker()
-    lost = [second for second in range(1, 60) if membership.expire(float(second), lambda worker: 2.0)]
+    lost = [second for second in range(1, 60) if membership.expire(float(second), {"w0": 2.0})]
     assert lost == [int(2 * LEASE_S)]
 
 
@@ -205,6 +207,6 @@ def test_words_lost_on_our_side_give_everybody_a_fresh_lease() -> None:
     lost = []
     for second in range(1, 60):
         if second == 10:
-            membership.renew(10.0)
+            membership.renew_leases(10.0)
         lost += [second for _ in membership.expire(float(second))]
     assert lost == [10 + int(LEASE_S)]

@@ -8,10 +8,10 @@ from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll.search.commit_order import CommitOrder
 from atoll.wire.messages.handshake import Hello
 from atoll.wire.messages.workers import Doing, Holding, IslandReport, Placement, SliceCounters, WorkerStatus
-from atoll_coordinator.service.monitoring.stalls import PATIENCE_S, Stillness, named, stall_of
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.collector import Limits
 from atoll_coordinator.service.workers.membership import Membership
+from atoll_coordinator.service.workers.stalls import PATIENCE_S, StallDetector, named, stall_of
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=8)
 LONG_S = 100.0
@@ -24,7 +24,7 @@ def worker(membership: Membership, name: str, now: float, beats: int = 1, **says
     hello = Hello(
         role="worker", name=name, instance="i", protocol=PROTOCOL_VERSION, version=VERSION, engine=ENGINE_REVISION
     )
-    membership.greet(hello, 0.0)
+    membership.register(hello, 0.0)
     job, island, epoch = says["doing"] or ("", 0, 0)
     status = WorkerStatus(
         instance="i", incarnation=1, state=says["state"], progress=says["progress"],
@@ -35,7 +35,7 @@ def worker(membership: Membership, name: str, now: float, beats: int = 1, **says
         ),
         doing=Doing(job=job, variable="x", island=island, epoch=epoch) if job else None,
     )  # fmt: skip
-    membership.hear(name, status, now)
+    membership.record_heartbeat(name, status, now)
 
 
 def report(island: int, epoch: int) -> IslandReport:
@@ -55,13 +55,13 @@ def archipelago(*reported: int, epochs: int = 3) -> Archipelago:
     )  # fmt: skip
     made.place(placement, 0.0)
     for epoch in range(epochs):
-        made.collector.receive("a", epoch, [report(island, epoch) for island in range(4)], 0.0)
-    made.collector.receive("a", epochs, [report(island, epochs) for island in reported], 0.0)
+        made.collector.add_reports("a", epoch, [report(island, epoch) for island in range(4)], 0.0)
+    made.collector.add_reports("a", epochs, [report(island, epochs) for island in reported], 0.0)
     return made
 
 
 def sentence(made: Archipelago, membership: Membership, now: float, still_s: float = LONG_S) -> str | None:
-    membership._looked_at = now
+    membership._checked_at = now
     stall = stall_of(made, membership, still_s)
     return stall.sentence if stall is not None else None
 
@@ -98,7 +98,7 @@ def test_a_computation_that_does_not_get_on_is_told_with_its_island_and_epoch() 
 def test_a_worker_that_is_gone_is_told() -> None:
     membership = Membership()
     worker(membership, "b", 8.0)
-    membership.see("b", False, 8.0)
+    membership.record_presence("b", False, 8.0)
     said = sentence(archipelago(0, 2), membership, 9.5)
     assert said is None
     said = sentence(archipelago(0, 2), membership, 11.5)
@@ -131,17 +131,33 @@ def test_many_islands_are_counted() -> None:
     assert named(tuple(range(9))) == "islands 0, 1, 2, 3 and 5 more"
 
 
-def test_stillness_is_counted_from_the_last_complete_epoch_and_ends_with_the_next() -> None:
-    membership, stillness, made = Membership(), Stillness(), archipelago(0, 2)
+def test_a_stall_lasts_from_the_last_complete_epoch_to_the_next() -> None:
+    membership, made = Membership(), archipelago(0, 2)
+    detector, changes = StallDetector(membership), []
     for second in range(31):
         worker(membership, "a", float(second), beats=second)
         worker(membership, "b", 0.0)
-        membership._looked_at = float(second)
-        stall = stillness.look(made, membership, float(second))
-        assert (stall is not None) == (second >= PATIENCE_S["silence"])
-    assert stillness.sentences("job") == ("x: waiting for islands 1, 3 on worker b, silent for 30 s",)
-    assert stillness.sentences("other") == ()
-    made.collector.receive("b", 3, [report(island, 3) for island in (1, 3)], 0.0)
-    assert stillness.look(made, membership, 31.0) is None
-    assert stillness.sentences("job") == ()
-    assert stillness.keep_only(set()) == []
+        membership._checked_at = float(second)
+        changes += detector.check([made], float(second))
+        assert bool(detector.sentences("job")) == (second >= PATIENCE_S["silence"])
+    ((key, stall),) = changes
+    assert key == ("job", "x")
+    assert stall is not None
+    assert (stall.cause, stall.worker, stall.islands) == ("silence", "b", (1, 3))
+    assert detector.sentences("job") == ("x: waiting for islands 1, 3 on worker b, silent for 30 s",)
+    assert detector.sentences("other") == ()
+    made.collector.add_reports("b", 3, [report(island, 3) for island in (1, 3)], 0.0)
+    assert detector.check([made], 31.0) == [(("job", "x"), None)]
+    assert detector.sentences("job") == ()
+
+
+def test_a_stall_is_forgotten_when_its_archipelago_has_ended() -> None:
+    membership, made = Membership(), archipelago(0, 2)
+    detector = StallDetector(membership)
+    worker(membership, "b", 0.0)
+    for second in (0.0, 9.0):
+        membership._checked_at = second
+        detector.check([made], second)
+    assert detector.sentences("job")
+    assert detector.check([], 10.0) == []
+    assert detector.sentences("job") == ()

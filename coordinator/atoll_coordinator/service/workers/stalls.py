@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
-from atoll_coordinator.service.search.archipelago import Archipelago
+from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
 from atoll_coordinator.service.workers.membership import Member, Membership
-from atoll_coordinator.service.workers.quarantine import Key
 
 Cause = Literal[
     "silence", "absence", "compiling", "not taken up", "lost report", "standing", "others", "migrants", "slow"
@@ -41,7 +40,7 @@ def stall_of(archipelago: Archipelago, membership: Membership, still_s: float) -
 
     Args:
         archipelago: any one; only one that is placed and not cut can stand still.
-        membership: who is there, as of its last look.
+        membership: who is there, as of its last check.
         still_s: seconds since an epoch was completed, or since the archipelago was placed.
     """
     placement = archipelago.placement
@@ -49,12 +48,12 @@ def stall_of(archipelago: Archipelago, membership: Membership, still_s: float) -
         return None
     awaited = archipelago.collector.awaited()
     workers = sorted({placement.workers[island] for island in awaited if island < len(placement.workers)})
-    found = [
+    stalls = [
         _stall(archipelago, worker, tuple(i for i in awaited if placement.workers[i] == worker), membership, still_s)
         for worker in workers
     ]
-    told = [each for each in found if min(still_s, each.seconds) >= PATIENCE_S[each.cause]]
-    return min(told, key=_gravity, default=None)
+    lasting = [each for each in stalls if min(still_s, each.seconds) >= PATIENCE_S[each.cause]]
+    return min(lasting, key=_gravity, default=None)
 
 
 def _gravity(stall: Stall) -> tuple[int, str]:
@@ -67,10 +66,10 @@ def _stall(
 ) -> Stall:
     placement = archipelago.placement
     assert placement is not None
-    epoch, member = archipelago.collector.progress.epochs, membership.member(worker)
+    epoch, member = archipelago.collector.state.epochs, membership.member(worker)
     stall = Stall("absence", worker, islands, epoch, placement.term, still_s, "")
     waits = f"waiting for {named(islands)} on worker {worker}"
-    cause, said, seconds = _cause(archipelago, member, membership.looked_at, epoch, still_s)
+    cause, said, seconds = _cause(archipelago, member, membership.checked_at, epoch, still_s)
     sentence = {
         "lost report": f"waiting for the report of epoch {epoch} from worker {worker}",
         "not taken up": f"waiting for worker {worker} to take up {named(islands)} under term {placement.term}",
@@ -118,37 +117,42 @@ def named(islands: Sequence[int]) -> str:
     return f"island {shown}" if len(islands) == 1 else f"islands {shown}{more}"
 
 
-class Stillness:
-    """Since when each archipelago stands still, and what was told of it."""
+class StallDetector:
+    """Since when each archipelago stands still, and the stalls that people have been told of."""
 
-    def __init__(self) -> None:
-        self._seen: dict[Key, tuple[tuple[int, int], float]] = {}
-        self.stalls: dict[Key, Stall] = {}
+    def __init__(self, membership: Membership) -> None:
+        self._membership = membership
+        self._seen: dict[ArchipelagoKey, tuple[tuple[int, int], float]] = {}
+        self._stalls: dict[ArchipelagoKey, Stall] = {}
 
-    def look(self, archipelago: Archipelago, membership: Membership, now: float) -> Stall | None:
-        """Take notice of how an archipelago stands; return its stall."""
-        key = (archipelago.job, archipelago.variable)
-        placement = archipelago.placement
-        mark = (placement.term if placement is not None else 0, archipelago.collector.progress.epochs)
-        seen, since = self._seen.get(key, (None, now))
-        if seen != mark:
-            since = now
-        self._seen[key] = (mark, since)
-        stall = stall_of(archipelago, membership, now - since)
-        if stall is None:
-            self.stalls.pop(key, None)
-        else:
-            self.stalls[key] = stall
-        return stall
+    def check(self, archipelagos: Sequence[Archipelago], now: float) -> list[tuple[ArchipelagoKey, Stall | None]]:
+        """Return the stalls of open archipelagos that are new or have another cause, and (None) those that are over."""
+        changes: list[tuple[ArchipelagoKey, Stall | None]] = []
+        for archipelago in archipelagos:
+            key, before = archipelago.key, self._stalls.pop(archipelago.key, None)
+            stall = stall_of(archipelago, self._membership, self._still_s(archipelago, now))
+            if stall is not None:
+                self._stalls[key] = stall
+            if _identity(stall) != _identity(before):
+                changes.append((key, stall))
+        open_keys = {each.key for each in archipelagos}
+        self._stalls = {key: stall for key, stall in self._stalls.items() if key in open_keys}
+        self._seen = {key: seen for key, seen in self._seen.items() if key in open_keys}
+        return changes
 
     def sentences(self, job: str) -> tuple[str, ...]:
-        """Return what is told of a job, by variable."""
-        return tuple(f"{key[1]}: {stall.sentence}" for key, stall in sorted(self.stalls.items()) if key[0] == job)
+        """Return the stalls of a job as people read them, by variable."""
+        return tuple(f"{key[1]}: {stall.sentence}" for key, stall in sorted(self._stalls.items()) if key[0] == job)
 
-    def keep_only(self, keys: set[Key]) -> list[Key]:
-        """Forget all other archipelagos; return those that stood still."""
-        gone = [key for key in self.stalls if key not in keys]
-        for key in gone:
-            del self.stalls[key]
-        self._seen = {key: value for key, value in self._seen.items() if key in keys}
-        return gone
+    def _still_s(self, archipelago: Archipelago, now: float) -> float:
+        """Return for how many seconds neither term nor complete epochs of an archipelago have changed."""
+        term = archipelago.placement.term if archipelago.placement is not None else 0
+        mark = (term, archipelago.collector.state.epochs)
+        seen, since = self._seen.get(archipelago.key, (None, now))
+        self._seen[archipelago.key] = (mark, since if seen == mark else now)
+        return now - self._seen[archipelago.key][1]
+
+
+def _identity(stall: Stall | None) -> tuple[str, str] | None:
+    """Return by what a stall differs from another one that people are told of."""
+    return (stall.cause, stall.worker) if stall is not None else None

@@ -1,0 +1,48 @@
+"""Reasons for which a job of the store, or a prepared one, cannot be searched. Pure; each is a sentence for people."""
+
+from collections.abc import Mapping
+
+from pydantic import ValidationError
+
+from atoll import ENGINE_REVISION, VERSION
+from atoll.config import JobConfig
+from atoll_coordinator.service.jobs.job import Prepared
+from atoll_coordinator.service.search.checkpoints import StoredSearchState
+
+
+def settings_reason(error: ValidationError) -> str:
+    """Return why the settings of a stored job cannot be used, from what its validation raised."""
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"]) or "all of them"
+    return (
+        f"its settings in the store are not understood by version {VERSION} ({where}: {first['msg']}); serve its "
+        "store with the version that it was submitted to, or submit it again under another id"
+    )
+
+
+def epoch_limit_reason(config: JobConfig, prepared: Prepared) -> str | None:
+    """Return why the limits of epochs do not fit the equations that are sought; None: they do."""
+    sought = [target.variable for target in prepared.sought]
+    unknown = sorted(set(config.budget.max_epochs_of) - set(sought))
+    if not unknown:
+        return None
+    there = ", ".join(sought) or "none"
+    return f"--max-epochs names {unknown[0]!r}, for which no equation is sought; sought are {there}"
+
+
+def resume_reason(
+    prepared: Prepared, dataset_digest: str | None, has_cuts: bool, resumed: Mapping[str, StoredSearchState]
+) -> str | None:
+    """Return why what was committed earlier does not go together with what is computed now; None: it does.
+
+    `dataset_digest` is that of the data as they were prepared then, None if they were not.
+    """
+    if (has_cuts or resumed) and dataset_digest not in (None, prepared.blob):
+        return "its data, prepared again after a restart, came out differently; submit it again under another id"
+    engines = {each.engine for each in resumed.values()} - {ENGINE_REVISION}
+    if engines:
+        return (
+            f"it was begun by engine revision {min(engines)}, and this is revision {ENGINE_REVISION}, which "
+            "computes otherwise; serve its store with the earlier version, or submit it again under another id"
+        )
+    return None

@@ -1,0 +1,36 @@
+"""What live jobs have cost beside their point evaluations. Pure."""
+
+from atoll.wire.messages.views import JobCounters
+from atoll.wire.messages.workers import Holding
+from atoll_coordinator.service.jobs.job import Job
+
+
+class CounterRegistry:
+    """The counters of all live jobs."""
+
+    def __init__(self) -> None:
+        self._counters: dict[str, JobCounters] = {}
+        self._waited_s: dict[tuple[str, str, int, str], float] = {}
+
+    def add(self, job: str, **counts: int) -> None:
+        """Add to fields of a job's `JobCounters`."""
+        counters = self._counters.get(job, JobCounters())
+        self._counters[job] = counters.model_copy(
+            update={name: getattr(counters, name) + count for name, count in counts.items()}
+        )
+
+    def set_waited(self, worker: str, holding: Holding) -> None:
+        """Set how long the islands of a current placement have waited on a worker."""
+        self._waited_s[holding.job, holding.variable, holding.term, worker] = holding.waited_s
+
+    def counters(self, job: Job) -> JobCounters:
+        """Return the counters of a job."""
+        duplicates = sum(each.collector.duplicates for each in job.archipelagos.values())
+        waited_s = sum(seconds for key, seconds in self._waited_s.items() if key[0] == job.id)
+        counters = self._counters.get(job.id, JobCounters())
+        return counters.model_copy(update={"duplicates": duplicates, "waited_s": waited_s})
+
+    def forget(self, job: str) -> None:
+        """Forget a job that has ended."""
+        self._counters.pop(job, None)
+        self._waited_s = {key: seconds for key, seconds in self._waited_s.items() if key[0] != job}

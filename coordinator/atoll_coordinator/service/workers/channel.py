@@ -1,0 +1,48 @@
+"""How the coordinator reaches workers over the bus."""
+
+from atoll.wire import topics
+from atoll.wire.bus.interface import Bus
+from atoll.wire.codec import encode
+from atoll.wire.messages.workers import (
+    Close,
+    CloseJob,
+    Commit,
+    Control,
+    Introduce,
+    JobAnnouncement,
+    Placements,
+    Pull,
+    PullReports,
+    PullStates,
+    Shutdown,
+)
+
+PULL_TIMEOUT_S = 5.0
+
+ControlBody = JobAnnouncement | Placements | Commit | Close | CloseJob | Introduce | Shutdown
+
+
+class WorkerChannel:
+    """Sends messages to workers, and remembers which pulls have not been answered."""
+
+    def __init__(self, bus: Bus, realm: str) -> None:
+        self._bus = bus
+        self._realm = realm
+        self._pulls: dict[int, tuple[str, PullReports | PullStates]] = {}
+
+    def send(self, worker: str, body: ControlBody) -> None:
+        """Send a message to one worker."""
+        self._bus.put(topics.control(self._realm, worker), encode(Control(body=body)))
+
+    def publish(self, body: ControlBody) -> None:
+        """Send a message to all workers."""
+        self._bus.put(topics.control(self._realm), encode(Control(body=body)))
+
+    def pull(self, worker: str, body: PullReports | PullStates) -> None:
+        """Ask a worker for reports or states; the bus receives a reply, also when there is no answer."""
+        key = topics.worker(self._realm, worker, "pull")
+        self._pulls[self._bus.get(key, encode(Pull(body=body)), PULL_TIMEOUT_S)] = (worker, body)
+
+    def take_pull(self, token: int) -> tuple[str, PullReports | PullStates] | None:
+        """Return which worker was asked for what by the request of that token, once; None: there is no such pull."""
+        return self._pulls.pop(token, None)
