@@ -1,0 +1,92 @@
+"""The command line of the rehearsal: ``python -m deploy.rehearsal [STEP...]``."""
+
+import argparse
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from deploy.rehearsal.containers import rehearse_containers
+from deploy.rehearsal.image import build_image
+from deploy.rehearsal.machine import FailedError, Machine, NotPossibleError
+from deploy.rehearsal.manifests import check_compose, check_kubernetes
+from deploy.rehearsal.slurm import rehearse_slurm
+from deploy.rehearsal.systemd import rehearse_systemd
+
+STEPS: dict[str, Callable[[Machine], str]] = {
+    "compose": check_compose,
+    "kubernetes": check_kubernetes,
+    "image": build_image,
+    "containers": rehearse_containers,
+    "slurm": rehearse_slurm,
+    "systemd": rehearse_systemd,
+}
+
+
+def main(arguments: list[str]) -> int:
+    """Run the steps that are asked for; return 1 if one failed."""
+    options = _parser().parse_args(arguments)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    if options.work:
+        options.work.mkdir(parents=True, exist_ok=True)
+        return _run_steps(options, options.work.resolve())
+    with tempfile.TemporaryDirectory(prefix="atoll-rehearsal-", ignore_cleanup_errors=True) as folder:
+        return _run_steps(options, Path(folder))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m deploy.rehearsal", description=__doc__)
+    parser.add_argument("steps", nargs="*", metavar="STEP", help=f"of {', '.join(STEPS)} (default: all)")
+    parser.add_argument("--install", action="store_true", help="install what is missing: Debian packages, as root; "
+                        "Python tools, into the folder of --work")  # fmt: skip
+    parser.add_argument("--work", type=Path, help="a folder that stays, with image, tools and logs, so that the next "
+                        "rehearsal is shorter (default: one that is deleted)")  # fmt: skip
+    parser.add_argument("--base", help="base image, such as python:3.12-slim (default: Debian, made by debootstrap)")
+    parser.add_argument("--kernels", default="generic", help='kinds of processor to compile for (default: "generic"; '
+                        '"" for all)')  # fmt: skip
+    return parser
+
+
+def _run_steps(options: argparse.Namespace, work: Path) -> int:
+    unknown = [name for name in options.steps if name not in STEPS]
+    if unknown:
+        print(f"unknown step {unknown[0]}; there are {', '.join(STEPS)}", file=sys.stderr)
+        return 2
+    (work / "logs").mkdir(exist_ok=True)
+    machine = Machine(work, options.install, options.base, options.kernels)
+    try:
+        verdicts = [_run_step(machine, name) for name in options.steps or STEPS]
+    finally:
+        machine.end_all()
+        _unmount(work)
+    return 1 if "failed" in verdicts else 0
+
+
+def _run_step(machine: Machine, name: str) -> str:
+    """Run a step, print its line and return its first word."""
+    begin = time.monotonic()
+    try:
+        verdict, text = "passed", STEPS[name](machine)
+    except NotPossibleError as reason:
+        verdict, text = "not possible here", str(reason)
+    except (FailedError, OSError, subprocess.SubprocessError) as problem:
+        verdict, text = "failed", str(problem)
+    left = machine.end_all()
+    if verdict == "passed" and left:
+        verdict, text = "failed", f"{left} processes were left behind"
+    print(f"{name:10} {verdict}: {text} ({time.monotonic() - begin:.0f} s)", flush=True)
+    return verdict
+
+
+def _unmount(work: Path) -> None:
+    """Unmount what buildah keeps mounted below a folder, so that it can be deleted."""
+    mounts = [line.split()[1] for line in Path("/proc/mounts").read_text("utf-8").splitlines()]
+    for mount in reversed([each for each in mounts if each.startswith(f"{work}/")]):
+        subprocess.run(["umount", mount], check=False, capture_output=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,64 @@
+"""The job that every step runs: a table of 21 rows, searched for long enough to kill a worker meanwhile."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from deploy.rehearsal.machine import ROOT, FailedError, Machine
+
+DATA = ROOT / "examples" / "lynx_hare.csv"
+OPTIONS = ("--time", "year", "--preset", "paper", "--max-epochs", "240", "--seed", "3")
+EARLY = 20
+"""Epochs after which workers are killed or the job is cut off: with many still to come."""
+LIMIT_S = 900.0
+
+
+def program(name: str) -> str:
+    """Return the path of one of the checkout's own programs."""
+    return str(Path(sys.executable).with_name(name))
+
+
+def reference_digest(machine: Machine) -> str:
+    """Return the digest of the result that ``coordinator run`` of the checkout finds, computed once a rehearsal."""
+    out = machine.work / f"reference-{machine.id}"
+    if not out.exists():
+        machine.run(
+            program("coordinator"), "run", str(DATA), *OPTIONS, "--workers", "2", "--out", str(out),
+            timeout=LIMIT_S, cwd=machine.work,
+        )  # fmt: skip
+    return digest_of(out / "result.json")
+
+
+def digest_of(result: Path) -> str:
+    if not result.exists():
+        raise FailedError(f"{result} was expected and is not there")
+    digest: str = json.loads(result.read_text("utf-8"))["digest"]
+    return digest
+
+
+def check_digest(machine: Machine, found: str) -> None:
+    """Compare a digest with the checkout's; raises FailedError."""
+    expected = reference_digest(machine)
+    if found != expected:
+        raise FailedError(f"the result has digest {found[:16]}, but {expected[:16]} was expected")
+
+
+def ask(machine: Machine, verb: str, address: str) -> list[dict[str, Any]]:
+    """Return what ``coordinator jobs`` or ``coordinator workers`` of the checkout answers, nothing if there is none."""
+    done = machine.run(program("coordinator"), verb, "--connect", address, "--json", check=False)
+    return list(json.loads(done.stdout)) if done.returncode == 0 else []
+
+
+def is_under_way(machine: Machine, address: str, workers: int) -> bool:
+    """Say whether the only job has come to epoch `EARLY` with so many workers computing; raises FailedError."""
+    jobs = ask(machine, "jobs", address)
+    if any(job["state"] not in ("queued", "preparing", "running") for job in jobs):
+        raise FailedError("the job ended before a worker could be killed; give it more epochs")
+    is_early = any(job["variables"] and min(each["epoch"] for each in job["variables"]) >= EARLY for job in jobs)
+    return is_early and len(computing(machine, address)) == workers
+
+
+def computing(machine: Machine, address: str) -> list[str]:
+    """Return the names of the workers that have islands."""
+    return [each["worker"] for each in ask(machine, "workers", address) if each["islands"]]
