@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/atoll-installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick kernels generic-kernels check soak bench clean
+.PHONY: help demo test quick kernels generic-kernels check soak bench lock release-rehearsal deploy-rehearsal clean
 
 help:
 	@echo "make demo    find the two equations of a Lotka-Volterra system, on two workers"
@@ -18,13 +18,17 @@ help:
 	@echo "make soak    schedules of faults, simulated, on all cores: make soak SCHEDULES=10000"
 	@echo "make bench   the short benchmarks; benchmarks/RESULTS.md has the long ones"
 	@echo "             with STROGATZ=folder also the label files there"
+	@echo "make lock    the newest versions of the development tools into requirements-dev.txt"
+	@echo "make release-rehearsal   build, check, install and sign a release without publishing it"
+	@echo "make deploy-rehearsal    run what deploy/ describes: STEPS='compose slurm', WORK=folder, INSTALL=1 (as root)"
 	@echo "make clean   remove the environment, caches and build products"
 
-$(STAMP): pyproject.toml
+$(STAMP): pyproject.toml requirements-dev.txt
 	@$(if $(PYTHON),$(PYTHON),false) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
 	  { echo "make: Atoll needs Python 3.11 or newer; install one, or name it: make $(MAKECMDGOALS) PYTHON=/path/to/python3"; exit 1; }
 	@test -x $(BIN)/python || { echo "preparing $(VENV) with $$($(PYTHON) --version) (once)"; $(PYTHON) -m venv $(VENV); }
 	@echo "installing Atoll and its tools into $(VENV) (once, about a minute)"
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements-dev.txt
 	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[dev]'
 	@touch $@
 
@@ -72,6 +76,19 @@ bench: $(STAMP)
 	@$(BIN)/python -m benchmarks.peers.srbench --file lv2 --file vdp2
 	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.peers.strogatz --data "$(STROGATZ)" --seeds 0
 	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.peers.strogatz --data "$(STROGATZ)" --seeds 0 --noise 0.001 --max-time 5
+
+# One file for all systems and versions of Python, with hashes; what is packaged keeps its ranges.
+lock: $(STAMP)
+	@$(BIN)/python -m pip install -q --disable-pip-version-check uv
+	@$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes --extra dev \
+	  --custom-compile-command "make lock" --output-file requirements-dev.txt pyproject.toml
+
+release-rehearsal: $(STAMP)
+	@$(BIN)/python -m deploy.release
+
+WORK ?= build/deploy-rehearsal
+deploy-rehearsal: $(STAMP)
+	@$(BIN)/python -m deploy.rehearsal $(STEPS) --work $(WORK) $(if $(INSTALL),--install)
 
 clean:
 	@rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

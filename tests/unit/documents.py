@@ -29,7 +29,7 @@ def commands(text: str) -> list[list[str]]:
 
 def make_targets(text: str) -> set[str]:
     """Return the targets of every ``make`` in `text`."""
-    return set(re.findall(r"(?:^|`)make ([a-z]+)", text, re.MULTILINE))
+    return set(re.findall(r"(?:^|`)make ([a-z-]+)", text, re.MULTILINE))
 
 
 def options(text: str) -> set[str]:
