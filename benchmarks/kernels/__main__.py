@@ -3,14 +3,11 @@
 ``python -m benchmarks.kernels`` measures, on one thread,
 
 * the corpus (``benchmarks.kernels.corpus``): 1,000 offspring of ``paper`` searches on 16 rows, from operation list to
-fitness,
-  in batches (``atoll_island_worker.evolution.kernels.batch``);
-* the same lists one by one, on more rows, and with the gradient by every constant;
+  fitness, one list after the other;
+* the same lists on more rows, and with the gradient by every constant;
 * every operator by itself, forward and with gradient.
 
-A point evaluation is one value of one list at one row; a node evaluation is one live node at one row. A batch has fewer
-values to compute: sines and cosines of inputs are kept with the rows, and what depends on constants alone is the same
-at all of them; the rate of values computed, without terminals, is printed too. The machine's
+A point evaluation is one value of one list at one row; a node evaluation is one live node at one row. The machine's
 peak is measured, not looked up: multiply-adds over an array in the first cache, and in registers, with two operations
 each. Every figure is that of the fastest of several repetitions. Before anything is timed, the fitness of all lists is
 compared with numpy's. Returns 1 when a fitness is wrong, else 0.
@@ -47,9 +44,7 @@ def corpus_text(size: int, mean: float, its: Speed) -> str:
     return (
         f"corpus: {size} lists, mean live size {mean:.2f}, {its.rows} rows, from list to fitness, one thread:\n"
         f"  {its.points / 1e6:.1f} M point evaluations/s, {its.nodes / 1e9:.2f} G node evaluations/s ({goals}); "
-        f"{its.points / PAPER_POINTS:.1f} times a processor of the paper ({PAPER_POINTS / 1e6:.1f} M)\n"
-        f"  {its.computed / 1e9:.2f} G values/s were computed: nodes without terminals, without sines and cosines kept "
-        f"with the rows, and constant parts once; one by one {its.single_points / 1e6:.1f} M point evaluations/s"
+        f"{its.points / PAPER_POINTS:.1f} times a processor of the paper ({PAPER_POINTS / 1e6:.1f} M)"
     )
 
 
@@ -59,7 +54,6 @@ def rows_table(speeds: Sequence[Speed], limit: Peak) -> str:
         "rows",
         "M points/s",
         "G nodes/s",
-        "one by one M",
         "with gradient M",
         "G",
         "x numpy",
@@ -73,7 +67,6 @@ def rows_table(speeds: Sequence[Speed], limit: Peak) -> str:
                 str(its.rows),
                 f"{its.points / 1e6:.1f}",
                 f"{its.nodes / 1e9:.2f}",
-                f"{its.single_points / 1e6:.1f}",
                 f"{its.gradient_points / 1e6:.1f}",
                 f"{its.gradient_nodes / 1e9:.2f}",
                 f"{its.numpy_ratio:.1f}",

@@ -19,7 +19,6 @@ from atoll.config import PRESETS, JobConfig
 from atoll.data.dataset import Problem
 from atoll.errors import DataError, UsageError
 from atoll.expression.kernels.tape import LANES
-from atoll.expression.operators import ARITY
 from atoll.search.seeding import stream_key
 from atoll.wire.codec import decode_arrays
 from atoll_coordinator.cli.terminal.output import note
@@ -59,11 +58,6 @@ class Corpus:
     constants: npt.NDArray[np.float64]
     inputs: npt.NDArray[np.float64]
     target: npt.NDArray[np.float64]
-
-    @property
-    def terminals(self) -> int:
-        """Nodes at the beginning of every list that are terminals."""
-        return int((np.array(ARITY)[self.code] == 0).all(axis=0).sum())
 
     def lists_of(self, file: int) -> Lists:
         """Return the lists that come from one file, unscaled."""

@@ -1,8 +1,8 @@
 """The compiled loops that ``benchmarks.kernels`` times, and their plain numpy counterpart.
 
-`measure_into` is what the benchmark of the corpus measures: everything from operation lists to fitness, many lists at
-once; `measure_singly_into` does the same one list after the other, as the search does. Each loop has a twin that
-repeats it many times, so that a call from the interpreter does not count.
+`measure_into` is what the benchmark of the corpus measures: everything from operation lists to fitness, one list after
+the other, as the search does. Each loop has a twin that repeats it many times, so that a call from the interpreter does
+not count.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,6 @@ from atoll.compilation.jit import inlined, kernel
 from atoll.expression.kernels.lanes import fill, place
 from atoll.expression.kernels.tape import LANES, forward, reverse_block
 from atoll.expression.operators import ARITY, CONSTANT, VARIABLE
-from atoll_island_worker.evolution.kernels.batch import Batch, empty_batch, measure_lists
 from atoll_island_worker.evolution.kernels.fit import errors, residual_of
 from atoll_island_worker.evolution.kernels.tape import compile_tape
 from atoll_island_worker.evolution.structures import Floats, Lists, Rows, Tape, Work, empty_tape, empty_work
@@ -37,27 +36,11 @@ class Room(NamedTuple):
     work: Work
     result: Floats
     """(2,) the errors of one individual."""
-    batch: Batch
-    terminals: int
-    """Nodes at the beginning of every list that are terminals; all others are operators."""
 
 
-def room_for(nodes: int, rows: Rows, terminals: int = 0) -> Room:
+def room_for(nodes: int, rows: Rows) -> Room:
     """Return scratch for lists of `nodes` nodes on `rows`."""
-    return Room(empty_tape(nodes), empty_work(nodes, rows.length), np.zeros(2), empty_batch(nodes, rows), terminals)
-
-
-@kernel
-def measure_into(fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
-    """Write the mean absolute error of each list on `rows`: find their live nodes, evaluate them, compare."""
-    measure_lists(fitness, lists, room.terminals, rows, _ZERO, room.batch)
-
-
-@kernel
-def measure_repeatedly(times: int, fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
-    """Do `measure_into` so many times."""
-    for _ in range(times):
-        measure_into(fitness, lists, rows, room)
+    return Room(empty_tape(nodes), empty_work(nodes, rows.length), np.zeros(2))
 
 
 @inlined
@@ -80,8 +63,8 @@ def _error(lists: Lists, p: int, count: int, rows: Rows, room: Room) -> float:
 
 
 @kernel
-def measure_singly_into(fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
-    """Do what `measure_into` does, one list after the other."""
+def measure_into(fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
+    """Write the mean absolute error of each list on `rows`: find its live nodes, evaluate them, compare."""
     for p in range(fitness.shape[0]):
         count = compile_tape(lists, p, room.tape)
         _evaluate(count, rows, room)
@@ -89,10 +72,10 @@ def measure_singly_into(fitness: Floats, lists: Lists, rows: Rows, room: Room) -
 
 
 @kernel
-def measure_singly_repeatedly(times: int, fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
-    """Do `measure_singly_into` so many times."""
+def measure_repeatedly(times: int, fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
+    """Do `measure_into` so many times."""
     for _ in range(times):
-        measure_singly_into(fitness, lists, rows, room)
+        measure_into(fitness, lists, rows, room)
 
 
 @inlined
@@ -110,7 +93,7 @@ def _sweep(count: int, tape: Tape, rows: Rows, work: Work) -> None:
 
 @kernel
 def differentiate_into(fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
-    """Do what `measure_singly_into` does and a reverse sweep to every live constant of each list."""
+    """Do what `measure_into` does and a reverse sweep to every live constant of each list."""
     tape = room.tape
     for p in range(fitness.shape[0]):
         count = compile_tape(lists, p, tape)

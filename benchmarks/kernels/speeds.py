@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.expression.operators import ARITY, BY_NAME, COS, SIN, VARIABLE
+from atoll.expression.operators import BY_NAME
 from atoll_island_worker.evolution.kernels.rows import padded_rows
 from atoll_island_worker.evolution.structures import Lists, Rows
 from benchmarks.judging.evaluation import FloatArray
@@ -27,7 +27,6 @@ from benchmarks.kernels.loops import (
     instructions,
     measure_into,
     measure_repeatedly,
-    measure_singly_repeatedly,
     multiply_add_repeatedly,
     operator_tape,
     room_for,
@@ -61,11 +60,6 @@ class Part:
         return float(self.live.sum()) * self.rows.length
 
     @property
-    def computed(self) -> float:
-        """Values that a batch computes in one pass: not terminals, nor kept sines and cosines; constants once."""
-        return float(sum(computed_values(each, self.rows.length) for each in self.programs))
-
-    @property
     def points(self) -> float:
         """Point evaluations of one pass."""
         return float(len(self.live)) * self.rows.length
@@ -83,15 +77,13 @@ class Peak:
 class Speed:
     """Evaluations a second of all lists on so many rows.
 
-    `points`, `nodes` and `computed` are of lists measured in batches, the latter without what a batch need not compute;
-    `single_points` of one list after the other; `numpy_ratio` is how many times as fast as numpy a batch is.
+    `points` and `nodes` are of lists measured one after the other; `numpy_ratio` is how many times as fast as numpy
+    that is.
     """
 
     rows: int
     points: float
     nodes: float
-    computed: float
-    single_points: float
     gradient_points: float
     gradient_nodes: float
     numpy_ratio: float
@@ -106,19 +98,6 @@ class OperatorSpeed:
     nodes: float
     gradient_nodes: float
     numpy_ratio: float
-
-
-def computed_values(program: Instructions, rows: int) -> int:
-    """Return how many values of a list a batch computes: nodes that depend on constants alone have one at all rows."""
-    varies: list[bool] = []
-    number = 0
-    for code, left, right, _ in program:
-        arguments = (left, right)[: ARITY[code]]
-        varies.append(code == VARIABLE or any(varies[each] for each in arguments))
-        is_kept = code in (SIN, COS) and program[left][0] == VARIABLE
-        if arguments and not is_kept:
-            number += rows if varies[-1] else 1
-    return number
 
 
 def fastest(call: Callable[[int], object], repetitions: int) -> float:
@@ -144,7 +123,7 @@ def parts_of(corpus: Corpus, rows: int) -> list[Part]:
         index = np.arange(rows) % corpus.target.shape[1]
         inputs = np.ascontiguousarray(corpus.inputs[file][:, index])
         measured = padded_rows(inputs, corpus.target[file][index], keeps_waves=True)
-        room = room_for(corpus.code.shape[1], measured, corpus.terminals)
+        room = room_for(corpus.code.shape[1], measured)
         programs = [instructions(lists, p, room.tape) for p in range(len(lists.code))]
         live = np.array([len(each) for each in programs], np.float64)
         parts.append(Part(lists, measured, room, live, programs))
@@ -197,15 +176,12 @@ def numpy_seconds(parts: Sequence[Part]) -> float:
 def speed(parts: Sequence[Part], repetitions: int) -> Speed:
     """Measure all lists on the rows of `parts`."""
     points, nodes = sum(part.points for part in parts), sum(part.nodes for part in parts)
-    loops = (measure_repeatedly, measure_singly_repeatedly, differentiate_repeatedly)
-    forward, singly, gradient = (seconds(loop, parts, repetitions) for loop in loops)
+    forward, gradient = (seconds(loop, parts, repetitions) for loop in (measure_repeatedly, differentiate_repeatedly))
     numpy = min(numpy_seconds(parts) for _ in range(3))
     return Speed(
         rows=parts[0].rows.length,
         points=points / forward,
         nodes=nodes / forward,
-        computed=sum(part.computed for part in parts) / forward,
-        single_points=points / singly,
         gradient_points=points / gradient,
         gradient_nodes=nodes / gradient,
         numpy_ratio=numpy / forward,

@@ -1,0 +1,54 @@
+"""The digests of kernels: what the fingerprint of a worker depends on, and what it does not."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from atoll.compilation import sources
+from atoll.compilation.sources import ALL, WORKER, kernel_files, source_digest
+
+LOADED = """
+import sys
+from atoll.compilation.sources import WORKER, kernel_files
+import atoll_island_worker.evolution.island
+loaded = {getattr(module, "__file__", None) for module in list(sys.modules.values())}
+print([str(file) for file in kernel_files(WORKER) if str(file) not in loaded])
+"""
+
+
+@pytest.fixture
+def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder with copies of all packages, whose digests are taken in place of those that are imported."""
+    for package in ALL:
+        ignored = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(sources._folder(package), tmp_path / package, ignore=ignored)
+    monkeypatch.setattr(sources, "_folder", lambda package: tmp_path / package)
+    return tmp_path
+
+
+def kernel_in(package: str, folder: Path) -> Path:
+    return next(file for file in kernel_files([package]) if folder in file.parents)
+
+
+def test_editing_a_kernel_that_no_worker_runs_leaves_the_workers_fingerprint_alone(copied: Path) -> None:
+    fingerprint, everything = source_digest(WORKER), source_digest(ALL)
+    with kernel_in("atoll_coordinator", copied).open("a") as file:
+        file.write("# edited\n")
+    assert source_digest(WORKER) == fingerprint
+    assert source_digest(ALL) != everything
+
+
+@pytest.mark.parametrize("package", WORKER)
+def test_editing_a_kernel_that_workers_run_changes_their_fingerprint(copied: Path, package: str) -> None:
+    fingerprint = source_digest(WORKER)
+    with kernel_in(package, copied).open("a") as file:
+        file.write("# edited\n")
+    assert source_digest(WORKER) != fingerprint
+
+
+def test_every_kernel_in_the_fingerprint_is_one_that_an_island_runs() -> None:
+    unused = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, check=True, timeout=120)
+    assert unused.stdout.strip() == "[]"
