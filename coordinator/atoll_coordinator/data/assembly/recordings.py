@@ -7,9 +7,10 @@ import numpy as np
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.derivatives import StateEstimate
 from atoll_coordinator.data.differentiation.inputs import estimate_input_slopes
-from atoll_coordinator.data.recording import Method, Recording, Smoothing, Trajectory
+from atoll_coordinator.data.recording import ExcludedRow, Method, Recording, Smoothing, Trajectory
 from atoll_coordinator.data.row_selection.rows import SelectedRows
 from atoll_coordinator.data.trajectories.measurements import Measurements
+from atoll_coordinator.data.trajectories.trajectories import Range
 
 
 def build_recording(
@@ -30,29 +31,44 @@ def build_recording(
         selected: which rows the search sees, and because of which state it does not see others.
         symbols: by column name, the name in expressions.
     """
-    roles, whole = measurements.roles, measurements.trajectories
+    roles, whole, rows = measurements.roles, measurements.trajectories, measurements.row_count
     assert whole is not None
-    smoothing = []
-    for place, (state, estimate) in enumerate(zip(roles.states, estimates, strict=True)):
-        method: Method = "interpolation"
-        if estimate.smoother is not None:
-            method = "loess" if estimate.outliers is None else "robust loess"
-        smoothing.append(
-            Smoothing(
-                state,
-                method,
-                estimate.noise,
-                estimate.relative_noise,
-                None if estimate.smoother is None else estimate.smoother.rows,
-                None if estimate.smoother is None else estimate.smoother.degree,
-                len(selected.uncertain[place]),
-                estimate.outliers or 0,
-                selected.excluded[place],
-            )
-        )
     slopes = [estimate_input_slopes(whole.times, parts) for parts in inputs]
     if roles.time in roles.inputs:
         slopes[roles.inputs.index(roles.time)] = [np.ones(len(times)) for times in whole.times]
+    measured = _stack([np.concatenate(parts) for parts in whole.states.values()], rows)
+    smoothed = _stack([estimate.values for estimate in estimates], rows)
+    velocities = _stack([estimate.velocity for estimate in estimates], rows)
+    input_values = _stack([np.concatenate(parts) for parts in inputs], rows)
+    input_slopes = _stack([np.concatenate(parts) for parts in slopes], rows)
+    robustness_weights = None
+    if any(estimate.robustness_weights is not None for estimate in estimates):
+        ones = np.ones(rows)
+        given = [estimate.robustness_weights for estimate in estimates]
+        robustness_weights = _stack([ones if each is None else each for each in given], rows)
+    trajectories = [
+        Trajectory(
+            name,
+            times,
+            _part(measured, place),
+            _part(smoothed, place),
+            _part(velocities, place),
+            _part(input_values, place),
+            _part(input_slopes, place),
+            held_out,
+            None if robustness_weights is None else _part(robustness_weights, place),
+            None if weights is None else _part(weights, place),
+        )
+        for name, times, place, held_out in zip(
+            whole.names, whole.times, measurements.ranges, measurements.held_out, strict=True
+        )
+    ]
+    smoothing = [
+        _describe_smoothing(state, estimate, len(uncertain), excluded)
+        for state, estimate, uncertain, excluded in zip(
+            roles.states, estimates, selected.uncertain, selected.excluded, strict=True
+        )
+    ]
     return Recording(
         roles.states,
         tuple(symbols[name] for name in roles.states),
@@ -62,46 +78,27 @@ def build_recording(
         roles.order,
         whole.offset,
         tuple(smoothing),
-        _trajectories(measurements, weights, estimates, inputs, slopes),
+        tuple(trajectories),
         roles.offsets,
     )
 
 
-def _trajectories(
-    measurements: Measurements,
-    weights: FloatArray | None,
-    estimates: Sequence[StateEstimate],
-    inputs: Sequence[Sequence[FloatArray]],
-    slopes: Sequence[Sequence[FloatArray]],
-) -> tuple[Trajectory, ...]:
-    whole = measurements.trajectories
-    assert whole is not None
-    return tuple(
-        Trajectory(
-            whole.names[number],
-            whole.times[number],
-            _stacked([parts[number] for parts in whole.states.values()], last - first),
-            _stacked([estimate.values[first:last] for estimate in estimates], last - first),
-            _stacked([estimate.velocity[first:last] for estimate in estimates], last - first),
-            _stacked([parts[number] for parts in inputs], last - first),
-            _stacked([parts[number] for parts in slopes], last - first),
-            measurements.held_out[number],
-            _robustness_weights(estimates, first, last),
-            None if weights is None else np.ascontiguousarray(weights[first:last]),
-        )
-        for number, (first, last) in enumerate(measurements.ranges)
-    )
+def _describe_smoothing(
+    state: str, estimate: StateEstimate, uncertain: int, excluded: tuple[ExcludedRow, ...]
+) -> Smoothing:
+    noise, relative, smoother = estimate.noise, estimate.relative_noise, estimate.smoother
+    if smoother is None:
+        return Smoothing(state, "interpolation", noise, relative, uncertain_rows=uncertain, excluded_rows=excluded)
+    method: Method = "loess" if estimate.outliers is None else "robust loess"
+    outliers = estimate.outliers or 0
+    return Smoothing(state, method, noise, relative, smoother.rows, smoother.degree, uncertain, outliers, excluded)
 
 
-def _robustness_weights(estimates: Sequence[StateEstimate], first: int, last: int) -> FloatArray | None:
-    """Return the robustness weights of all states in a range of rows; None when smoothing was not robust."""
-    if all(estimate.robustness_weights is None for estimate in estimates):
-        return None
-    whole = np.ones(last)
-    weights = [whole if each.robustness_weights is None else each.robustness_weights for each in estimates]
-    return _stacked([each[first:last] for each in weights], last - first)
-
-
-def _stacked(parts: Sequence[FloatArray], rows: int) -> FloatArray:
+def _stack(parts: Sequence[FloatArray], rows: int) -> FloatArray:
     """Return `parts` as the rows of one array, which has no rows where there are no parts."""
-    return np.ascontiguousarray(np.array(parts, dtype=np.float64).reshape(len(parts), rows))
+    return np.array(parts, dtype=np.float64).reshape(len(parts), rows)
+
+
+def _part(values: FloatArray, place: Range) -> FloatArray:
+    """Return a trajectory's range of the last axis, in C order."""
+    return np.ascontiguousarray(values[..., slice(*place)])

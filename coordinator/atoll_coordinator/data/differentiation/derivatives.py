@@ -8,7 +8,7 @@ that there is noise.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -142,17 +142,12 @@ def estimate_derivatives(
 
 def _rescale(estimate: StateEstimate, exponent: int) -> StateEstimate:
     """Return the estimate of values 2**exponent times as large: values of any size have squares in between."""
+    arrays = ("values", "velocity", "derivative", "uncertainty", "total_uncertainty")
     with np.errstate(over="ignore", under="ignore"):
-        return replace(
-            estimate,
-            values=np.ldexp(estimate.values, exponent),
-            velocity=np.ldexp(estimate.velocity, exponent),
-            derivative=np.ldexp(estimate.derivative, exponent),
-            uncertainty=np.ldexp(estimate.uncertainty, exponent),
-            total_uncertainty=np.ldexp(estimate.total_uncertainty, exponent),
-            noise=float(np.ldexp(estimate.noise, exponent)),
-            standard_deviation=float(np.ldexp(estimate.standard_deviation, exponent)),
-        )
+        scaled: dict[str, Any] = {name: np.ldexp(getattr(estimate, name), exponent) for name in arrays}
+        for name in ("noise", "standard_deviation"):
+            scaled[name] = float(np.ldexp(getattr(estimate, name), exponent))
+    return replace(estimate, **scaled)
 
 
 def _estimate(signals: Sequence[Signal], options: Differentiation, held_out: Sequence[bool]) -> StateEstimate:
@@ -172,9 +167,9 @@ def _estimate(signals: Sequence[Signal], options: Differentiation, held_out: Seq
         return replace(_by_loess(signals, smoother, options.order, searched), has_heavy_tails=is_tailed)
     rest = iter(fit.signals)
     weighted = [weigh_by(fit, signal) if out else next(rest) for signal, out in zip(signals, held_out, strict=True)]
+    given = [signal.robustness_weights for signal in weighted]
     weights = [
-        np.ones(len(signal.times)) if signal.robustness_weights is None else signal.robustness_weights
-        for signal in weighted
+        np.ones(len(signal.times)) if each is None else each for signal, each in zip(weighted, given, strict=True)
     ]
     estimate = _by_loess(weighted, fit.smoother, options.order, fit.signals)
     return replace(estimate, outliers=fit.outliers, robustness_weights=np.concatenate(weights))

@@ -193,19 +193,10 @@ def smooth(signal: Signal, smoother: Smoother) -> SmoothedSignal:
 
 def _loess(signal: Signal, span: int, degree: int) -> SmoothedSignal:
     smoothed = _empty(len(signal.times))
-    inverse_variances = signal.filled_inverse_variances
+    weights, inverse_variances = signal.weights, signal.filled_inverse_variances
     degree = min(degree, len(signal.times) - 2)
-    span = max(span, degree + 2)
-    loess_into(
-        smoothed.fits,
-        smoothed.gains,
-        signal.times,
-        signal.values,
-        signal.weights,
-        inverse_variances,
-        span,
-        degree + 1,
-    )
+    window = max(span, degree + 2), degree + 1
+    loess_into(smoothed.fits, smoothed.gains, signal.times, signal.values, weights, inverse_variances, *window)
     return smoothed
 
 
