@@ -19,7 +19,7 @@ from atoll.config import PRESETS, JobConfig
 from atoll.data.table import Table
 from atoll.errors import AtollError, UnreachableError
 from atoll.wire.messages.views import FINAL_STATES, JobView
-from atoll_coordinator.cli.local.cluster import worker_command
+from atoll_coordinator.cli.local.workers import worker_command
 from atoll_coordinator.cli.signals import raising_interrupts
 from atoll_coordinator.cli.terminal.output import count, duration, error_text, note
 from atoll_coordinator.client import Client, connected

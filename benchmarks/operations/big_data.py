@@ -20,7 +20,7 @@ import numpy as np
 import polars
 
 from atoll.errors import AtollError, UnreachableError
-from atoll_coordinator.cli.local.cluster import worker_command
+from atoll_coordinator.cli.local.workers import worker_command
 from atoll_coordinator.cli.terminal.output import say, table
 from atoll_coordinator.client import Client, connected
 from benchmarks.harness.command_line import plain_errors, whole

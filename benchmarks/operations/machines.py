@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 from atoll.errors import AtollError, UsageError
-from atoll_coordinator.cli.local.cluster import worker_command
+from atoll_coordinator.cli.local.workers import worker_command
 from atoll_coordinator.cli.signals import raising_interrupts
 from atoll_coordinator.client import Client, connected
 from benchmarks.harness.service import CONNECT_LIMIT_S, Searches

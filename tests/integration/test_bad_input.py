@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll_coordinator.cli.local import cluster as local
+from atoll_coordinator.cli.local import workers as local
 from atoll_coordinator.cli.main import main
 
 pytestmark = pytest.mark.timeout(200)

@@ -1,4 +1,4 @@
-"""The course of a local run: read, submit, follow, write and print, while workers and coordinator are at work here."""
+"""A local run: read the data, submit the job, follow it, write and print its result."""
 
 import argparse
 import time
@@ -7,7 +7,8 @@ from typing import Any, Final
 
 from atoll.wire.messages.views import FINAL_STATES, JobView
 from atoll_coordinator.cli.exit_codes import FAILED, INTERRUPTED
-from atoll_coordinator.cli.local.cluster import Coordinator, NoWorkerLeftError, Workers
+from atoll_coordinator.cli.local.coordinator import LocalCoordinator
+from atoll_coordinator.cli.local.workers import LocalWorkers, NoWorkerLeftError
 from atoll_coordinator.cli.request import request_of
 from atoll_coordinator.cli.terminal.follow import Follower
 from atoll_coordinator.cli.terminal.output import duration, note, write_result
@@ -23,7 +24,7 @@ class LocalRun:
     """One run, whose workers have been started already and are ended by the caller."""
 
     def __init__(
-        self, options: argparse.Namespace, folder: Path, endpoint: str, workers: Workers, started: float
+        self, options: argparse.Namespace, folder: Path, endpoint: str, workers: LocalWorkers, started: float
     ) -> None:
         """`started` is the monotonic second at which the command began; raises UsageError or DataError."""
         self._request = request_of(options)
@@ -31,31 +32,31 @@ class LocalRun:
         self._endpoint = endpoint
         self._workers = workers
         self._started = started
-        self._coordinator = Coordinator(endpoint, workers.number)
+        self._coordinator = LocalCoordinator(endpoint, workers.number)
         self._forced: int | None = None
 
-    def conduct(self) -> int:
+    def run(self) -> int:
         """Start the coordinator, follow the job, write and print its result; return the exit code."""
         with self._coordinator:
             table = self._request.read()
             self._coordinator.wait()
             with connected(self._endpoint, _CONNECT_LIMIT_S) as client:
                 self._request.submit(client, table)
-                return self._see_through(client)
+                return self._follow_job(client)
 
-    def _see_through(self, client: Client) -> int:
+    def _follow_job(self, client: Client) -> int:
         with open_display("") as display:
-            follower = Follower(client, self._request.job, display, self._watch)
-            view = self._follow(follower, client, display)
+            follower = Follower(client, self._request.job, display, self._check_processes)
+            view = self._follow_to_the_end(follower, client, display)
         self._workers.dismiss()
         result = self._request.result(client, view)
         if result is not None:
             path = write_result(self._folder, result)
             self._request.show(result)
-            self._sum_up(result, follower.timeline.phases, path)
+            self._print_times(result, follower.timeline.phases, path)
         return self._request.finish(view) if self._forced is None else self._forced
 
-    def _follow(self, follower: Follower, client: Client, display: Display) -> JobView:
+    def _follow_to_the_end(self, follower: Follower, client: Client, display: Display) -> JobView:
         """Follow the job; an interrupt, or the loss of all workers, cancels it and keeps its best equations."""
         try:
             return follower.to_the_end()
@@ -67,11 +68,11 @@ class LocalRun:
             self._forced = FAILED
         return _cancelled(client, self._request.job)
 
-    def _watch(self) -> list[str]:
+    def _check_processes(self) -> list[str]:
         self._coordinator.check()
         return self._workers.check()
 
-    def _sum_up(self, result: dict[str, Any], phases: dict[str, float], path: Path) -> None:
+    def _print_times(self, result: dict[str, Any], phases: dict[str, float], path: Path) -> None:
         total = time.monotonic() - self._started
         parts = {name: phases.get(name, 0.0) for name in ("compiling kernels", "loading kernels")}
         parts["search"] = float(result["search_seconds"] or 0.0)

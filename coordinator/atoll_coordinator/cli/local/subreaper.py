@@ -1,7 +1,7 @@
-"""Workers that another process forked and left to this one, as its children.
+"""Workers that a fork server started and left to this process, which is their subreaper.
 
-A *nursery* is a process that loads what workers need, forks them and ends. The system then gives its orphans to their
-nearest living ancestor that asked for them, which is this process: so each worker can be waited for, and dies, alone.
+The fork server loads what workers need, forks them and ends. The system then gives the orphans to their nearest living
+ancestor that asked for them, which is this process, as its children: so it can wait for each, and each dies alone.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ _LOOK_S: Final = 0.01
 _MOST: Final = 65_536
 
 
-def adopt_orphans() -> bool:
+def become_subreaper() -> bool:
     """Have what descends from this process become its child when its parent ends; return whether the system can."""
     if sys.platform != "linux":
         return False
@@ -34,7 +34,7 @@ def plain_environment() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if name not in certificates}
 
 
-class Adopted:
+class AdoptedProcess:
     """A child that another process started, with as much of `subprocess.Popen` as is needed to end it."""
 
     def __init__(self, pid: int) -> None:
@@ -75,7 +75,7 @@ class Adopted:
             os.kill(self.pid, number)
 
 
-class Nursery:
+class ForkServer:
     """The process that forks the workers. Each of these writes ``name pid`` to a pipe and closes its end of it."""
 
     def __init__(self, command: Sequence[str], log: IO[bytes]) -> None:
@@ -94,9 +94,8 @@ class Nursery:
         self._said = b""
         self._is_closed = False
 
-    @property
-    def is_left(self) -> bool:
-        """Whether the process has ended and all its workers have said who they are, and so are children of ours."""
+    def poll(self) -> bool:
+        """Read what the workers have written; return whether the process has ended and all of them are our children."""
         while not self._is_closed:
             try:
                 part = os.read(self._pipe.fileno(), _MOST)
@@ -106,11 +105,11 @@ class Nursery:
             self._is_closed = not part
         return self._process.poll() is not None
 
-    def workers(self) -> dict[str, Adopted]:
-        """Return the workers by name, all of them once `is_left`; closes the pipe."""
+    def workers(self) -> dict[str, AdoptedProcess]:
+        """Return the workers by name, all of them once `poll` returns True; closes the pipe."""
         self._pipe.close()
         lines = [line.split() for line in self._said.decode().splitlines()]
-        return {name: Adopted(int(pid)) for name, pid in lines}
+        return {name: AdoptedProcess(int(pid)) for name, pid in lines}
 
     def terminate(self) -> None:
         """Tell it to end; workers that it has forked live on."""
@@ -121,9 +120,9 @@ class Nursery:
         self._process.kill()
 
     def wait(self, limit_s: float) -> None:
-        """Wait until `is_left`, within a limit."""
+        """Wait until `poll` returns True, within a limit."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(limit_s)
         end = time.monotonic() + limit_s
-        while not self.is_left and time.monotonic() < end:
+        while not self.poll() and time.monotonic() < end:
             time.sleep(_LOOK_S)

@@ -17,7 +17,7 @@ from atoll.logs import configure
 from atoll.machine.cores import usable_cores
 from atoll_coordinator.cli.exit_codes import BAD_INPUT, INTERRUPTED
 from atoll_coordinator.cli.job_ids import job_id
-from atoll_coordinator.cli.local.cluster import Workers, free_endpoint
+from atoll_coordinator.cli.local.workers import LocalWorkers, free_endpoint
 from atoll_coordinator.cli.signals import raising_interrupts
 from atoll_coordinator.cli.terminal.output import refuse_existing_result
 
@@ -44,10 +44,10 @@ def run(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace, folder: Path, started: float) -> int:
     endpoint, number = free_endpoint(), options.workers or usable_cores(os.environ)[0]
-    with raising_interrupts(), Workers(endpoint, number, folder / _WORKER_LOG) as workers:
+    with raising_interrupts(), LocalWorkers(endpoint, number, folder / _WORKER_LOG) as workers:
         from atoll_coordinator.cli.local.local_run import LocalRun
 
-        return LocalRun(options, folder, endpoint, workers, started).conduct()
+        return LocalRun(options, folder, endpoint, workers, started).run()
 
 
 @contextlib.contextmanager

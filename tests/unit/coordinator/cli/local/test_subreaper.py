@@ -12,8 +12,8 @@ PREAMBLE = """
 import os, signal, sys, time
 from pathlib import Path
 from atoll.errors import DataError
-from atoll_coordinator.cli.local import cluster as local
-from atoll_coordinator.cli.local.cluster import NoWorkerLeftError, Workers
+from atoll_coordinator.cli.local import workers as local
+from atoll_coordinator.cli.local.workers import NoWorkerLeftError, LocalWorkers
 
 FORKS = '''
 import os, signal, sys
@@ -31,11 +31,11 @@ leave({f"w-{index}": globals()[kind] for index, kind in enumerate(sys.argv[1:])}
 '''
 
 def workers(*kinds, script=FORKS):
-    local.nursery_command = lambda endpoint, number: [sys.executable, "-c", script, *kinds]
-    return Workers("tcp/127.0.0.1:1", len(kinds), Path("log"))
+    local.fork_server_command = lambda endpoint, number: [sys.executable, "-c", script, *kinds]
+    return LocalWorkers("tcp/127.0.0.1:1", len(kinds), Path("log"))
 
 def pids(family):
-    while family._nursery is not None:
+    while family._fork_server is not None:
         assert family.check() == []
         time.sleep(0.01)
     return [each.pid for each in family._processes.values()]
@@ -121,7 +121,7 @@ except DataError:
     assert say(script) == "[]\n"
 
 
-def test_who_is_not_forked_is_said_and_a_nursery_that_breaks_ends_the_run(say: Say) -> None:
+def test_who_is_not_forked_is_said_and_a_fork_server_that_breaks_ends_the_run(say: Say) -> None:
     script = """
 with workers("idle", "idle", script=FORKS.replace("sys.argv[1:]", "sys.argv[2:]")) as family:
     print(*said(family))

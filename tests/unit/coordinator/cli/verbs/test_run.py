@@ -21,7 +21,7 @@ def test_workers_are_as_many_as_the_cores_that_may_be_used(
 
     monkeypatch.setenv("SLURM_CPUS_PER_TASK", "1")
     monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(8)))
-    monkeypatch.setattr(module, "Workers", workers)
+    monkeypatch.setattr(module, "LocalWorkers", workers)
     with pytest.raises(Started) as started:
         module.run(parse(["run", "data.csv", "--out", str(tmp_path / "out"), *options]))
     assert started.value.args == (number,)
