@@ -16,12 +16,12 @@ from typing import Final
 from atoll.config import JobConfig
 from atoll.machine.cores import usable_cores
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.inference.conclusion import concluded
+from atoll_coordinator.model.inference.conclusion import summarize
 from atoll_coordinator.model.refinement import Pools, Refined, Refinement
 from atoll_coordinator.model.regression.equation import fit_equation, with_intervals
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
-from atoll_coordinator.model.selection.joint_search import Field
-from atoll_coordinator.model.selection.piece_lengths import chosen
+from atoll_coordinator.model.selection.joint_search import ModellingTask
+from atoll_coordinator.model.selection.piece_lengths import select_model
 
 NOT_SIMULATED: Final = (
     "No system of equations could be simulated along the measured trajectories; those shown fit the derivatives alone."
@@ -44,9 +44,9 @@ def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Ref
     is_noisy = {target.variable: target.is_noisy for target in preparation.dataset.targets}
     settled = _by_regression(preparation, config, {name: its for name, its in candidates.items() if not is_noisy[name]})
     with ThreadPoolExecutor(usable_cores(os.environ)[0]) as executor:
-        field = Field(preparation.dataset, preparation.recording, config, candidates, settled, executor)
-        choice = chosen(field)
-        model = None if choice is None else concluded(choice)
+        task = ModellingTask(preparation.dataset, preparation.recording, config, candidates, settled, executor)
+        choice = select_model(task)
+        model = None if choice is None else summarize(choice)
     if model is not None:
         return model
     rest = _by_regression(preparation, config, {name: its for name, its in candidates.items() if is_noisy[name]})

@@ -1,4 +1,4 @@
-"""What is made of the fronts after the search: equations with error bars, contenders, verdicts, simulations. Pure data.
+"""What refining takes and gives: pools of the search; equations with errors, alternatives, verdicts, simulations. Pure.
 
 Letters: K constants of one program, T trajectories, R rows of one trajectory, S states.
 """
@@ -68,7 +68,7 @@ class Constant:
 
 
 @dataclass(frozen=True)
-class Implied:
+class UnitCoefficient:
     """A factor of one that is not written, of the term `of`; the constant has its value as it was fitted."""
 
     of: Program
@@ -76,11 +76,11 @@ class Implied:
 
 
 @dataclass(frozen=True)
-class Contender:
+class Alternative:
     """An equation that was compared with the one shown, all other variables as in the model.
 
     `nats` is how much longer the description of the data is with it (0 for the one shown, negative where it is shorter
-    but foretells less well; below about 3 the data hardly decide); `r2` is that of its state's simulation,
+    but predicts less well; below about 3 the data hardly decide); `r2` is that of its state's simulation,
     `held_out_r2` the same on trajectories that did not take part in its fit, None where there are none:
     held-out ones, or when it `is_cross_validated` each of the others, left out one at a time.
     """
@@ -109,7 +109,7 @@ class Refined:
 
     `member` is the index of the front member it came from, None when it came from elsewhere; `error` is the job's loss
     and `mse` the mean squared error on all rows of the dataset; `constants` has one for each constant of `program`, in
-    node order (empty before refinement); `implied` has the factors of one that are not written.
+    node order (empty before refinement); `unit_coefficients` has the factors of one that are not written.
     """
 
     member: int | None
@@ -117,8 +117,8 @@ class Refined:
     error: float
     mse: float
     constants: tuple[Constant, ...] = ()
-    implied: tuple[Implied, ...] = ()
-    contenders: tuple[Contender, ...] = ()
+    unit_coefficients: tuple[UnitCoefficient, ...] = ()
+    alternatives: tuple[Alternative, ...] = ()
     grade: Grade | None = None
     reason: str | None = None
     origin: Origin | None = None

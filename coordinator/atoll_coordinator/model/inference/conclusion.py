@@ -1,4 +1,4 @@
-"""From the chosen system to what is reported: constants with errors, contenders, verdicts, simulations."""
+"""From the chosen system to what is reported: constants with errors, alternatives, verdicts, simulations."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,51 +11,55 @@ from atoll_coordinator.model.inference.uncertainty import (
     Errors,
     Known,
     bands,
-    constants_of,
-    correlations_of,
-    errors_of,
-    held,
+    describe_constants,
+    estimate_errors,
+    find_correlations,
+    fit_starts,
     not_simulated,
     r2_of,
+    scaled_covariance,
     simulated,
-    spread_of,
 )
 from atoll_coordinator.model.inference.verdict import Evidence, judge
-from atoll_coordinator.model.refinement import Contender, Origin, Refined, Refinement, Simulated, Simulation
+from atoll_coordinator.model.refinement import Alternative, Origin, Refined, Refinement, Simulated, Simulation
 from atoll_coordinator.model.regression.errors import errors_on
-from atoll_coordinator.model.selection.alternatives import Race, decided
-from atoll_coordinator.model.selection.comparison import Contest, Standing
-from atoll_coordinator.model.selection.joint_search import Chosen, Field
+from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel
 from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks
-from atoll_coordinator.model.selection.rounding import rounded
+from atoll_coordinator.model.selection.rounding import round_system
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import Shot
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.like_terms import gathered
-from atoll_coordinator.model.structure.unit_coefficients import Opened, as_it_is, opened
+from atoll_coordinator.model.structure.unit_coefficients import (
+    ExplicitCoefficients,
+    as_written,
+    make_coefficients_explicit,
+)
 
 
 @dataclass(frozen=True, eq=False)
 class _Final:
     """The model on all rows: `shown` programs, their fit with all constants free, and as they are shown.
 
-    `unseen` is a contest over the held-out trajectories, None when there are none.
+    `unseen` is a comparison over the held-out trajectories, None when there are none.
     """
 
-    field: Field
-    race: Race
+    task: ModellingTask
+    ranking: Ranking
     origins: Sequence[Mapping[bytes, Origin]]
-    unseen: Contest | None
-    contest: Contest
+    unseen: ModelComparison | None
+    comparison: ModelComparison
     shown: tuple[Program, ...]
-    openings: tuple[Opened, ...]
-    free: Standing
-    held: Standing
+    explicit: tuple[ExplicitCoefficients, ...]
+    free: FittedModel
+    shown_fit: FittedModel
 
     def origin(self, equation: int, program: Program) -> Origin:
         """Return where a program came from, before its constants were made simple."""
-        if self.field.variables[equation] in self.field.known:
+        if self.task.variables[equation] in self.task.known:
             return "known"
         return self.origins[equation].get(structure(tidied(program)), "descent")
 
@@ -68,111 +72,123 @@ class _HeldOut:
     r2: tuple[float | None, ...]
 
 
-def concluded(choice: Chosen) -> Refinement | None:
+def summarize(selection: SelectedModel) -> Refinement | None:
     """Return the refinement that the chosen system gives; None when it cannot be simulated on all rows."""
-    candidates = choice.field.candidates.values()
-    origins = tuple(each.origins(compared) for each, compared in zip(candidates, choice.lists, strict=True))
-    final = _finalized(decided(choice, choice.field.dataset.inputs), origins)
+    candidates = selection.task.candidates.values()
+    origins = tuple(each.origins(compared) for each, compared in zip(candidates, selection.lists, strict=True))
+    final = _finalized(rank_alternatives(selection, selection.task.dataset.inputs), origins)
     if final is None:
         return None
-    field = final.field
-    errors = errors_of(final.contest, final.free)
-    constants = constants_of(final.contest, final.openings, final.shown, errors)
+    task = final.task
+    errors = estimate_errors(final.comparison, final.free)
+    constants = describe_constants(final.comparison, final.explicit, final.shown, errors)
     out = None if final.unseen is None else _held_out(final, final.unseen, final.shown, errors)
     equations = {
-        name: _refined(final, index, constants[index], _foretold(final, out, index))
-        for index, name in enumerate(field.variables)
+        name: _refined(final, index, constants[index], _prediction_r2(final, out, index))
+        for index, name in enumerate(task.variables)
     }
-    its = final.contest.shooter.measurements
-    spread = bands(its, final.free.shot, *spread_of(final.contest, final.free.shot, errors))
-    trajectories = simulated(its, final.held.shot, spread, field.variables, held_out=False)
+    its = final.comparison.shooter.measurements
+    spread = bands(its, final.free.shot, *scaled_covariance(final.comparison, final.free.shot, errors))
+    trajectories = simulated(its, final.shown_fit.shot, spread, task.variables, held_out=False)
     return Refinement(
         equations,
-        Simulation(field.variables, (*trajectories, *(out.trajectories if out is not None else ()))),
-        correlations_of(final.contest, field.variables, final.openings, errors),
-        tuple(remarks(field)),
+        Simulation(task.variables, (*trajectories, *(out.trajectories if out is not None else ()))),
+        find_correlations(final.comparison, task.variables, final.explicit, errors),
+        tuple(remarks(task)),
     )
 
 
-def _finalized(race: Race, origins: Sequence[Mapping[bytes, Origin]]) -> _Final | None:
+def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> _Final | None:
     """Fit the chosen system to all rows, make its constants simple, and fit what is shown again."""
-    whole = on_all_rows(race.choice)
+    whole = on_all_rows(ranking.selection)
     if whole is None:
         return None
-    contest, best = whole.contest, whole.standing
-    for programs in (rounded(contest, best), best.programs):  # as fitted, where simple constants cannot be simulated
-        shown = tuple(_tidy(whole.field, contest, equation, program) for equation, program in enumerate(programs))
-        openings, free = _freed(contest, best, shown)
-        shot = held(contest, shown, best.shot)
+    comparison, best = whole.comparison, whole.model
+    for programs in (
+        round_system(comparison, best),
+        best.programs,
+    ):
+        shown = tuple(_tidied(whole.task, comparison, equation, program) for equation, program in enumerate(programs))
+        explicit, free = _freed(comparison, best, shown)
+        shot = fit_starts(comparison, shown, best.shot)
         if free is not None and shot is not None:
-            final = contest.measured(shown, shot)
-            return _Final(whole.field, race, origins, _unseen(whole.field), contest, shown, openings, free, final)
+            final = comparison.measure(shown, shot)
+            return _Final(whole.task, ranking, origins, _unseen(whole.task), comparison, shown, explicit, free, final)
     return None
 
 
-def _tidy(field: Field, contest: Contest, equation: int, program: Program) -> Program:
+def _tidied(task: ModellingTask, comparison: ModelComparison, equation: int, program: Program) -> Program:
     """Return a program with like terms gathered, unless it is given or would be larger than is allowed."""
-    made = program if equation in contest.fixed else gathered(program)
-    return made if field.may_be_shown(made) else program
+    made = program if equation in comparison.fixed else gathered(program)
+    return made if task.may_be_shown(made) else program
 
 
-def _freed(contest: Contest, best: Standing, shown: Sequence[Program]) -> tuple[tuple[Opened, ...], Standing | None]:
+def _freed(
+    comparison: ModelComparison, best: FittedModel, shown: Sequence[Program]
+) -> tuple[tuple[ExplicitCoefficients, ...], FittedModel | None]:
     """Fit what is shown with all its constants free, factors of one that are not written among them if that can be."""
-    openings = tuple(
-        as_it_is(program) if equation in contest.fixed else opened(program) for equation, program in enumerate(shown)
+    explicit = tuple(
+        as_written(program) if equation in comparison.fixed else make_coefficients_explicit(program)
+        for equation, program in enumerate(shown)
     )
-    free = contest.beside(best, [each.program for each in openings], SETTINGS.inference.shown_steps)
+    free = comparison.fit_beside(best, [each.program for each in explicit], SETTINGS.inference.shown_steps)
     if free is not None:
-        return openings, free
-    return tuple(map(as_it_is, shown)), contest.beside(best, shown, SETTINGS.inference.shown_steps)
+        return explicit, free
+    return tuple(map(as_written, shown)), comparison.fit_beside(best, shown, SETTINGS.inference.shown_steps)
 
 
-def _unseen(field: Field) -> Contest | None:
-    """Return a contest over the held-out trajectories; None when there are none."""
-    if not any(each.held_out for each in field.recording.trajectories):
+def _unseen(task: ModellingTask) -> ModelComparison | None:
+    """Return a comparison over the held-out trajectories; None when there are none."""
+    if not any(each.held_out for each in task.recording.trajectories):
         return None
-    return field.contest(field.measurements(field.variables, held_out=True), field.variables)
+    return task.compare(task.measurements(task.variables, held_out=True), task.variables)
 
 
-def _held_out(final: _Final, unseen: Contest, programs: Sequence[Program], errors: Errors | None = None) -> _HeldOut:
+def _held_out(
+    final: _Final, unseen: ModelComparison, programs: Sequence[Program], errors: Errors | None = None
+) -> _HeldOut:
     """Simulate the held-out trajectories from initial states that are fitted to them.
 
     With the `errors` of the constants there are bands; these programs are the ones shown, then.
     """
     its = unseen.shooter.measurements
-    shot = held(unseen, programs)
+    shot = fit_starts(unseen, programs)
     if shot is None:
         return _HeldOut(tuple(not_simulated(its, held_out=True)), tuple(-np.inf for _ in its.observed))
     spread = None if errors is None else _carried_bands(final, unseen, shot, errors)
     return _HeldOut(
-        tuple(simulated(its, shot, spread, final.field.variables, held_out=True)), tuple(r2_of(its, shot, slice(None)))
+        tuple(simulated(its, shot, spread, final.task.variables, held_out=True)), tuple(r2_of(its, shot, slice(None)))
     )
 
 
-def _carried_bands(final: _Final, unseen: Contest, shot: Shot, errors: Errors) -> FloatArray | None:
+def _carried_bands(final: _Final, unseen: ModelComparison, shot: Shot, errors: Errors) -> FloatArray | None:
     """Return the standard errors (O, N) of held-out trajectories as simulated; None when they cannot be told."""
-    system = unseen.system([each.program for each in final.openings])
+    system = unseen.system([each.program for each in final.explicit])
     free = final.free.shot
     near = unseen.shooter.fit(system, None, 0, shot.starts, free.sigmas, is_stiff=shot.is_stiff)
-    return None if near is None else bands(unseen.shooter.measurements, near, *spread_of(final.contest, free, errors))
+    return (
+        None
+        if near is None
+        else bands(unseen.shooter.measurements, near, *scaled_covariance(final.comparison, free, errors))
+    )
 
 
 def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None) -> Refined:
-    field = final.field
-    name, program = field.variables[index], final.shown[index]
-    problem = field.dataset.problem(name)
-    error, mse = errors_on(problem, program, field.config.evolution.loss)
-    contenders = _contenders(final, index, held_out_r2)
-    rivals = _no_elaborations(final.race.choice.standing.programs[index], contenders)
+    task = final.task
+    name, program = task.variables[index], final.shown[index]
+    problem = task.dataset.problem(name)
+    error, mse = errors_on(problem, program, task.config.evolution.loss)
+    alternatives = _reported_alternatives(final, index, held_out_r2)
+    nearest = _no_elaborations(final.ranking.selection.model.programs[index], alternatives)
     variance = problem.target.standard_deviation**2
-    smoothing = field.recording.smoothing[field.recording.states.index(name)]
-    its = final.contest.shooter.measurements
+    smoothing = task.recording.smoothing[task.recording.states.index(name)]
+    its = final.comparison.shooter.measurements
     evidence = Evidence(
         error=error / problem.target.standard_deviation,
         target_uncertainty=problem.target.uncertainty,
         convergence_threshold=problem.target.convergence_threshold(),
         target_r2=1.0 - mse / variance if variance else None,
-        residuals=_residuals(its, final.held.shot, index),
+        residuals=_residuals(its, final.shown_fit.shot, index),
         parameters=(len(final.free.shot.system.places) + final.free.shot.starts.size) / len(its.observed),
         noise=0.0 if smoothing.method == "interpolation" else smoothing.noise,
         deviation=_deviation(its, index),
@@ -180,21 +196,23 @@ def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None)
         held_out_r2=held_out_r2,
         is_cross_validated=final.unseen is None,
         constants=known.written,
-        rival=min((each.nats for each in rivals), default=None),
+        alternative=min((each.nats for each in nearest), default=None),
     )
     grade, reason = judge(evidence)
-    member = field.candidates[name].member_of(program)
-    origin = final.origin(index, final.race.choice.standing.programs[index])
-    return Refined(member, program, error, mse, known.written, known.implied, contenders, grade, reason, origin)
+    member = task.candidates[name].member_of(program)
+    origin = final.origin(index, final.ranking.selection.model.programs[index])
+    return Refined(
+        member, program, error, mse, known.written, known.unit_coefficients, alternatives, grade, reason, origin
+    )
 
 
-def _no_elaborations(program: Program, contenders: Sequence[Contender]) -> list[Contender]:
+def _no_elaborations(program: Program, alternatives: Sequence[Alternative]) -> list[Alternative]:
     """Return the others that have no more constants than `program`, as it was before its constants were made simple.
 
     More constants always describe about as well; that is no reason to doubt the equation with fewer.
     """
     most = len(constant_places(program))
-    return [each for each in contenders if not each.is_shown and len(constant_places(each.program)) <= most]
+    return [each for each in alternatives if not each.is_shown and len(constant_places(each.program)) <= most]
 
 
 def _residuals(its: Measurements, shot: Shot, index: int) -> list[FloatArray]:
@@ -211,26 +229,26 @@ def _deviation(its: Measurements, index: int) -> float:
     return max(float(values.std()), 1e-300) if len(values) else 1e-300
 
 
-def _foretold(final: _Final, out: _HeldOut | None, index: int) -> float | None:
+def _prediction_r2(final: _Final, out: _HeldOut | None, index: int) -> float | None:
     """Return R2 of a state along trajectories that were held out, or else left out one at a time, if any were."""
-    its = out if out is not None else final.race.validated
+    its = out if out is not None else final.ranking.validated
     return None if its is None else its.r2[index]
 
 
-def _contenders(final: _Final, index: int, held_out_r2: float | None) -> tuple[Contender, ...]:
+def _reported_alternatives(final: _Final, index: int, held_out_r2: float | None) -> tuple[Alternative, ...]:
     """Return the equation that is shown and what came closest to it, all other equations as they are."""
-    race = final.race
-    contest, best = race.choice.contest, race.choice.standing
-    r2 = r2_of(final.contest.shooter.measurements, final.held.shot, slice(None))[index]
+    ranking = final.ranking
+    comparison, best = ranking.selection.comparison, ranking.selection.model
+    r2 = r2_of(final.comparison.shooter.measurements, final.shown_fit.shot, slice(None))[index]
     origin = final.origin(index, best.programs[index])
-    is_crossed = final.unseen is None and race.validated is not None
-    found = [Contender(final.shown[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
-    for rival in race.rivals[index]:
-        program, nats = rival.standing.programs[index], rival.standing.nats - best.nats
-        r2 = r2_of(contest.shooter.measurements, rival.standing.shot, slice(None))[index]
-        held_out_r2 = None if rival.validated is None else rival.validated.r2[index]
+    is_crossed = final.unseen is None and ranking.validated is not None
+    found = [Alternative(final.shown[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
+    for alternative in ranking.alternatives[index]:
+        program, nats = alternative.model.programs[index], alternative.model.nats - best.nats
+        r2 = r2_of(comparison.shooter.measurements, alternative.model.shot, slice(None))[index]
+        held_out_r2 = None if alternative.validated is None else alternative.validated.r2[index]
         if nats <= SETTINGS.selection.validated_nats and final.unseen is not None:
-            held_out_r2 = _held_out(final, final.unseen, rival.standing.programs).r2[index]
-        is_crossed = rival.validated is not None
-        found.append(Contender(program, nats, r2, held_out_r2, False, is_crossed, final.origin(index, program)))
+            held_out_r2 = _held_out(final, final.unseen, alternative.model.programs).r2[index]
+        is_crossed = alternative.validated is not None
+        found.append(Alternative(program, nats, r2, held_out_r2, False, is_crossed, final.origin(index, program)))
     return tuple(found)

@@ -11,13 +11,13 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places
-from atoll_coordinator.model.refinement import Constant, Correlation, Implied, Simulated
-from atoll_coordinator.model.selection.comparison import Contest, Standing
+from atoll_coordinator.model.refinement import Constant, Correlation, Simulated, UnitCoefficient
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import Shot
-from atoll_coordinator.model.structure.unit_coefficients import ONE, Opened
+from atoll_coordinator.model.structure.unit_coefficients import ONE, ExplicitCoefficients
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Known:
     """What is known of the constants of one equation: those that are written, and factors of one that are not."""
 
     written: tuple[Constant, ...]
-    implied: tuple[Implied, ...]
+    unit_coefficients: tuple[UnitCoefficient, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,23 +37,25 @@ class Errors:
     freedom: float
 
 
-def errors_of(contest: Contest, standing: Standing) -> Errors:
+def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
     """Return the errors of the constants of a fit, variances corrected for the numbers fitted."""
-    shot = standing.shot
-    counts = float(contest.counts.sum()) / contest.coherence
+    shot = model.shot
+    counts = float(comparison.counts.sum()) / comparison.coherence
     fitted = len(shot.system.places) + shot.starts.size
     freedom = max(counts - fitted, 1.0)
-    return Errors(shot.system.values, covariance(shot) * (contest.coherence * counts / freedom), freedom)
+    return Errors(shot.system.values, covariance(shot) * (comparison.coherence * counts / freedom), freedom)
 
 
-def constants_of(contest: Contest, openings: Sequence[Opened], shown: Sequence[Program], errors: Errors) -> list[Known]:
+def describe_constants(
+    comparison: ModelComparison, explicit: Sequence[ExplicitCoefficients], shown: Sequence[Program], errors: Errors
+) -> list[Known]:
     """Return the constants of each program with standard errors and 95 % intervals (Student's t).
 
     Args:
-        contest: says which equations are given.
-        openings: the programs that `errors` are of, their factors of one being constants as well.
+        comparison: says which equations are given.
+        explicit: the programs that `errors` are of, their factors of one being constants as well.
         shown: the same programs as they are written.
-        errors: of all constants of `openings`, one program after the other.
+        errors: of all constants of `explicit`, one program after the other.
     """
     from scipy import special
 
@@ -61,22 +63,22 @@ def constants_of(contest: Contest, openings: Sequence[Opened], shown: Sequence[P
     spreads = np.sqrt(np.maximum(np.diag(errors.covariance), 0.0)).tolist()
     found: list[Known] = []
     index = 0
-    for equation, (opening, program) in enumerate(zip(openings, shown, strict=True)):
+    for equation, (explicit_program, program) in enumerate(zip(explicit, shown, strict=True)):
         values = program.constants[constant_places(program)].tolist()
-        if equation in contest.fixed:
+        if equation in comparison.fixed:
             found.append(Known(tuple(map(Constant, values)), ()))
             continue
         written: dict[int, Constant] = {}
-        implied: list[Implied] = []
-        for origin in opening.origins:
+        unit_coefficients: list[UnitCoefficient] = []
+        for origin in explicit_program.origins:
             value = ONE if origin is None else values[origin]
             its = _constant(value, float(errors.values[index]), spreads[index], reach)
             if origin is None:
-                implied.append(Implied(opening.terms[len(implied)], its))
+                unit_coefficients.append(UnitCoefficient(explicit_program.terms[len(unit_coefficients)], its))
             else:
                 written[origin] = its
             index += 1
-        found.append(Known(tuple(written[number] for number in range(len(values))), tuple(implied)))
+        found.append(Known(tuple(written[number] for number in range(len(values))), tuple(unit_coefficients)))
     return found
 
 
@@ -85,15 +87,15 @@ def _constant(value: float, fitted: float, error: float, reach: float) -> Consta
     return Constant(value, fitted, error, bounds, error <= SETTINGS.inference.loose * abs(fitted))
 
 
-def correlations_of(
-    contest: Contest, variables: Sequence[str], openings: Sequence[Opened], errors: Errors
+def find_correlations(
+    comparison: ModelComparison, variables: Sequence[str], explicit: Sequence[ExplicitCoefficients], errors: Errors
 ) -> tuple[Correlation, ...]:
     """Return the pairs of constants that are written and highly correlated, the highest first."""
     names = [
         (variable, origin)
-        for equation, (variable, opening) in enumerate(zip(variables, openings, strict=True))
-        if equation not in contest.fixed
-        for origin in opening.origins
+        for equation, (variable, explicit_program) in enumerate(zip(variables, explicit, strict=True))
+        if equation not in comparison.fixed
+        for origin in explicit_program.origins
     ]
     spreads = np.sqrt(np.maximum(np.diag(errors.covariance), 1e-300))
     with np.errstate(invalid="ignore"):  # infinite variances
@@ -108,11 +110,11 @@ def correlations_of(
     return tuple(sorted(pairs, key=lambda pair: -abs(pair.value)))
 
 
-def held(contest: Contest, programs: Sequence[Program], near: Shot | None = None) -> Shot | None:
+def fit_starts(comparison: ModelComparison, programs: Sequence[Program], near: Shot | None = None) -> Shot | None:
     """Return `programs`, all constants as they are, fitted to the trajectories by their initial states alone."""
-    system = contest.system(programs, [constant_places(program) for program in programs])
+    system = comparison.system(programs, [constant_places(program) for program in programs])
     starts, sigmas = (None, None) if near is None else (near.starts, near.sigmas)
-    return contest.shooter.fit(system, None, SETTINGS.inference.start_steps, starts, sigmas)
+    return comparison.shooter.fit(system, None, SETTINGS.inference.start_steps, starts, sigmas)
 
 
 def simulated(
@@ -174,10 +176,10 @@ def r2_of(its: Measurements, shot: Shot, rows: FloatArray | slice) -> list[float
     return found
 
 
-def spread_of(contest: Contest, shot: Shot, errors: Errors) -> tuple[FloatArray, float]:
+def scaled_covariance(comparison: ModelComparison, shot: Shot, errors: Errors) -> tuple[FloatArray, float]:
     """Return the covariance (P, P) of the constants, large where it is infinite, and what variances are to be scaled
     by: the sum of weights over the rows left to judge by."""
-    scale = float(contest.shooter.measurements.weights.sum()) / errors.freedom
+    scale = float(comparison.shooter.measurements.weights.sum()) / errors.freedom
     return scale * bounded_covariance(shot), scale
 
 

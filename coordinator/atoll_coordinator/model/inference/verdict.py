@@ -30,8 +30,9 @@ class Evidence:
     standard deviation, both in the state's unit; `has_outliers` makes the checks robust. `held_out_r2` is the R2 of the
     simulations of held-out trajectories; with `is_cross_validated`, of those that were left out one at a time.
 
-    Of the model: `constants`, as they are reported; `rival` is how many nats longer the description is with the next
-    best equation that is another function and has no more constants; `is_known` tells that the equation was given.
+    Of the model: `constants`, as they are reported; `alternative` is how many nats longer the description is with
+    the next best equation that is another function and has no more constants; `is_known` tells that the equation was
+    given.
     """
 
     error: float = math.inf
@@ -46,7 +47,7 @@ class Evidence:
     held_out_r2: float | None = None
     is_cross_validated: bool = False
     constants: Sequence[Constant] = ()
-    rival: float | None = None
+    alternative: float | None = None
     is_known: bool = False
     convergence_threshold: float = EXACT_ERROR
 
@@ -131,8 +132,8 @@ def _doubts_of_target(its: Evidence, *, is_at_floor: bool) -> Iterator[str]:
 
 
 def _doubts_of_model(its: Evidence) -> Iterator[str]:
-    if its.rival is not None and its.rival < SETTINGS.inference.distinct_nats:
-        nats = f"{its.rival:.2g} nats apart" if its.rival >= 0.0 else f"{-its.rival:.2g} nats shorter"
+    if its.alternative is not None and its.alternative < SETTINGS.inference.distinct_nats:
+        nats = f"{its.alternative:.2g} nats apart" if its.alternative >= 0.0 else f"{-its.alternative:.2g} nats shorter"
         yield f"another equation describes the data about as well ({nats})"
     loose = sum(not constant.identifiable for constant in its.constants)
     if loose:

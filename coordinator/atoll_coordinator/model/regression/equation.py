@@ -19,7 +19,7 @@ from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.refinement import NORMAL_95, Constant, Member, Refined, may_be_shown
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import Polisher
-from atoll_coordinator.model.regression.rounding import snapped
+from atoll_coordinator.model.regression.rounding import round_constants
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
 from atoll_coordinator.model.regression.standard_errors import standard_errors
 from atoll_coordinator.model.settings import SETTINGS
@@ -86,7 +86,7 @@ def _finished(
         Polisher(decisive, _spread_weights(weights, SETTINGS.regression.deciding_rows)),
     )
     if len(problem.target.values) > SETTINGS.regression.compared_rows:
-        program = snapped(polisher.fit(candidate.fitted.program), criterion, polisher).program
+        program = round_constants(polisher.fit(candidate.fitted.program), criterion, polisher).program
     if may_be_shown(gathered(program), config.space.max_size):
         program = gathered(program)
     error, mse = errors_on(problem, program, config.evolution.loss)

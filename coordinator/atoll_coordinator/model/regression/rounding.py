@@ -48,7 +48,7 @@ class Decision:
         return self.decided + sum(map(fitted_length, self.means.tolist(), errors))
 
 
-def snapped(fitted: Fitted, criterion: RegressionCriterion, polisher: Polisher) -> Model:
+def round_constants(fitted: Fitted, criterion: RegressionCriterion, polisher: Polisher) -> Model:
     """Return the shortest model that comes from `fitted` by making constants simple; itself when none is shorter."""
     best = Model(fitted.program, description_length(fitted, criterion), fitted.mse)
     places = constant_places(fitted.program)

@@ -1,10 +1,11 @@
 """From a front to the shortest model: its members polished, reduced, made simple, and what lies one step beside.
 
 The search compares individuals by their error on some rows; here whole descriptions are compared, on all rows. Members
-far from the shortest are left out. Each of the others, and what its reductions lead to, is snapped. Then the programs
-one step from the smallest of the nearly shortest models are tried (a larger one may have begun to describe the noise),
-and those one step from the shortest as long as that makes it shorter; not when its errors are at the limit, where
-nothing but its size could be better. The work is bounded by a number of point evaluations, never by the clock.
+far from the shortest are left out. The constants of each of the others, and of what its reductions lead to, are
+rounded. Then the programs one step from the smallest of the nearly shortest models are tried (a larger one may have
+begun to describe the noise), and those one step from the shortest as long as that makes it shorter; not when its errors
+are at the limit, where nothing but its size could be better. The work is bounded by a number of point evaluations, not
+by the clock.
 """
 
 from collections.abc import Collection, Sequence
@@ -17,7 +18,7 @@ from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.program import Program, structure
 from atoll_coordinator.model.criteria import RegressionCriterion, program_length
 from atoll_coordinator.model.regression.fit import Fitted, Polisher
-from atoll_coordinator.model.regression.rounding import Model, snapped
+from atoll_coordinator.model.regression.rounding import Model, round_constants
 from atoll_coordinator.model.regression.standard_errors import description_length
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.algebra import tidied
@@ -108,7 +109,7 @@ class Shortening:
         for fitted in fits:
             key = structure(fitted.program)
             if key not in found:
-                found[key] = Candidate(member, fitted, snapped(fitted, self.criterion, self.polisher))
+                found[key] = Candidate(member, fitted, round_constants(fitted, self.criterion, self.polisher))
 
     def _fitted(self, program: Program, enough: float = 0.0) -> Fitted:
         """Return `program` fitted; less well when it is not going to come near the mean squared error `enough`."""

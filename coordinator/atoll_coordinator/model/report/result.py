@@ -150,7 +150,7 @@ def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, s
         **_course(None if member is None else outcome.front[member], outcome, config),
         "derivative_floor": finite(target.uncertainty),
         "target_error": target.convergence_threshold(config.budget.target_error),
-        "candidates": candidates(shown.contenders if shown is not None else (), dataset),
+        "candidates": candidates(shown.alternatives if shown is not None else (), dataset),
         "front": [
             {
                 **_member(entry, dataset, target),
@@ -205,7 +205,9 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
         "r2": _r2(shown.mse, target),
         "converged": normalized <= target.convergence_threshold(config.budget.target_error),
         "constants": _constants(shown.program, shown.constants),
-        "implied": [{"of": to_infix(each.of, dataset.names), **_constant(each.constant)} for each in shown.implied],
+        "implied": [
+            {"of": to_infix(each.of, dataset.names), **_constant(each.constant)} for each in shown.unit_coefficients
+        ],
     }
 
 

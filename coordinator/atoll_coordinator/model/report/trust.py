@@ -1,4 +1,4 @@
-"""What a result says of how far its model can be trusted: contenders, verdicts, correlations, simulations.
+"""What a result says of how far its model can be trusted: alternatives, verdicts, correlations, simulations.
 
 Plain dictionaries, lists, texts and numbers for ``result.json``; a number that is not known or not finite is null.
 """
@@ -16,7 +16,7 @@ from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import (
     NORMAL_95,
-    Contender,
+    Alternative,
     Correlation,
     Refined,
     Simulated,
@@ -61,9 +61,9 @@ def _on_target(shown: Refined, target: Target, is_known: bool) -> Evidence:
     )
 
 
-def candidates(contenders: Sequence[Contender], dataset: Dataset) -> list[dict[str, Any]]:
+def candidates(alternatives: Sequence[Alternative], dataset: Dataset) -> list[dict[str, Any]]:
     """Return the equations that were compared with the one shown, itself first, then the best."""
-    printable = [each for each in contenders if tree_size(each.program) <= PRINTABLE_SIZE]
+    printable = [each for each in alternatives if tree_size(each.program) <= PRINTABLE_SIZE]
     ordered = sorted(printable, key=lambda each: (not each.is_shown, each.nats))
     return [
         {

@@ -1,4 +1,4 @@
-"""What comes closest to the chosen equations, and whether one of these foretells better. Pure.
+"""What comes closest to the chosen equations, and whether one of these predicts better. Pure.
 
 Where two descriptions are nearly as long, trajectories that were left out decide between them: their misfit takes the
 place of the misfit to all trajectories and of the price of constants, which stands for it.
@@ -13,112 +13,118 @@ from atoll.data.dataset import FloatArray
 from atoll.expression.evaluation import values_of
 from atoll.expression.program import Program, structure
 from atoll_coordinator.model.criteria import validated_length
-from atoll_coordinator.model.selection.comparison import Contest, Standing
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
-from atoll_coordinator.model.selection.joint_search import Chosen
+from atoll_coordinator.model.selection.joint_search import SelectedModel
 from atoll_coordinator.model.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)
-class Rival:
-    """A system with another equation for one variable, and how well it foretells, if that was looked at."""
+class RankedAlternative:
+    """A system with another equation for one variable, and how well it predicts, if that was looked at."""
 
-    standing: Standing
+    model: FittedModel
     validated: Validated | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class Race:
-    """How the race ended: who won, how well that system foretells, and by equation what came closest."""
+class Ranking:
+    """How the ranking ended: who won, how well that system predicts, and by equation what came closest."""
 
-    choice: Chosen
+    selection: SelectedModel
     validated: Validated | None
-    rivals: tuple[tuple[Rival, ...], ...]
+    alternatives: tuple[tuple[RankedAlternative, ...], ...]
 
 
-def decided(choice: Chosen, inputs: FloatArray) -> Race:
-    """Return the end of the race.
+def rank_alternatives(selection: SelectedModel, inputs: FloatArray) -> Ranking:
+    """Return the end of the ranking.
 
     Args:
-        choice: the shortest description.
+        selection: the shortest description.
         inputs: points (V, R) at which equations are compared.
     """
-    choice, rivals = _shortest(choice, inputs)
-    is_held_out = any(each.held_out for each in choice.field.recording.trajectories)
-    validation = Validation(choice.contest)
+    selection, alternatives = _shortest(selection, inputs)
+    is_held_out = any(each.held_out for each in selection.task.recording.trajectories)
+    validation = Validation(selection.comparison)
     if is_held_out or not validation.is_possible:
-        return Race(choice, None, tuple(tuple(map(Rival, its)) for its in rivals))
-    own = validation.of(choice.standing)
-    validated = [_validated(validation, its, choice.standing) for its in rivals]
-    winner = _winner(choice.standing, own, validated)
+        return Ranking(selection, None, tuple(tuple(map(RankedAlternative, its)) for its in alternatives))
+    own = validation.of(selection.model)
+    validated = [_validated(validation, its, selection.model) for its in alternatives]
+    winner = _winner(selection.model, own, validated)
     if winner is not None:
-        choice = replace(choice, standing=winner.standing)
+        selection = replace(selection, model=winner.model)
         own = winner.validated or own
-        validated = [_validated(validation, its, choice.standing) for its in _all_rivals(choice, inputs)]
-    return Race(choice, own, tuple(map(tuple, validated)))
+        validated = [_validated(validation, its, selection.model) for its in _all_alternatives(selection, inputs)]
+    return Ranking(selection, own, tuple(map(tuple, validated)))
 
 
-def _shortest(choice: Chosen, inputs: FloatArray) -> tuple[Chosen, list[list[Standing]]]:
-    """Return the choice and its rivals, none of which is shorter: what lost to others once may win beside these."""
+def _shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[SelectedModel, list[list[FittedModel]]]:
+    """Return the selection and its alternatives, none of which is shorter: one that lost before may win now."""
     while True:
-        rivals = _all_rivals(choice, inputs)
-        best = min((each for its in rivals for each in its[:1]), key=lambda its: its.nats, default=choice.standing)
-        if best.nats > choice.standing.nats - SETTINGS.selection.least_gain:
-            return choice, rivals
-        choice = replace(choice, standing=best)
+        alternatives = _all_alternatives(selection, inputs)
+        best = min(
+            (each for its in alternatives for each in its[:1]), key=lambda model: model.nats, default=selection.model
+        )
+        if best.nats > selection.model.nats - SETTINGS.selection.least_gain:
+            return selection, alternatives
+        selection = replace(selection, model=best)
 
 
-def _winner(standing: Standing, own: Validated, rivals: Sequence[Sequence[Rival]]) -> Rival | None:
-    """Return the rival that is close behind and foretells best, and clearly better than the one in front, or None.
+def _winner(
+    model: FittedModel, own: Validated, alternatives: Sequence[Sequence[RankedAlternative]]
+) -> RankedAlternative | None:
+    """Return the alternative that is close behind and predicts best, and clearly better than the one in front, or None.
 
     Those with more constants are left out: what these gain on few trajectories is chance as often as not.
     """
-    best, winner = validated_length(own.misfit, standing.programs) - SETTINGS.selection.clearly_better_nats, None
-    for each in (rival for its in rivals for rival in its):
-        if each.validated is None or each.standing.nats > standing.nats + SETTINGS.selection.undecided_nats:
+    best, winner = validated_length(own.misfit, model.programs) - SETTINGS.selection.clearly_better_nats, None
+    for each in (alternative for its in alternatives for alternative in its):
+        if each.validated is None or each.model.nats > model.nats + SETTINGS.selection.undecided_nats:
             continue
-        if len(each.standing.shot.system.places) > len(standing.shot.system.places):
+        if len(each.model.shot.system.places) > len(model.shot.system.places):
             continue
-        nats = validated_length(each.validated.misfit, each.standing.programs)
+        nats = validated_length(each.validated.misfit, each.model.programs)
         if nats < best:
             best, winner = nats, each
     return winner
 
 
-def _validated(validation: Validation, rivals: Sequence[Standing], best: Standing) -> list[Rival]:
+def _validated(
+    validation: Validation, alternatives: Sequence[FittedModel], best: FittedModel
+) -> list[RankedAlternative]:
     return [
-        Rival(
+        RankedAlternative(
             each,
             validation.of(each)
             if rank < SETTINGS.selection.validated and each.nats <= best.nats + SETTINGS.selection.validated_nats
             else None,
         )
-        for rank, each in enumerate(rivals)
+        for rank, each in enumerate(alternatives)
     ]
 
 
-def _all_rivals(choice: Chosen, inputs: FloatArray) -> list[list[Standing]]:
-    contest = choice.contest
+def _all_alternatives(selection: SelectedModel, inputs: FloatArray) -> list[list[FittedModel]]:
+    comparison = selection.comparison
     return [
-        [] if index in contest.fixed else _rivals(contest, choice.standing, index, inputs)
-        for index in range(len(choice.standing.programs))
+        [] if index in comparison.fixed else _alternatives(comparison, selection.model, index, inputs)
+        for index in range(len(selection.model.programs))
     ]
 
 
-def _rivals(contest: Contest, best: Standing, index: int, inputs: FloatArray) -> list[Standing]:
+def _alternatives(comparison: ModelComparison, best: FittedModel, index: int, inputs: FloatArray) -> list[FittedModel]:
     """Return what came closest with another equation for one variable, distinct in function, the closest first."""
     tried = sorted(
-        (each for (equation, _), each in contest.tried.items() if equation == index), key=lambda its: its.nats
+        (each for (equation, _), each in comparison.tried.items() if equation == index), key=lambda model: model.nats
     )
     programs: dict[bytes, Program] = {structure(each.programs[index]): each.programs[index] for each in tried}
-    near = contest.halved(
+    near = comparison.narrow_down(
         best,
         index,
         list(programs.values())[: 4 * SETTINGS.selection.alternatives],
         SETTINGS.selection.alternative_rounds,
     )
     functions = [values_of(best.programs[index], inputs)]
-    found: list[Standing] = []
+    found: list[FittedModel] = []
     for each in near:
         values = values_of(each.programs[index], inputs)
         if all(_differ(values, other) for other in functions):

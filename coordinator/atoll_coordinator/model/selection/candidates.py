@@ -14,7 +14,7 @@ from atoll.expression.program import Program, structure
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs
 from atoll_coordinator.model.refinement import Member, Origin, Pools, decode_members
 from atoll_coordinator.model.regression.fit import Polisher
-from atoll_coordinator.model.selection.comparison import Contest, distinct
+from atoll_coordinator.model.selection.comparison import ModelComparison, distinct
 from atoll_coordinator.model.selection.elimination import eliminated
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.algebra import tidied
@@ -82,7 +82,7 @@ def collect_candidates(dataset: Dataset, config: JobConfig, pools: Pools) -> dic
 
 
 def ranked(
-    contest: Contest, problem: Problem, programs: Sequence[Program], libraries: Iterable[list[Term]]
+    comparison: ModelComparison, problem: Problem, programs: Sequence[Program], libraries: Iterable[list[Term]]
 ) -> list[Program]:
     """Return what becomes of `programs` and of `libraries` of terms, the most promising first.
 
@@ -90,7 +90,7 @@ def ranked(
     these they may do well.
 
     Args:
-        contest: for this variable alone.
+        comparison: for this variable alone.
         problem: by which constants are fitted first.
         programs: candidates; of equal structures the first counts.
         libraries: terms that are left out one after another.
@@ -101,15 +101,15 @@ def ranked(
         polisher.fit(program, steps=SETTINGS.selection.regression_steps) for program in reversed(unique.values())
     ]
     started = [each.program for each in polished if np.isfinite(each.mse)]
-    found = contest.map(lambda program: contest.stand([program], 4, (SETTINGS.selection.short_segment,)), started)[
-        : SETTINGS.selection.kept_candidates
-    ]
+    found = comparison.fit_all(
+        lambda program: comparison.fit_model([program], 4, (SETTINGS.selection.short_segment,)), started
+    )[: SETTINGS.selection.kept_candidates]
     for terms in libraries:
-        if contest.shooter.work < SETTINGS.selection.library_work:
-            found += eliminated(contest, problem, terms)
+        if comparison.shooter.work < SETTINGS.selection.library_work:
+            found += eliminated(comparison, problem, terms)
     chosen = {structure(each.programs[0]): each.programs[0] for each in found}
-    longer = contest.map(
-        lambda program: contest.stand([program], 6, (SETTINGS.selection.longer_segment,)), chosen.values()
+    longer = comparison.fit_all(
+        lambda program: comparison.fit_model([program], 6, (SETTINGS.selection.longer_segment,)), chosen.values()
     )
     best = [each.programs[0] for each in distinct(longer)]
     known = {structure(program) for program in best}

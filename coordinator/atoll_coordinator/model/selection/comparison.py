@@ -23,7 +23,7 @@ Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class FittedModel:
     """A system fitted to trajectories: its `programs` with fitted constants, the fit, and its nats.
 
     `nats` are those of the misfit, of the programs, and 1/2 ln N for each fitted constant (Schwarz 1978).
@@ -35,12 +35,12 @@ class Standing:
     nats: float
 
 
-class Contest:
+class ModelComparison:
     """Fits and compares systems over the same measurements.
 
     `names` are the variables of the programs, `fixed` the equations (by index) whose constants are given; with order 2
     `leading` are the equations of the positions, which come before those that are sought and are not counted. `tried`
-    has the best standing of each program that was ever fitted for an equation, by (equation, structure). Systems are
+    has the best model of each program that was ever fitted for an equation, by (equation, structure). Systems are
     fitted by the threads of `executor`, whose owner shuts it down; one after another without one.
     """
 
@@ -53,26 +53,28 @@ class Contest:
         self.names: Final = tuple(names)
         self.fixed: Final = frozenset(fixed)
         self.leading: Final = tuple(leading)
-        self.tried: Final[dict[tuple[int, bytes], Standing]] = {}
+        self.tried: Final[dict[tuple[int, bytes], FittedModel]] = {}
         self.counts: Final = its.weights.sum(axis=1)
-        self.floors: Final = SETTINGS.selection.exact * its.scales[its.observed]
+        self.least_errors: Final = SETTINGS.selection.exact * its.scales[its.observed]
         self.coherence: Final = its.coherence
         self.constant_nats: Final = constant_nats_of(its.rows / its.coherence)
         self._map: Final = map if executor is None else executor.map
 
-    def map(self, work: Callable[[Item], Standing | None], items: Iterable[Item]) -> list[Standing]:
+    def fit_all(self, work: Callable[[Item], FittedModel | None], items: Iterable[Item]) -> list[FittedModel]:
         """Return what `work` makes of the items, the shortest description first; without those that failed."""
         done = [its for its in self._map(work, items) if its is not None and math.isfinite(its.nats)]
-        return sorted(done, key=lambda its: its.nats)
+        return sorted(done, key=lambda model: model.nats)
 
-    def _bounded(self, work: Callable[[Item], Standing | None], items: Sequence[Item], until: float) -> list[Standing]:
+    def _bounded(
+        self, work: Callable[[Item], FittedModel | None], items: Sequence[Item], until: float
+    ) -> list[FittedModel]:
         """Return what `map` does, of the first items as far as the shooter's work is less than `until`."""
-        found: list[Standing] = []
+        found: list[FittedModel] = []
         for first in range(0, len(items), SETTINGS.selection.batch):
             if first and self.shooter.work >= until:
                 break
-            found += self.map(work, items[first : first + SETTINGS.selection.batch])
-        return sorted(found, key=lambda its: its.nats)
+            found += self.fit_all(work, items[first : first + SETTINGS.selection.batch])
+        return sorted(found, key=lambda model: model.nats)
 
     def system(self, programs: Sequence[Program], held: Sequence[Iterable[int]] = ()) -> System:
         """Return the system of `programs`; `held` are nodes of each whose constants stay as they are."""
@@ -84,72 +86,72 @@ class Contest:
         variables = self.shooter.measurements.variables
         return system_of([*self.leading, *programs], self.names, variables, [*none, *fixed])
 
-    def stand(
+    def fit_model(
         self,
         programs: Sequence[Program],
         steps: int = 20,
         lengths: Sequence[int | None] = SETTINGS.selection.first_lengths,
-    ) -> Standing | None:
+    ) -> FittedModel | None:
         """Return the fitted system of `programs`, None when it cannot be simulated."""
         shot = staged(self.shooter, self.system(programs), lengths, steps)
-        return None if shot is None else self.measured(programs, shot)
+        return None if shot is None else self.measure(programs, shot)
 
-    def beside(self, near: Standing, programs: Sequence[Program], steps: int = 20) -> Standing | None:
+    def fit_beside(self, near: FittedModel, programs: Sequence[Program], steps: int = 20) -> FittedModel | None:
         """Return the fitted system of `programs`, begun with the initial states of `near`."""
         its = near.shot
         shot = self.shooter.fit(self.system(programs), None, steps, its.starts, its.sigmas, is_stiff=its.is_stiff)
-        return None if shot is None else self.measured(programs, shot)
+        return None if shot is None else self.measure(programs, shot)
 
-    def exchanged(self, near: Standing, equation: int, program: Program, steps: int) -> Standing | None:
+    def fit_exchanged(self, near: FittedModel, equation: int, program: Program, steps: int) -> FittedModel | None:
         """Return `near` with another program for one equation."""
-        return self.beside(near, [*near.programs[:equation], program, *near.programs[equation + 1 :]], steps)
+        return self.fit_beside(near, [*near.programs[:equation], program, *near.programs[equation + 1 :]], steps)
 
-    def halved(
-        self, near: Standing, equation: int, programs: Iterable[Program], rounds: Sequence[tuple[int, int]],
+    def narrow_down(
+        self, near: FittedModel, equation: int, programs: Iterable[Program], rounds: Sequence[tuple[int, int]],
         until: float = math.inf,
-    ) -> list[Standing]:  # fmt: skip
-        """Return standings of the best of `programs` for one equation, fewer of them after each of the `rounds`.
+    ) -> list[FittedModel]:  # fmt: skip
+        """Return models of the best of `programs` for one equation, fewer of them after each of the `rounds`.
 
         Each round is a number of steps and how many programs stay. Of programs with the same misfit, which say the same
         in other words, the one of shortest description stays. Once the shooter's work is `until`, no more are taken
         in than the next few.
         """
-        found: list[Standing] = []
+        found: list[FittedModel] = []
         waiting = list(programs)
         for steps, kept in rounds:
 
-            def fitted(program: Program, steps: int = steps) -> Standing | None:
-                return self.exchanged(near, equation, program, steps)
+            def fitted(program: Program, steps: int = steps) -> FittedModel | None:
+                return self.fit_exchanged(near, equation, program, steps)
 
             found = distinct(self._bounded(fitted, waiting, until))[:kept]
             waiting = [its.programs[equation] for its in found]
         for its in found:
-            self._note(equation, its)
+            self._remember(equation, its)
         return found
 
-    def measured(self, programs: Sequence[Program], shot: Shot) -> Standing:
-        """Return the standing of a fit of `programs`."""
-        its = trajectory_misfit(shot.squares, self.floors, self.counts / self.coherence)
+    def measure(self, programs: Sequence[Program], shot: Shot) -> FittedModel:
+        """Return the model of a fit of `programs`."""
+        its = trajectory_misfit(shot.squares, self.least_errors, self.counts / self.coherence)
         nats = system_length(its, programs, len(shot.system.places), self.constant_nats)
         fitted = split(shot.system, [*self.leading, *programs])[len(self.leading) :]
-        return Standing(tuple(fitted), shot, its, nats)
+        return FittedModel(tuple(fitted), shot, its, nats)
 
-    def is_exact(self, standing: Standing) -> bool:
+    def is_exact(self, model: FittedModel) -> bool:
         """Tell whether all errors are those of the integration."""
-        return bool(np.all(standing.shot.squares <= self.floors * self.floors))
+        return bool(np.all(model.shot.squares <= self.least_errors * self.least_errors))
 
-    def _note(self, equation: int, standing: Standing) -> None:
-        key = (equation, structure(standing.programs[equation]))
+    def _remember(self, equation: int, model: FittedModel) -> None:
+        key = (equation, structure(model.programs[equation]))
         known = self.tried.get(key)
-        if known is None or standing.nats < known.nats:
-            self.tried[key] = standing
+        if known is None or model.nats < known.nats:
+            self.tried[key] = model
 
 
-def distinct(standings: Iterable[Standing]) -> list[Standing]:
-    """Return the standings, sorted by nats, without those whose misfit is that of one before."""
-    kept: list[Standing] = []
+def distinct(models: Iterable[FittedModel]) -> list[FittedModel]:
+    """Return the models, sorted by nats, without those whose misfit is that of one before."""
+    kept: list[FittedModel] = []
     misfits: list[float] = []
-    for each in standings:
+    for each in models:
         its = each.misfit
         reach = 2.0 * SETTINGS.selection.repeated * (1.0 + abs(its))  # no other one can be near enough
         near = misfits[bisect_left(misfits, its - reach) : bisect_right(misfits, its + reach)]

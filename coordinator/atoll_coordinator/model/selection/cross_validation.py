@@ -1,4 +1,4 @@
-"""How well a system foretells a trajectory that its constants were not fitted to: one left out at a time.
+"""How well a system predicts a trajectory that its constants were not fitted to: one left out at a time.
 
 The constants are fitted to the other trajectories, begun where the fit to all ended; along the one left out only the
 initial state is fitted (cross-validation, Stone 1974).
@@ -12,7 +12,7 @@ import numpy as np
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import constant_places
 from atoll_coordinator.model.criteria import trajectory_misfit
-from atoll_coordinator.model.selection.comparison import Contest, Standing
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter
@@ -31,40 +31,40 @@ class Validated:
 
 
 class Validation:
-    """Leaves out the trajectories of a contest, one at a time."""
+    """Leaves out the trajectories of a comparison, one at a time."""
 
-    def __init__(self, contest: Contest) -> None:
-        self._contest = contest
-        its = contest.shooter.measurements
+    def __init__(self, comparison: ModelComparison) -> None:
+        self._comparison = comparison
+        its = comparison.shooter.measurements
         owners = sorted(set(its.owners.tolist()))
         count = min(len(owners), SETTINGS.selection.most_folds)
         self._folds = [frozenset(owners[fold::count]) for fold in range(count)]
         self.is_possible: Final = count >= SETTINGS.selection.least_folds
         """Whether there are enough trajectories."""
 
-    def of(self, standing: Standing) -> Validated:
-        """Return how well the system of `standing` foretells."""
-        its = self._contest.shooter.measurements
+    def of(self, model: FittedModel) -> Validated:
+        """Return how well the system of `model` predicts."""
+        its = self._comparison.shooter.measurements
         squares, spread = np.zeros(len(its.observed)), np.zeros(len(its.observed))
         for left_out in self._folds:
-            errors = self._left(standing, left_out)
+            errors = self._left(model, left_out)
             if errors is None:
                 return Validated(tuple(-np.inf for _ in its.observed), np.inf)
             squares += errors
             spread += _spread(its.part(left_out))
         r2 = [1.0 - left / whole if whole > 0.0 else None for left, whole in zip(squares, spread, strict=True)]
-        counts = self._contest.counts
-        misfit = trajectory_misfit(squares / counts, self._contest.floors, counts / self._contest.coherence)
+        counts = self._comparison.counts
+        misfit = trajectory_misfit(squares / counts, self._comparison.least_errors, counts / self._comparison.coherence)
         return Validated(tuple(r2), misfit)
 
-    def _left(self, standing: Standing, left_out: frozenset[int]) -> FloatArray | None:
+    def _left(self, model: FittedModel, left_out: frozenset[int]) -> FloatArray | None:
         """Return the sums of squared errors (O,) along trajectories left out; None where they cannot be simulated."""
-        contest, shot = self._contest, standing.shot
-        its = contest.shooter.measurements
+        comparison, shot = self._comparison, model.shot
+        its = comparison.shooter.measurements
         is_out = np.isin(its.owners, list(left_out))
         others = self._shooter(its.part(set(its.owners.tolist()) - left_out))
         fitted = others.fit(
-            contest.system(standing.programs),
+            comparison.system(model.programs),
             None,
             SETTINGS.selection.validation_steps,
             shot.starts[~is_out],
@@ -72,16 +72,16 @@ class Validation:
         )
         if fitted is None:
             return None
-        programs = split(fitted.system, [*contest.leading, *standing.programs])[len(contest.leading) :]
-        held = contest.system(programs, [constant_places(program) for program in programs])
+        programs = split(fitted.system, [*comparison.leading, *model.programs])[len(comparison.leading) :]
+        held = comparison.system(programs, [constant_places(program) for program in programs])
         rest = self._shooter(its.part(left_out))
-        foretold = rest.fit(held, None, SETTINGS.selection.validation_steps, shot.starts[is_out], shot.sigmas)
-        if foretold is None:
+        predicted = rest.fit(held, None, SETTINGS.selection.validation_steps, shot.starts[is_out], shot.sigmas)
+        if predicted is None:
             return None
-        return np.asarray((rest.measurements.weights * foretold.residuals**2).sum(axis=1))
+        return np.asarray((rest.measurements.weights * predicted.residuals**2).sum(axis=1))
 
     def _shooter(self, its: Measurements) -> Shooter:
-        return Shooter(its, self._contest.shooter.precision)
+        return Shooter(its, self._comparison.shooter.precision)
 
 
 def _spread(its: Measurements) -> FloatArray:

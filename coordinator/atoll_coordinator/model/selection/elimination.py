@@ -13,36 +13,36 @@ import numpy as np
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.operators import ARITY, CONSTANT, DIVIDE
 from atoll.expression.program import Program
-from atoll_coordinator.model.selection.comparison import Contest, Standing
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.structure.term_libraries import Factor, Term, column_of, sum_of
 
 
-def eliminated(contest: Contest, problem: Problem, terms: list[Term], steps: int = 6) -> list[Standing]:
-    """Return the fits on the way from the sum of all `terms` to a single one; `contest` is for this state alone.
+def eliminated(comparison: ModelComparison, problem: Problem, terms: list[Term], steps: int = 6) -> list[FittedModel]:
+    """Return the fits on the way from the sum of all `terms` to a single one; `comparison` is for this state alone.
 
     Nothing where a term has no value somewhere.
     """
-    found: list[Standing] = []
+    found: list[FittedModel] = []
     while terms:
         columns = np.array([column_of(term, problem.inputs) for term in terms])
         if not np.isfinite(columns).all():
             break
         scales = [max(float(np.abs(column).max()), 1e-300) for column in columns]
         coefficients = _fitted(columns, scales, problem.target.values)
-        standing = contest.stand([sum_of(terms, coefficients)], steps, (10,))
-        if standing is not None:
-            found.append(standing)
-        index = _least(standing, columns, coefficients)
-        terms = _moved([*terms[:index], *terms[index + 1 :]], standing)
+        model = comparison.fit_model([sum_of(terms, coefficients)], steps, (10,))
+        if model is not None:
+            found.append(model)
+        index = _least(model, columns, coefficients)
+        terms = _moved([*terms[:index], *terms[index + 1 :]], model)
     return found
 
 
-def _moved(terms: list[Term], standing: Standing | None) -> list[Term]:
+def _moved(terms: list[Term], model: FittedModel | None) -> list[Term]:
     """Return the terms with the constant of their denominators where the fit has left it, if that is positive."""
-    if standing is None:
+    if model is None:
         return terms
-    program = standing.programs[0]
+    program = model.programs[0]
     shifts = [float(program.constants[place]) for place in sorted(_below(program))]
     if len(shifts) != 1 or not 0.0 < shifts[0] < math.inf:
         return terms
@@ -75,14 +75,14 @@ def _fitted(columns: FloatArray, scales: Sequence[float], target: FloatArray) ->
             for value, scale in zip(solution, scales, strict=True)]  # fmt: skip
 
 
-def _least(standing: Standing | None, columns: FloatArray, coefficients: Sequence[float]) -> int:
+def _least(model: FittedModel | None, columns: FloatArray, coefficients: Sequence[float]) -> int:
     """Return the index of the least significant term: by its fit, without one by its size."""
     by_size = int(np.argmin(np.abs(coefficients) * columns.std(axis=1)))
-    if standing is None:
+    if model is None:
         return by_size
-    its = standing.shot.system
-    is_factor = ~np.isin(its.places, sorted(_below(standing.programs[0])))
+    its = model.shot.system
+    is_factor = ~np.isin(its.places, sorted(_below(model.programs[0])))
     if int(is_factor.sum()) != len(coefficients):
         return by_size
-    errors = np.sqrt(np.maximum(np.diag(covariance(standing.shot))[is_factor], 1e-300))
+    errors = np.sqrt(np.maximum(np.diag(covariance(model.shot))[is_factor], 1e-300))
     return int(np.argmin(np.abs(its.values[is_factor]) / errors))

@@ -20,8 +20,8 @@ from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.criteria import is_function
 from atoll_coordinator.model.refinement import Refined, may_be_shown
 from atoll_coordinator.model.selection.candidates import CandidateSet, ranked
-from atoll_coordinator.model.selection.comparison import Contest, Standing
-from atoll_coordinator.model.selection.local_search import Descent
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter
@@ -33,20 +33,20 @@ from atoll_coordinator.model.structure.term_libraries import Term, fractions, li
 
 
 @dataclass(frozen=True, eq=False)
-class Chosen:
-    """The system that describes the trajectories in the fewest nats: its fit, and the contest where that was found.
+class SelectedModel:
+    """The system that describes the trajectories in the fewest nats: its fit, and the comparison where that was found.
 
     `lists` are the candidates of each variable that there were to begin with.
     """
 
-    field: "Field"
-    contest: Contest
-    standing: Standing
+    task: "ModellingTask"
+    comparison: ModelComparison
+    model: FittedModel
     lists: Sequence[Sequence[Program]] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class Field:
+class ModellingTask:
     """What is modelled: the variables that have `candidates`, in the order of the equations.
 
     `settled` are equations that were fitted to noise-free targets; `executor` has the threads that fit systems, none
@@ -88,13 +88,15 @@ class Field:
         states = [self.recording.states.index(name) for name in variables]
         return measurements_of(self.recording, states, held_out=held_out, piece=self.piece)
 
-    def contest(self, its: Measurements, variables: Sequence[str]) -> Contest:
-        """Return a contest over these measurements."""
+    def compare(self, its: Measurements, variables: Sequence[str]) -> ModelComparison:
+        """Return a comparison over these measurements."""
         precision = float(
             np.clip(SETTINGS.selection.tolerated_noise * its.relative_noise.min(), *SETTINGS.selection.tolerances)
         )
         fixed = [index for index, name in enumerate(variables) if name in self.known]
-        return Contest(Shooter(its, precision), self.dataset.names, fixed, self.leading(variables), self.executor)
+        return ModelComparison(
+            Shooter(its, precision), self.dataset.names, fixed, self.leading(variables), self.executor
+        )
 
     def leading(self, variables: Sequence[str]) -> list[Program]:
         """Return the equations of the positions, whose rates are the velocities; none with order 1."""
@@ -104,86 +106,86 @@ class Field:
         return [variable_program(self.dataset.names.index(velocity)) for velocity in velocities]
 
 
-def ranked_candidates(field: Field) -> list[list[Program]]:
+def ranked_candidates(task: ModellingTask) -> list[list[Program]]:
     """Return the candidates of each variable, the best first.
 
     Without noise the equation of a converged search is the only candidate, unless the trajectories show that one of
     them only comes close, as a cosine of little does to a square.
     """
-    lists = [_candidates(field, name) for name in field.variables]
-    if any(len(its) != 1 for its in lists) or len(field.known) == len(lists) or _is_exact(field, lists):
+    lists = [_candidates(task, name) for name in task.variables]
+    if any(len(its) != 1 for its in lists) or len(task.known) == len(lists) or _is_exact(task, lists):
         return lists
-    return [_compared(field, name) for name in field.variables]
+    return [_compared(task, name) for name in task.variables]
 
 
-def selected(
-    field: Field,
+def search_jointly(
+    task: ModellingTask,
     lists: Sequence[Sequence[Program]],
     begun: Sequence[Program] | None = None,
-    is_hopeless: Callable[[Chosen], bool] = lambda _: False,
-) -> Chosen | None:
+    is_hopeless: Callable[[SelectedModel], bool] = lambda _: False,
+) -> SelectedModel | None:
     """Return the best system of equations, None when none can be simulated.
 
     Args:
-        field: what is modelled.
+        task: what is modelled.
         lists: candidates of each variable, the best first.
         begun: a system to begin with; the best of a few unless given.
         is_hopeless: tells of the best of the candidates when its neighbours need not be looked at.
     """
-    its = field.measurements(field.variables).thinned(SETTINGS.selection.compared_rows)
-    contest = field.contest(its, field.variables)
-    best = _combined(contest, lists) if begun is None else contest.stand(begun)
+    its = task.measurements(task.variables).thinned(SETTINGS.selection.compared_rows)
+    comparison = task.compare(its, task.variables)
+    best = _combined(comparison, lists) if begun is None else comparison.fit_model(begun)
     if best is None:
         return None
-    best = _exchanged(contest, best, lists)
-    if not contest.is_exact(best) and not is_hopeless(Chosen(field, contest, best)):
-        best = _descended(field, contest, best, lists)
-    best = contest.beside(best, best.programs, 40) or best
-    return Chosen(field, contest, best)
+    best = _exchanged(comparison, best, lists)
+    if not comparison.is_exact(best) and not is_hopeless(SelectedModel(task, comparison, best)):
+        best = _search_locally(task, comparison, best, lists)
+    best = comparison.fit_beside(best, best.programs, 40) or best
+    return SelectedModel(task, comparison, best)
 
 
-def _candidates(field: Field, name: str) -> list[Program]:
+def _candidates(task: ModellingTask, name: str) -> list[Program]:
     """Return the candidates of one variable, the best first."""
-    if name in field.known:
-        return [field.known[name]]
-    target = field.dataset.problem(name).target
-    if name in field.settled and not target.is_noisy:
-        its = field.settled[name]
-        if its.error <= target.convergence_error(field.config.budget.target_error):
+    if name in task.known:
+        return [task.known[name]]
+    target = task.dataset.problem(name).target
+    if name in task.settled and not target.is_noisy:
+        its = task.settled[name]
+        if its.error <= target.convergence_error(task.config.budget.target_error):
             return [tidied(its.program)]
-    return _compared(field, name)
+    return _compared(task, name)
 
 
-def _compared(field: Field, name: str) -> list[Program]:
+def _compared(task: ModellingTask, name: str) -> list[Program]:
     """Return all candidates of one variable, the best first."""
-    if name in field.known:
-        return [field.known[name]]
-    problem = field.dataset.problem(name)
-    programs = [field.settled[name].program] if name in field.settled else []
-    programs += field.candidates[name].programs
-    its = replace(field.measurements([name]).thinned(SETTINGS.selection.compared_rows), coherence=1.0)
-    contest = field.contest(its, [name])
-    best = ranked(contest, problem, programs, _libraries(field, name, its))
-    return [program for program in best if field.may_be_shown(program)]
+    if name in task.known:
+        return [task.known[name]]
+    problem = task.dataset.problem(name)
+    programs = [task.settled[name].program] if name in task.settled else []
+    programs += task.candidates[name].programs
+    its = replace(task.measurements([name]).thinned(SETTINGS.selection.compared_rows), coherence=1.0)
+    comparison = task.compare(its, [name])
+    best = ranked(comparison, problem, programs, _libraries(task, name, its))
+    return [program for program in best if task.may_be_shown(program)]
 
 
-def _is_exact(field: Field, lists: Sequence[Sequence[Program]]) -> bool:
+def _is_exact(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> bool:
     """Tell whether the first candidates give the trajectories up to errors of integration."""
-    contest = field.contest(
-        field.measurements(field.variables).thinned(SETTINGS.selection.compared_rows), field.variables
+    comparison = task.compare(
+        task.measurements(task.variables).thinned(SETTINGS.selection.compared_rows), task.variables
     )
-    found = contest.stand([its[0] for its in lists])
-    return found is not None and contest.is_exact(found)
+    found = comparison.fit_model([its[0] for its in lists])
+    return found is not None and comparison.is_exact(found)
 
 
-def _libraries(field: Field, name: str, its: Measurements) -> Iterator[list[Term]]:
+def _libraries(task: ModellingTask, name: str, its: Measurements) -> Iterator[list[Term]]:
     """Yield the libraries of terms for the equation of one variable."""
-    columns, operators = field.columns(name), field.operators(name)
+    columns, operators = task.columns(name), task.operators(name)
     yield from libraries(columns, operators)
-    yield from fractions(columns, operators, _scales(field, its))
+    yield from fractions(columns, operators, _scales(task, its))
 
 
-def _combined(contest: Contest, lists: Sequence[Sequence[Program]]) -> Standing | None:
+def _combined(comparison: ModelComparison, lists: Sequence[Sequence[Program]]) -> FittedModel | None:
     """Return the best of a few systems to begin with: the best of each list, one variable's next ones at a time."""
     first = [its[0] for its in lists]
     systems = [first] + [
@@ -192,70 +194,72 @@ def _combined(contest: Contest, lists: Sequence[Sequence[Program]]) -> Standing 
         for program in its[1 : SETTINGS.selection.combined + 1]
     ]
     systems += [[its[min(rank, len(its) - 1)] for its in lists] for rank in range(1, SETTINGS.selection.combined + 1)]
-    found = contest.map(contest.stand, systems)
+    found = comparison.fit_all(comparison.fit_model, systems)
     return found[0] if found else None
 
 
-def _exchanged(contest: Contest, best: Standing, lists: Sequence[Sequence[Program]]) -> Standing:
+def _exchanged(comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]]) -> FittedModel:
     """Return the best system that comes of exchanging one variable's program at a time; all of them at first."""
     tried: Sequence[Sequence[Program]] = lists
     while True:
         before = best.nats
         for equation, programs in enumerate(tried):
             if len(programs) > 1:
-                found = contest.halved(
+                found = comparison.narrow_down(
                     best, equation, programs, SETTINGS.selection.exchange_rounds, SETTINGS.selection.exchange_work
                 )
                 if found and found[0].nats < best.nats - SETTINGS.selection.least_gain:
                     best = found[0]
         if (
             best.nats > before - SETTINGS.selection.least_gain
-            or contest.shooter.work >= SETTINGS.selection.exchange_work
+            or comparison.shooter.work >= SETTINGS.selection.exchange_work
         ):
             return best
         tried = [programs[: SETTINGS.selection.exchanged_again] for programs in lists]
 
 
-def _descended(field: Field, contest: Contest, best: Standing, lists: Sequence[Sequence[Program]]) -> Standing:
+def _search_locally(
+    task: ModellingTask, comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]]
+) -> FittedModel:
     """Return the end of the descent from the best system."""
-    sizes = _scales(field, contest.shooter.measurements)
+    sizes = _scales(task, comparison.shooter.measurements)
 
     def around(equation: int, program: Program) -> Iterator[Program]:
-        name = field.variables[equation]
-        operators, columns = field.operators(name), field.columns(name)
+        name = task.variables[equation]
+        operators, columns = task.operators(name), task.columns(name)
         scales = [size if column in columns else 0.0 for column, size in enumerate(sizes)]
         near = (*extensions(program, scales, operators), *neighbours(program, columns, operators))
-        yield from filter(field.may_be_shown, near)
+        yield from filter(task.may_be_shown, near)
 
     def beyond(equation: int, program: Program) -> Iterator[Program]:
-        return filter(field.may_be_shown, leaps(program, field.operators(field.variables[equation])))
+        return filter(task.may_be_shown, leaps(program, task.operators(task.variables[equation])))
 
-    descent = Descent(contest, around, contest.shooter.work + SETTINGS.selection.search_work, beyond)
-    equations = [index for index, its in enumerate(lists) if index not in contest.fixed]
-    best = descent.down(best, equations)
+    descent = LocalSearch(comparison, around, comparison.shooter.work + SETTINGS.selection.search_work, beyond)
+    equations = [index for index, its in enumerate(lists) if index not in comparison.fixed]
+    best = descent.improve(best, equations)
     for equation in equations:
-        best = _restarted(contest, descent, best, equation, lists[equation])
-    best = _exchanged(contest, best, lists)
-    last = Descent(contest, around, contest.shooter.work + SETTINGS.selection.reduction_work)
+        best = _restarted(comparison, descent, best, equation, lists[equation])
+    best = _exchanged(comparison, best, lists)
+    last = LocalSearch(comparison, around, comparison.shooter.work + SETTINGS.selection.reduction_work)
     for equation in equations:
-        best = last.reduced(best, equation)
+        best = last.reduce(best, equation)
     return best
 
 
 def _restarted(
-    contest: Contest, descent: Descent, best: Standing, equation: int, programs: Sequence[Program]
-) -> Standing:
+    comparison: ModelComparison, descent: LocalSearch, best: FittedModel, equation: int, programs: Sequence[Program]
+) -> FittedModel:
     """Return the best end of descents that begin with other programs for one equation, all others as they are."""
-    others = contest.halved(
+    others = comparison.narrow_down(
         best, equation, programs, SETTINGS.selection.restart_rounds, SETTINGS.selection.exchange_work
     )
     by_kind = {_kind(other.programs[equation]): other for other in reversed(others)}
-    for other in sorted(by_kind.values(), key=lambda its: its.nats):
+    for other in sorted(by_kind.values(), key=lambda model: model.nats):
         if descent.is_exhausted:
             break
-        end = descent.down(other, [equation])
+        end = descent.improve(other, [equation])
         if end.nats < best.nats - SETTINGS.selection.least_gain:
-            best = descent.down(end, [*(each for each in range(len(best.programs)) if each not in contest.fixed)])
+            best = descent.improve(end, [*(each for each in range(len(best.programs)) if each not in comparison.fixed)])
     return best
 
 
@@ -266,7 +270,7 @@ def _kind(program: Program) -> tuple[bool, bool]:
     ) > SETTINGS.selection.small_program
 
 
-def _scales(field: Field, its: Measurements) -> list[float]:
+def _scales(task: ModellingTask, its: Measurements) -> list[float]:
     """Return the size of each variable of the dataset."""
     sizes = dict(zip(its.variables, its.sizes.tolist(), strict=True))
-    return [sizes[name] for name in field.dataset.names]
+    return [sizes[name] for name in task.dataset.names]

@@ -11,53 +11,59 @@ from dataclasses import replace
 import numpy as np
 
 from atoll.expression.program import Program
-from atoll_coordinator.model.selection.comparison import Contest, Standing
-from atoll_coordinator.model.selection.joint_search import Chosen, Field, ranked_candidates, selected
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.joint_search import (
+    ModellingTask,
+    SelectedModel,
+    ranked_candidates,
+    search_jointly,
+)
 from atoll_coordinator.model.settings import SETTINGS
 
 
-def chosen(field: Field) -> Chosen | None:
+def select_model(task: ModellingTask) -> SelectedModel | None:
     """Return the best system of equations and the longest pieces it can be fitted to, None if it cannot at all."""
-    if field.recording.offsets:
-        field = replace(field, piece=_longest(field))
-    lists = ranked_candidates(field)
+    if task.recording.offsets:
+        task = replace(task, piece=_longest(task))
+    lists = ranked_candidates(task)
     if not all(lists):
         return None
-    found: list[Chosen] = []
-    for choice in _ever_shorter(field, lists):
-        found.append(choice)
-        if _excess(choice.contest, choice.standing) <= SETTINGS.selection.noise_excess:
-            work = sum(each.contest.shooter.work for each in found)
+    found: list[SelectedModel] = []
+    for selection in _ever_shorter(task, lists):
+        found.append(selection)
+        if _excess(selection.comparison, selection.model) <= SETTINGS.selection.noise_excess:
+            work = sum(each.comparison.shooter.work for each in found)
             return replace(
-                choice if work >= SETTINGS.selection.pieces_work else _lengthened(field, choice, lists), lists=lists
+                selection if work >= SETTINGS.selection.pieces_work else _lengthened(task, selection, lists),
+                lists=lists,
             )
     return replace(found[0], lists=lists) if found else None
 
 
-def on_all_rows(choice: Chosen) -> Chosen | None:
+def on_all_rows(selection: SelectedModel) -> SelectedModel | None:
     """Return the chosen system fitted to all rows, in shorter pieces if it must be; None when it cannot be."""
-    its = choice.field.measurements(choice.field.variables)
-    if its.rows == choice.contest.shooter.measurements.rows:
-        return choice
-    found: list[Chosen] = []
-    for field in _fields(choice.field):
-        fitted = _fitted(field, choice.standing.programs, its.rows)
+    its = selection.task.measurements(selection.task.variables)
+    if its.rows == selection.comparison.shooter.measurements.rows:
+        return selection
+    found: list[SelectedModel] = []
+    for task in _tasks(selection.task):
+        fitted = _fitted(task, selection.model.programs, its.rows)
         if fitted is not None:
             found.append(fitted)
-            if _excess(fitted.contest, fitted.standing) <= SETTINGS.selection.noise_excess:
+            if _excess(fitted.comparison, fitted.model) <= SETTINGS.selection.noise_excess:
                 return fitted
     return found[0] if found else None
 
 
-def remarks(field: Field) -> Iterator[str]:
+def remarks(task: ModellingTask) -> Iterator[str]:
     """Yield sentences for the user: trajectories were not simulated in whole, states are without an equation."""
-    longest = _longest(field)
-    if longest > field.piece:
+    longest = _longest(task)
+    if longest > task.piece:
         yield (
-            f"Trajectories were simulated in pieces of {field.piece} rows or less, each from an initial state of its "
+            f"Trajectories were simulated in pieces of {task.piece} rows or less, each from an initial state of its "
             f"own, not in whole (up to {longest} rows); beyond a piece the model has not been tested."
         )
-    others = [state for state in field.recording.states if state not in field.variables]
+    others = [state for state in task.recording.states if state not in task.variables]
     if others:
         yield (
             f"Simulations take {', '.join(others)}, without an equation, as smoothed; the errors of that add to what "
@@ -65,74 +71,74 @@ def remarks(field: Field) -> Iterator[str]:
         )
 
 
-def _ever_shorter(field: Field, lists: Sequence[Sequence[Program]]) -> Iterator[Chosen]:
+def _ever_shorter(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Iterator[SelectedModel]:
     """Yield the best system for whole trajectories, then, as long as that helps, for shorter pieces."""
-    fields = _fields(field)
+    tasks = _tasks(task)
     work = 0
-    for index, here in enumerate(fields):
-        shorter = fields[index + 1 :]
+    for index, here in enumerate(tasks):
+        shorter = tasks[index + 1 :]
 
-        def is_hopeless(choice: Chosen, shorter: Sequence[Field] = shorter) -> bool:
+        def is_hopeless(selection: SelectedModel, shorter: Sequence[ModellingTask] = shorter) -> bool:
             may_be = (
-                _longest(choice.field) > SETTINGS.selection.long_trajectory
-                or choice.contest.shooter.work >= SETTINGS.selection.dear_work
+                _longest(selection.task) > SETTINGS.selection.long_trajectory
+                or selection.comparison.shooter.work >= SETTINGS.selection.dear_work
             )
-            return may_be and _is_better_in(shorter, choice)
+            return may_be and _is_better_in(shorter, selection)
 
-        choice = selected(here, lists, is_hopeless=is_hopeless)
-        if choice is not None:
-            yield choice
-            work += choice.contest.shooter.work
-            if work >= SETTINGS.selection.pieces_work or not _is_better_in(shorter, choice):
+        selection = search_jointly(here, lists, is_hopeless=is_hopeless)
+        if selection is not None:
+            yield selection
+            work += selection.comparison.shooter.work
+            if work >= SETTINGS.selection.pieces_work or not _is_better_in(shorter, selection):
                 return
 
 
-def _is_better_in(fields: Sequence[Field], choice: Chosen) -> bool:
+def _is_better_in(tasks: Sequence[ModellingTask], selection: SelectedModel) -> bool:
     """Tell whether a system that does not fit well does so in shorter pieces."""
-    if _excess(choice.contest, choice.standing) <= SETTINGS.selection.noise_excess:
+    if _excess(selection.comparison, selection.model) <= SETTINGS.selection.noise_excess:
         return False
-    rows = choice.contest.shooter.measurements.rows
-    fits = (_fitted(field, choice.standing.programs, rows) for field in fields)
+    rows = selection.comparison.shooter.measurements.rows
+    fits = (_fitted(task, selection.model.programs, rows) for task in tasks)
     return any(
-        fit is not None and _excess(fit.contest, fit.standing) <= SETTINGS.selection.noise_excess for fit in fits
+        fit is not None and _excess(fit.comparison, fit.model) <= SETTINGS.selection.noise_excess for fit in fits
     )
 
 
-def _lengthened(field: Field, choice: Chosen, lists: Sequence[Sequence[Program]]) -> Chosen:
+def _lengthened(task: ModellingTask, selection: SelectedModel, lists: Sequence[Sequence[Program]]) -> SelectedModel:
     """Return what becomes of a system for short pieces if it holds for longer ones; itself if it does not."""
-    rows = choice.contest.shooter.measurements.rows
-    for longer in _fields(field):
-        if longer.piece <= choice.field.piece:
+    rows = selection.comparison.shooter.measurements.rows
+    for longer in _tasks(task):
+        if longer.piece <= selection.task.piece:
             break
-        fit = _fitted(longer, choice.standing.programs, rows)
-        if fit is not None and _excess(fit.contest, fit.standing) <= SETTINGS.selection.noise_excess:
-            return selected(longer, lists, choice.standing.programs) or choice
-    return choice
+        fit = _fitted(longer, selection.model.programs, rows)
+        if fit is not None and _excess(fit.comparison, fit.model) <= SETTINGS.selection.noise_excess:
+            return search_jointly(longer, lists, selection.model.programs) or selection
+    return selection
 
 
-def _fitted(field: Field, programs: Sequence[Program], rows: int) -> Chosen | None:
+def _fitted(task: ModellingTask, programs: Sequence[Program], rows: int) -> SelectedModel | None:
     """Return a system fitted to at most about so many rows, None when it cannot be simulated."""
-    contest = field.contest(field.measurements(field.variables).thinned(rows), field.variables)
-    standing = contest.stand(programs, SETTINGS.selection.piece_steps, SETTINGS.selection.piece_lengths)
-    return None if standing is None else Chosen(field, contest, standing)
+    comparison = task.compare(task.measurements(task.variables).thinned(rows), task.variables)
+    model = comparison.fit_model(programs, SETTINGS.selection.piece_steps, SETTINGS.selection.piece_lengths)
+    return None if model is None else SelectedModel(task, comparison, model)
 
 
-def _excess(contest: Contest, standing: Standing) -> float:
+def _excess(comparison: ModelComparison, model: FittedModel) -> float:
     """Return how many times as large as the noise the residuals are, of the state that is fitted worst.
 
     Where smoothed states are inputs, their errors are taken to leave as much as the noise again.
     """
-    its = contest.shooter.measurements
+    its = comparison.shooter.measurements
     noise = np.maximum(its.noise, SETTINGS.selection.slight * its.scales[its.observed])
     allowed = noise * (2.0 if its.coherence > 1.0 else 1.0)
-    return float(np.max(np.sqrt(standing.shot.squares) / allowed))
+    return float(np.max(np.sqrt(model.shot.squares) / allowed))
 
 
-def _fields(field: Field) -> list[Field]:
-    """Return the field with its own pieces, and with shorter ones that are at most half of the longest trajectory."""
-    most = min(field.piece, _longest(field))
-    return [field, *(replace(field, piece=rows) for rows in SETTINGS.selection.shorter_pieces if 2 * rows <= most)]
+def _tasks(task: ModellingTask) -> list[ModellingTask]:
+    """Return the task with its own pieces, and with shorter ones that are at most half of the longest trajectory."""
+    most = min(task.piece, _longest(task))
+    return [task, *(replace(task, piece=rows) for rows in SETTINGS.selection.shorter_pieces if 2 * rows <= most)]
 
 
-def _longest(field: Field) -> int:
-    return max(len(each.times) for each in field.recording.trajectories if not each.held_out)
+def _longest(task: ModellingTask) -> int:
+    return max(len(each.times) for each in task.recording.trajectories if not each.held_out)

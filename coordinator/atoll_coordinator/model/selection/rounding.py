@@ -10,45 +10,45 @@ from atoll.expression.program import Program, constant_places, with_constants
 from atoll_coordinator.model.criteria import rounded_system_length
 from atoll_coordinator.model.regression.rounding import Decision, decisions
 from atoll_coordinator.model.regression.simple_numbers import fitted_length, simple_numbers
-from atoll_coordinator.model.selection.comparison import Contest, Standing
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.structure.algebra import tidied
 
 
-def rounded(contest: Contest, standing: Standing) -> tuple[Program, ...]:
-    """Return the programs of the shortest description that comes of `standing` by making constants simple."""
-    shot = standing.shot
+def round_system(comparison: ModelComparison, model: FittedModel) -> tuple[Program, ...]:
+    """Return the programs of the shortest description that comes of `model` by making constants simple."""
+    shot = model.shot
     if not 0 < len(shot.system.places) <= SETTINGS.selection.most_rounded_constants:
-        return standing.programs
-    means, spread = shot.system.values, contest.coherence * bounded_covariance(shot)
+        return model.programs
+    means, spread = shot.system.values, comparison.coherence * bounded_covariance(shot)
     errors = [float(variance) ** 0.5 for variance in spread.diagonal().clip(0.0)]
-    best = rounded_system_length(standing.misfit, standing.programs, map(fitted_length, means.tolist(), errors))
-    shown = standing.programs
+    best = rounded_system_length(model.misfit, model.programs, map(fitted_length, means.tolist(), errors))
+    shown = model.programs
     for decision in decisions(means, spread)[: SETTINGS.selection.roundings_measured]:
-        measured = _measured(contest, standing, decision)
+        measured = _measured(comparison, model, decision)
         if measured is not None and measured[0] <= best:
             best, shown = measured
     return shown
 
 
-def _measured(contest: Contest, standing: Standing, decision: Decision) -> tuple[float, tuple[Program, ...]] | None:
+def _measured(
+    comparison: ModelComparison, model: FittedModel, decision: Decision
+) -> tuple[float, tuple[Program, ...]] | None:
     """Return the nats and the programs of a decision, its open constants fitted; None when it cannot be simulated."""
     numbers = dict(decision.numbers)
-    programs, held = _decided(contest, standing.programs, numbers)
-    system = contest.system(programs, held)
-    shot = contest.shooter.fit(
-        system, None, SETTINGS.selection.rounding_steps, standing.shot.starts, standing.shot.sigmas
-    )
+    programs, held = _decided(comparison, model.programs, numbers)
+    system = comparison.system(programs, held)
+    shot = comparison.shooter.fit(system, None, SETTINGS.selection.rounding_steps, model.shot.starts, model.shot.sigmas)
     if shot is None:
         return None
-    after = contest.measured(programs, shot)
+    after = comparison.measure(programs, shot)
     open_errors = [
-        float(variance) ** 0.5 for variance in (contest.coherence * bounded_covariance(shot)).diagonal().clip(0.0)
+        float(variance) ** 0.5 for variance in (comparison.coherence * bounded_covariance(shot)).diagonal().clip(0.0)
     ]
     lengths = [sum(map(fitted_length, shot.system.values.tolist(), open_errors)), sum(map(_price, numbers.values()))]
     shown = tuple(
-        program if index in contest.fixed else tidied(program) for index, program in enumerate(after.programs)
+        program if index in comparison.fixed else tidied(program) for index, program in enumerate(after.programs)
     )
     return rounded_system_length(after.misfit, shown, lengths), shown
 
@@ -58,14 +58,14 @@ def _price(number: float) -> float:
 
 
 def _decided(
-    contest: Contest, programs: Sequence[Program], numbers: dict[int, float]
+    comparison: ModelComparison, programs: Sequence[Program], numbers: dict[int, float]
 ) -> tuple[list[Program], list[set[int]]]:
     """Return the programs with decided constants, and the nodes of these."""
     changed: list[Program] = []
     held: list[set[int]] = []
     index = 0
     for equation, program in enumerate(programs):
-        places = [] if equation in contest.fixed else constant_places(program)
+        places = [] if equation in comparison.fixed else constant_places(program)
         chosen = {place: numbers[index + k] for k, place in enumerate(places) if index + k in numbers}
         changed.append(with_constants(program, chosen))
         held.append(set(chosen))

@@ -17,7 +17,7 @@ ONE: Final = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
+class ExplicitCoefficients:
     """A program with its factors of one as constants.
 
     `origins` has for each constant of `program`, in node order, its number among those of the program that was opened;
@@ -29,16 +29,16 @@ class Opened:
     terms: tuple[Program, ...]
 
 
-def opened(program: Program) -> Opened:
+def make_coefficients_explicit(program: Program) -> ExplicitCoefficients:
     """Return `program` with its factors of one as constants; the same function."""
     draft = _Draft(program.nodes())
     output = draft.open(len(program) - 1, has_factor=False)
     return draft.finished(output)
 
 
-def as_it_is(program: Program) -> Opened:
+def as_written(program: Program) -> ExplicitCoefficients:
     """Return `program` unopened."""
-    return Opened(program, tuple(range(int((program.operators == CONSTANT).sum()))), ())
+    return ExplicitCoefficients(program, tuple(range(int((program.operators == CONSTANT).sum()))), ())
 
 
 class _Draft:
@@ -70,12 +70,12 @@ class _Draft:
             return self._new.append(DIVIDE, above, self._scaled(right))
         return self._copy(index) if has_factor else self._factored(self._copy(index))
 
-    def finished(self, output: int) -> Opened:
+    def finished(self, output: int) -> ExplicitCoefficients:
         """Return what was opened."""
         program = self._new.program(output)
         places = [index for index, node in enumerate(self._new.nodes[: output + 1]) if node[0] == CONSTANT]
         terms = [self._new.program(self._terms[place]) for place in places if self._origins[place] is None]
-        return Opened(program, tuple(self._origins[place] for place in places), tuple(terms))
+        return ExplicitCoefficients(program, tuple(self._origins[place] for place in places), tuple(terms))
 
     def _sum(self, index: int, spared: int | None) -> int:
         """Open a sum; a term that is `spared` keeps its factor of one, since another constant scales the whole."""

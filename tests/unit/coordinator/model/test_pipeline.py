@@ -16,7 +16,7 @@ from atoll_coordinator.model.refinement import Pool, Refined, decode_members
 from atoll_coordinator.model.regression import shortening as shorten
 from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.regression.fit import Polisher
-from atoll_coordinator.model.regression.rounding import snapped
+from atoll_coordinator.model.regression.rounding import round_constants
 from atoll_coordinator.model.regression.standard_errors import description_length
 from tests.unit.coordinator.model.fitting import CONFIG, dataset, entry, parsed, problem, settings, shown
 
@@ -201,7 +201,7 @@ def test_a_snapped_model_is_never_longer():
     its = problem(lotka, 0.1)
     criterion, polisher = RegressionCriterion.of(its.target), Polisher(its)
     fitted = polisher.fit(parsed("2.9*x - 2.0*x*y - x*x"))
-    assert snapped(fitted, criterion, polisher).length <= description_length(fitted, criterion)
+    assert round_constants(fitted, criterion, polisher).length <= description_length(fitted, criterion)
 
 
 def test_operators_and_variables_of_one_equation_hold_for_its_refinement():

@@ -13,11 +13,11 @@ from atoll.expression.program import constant_places, structure
 from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.inference import conclusion as conclude
+from atoll_coordinator.model.inference import conclusion
 from atoll_coordinator.model.inference.conclusion import _deviation, _no_elaborations
 from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
-from atoll_coordinator.model.refinement import Contender, Pool
-from atoll_coordinator.model.selection import joint_search as model
+from atoll_coordinator.model.refinement import Alternative, Pool
+from atoll_coordinator.model.selection import joint_search
 from atoll_coordinator.model.selection.candidates import collect_candidates
 from atoll_coordinator.model.structure.algebra import tidied
 from tests.unit.coordinator.model.fitting import settings
@@ -38,7 +38,7 @@ LOTKA_POOL = {
 @pytest.fixture(autouse=True)
 def _little_work(monkeypatch):
     """Few neighbours are looked at, so that a test takes a second or two."""
-    monkeypatch.setattr(model, "SETTINGS", settings("selection", search_work=2_000_000))
+    monkeypatch.setattr(joint_search, "SETTINGS", settings("selection", search_work=2_000_000))
 
 
 def refined(known, starts, pool, *, times=TIMES, noise=0.0, seed=0, config=None):
@@ -62,7 +62,7 @@ def is_same(known, refinement, **truths):
 def noisy():
     """Five percent of noise; one trajectory is held out."""
     with pytest.MonkeyPatch.context() as patch, np.errstate(all="raise", under="ignore"):
-        patch.setattr(model, "SETTINGS", settings("selection", search_work=2_000_000))
+        patch.setattr(joint_search, "SETTINGS", settings("selection", search_work=2_000_000))
         config = JobConfig(space=ARITHMETIC, data=DataConfig(holdout=1))
         return refined(LOTKA, LOTKA_STARTS, LOTKA_POOL, noise=0.05, seed=101, config=config)
 
@@ -103,7 +103,7 @@ def test_the_deviation_is_that_of_what_was_measured_and_counts():
 
 def test_an_elaboration_of_the_equation_is_no_rival():
     programs = [DECAY.parsed(text) for text in ("-0.5*x", "-0.5*x + 0.1", "-0.4*sin(x)", "-0.5*x")]
-    shown, *others = (Contender(each, 1.0, 0.9, is_shown=not rank) for rank, each in enumerate(programs))
+    shown, *others = (Alternative(each, 1.0, 0.9, is_shown=not rank) for rank, each in enumerate(programs))
     assert _no_elaborations(shown.program, [shown, *others]) == others[1:]
 
 
@@ -119,20 +119,20 @@ def test_fitted_constants_have_intervals_around_them(noisy):
 
 def test_the_equation_shown_is_the_first_contender_and_the_others_are_longer(noisy):
     for its in noisy.equations.values():
-        first, *others = its.contenders
+        first, *others = its.alternatives
         assert (first.program, first.nats, first.is_shown) == (its.program, 0.0, True)
         assert others
         assert [each.nats for each in others] == sorted(each.nats for each in others)
         assert not any(each.is_shown for each in others)
-        assert all(each.r2 <= 1.0 for each in its.contenders)
+        assert all(each.r2 <= 1.0 for each in its.alternatives)
 
 
 def test_held_out_trajectories_are_simulated_and_judged(noisy):
     assert [each.held_out for each in noisy.simulation.trajectories] == [False, False, False, True]
     assert all(r2 > 0.8 for each in noisy.simulation.trajectories for r2 in each.r2)
-    assert all(each.is_cross_validated is False for its in noisy.equations.values() for each in its.contenders)
+    assert all(each.is_cross_validated is False for its in noisy.equations.values() for each in its.alternatives)
     for index, its in enumerate(noisy.equations.values()):
-        assert its.contenders[0].held_out_r2 == noisy.simulation.trajectories[-1].r2[index]
+        assert its.alternatives[0].held_out_r2 == noisy.simulation.trajectories[-1].r2[index]
 
 
 def test_simulations_have_bands_that_hold_the_true_curve(noisy):
@@ -148,7 +148,7 @@ def test_two_refinements_are_the_same_to_the_bit():
         pool = {"x": ("y",), "y": ("-x", "-1.9*x - 0.35*y")}
         config = JobConfig(space=NO_LIBRARIES)
         its = refined(SWING, ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0]), pool, noise=0.03, seed=102, config=config)
-        return [(each.program, each.constants, each.contenders) for each in its.equations.values()]
+        return [(each.program, each.constants, each.alternatives) for each in its.equations.values()]
 
     assert programs() == programs()
 
@@ -163,7 +163,7 @@ def test_clean_equations_are_exact():
 
 
 def test_constants_stay_as_fitted_where_simple_ones_cannot_be_simulated(monkeypatch):
-    monkeypatch.setattr(conclude, "rounded", lambda *_: (DECAY.parsed("exp(900.0*x*x)"),))
+    monkeypatch.setattr(conclusion, "round_system", lambda *_: (DECAY.parsed("exp(900.0*x*x)"),))
     its = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
     (constant,) = its.equations["x"].constants
     assert constant.value == pytest.approx(constant.fitted)
@@ -192,7 +192,7 @@ def test_where_nothing_can_be_simulated_the_fit_to_derivatives_stays():
     its = refined(LOTKA, LOTKA_STARTS[:2], pool, noise=0.05, config=config)
     assert its.warnings == (NOT_SIMULATED,)
     assert its.simulation is None
-    assert all(each.contenders == () and each.grade is None for each in its.equations.values())
+    assert all(each.alternatives == () and each.grade is None for each in its.equations.values())
     assert all(math.isfinite(each.error) for each in its.equations.values())
 
 
@@ -203,7 +203,7 @@ def test_a_known_equation_stays_as_it_is_given():
     known = its.equations["y"]
     assert sorted(np.abs(known.program.constants[constant_places(known.program)]).tolist()) == [0.9991, 2.0013]
     assert all(each.fitted is None and each.interval is None for each in known.constants)
-    assert len(known.contenders) == 1
+    assert len(known.alternatives) == 1
     assert is_same(LOTKA, its, x="3*x - 2*x*y - x**2")
 
 
@@ -254,8 +254,8 @@ def test_data_without_a_law_get_no_good_verdict():
 
 def test_every_equation_says_where_it_comes_from(noisy):
     for its in noisy.equations.values():
-        assert its.origin == its.contenders[0].origin
-        assert {each.origin for each in its.contenders} <= {"front", "runner-up", "library", "descent"}
+        assert its.origin == its.alternatives[0].origin
+        assert {each.origin for each in its.alternatives} <= {"front", "runner-up", "library", "descent"}
 
 
 def test_origins_are_told_by_structure():

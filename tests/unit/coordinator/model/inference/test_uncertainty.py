@@ -9,17 +9,17 @@ from atoll.expression.program import constant_places
 from atoll_coordinator.model.inference import uncertainty as assess
 from atoll_coordinator.model.inference.uncertainty import (
     bands,
-    errors_of,
-    held,
+    estimate_errors,
+    fit_starts,
     not_simulated,
     r2_of,
+    scaled_covariance,
     simulated,
-    spread_of,
 )
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter
-from atoll_coordinator.model.structure.unit_coefficients import as_it_is
-from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, Known, contest, recording
+from atoll_coordinator.model.structure.unit_coefficients import as_written
+from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, Known, compare, recording
 
 TIMES = 0.2 * np.arange(20.0)
 DRAWS = 200
@@ -28,25 +28,25 @@ STARTS = ([2.0], [1.0], [-1.5])
 TRUTH = DECAY.parsed("-0.5*x")
 
 
-def constants_of(its, shown, errors):
+def describe_constants(its, shown, errors):
     """Return the written constants of each program, errors being those of the programs as they are written."""
-    return [each.written for each in assess.constants_of(its, tuple(map(as_it_is, shown)), shown, errors)]
+    return [each.written for each in assess.describe_constants(its, tuple(map(as_written, shown)), shown, errors)]
 
 
-def correlations_of(its, variables, shown, errors):
-    return assess.correlations_of(its, variables, tuple(map(as_it_is, shown)), errors)
+def find_correlations(its, variables, shown, errors):
+    return assess.find_correlations(its, variables, tuple(map(as_written, shown)), errors)
 
 
-def banded(its, rows, standing):
-    return bands(rows, standing.shot, *spread_of(its, standing.shot, errors_of(its, standing)))
+def banded(its, rows, model):
+    return bands(rows, model.shot, *scaled_covariance(its, model.shot, estimate_errors(its, model)))
 
 
 def drawn(seed, noise=NOISE):
-    """Return contest and standing of x' = -a x, fitted to fresh noise."""
-    its = contest(DECAY, measurements_of(recording(DECAY, STARTS, TIMES, noise, seed), [0]), 1e-5)
-    standing = its.stand([TRUTH], lengths=(None,))
-    assert standing is not None
-    return its, standing
+    """Return comparison and model of x' = -a x, fitted to fresh noise."""
+    its = compare(DECAY, measurements_of(recording(DECAY, STARTS, TIMES, noise, seed), [0]), 1e-5)
+    model = its.fit_model([TRUTH], lengths=(None,))
+    assert model is not None
+    return its, model
 
 
 @pytest.fixture(scope="module")
@@ -55,28 +55,28 @@ def draws():
         return [drawn(seed) for seed in range(DRAWS)]
 
 
-def rate_of(standing):
-    return abs(float(standing.shot.system.values[0]))
+def rate_of(model):
+    return abs(float(model.shot.system.values[0]))
 
 
 def test_intervals_cover_the_truth_as_often_as_they_say(draws):
     """95 % of 200 is 190, with a standard deviation of 3."""
     covered, errors = 0, []
-    for its, standing in draws:
-        ((constant,),) = constants_of(its, standing.programs, errors_of(its, standing))
+    for its, model in draws:
+        ((constant,),) = describe_constants(its, model.programs, estimate_errors(its, model))
         low, high = constant.interval
         covered += low <= -0.5 <= high or low <= 0.5 <= high
         errors.append(constant.std_error)
     assert 181 <= covered <= 199
-    assert np.mean(errors) == pytest.approx(np.std([rate_of(standing) for _, standing in draws]), rel=0.15)
+    assert np.mean(errors) == pytest.approx(np.std([rate_of(model) for _, model in draws]), rel=0.15)
 
 
 def test_intervals_are_those_of_students_t():
     from scipy import stats
 
-    its, standing = drawn(0)
-    ((constant,),) = constants_of(its, standing.programs, errors_of(its, standing))
-    assert errors_of(its, standing).freedom == 60 - 1 - 3
+    its, model = drawn(0)
+    ((constant,),) = describe_constants(its, model.programs, estimate_errors(its, model))
+    assert estimate_errors(its, model).freedom == 60 - 1 - 3
     reach = stats.t.ppf(0.975, 56)
     assert constant.interval == pytest.approx(
         (constant.fitted - reach * constant.std_error, constant.fitted + reach * constant.std_error)
@@ -84,8 +84,8 @@ def test_intervals_are_those_of_students_t():
 
 
 def test_bands_are_the_spread_of_the_simulations(draws):
-    spread = np.std([standing.shot.simulated[0] for _, standing in draws], axis=0)
-    errors = [banded(its, its.shooter.measurements, standing)[0] for its, standing in draws]
+    spread = np.std([model.shot.simulated[0] for _, model in draws], axis=0)
+    errors = [banded(its, its.shooter.measurements, model)[0] for its, model in draws]
     found = np.mean(errors, axis=0)
     assert found == pytest.approx(spread, rel=0.25)
     assert found.mean() == pytest.approx(spread.mean(), rel=0.05)
@@ -94,30 +94,30 @@ def test_bands_are_the_spread_of_the_simulations(draws):
 def test_bands_of_a_coupled_system_are_those_of_its_linearisation():
     """Directly: variances of the rows by the dense covariance of all that was fitted."""
     rows = measurements_of(recording(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES, 0.01), [0, 1])
-    its = contest(LOTKA, rows, 1e-8)
-    standing = its.stand([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
-    shot, fitted = standing.shot, len(standing.shot.system.places)
+    its = compare(LOTKA, rows, 1e-8)
+    model = its.fit_model([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
+    shot, fitted = model.shot, len(model.shot.system.places)
     whole = np.zeros((len(TIMES) * 2, 2, fitted + 4))
     sensitivities = shot.integrated_sensitivities()
     for group, (first, end) in enumerate(shot.segments.tolist()):
         whole[first:end, :, :fitted] = sensitivities[first:end, :, :fitted]
         whole[first:end, :, fitted + 2 * group : fitted + 2 * group + 2] = sensitivities[first:end, :, fitted:]
     weighed = (whole / shot.sigmas[None, :, None]).reshape(-1, fitted + 4)
-    errors = errors_of(its, standing)
+    errors = estimate_errors(its, model)
     covariance = np.linalg.inv(weighed.T @ weighed) * (80.0 / errors.freedom)
     expected = np.sqrt(np.einsum("nop,pq,noq->on", whole, covariance, whole))
-    assert banded(its, rows, standing) == pytest.approx(expected, rel=1e-4)
+    assert banded(its, rows, model) == pytest.approx(expected, rel=1e-4)
 
 
 def test_bands_integrate_once_however_many_pieces_there_are(monkeypatch):
     rows = measurements_of(recording(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES, 0.01), [0, 1])
-    its = contest(LOTKA, rows, 1e-8)
-    standing = its.stand([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
+    its = compare(LOTKA, rows, 1e-8)
+    model = its.fit_model([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
     integrate, times = Shooter.sensitivities, []
     monkeypatch.setattr(Shooter, "sensitivities", lambda self, shot: times.append(1) or integrate(self, shot))
-    spread, scale = spread_of(its, standing.shot, errors_of(its, standing))
+    spread, scale = scaled_covariance(its, model.shot, estimate_errors(its, model))
     times.clear()
-    bands(rows, standing.shot, spread, scale)
+    bands(rows, model.shot, spread, scale)
     assert len(times) == 1
 
 
@@ -125,24 +125,24 @@ def test_bands_of_a_system_without_constants_are_those_of_its_initial_states():
     """x' = -x along one trajectory: the error of the start decays."""
     bare = Known(("x",), lambda _, z: [-z[0]])
     rows = measurements_of(recording(bare, ([2.0],), TIMES, NOISE), [0])
-    its = contest(bare, rows, 1e-8)
-    standing = its.stand([bare.parsed("-x")], lengths=(None,))
+    its = compare(bare, rows, 1e-8)
+    model = its.fit_model([bare.parsed("-x")], lengths=(None,))
     decay = np.exp(-TIMES)
-    error = standing.shot.sigmas[0] * np.sqrt(20.0 / 19.0) / np.sqrt(decay @ decay)
-    assert banded(its, rows, standing)[0] == pytest.approx(error * decay, rel=1e-4)
-    assert constants_of(its, standing.programs, errors_of(its, standing)) == [()]
+    error = model.shot.sigmas[0] * np.sqrt(20.0 / 19.0) / np.sqrt(decay @ decay)
+    assert banded(its, rows, model)[0] == pytest.approx(error * decay, rel=1e-4)
+    assert describe_constants(its, model.programs, estimate_errors(its, model)) == [()]
 
 
 def test_a_constant_that_the_data_do_not_determine_is_said_to_be_none():
     """x stays near 1, so that x and x^2 say nearly the same: neither is known, and they are correlated."""
     still = Known(("x",), lambda _, z: [0.5 - 0.5 * z[0]])
     rows = measurements_of(recording(still, ([1.05], [0.95], [1.02]), TIMES, 0.02), [0])
-    its = contest(still, rows, 1e-6)
-    standing = its.stand([still.parsed("0.5 - 0.3*x - 0.2*x*x")])
-    errors = errors_of(its, standing)
-    (constants,) = constants_of(its, standing.programs, errors)
+    its = compare(still, rows, 1e-6)
+    model = its.fit_model([still.parsed("0.5 - 0.3*x - 0.2*x*x")])
+    errors = estimate_errors(its, model)
+    (constants,) = describe_constants(its, model.programs, errors)
     assert not any(each.identifiable for each in constants)
-    found = correlations_of(its, ("x",), standing.programs, errors)
+    found = find_correlations(its, ("x",), model.programs, errors)
     assert len(found) >= 1
     assert all(0.95 <= abs(each.value) <= 1.0 + 1e-6 for each in found)
     assert [abs(each.value) for each in found] == sorted((abs(each.value) for each in found), reverse=True)
@@ -150,54 +150,54 @@ def test_a_constant_that_the_data_do_not_determine_is_said_to_be_none():
 
 
 def test_well_determined_constants_are_not_correlated():
-    its, standing = drawn(0)
-    errors = errors_of(its, standing)
-    assert constants_of(its, standing.programs, errors)[0][0].identifiable
-    assert correlations_of(its, ("x",), standing.programs, errors) == ()
+    its, model = drawn(0)
+    errors = estimate_errors(its, model)
+    assert describe_constants(its, model.programs, errors)[0][0].identifiable
+    assert find_correlations(its, ("x",), model.programs, errors) == ()
 
 
 def test_constants_of_a_fixed_equation_have_a_value_alone():
     rows = measurements_of(recording(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES, 0.01), [0, 1])
-    its = contest(LOTKA, rows, 1e-8, fixed=[0])
+    its = compare(LOTKA, rows, 1e-8, fixed=[0])
     programs = [LOTKA.parsed(LOTKA_TEXT[0]), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")]
-    standing = its.stand(programs)
-    first, second = constants_of(its, standing.programs, errors_of(its, standing))
+    model = its.fit_model(programs)
+    first, second = describe_constants(its, model.programs, estimate_errors(its, model))
     assert [each.value for each in first] == programs[0].constants[constant_places(programs[0])].tolist()
     assert all(each.fitted is None and each.std_error is None and each.interval is None for each in first)
     assert all(each.std_error > 0.0 for each in second)
-    found = correlations_of(its, ("x", "y"), standing.programs, errors_of(its, standing))
+    found = find_correlations(its, ("x", "y"), model.programs, estimate_errors(its, model))
     assert {name for each in found for name in (each.first[0], each.second[0])} <= {"y"}
 
 
 def test_shown_values_stand_beside_fitted_ones():
-    its, standing = drawn(0)
-    ((constant,),) = constants_of(its, [TRUTH], errors_of(its, standing))
+    its, model = drawn(0)
+    ((constant,),) = describe_constants(its, [TRUTH], estimate_errors(its, model))
     assert abs(constant.value) == 0.5
-    assert constant.fitted == float(standing.shot.system.values[0])
+    assert constant.fitted == float(model.shot.system.values[0])
 
 
 def test_held_constants_stay_and_starts_are_fitted():
-    its, standing = drawn(3)
-    shot = held(its, [TRUTH])
+    its, model = drawn(3)
+    shot = fit_starts(its, [TRUTH])
     assert shot.system.values.size == 0
-    assert shot.squares[0] >= standing.shot.squares[0]
+    assert shot.squares[0] >= model.shot.squares[0]
     assert shot.starts[:, 0] == pytest.approx([2.0, 1.0, -1.5], abs=4.0 * NOISE)
-    near = held(its, [TRUTH], standing.shot)
+    near = fit_starts(its, [TRUTH], model.shot)
     assert near.squares[0] == pytest.approx(shot.squares[0], rel=1e-5)
 
 
 def test_simulations_are_by_trajectory():
     rows = measurements_of(recording(DECAY, STARTS, TIMES, NOISE), [0], piece=10)
-    its = contest(DECAY, rows, 1e-6)
-    standing = its.stand([TRUTH])
+    its = compare(DECAY, rows, 1e-6)
+    model = its.fit_model([TRUTH])
     errors = np.arange(60.0)[None]
-    found = simulated(rows, standing.shot, errors, ("x",), held_out=False)
+    found = simulated(rows, model.shot, errors, ("x",), held_out=False)
     assert [each.name for each in found] == ["1", "2", "3"]
     assert [len(each.times) for each in found] == [20, 20, 20]
     assert np.concatenate([each.errors[0] for each in found]).tolist() == errors[0].tolist()
-    assert np.concatenate([each.values[0] for each in found]).tolist() == standing.shot.simulated[0].tolist()
+    assert np.concatenate([each.values[0] for each in found]).tolist() == model.shot.simulated[0].tolist()
     assert all(0.5 < each.r2[0] < 1.0 for each in found)
-    assert simulated(rows, standing.shot, None, ("x",), held_out=True)[0].errors is None
+    assert simulated(rows, model.shot, None, ("x",), held_out=True)[0].errors is None
 
 
 def test_what_could_not_be_simulated_has_neither_values_nor_r2():
@@ -212,7 +212,7 @@ def test_r2_is_the_share_that_is_explained_of_what_was_measured():
     whole = recording(DECAY, STARTS, TIMES, NOISE)
     whole.trajectories[0].measured[0, 3] = np.nan
     rows = measurements_of(whole, [0])
-    shot = contest(DECAY, rows, 1e-6).stand([TRUTH]).shot
+    shot = compare(DECAY, rows, 1e-6).fit_model([TRUTH]).shot
     kept = np.delete(np.arange(60), 3)
     values, left = rows.measured[0, kept], (rows.measured - shot.simulated)[0, kept]
     expected = 1.0 - float(left @ left) / float(((values - values.mean()) ** 2).sum())
@@ -230,16 +230,16 @@ def test_constants_are_fitted_by_weight_and_their_errors_say_so():
         (bare,) = its.trajectories
         noise = deviations * np.random.default_rng(seed).standard_normal((1, len(TIMES)))
         weighed = replace(its, trajectories=(replace(bare, measured=bare.smoothed + noise, weights=weights),))
-        compared = contest(DECAY, measurements_of(weighed, [0]), 1e-6)
-        standing = compared.stand([DECAY.parsed("-0.45*x")], lengths=(None,))
-        errors = errors_of(compared, standing)
-        rates.append(rate_of(standing))
+        compared = compare(DECAY, measurements_of(weighed, [0]), 1e-6)
+        model = compared.fit_model([DECAY.parsed("-0.45*x")], lengths=(None,))
+        errors = estimate_errors(compared, model)
+        rates.append(rate_of(model))
         told.append(np.sqrt(errors.covariance[0, 0]))
     assert np.std(rates) == pytest.approx(np.mean(told), rel=0.3)
-    alike = contest(
+    alike = compare(
         DECAY,
         measurements_of(replace(weighed, trajectories=(replace(weighed.trajectories[0], weights=None),)), [0]),
         1e-6,
     )
-    plain = alike.stand([DECAY.parsed("-0.45*x")], lengths=(None,))
-    assert np.mean(told) < 0.5 * np.sqrt(errors_of(alike, plain).covariance[0, 0])
+    plain = alike.fit_model([DECAY.parsed("-0.45*x")], lengths=(None,))
+    assert np.mean(told) < 0.5 * np.sqrt(estimate_errors(alike, plain).covariance[0, 0])

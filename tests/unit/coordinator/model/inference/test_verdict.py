@@ -21,7 +21,7 @@ def waves(sd: float) -> tuple[FloatArray, ...]:
     return tuple(sd * np.sqrt(2.0) * np.sin(np.linspace(0.0, 12.0, 100) + start) for start in range(4))
 
 
-NOISY = Evidence(0.3, 0.2, 0.9, noise(0.1), 0, 3.0, noise=0.1, deviation=2.0, constants=KNOWN, rival=9.0)
+NOISY = Evidence(0.3, 0.2, 0.9, noise(0.1), 0, 3.0, noise=0.1, deviation=2.0, constants=KNOWN, alternative=9.0)
 CLEAN = Evidence(1e-12, 1e-9, 1.0, waves(1e-9), 0, 3.0, noise=0.0, deviation=2.0, constants=KNOWN)
 
 
@@ -52,8 +52,8 @@ def test_a_small_pattern_may_stay() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"rival": 1.24}, "1.2 nats apart"),
-        ({"rival": -1.24}, "1.2 nats shorter"),
+        ({"alternative": 1.24}, "1.2 nats apart"),
+        ({"alternative": -1.24}, "1.2 nats shorter"),
         ({"residuals": waves(0.1)}, "follows a pattern"),
         ({"residuals": noise(0.17)}, "times the noise"),
         ({"residuals": noise(0.1)[:3], "failed": 1}, "to the end of 1 of 4 trajectories"),
@@ -71,7 +71,7 @@ def test_doubts_are_said(change: dict[str, object], said: str) -> None:
 
 
 def test_two_doubts_are_enough() -> None:
-    _, reason = judge(replace(NOISY, residuals=waves(0.3), rival=0.5))
+    _, reason = judge(replace(NOISY, residuals=waves(0.3), alternative=0.5))
     assert "times the noise" in reason
     assert "follows a pattern" in reason
     assert "another equation" not in reason
@@ -103,7 +103,7 @@ def test_a_simulation_that_explains_little_or_does_not_end_is_no_model(change: d
         (Evidence(0.05, 0.0), "good", "5 % of the target's deviation"),
         (Evidence(0.4, 0.0, 0.8), "doubtful", "R2 0.8 only"),
         (Evidence(0.4, 0.25, 0.7), "doubtful", "uncertain by 25 %"),
-        (Evidence(0.05, 0.0, 0.99, rival=0.1), "doubtful", "another equation"),
+        (Evidence(0.05, 0.0, 0.99, alternative=0.1), "doubtful", "another equation"),
         (Evidence(0.8, 0.1, 0.02), "no model", "better than a constant"),
         (Evidence(0.8, 0.1, 0.02, is_known=True), "no model", "it is not much better than a constant"),
         (Evidence(), "no model", "not finite"),

@@ -13,7 +13,7 @@ from atoll_coordinator.model.regression.simple_numbers import (
 
 
 def nearest(value: float, error: float) -> float:
-    """The number that an error of so much would be snapped to."""
+    """The number that an error of so much would be round_constants to."""
     priced = {
         number: length + 0.5 * ((number - value) / error) ** 2
         for number, length in simple_numbers(value, error).items()

@@ -1,4 +1,4 @@
-"""What a result says of noise, contenders, verdicts and simulations: plain numbers, bounded, null for the unknown."""
+"""What a result says of noise, alternatives, verdicts and simulations: plain numbers, bounded, null for the unknown."""
 
 import json
 import math
@@ -10,7 +10,7 @@ import pytest
 from atoll.data.dataset import Dataset, Target
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.recording import Recording, Smoothing
-from atoll_coordinator.model.refinement import Contender, Correlation, Refined, Simulated, Simulation
+from atoll_coordinator.model.refinement import Alternative, Correlation, Refined, Simulated, Simulation
 from atoll_coordinator.model.report.trust import MOST_POINTS, candidates, correlations, simulation, verdict
 
 VALUES = np.linspace(-1.0, 1.0, 20)
@@ -75,7 +75,7 @@ def test_a_simulation_that_ends_early_and_numbers_that_are_not_finite_are_null()
 
 def test_contenders_stand_in_the_order_of_their_length() -> None:
     texts = {"3*x": 2.0, "x": 0.0, "x*x": 7.0}
-    made = [Contender(from_infix(text, ("x",)), nats, 0.9, is_shown=text == "x") for text, nats in texts.items()]
+    made = [Alternative(from_infix(text, ("x",)), nats, 0.9, is_shown=text == "x") for text, nats in texts.items()]
     found = candidates(made, DATASET)
     assert [(each["expression"], each["nats"], each["selected"]) for each in found] == [
         ("x", 0.0, True),

@@ -1,4 +1,4 @@
-"""What came closest, and who wins a close race."""
+"""What came closest, and who wins a close ranking."""
 
 from dataclasses import replace
 
@@ -8,11 +8,11 @@ import pytest
 from atoll.config import JobConfig
 from atoll.expression.program import structure
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.selection import alternatives as rivals
-from atoll_coordinator.model.selection.alternatives import decided
+from atoll_coordinator.model.selection import alternatives as alternatives
+from atoll_coordinator.model.selection.alternatives import rank_alternatives
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
-from atoll_coordinator.model.selection.joint_search import Chosen, Field
+from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel
 from atoll_coordinator.model.settings import SETTINGS
 from tests.unit.coordinator.model.shooting.made import SWING, table
 
@@ -22,74 +22,76 @@ TRUTH = "-2.1*x - 0.3*y"
 OTHERS = ("-1.9*x", "-2.1*x - 0.3*y + 0.01*x*x", "-0.3*y - 2.1*x", "-2.1*x - 0.2*y + 0.1*x*y", "0.3 - 2.0*x")
 
 
-def choice(starts=STARTS, known=(), data=None):
-    """Return the choice of the truth, with others that were tried."""
+def selection(starts=STARTS, known=(), data=None):
+    """Return the selection of the truth, with others that were tried."""
     config = JobConfig(data=data) if data is not None else JobConfig()
     preparation = prepare(table(SWING, starts, TIMES, 0.05, 130), config)
     candidates = {name: CandidateSet(known=SWING.parsed("y") if name in known else None) for name in ("x", "y")}
-    field = Field(preparation.dataset, preparation.recording, config, candidates)
-    contest = field.contest(field.measurements(field.variables), field.variables)
-    best = contest.stand([SWING.parsed("y"), SWING.parsed(TRUTH)])
-    contest.halved(best, 1, [SWING.parsed(text) for text in (TRUTH, *OTHERS)], ((12, 20),))
-    best = contest.beside(best, best.programs, 20)
-    return Chosen(field, contest, best)
+    task = ModellingTask(preparation.dataset, preparation.recording, config, candidates)
+    comparison = task.compare(task.measurements(task.variables), task.variables)
+    best = comparison.fit_model([SWING.parsed("y"), SWING.parsed(TRUTH)])
+    comparison.narrow_down(best, 1, [SWING.parsed(text) for text in (TRUTH, *OTHERS)], ((12, 20),))
+    best = comparison.fit_beside(best, best.programs, 20)
+    return SelectedModel(task, comparison, best)
 
 
-def raced(its):
-    return decided(its, its.field.dataset.inputs)
+def ranked_by(its):
+    return rank_alternatives(its, its.task.dataset.inputs)
 
 
 def test_rivals_are_other_functions_and_no_better():
-    its = choice()
-    race = raced(its)
-    assert race.choice is its
-    assert race.rivals[0] == ()
-    forms = [structure(each.standing.programs[1]) for each in race.rivals[1]]
+    its = selection()
+    ranking = ranked_by(its)
+    assert ranking.selection is its
+    assert ranking.alternatives[0] == ()
+    forms = [structure(each.model.programs[1]) for each in ranking.alternatives[1]]
     assert structure(SWING.parsed("-0.3*y - 2.1*x")) not in forms
     assert structure(SWING.parsed("-1.9*x")) in forms
-    nats = [each.standing.nats for each in race.rivals[1]]
+    nats = [each.model.nats for each in ranking.alternatives[1]]
     assert nats == sorted(nats)
-    assert nats[0] > its.standing.nats
+    assert nats[0] > its.model.nats
     assert len(forms) <= SETTINGS.selection.alternatives
 
 
 def test_only_close_ones_are_validated():
-    its = choice()
-    for each in raced(its).rivals[1]:
-        is_close = each.standing.nats <= its.standing.nats + SETTINGS.selection.validated_nats
+    its = selection()
+    for each in ranked_by(its).alternatives[1]:
+        is_close = each.model.nats <= its.model.nats + SETTINGS.selection.validated_nats
         assert (each.validated is not None) == is_close
 
 
 def test_with_two_trajectories_nothing_is_validated():
-    race = raced(choice(STARTS[:2]))
-    assert race.validated is None
-    assert all(each.validated is None for each in race.rivals[1])
+    ranking = ranked_by(selection(STARTS[:2]))
+    assert ranking.validated is None
+    assert all(each.validated is None for each in ranking.alternatives[1])
 
 
 def test_a_known_equation_has_no_rivals():
-    assert raced(choice(known=["y"])).rivals == ((), ())
+    assert ranked_by(selection(known=["y"])).alternatives == ((), ())
 
 
 @pytest.mark.parametrize(("behind", "wins"), [(1.0, True), (2.9, True), (3.1, False)])
 def test_one_that_is_close_behind_and_foretells_better_wins(monkeypatch, behind, wins):
-    its = choice()
-    other = its.contest.exchanged(its.standing, 1, SWING.parsed("-1.9*x"), 12)
-    close = replace(other, nats=its.standing.nats + behind)
-    misfits = {id(its.standing): 100.0, id(close): 50.0}
-    monkeypatch.setattr(rivals, "_rivals", lambda _, best, index, __: [close] if index and best is its.standing else [])
-    monkeypatch.setattr(Validation, "of", lambda _, standing: Validated((0.9, 0.9), misfits[id(standing)]))
-    race = raced(its)
-    assert (race.choice.standing is close) is wins
-    assert race.validated.misfit == (50.0 if wins else 100.0)
+    its = selection()
+    other = its.comparison.fit_exchanged(its.model, 1, SWING.parsed("-1.9*x"), 12)
+    close = replace(other, nats=its.model.nats + behind)
+    misfits = {id(its.model): 100.0, id(close): 50.0}
+    monkeypatch.setattr(
+        alternatives, "_alternatives", lambda _, best, index, __: [close] if index and best is its.model else []
+    )
+    monkeypatch.setattr(Validation, "of", lambda _, model: Validated((0.9, 0.9), misfits[id(model)]))
+    ranking = ranked_by(its)
+    assert (ranking.selection.model is close) is wins
+    assert ranking.validated.misfit == (50.0 if wins else 100.0)
 
 
 def test_one_that_foretells_worse_does_not_win(monkeypatch):
-    its = choice()
-    other = its.contest.exchanged(its.standing, 1, SWING.parsed("-1.9*x"), 12)
-    close = replace(other, nats=its.standing.nats + 0.5)
-    misfits = {id(its.standing): 100.0, id(close): 130.0}
-    monkeypatch.setattr(rivals, "_rivals", lambda _, best, index, __: [close] if index else [])
-    monkeypatch.setattr(Validation, "of", lambda _, standing: Validated((0.9, 0.9), misfits[id(standing)]))
-    race = raced(its)
-    assert race.choice is its
-    assert race.rivals[1][0].validated.misfit == 130.0
+    its = selection()
+    other = its.comparison.fit_exchanged(its.model, 1, SWING.parsed("-1.9*x"), 12)
+    close = replace(other, nats=its.model.nats + 0.5)
+    misfits = {id(its.model): 100.0, id(close): 130.0}
+    monkeypatch.setattr(alternatives, "_alternatives", lambda _, best, index, __: [close] if index else [])
+    monkeypatch.setattr(Validation, "of", lambda _, model: Validated((0.9, 0.9), misfits[id(model)]))
+    ranking = ranked_by(its)
+    assert ranking.selection is its
+    assert ranking.alternatives[1][0].validated.misfit == 130.0

@@ -8,7 +8,7 @@ from atoll.expression.operators import BY_NAME
 from atoll.expression.program import structure
 from atoll_coordinator.model.selection.candidates import ranked
 from atoll_coordinator.model.structure.term_libraries import libraries
-from tests.unit.coordinator.model.shooting.made import SWING, contest, measurements_of, recording
+from tests.unit.coordinator.model.shooting.made import SWING, compare, measurements_of, recording
 
 TIMES = 0.1 * np.arange(40.0)
 ARITHMETIC = frozenset(BY_NAME[name].code for name in ("+", "-", "*"))
@@ -17,13 +17,13 @@ NOISE = 0.02
 
 @pytest.fixture
 def alone():
-    """The contest of y alone, and a problem whose derivatives are wrong by as much as they vary."""
+    """The comparison of y alone, and a problem whose derivatives are wrong by as much as they vary."""
     whole = recording(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES, NOISE, seed=140)
     inputs = np.concatenate([part.smoothed for part in whole.trajectories], axis=1)
     labels = np.concatenate([part.slopes[1] for part in whole.trajectories])
     labels = labels + np.random.default_rng(141).normal(0.0, labels.std(), len(labels))
     problem = Problem(SWING.names, inputs, Target("y", "dy/dt", labels, 0.5, float(labels.std()), NOISE))
-    return contest(SWING, measurements_of(whole, [1]), 1e-5), problem
+    return compare(SWING, measurements_of(whole, [1]), 1e-5), problem
 
 
 def programs(*texts):

@@ -9,11 +9,11 @@ import pytest
 from atoll.expression.program import Program, structure
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.selection import comparison
-from atoll_coordinator.model.selection.comparison import Contest, Standing, distinct
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison, distinct
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter
 from tests.unit.coordinator.model.fitting import settings
-from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, contest, measurements
+from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, compare, measurements
 
 TIMES = 0.1 * np.arange(40.0)
 STARTS = ([1.0, 3.0], [4.0, 1.0], [3.0, 3.0])
@@ -27,48 +27,48 @@ RIVALS = tuple(
 )
 
 
-def lotka(noise=NOISE, **options) -> Contest:
-    return contest(LOTKA, measurements(LOTKA, STARTS, TIMES, noise=noise), **options)
+def lotka(noise=NOISE, **options) -> ModelComparison:
+    return compare(LOTKA, measurements(LOTKA, STARTS, TIMES, noise=noise), **options)
 
 
 def test_a_standing_has_the_nats_of_misfit_programs_and_constants():
     its = lotka()
-    standing = its.stand([TRUTH, OTHER])
-    assert standing is not None
-    squares = (standing.shot.residuals**2).mean(axis=1)
+    model = its.fit_model([TRUTH, OTHER])
+    assert model is not None
+    squares = (model.shot.residuals**2).mean(axis=1)
     misfit = 0.5 * 120 * float(np.log(squares).sum())
-    assert standing.misfit == pytest.approx(misfit)
+    assert model.misfit == pytest.approx(misfit)
     programs = structure_length(TRUTH) + structure_length(OTHER)
-    assert standing.nats == pytest.approx(misfit + programs + 0.5 * math.log(120) * len(standing.shot.system.places))
-    assert standing.shot.segments.tolist() == [[0, 40], [40, 80], [80, 120]]
+    assert model.nats == pytest.approx(misfit + programs + 0.5 * math.log(120) * len(model.shot.system.places))
+    assert model.shot.segments.tolist() == [[0, 40], [40, 80], [80, 120]]
 
 
 def test_programs_come_back_with_fitted_constants():
-    standing = lotka().stand([RIVALS[1], OTHER])
-    assert standing is not None
-    assert structure(standing.programs[0]) == structure(RIVALS[1])
-    constants = np.abs(standing.programs[0].constants[standing.programs[0].operators == 1])
+    model = lotka().fit_model([RIVALS[1], OTHER])
+    assert model is not None
+    assert structure(model.programs[0]) == structure(RIVALS[1])
+    constants = np.abs(model.programs[0].constants[model.programs[0].operators == 1])
     assert sorted(constants.tolist()) == pytest.approx([1.0, 2.0, 3.0], abs=0.1)
 
 
 def test_the_truth_has_the_shortest_description():
     its = lotka()
-    standings = its.map(lambda program: its.stand([program, OTHER]), [*RIVALS, TRUTH])
-    assert structure(standings[0].programs[0]) == structure(TRUTH)
-    assert [each.nats for each in standings] == sorted(each.nats for each in standings)
-    assert len(standings) == len(RIVALS)  # the exponential cannot be simulated
+    models = its.fit_all(lambda program: its.fit_model([program, OTHER]), [*RIVALS, TRUTH])
+    assert structure(models[0].programs[0]) == structure(TRUTH)
+    assert [each.nats for each in models] == sorted(each.nats for each in models)
+    assert len(models) == len(RIVALS)  # the exponential cannot be simulated
 
 
 def test_what_cannot_be_simulated_has_no_standing():
-    assert lotka().stand([RIVALS[-1], OTHER]) is None
-    near = lotka().stand([TRUTH, OTHER])
-    assert lotka().exchanged(near, 0, RIVALS[-1], 5) is None
+    assert lotka().fit_model([RIVALS[-1], OTHER]) is None
+    near = lotka().fit_model([TRUTH, OTHER])
+    assert lotka().fit_exchanged(near, 0, RIVALS[-1], 5) is None
 
 
 def test_an_exchange_leaves_the_other_equations_structure():
     its = lotka()
-    near = its.stand([TRUTH, OTHER])
-    other = its.exchanged(near, 0, RIVALS[0], 20)
+    near = its.fit_model([TRUTH, OTHER])
+    other = its.fit_exchanged(near, 0, RIVALS[0], 20)
     assert structure(other.programs[0]) == structure(RIVALS[0])
     assert structure(other.programs[1]) == structure(OTHER)
     assert other.nats > near.nats
@@ -76,8 +76,8 @@ def test_an_exchange_leaves_the_other_equations_structure():
 
 def test_halving_keeps_the_best_and_notes_them():
     its = lotka()
-    near = its.stand([RIVALS[2], OTHER])
-    found = its.halved(near, 0, [*RIVALS, TRUTH], ((4, 3), (20, 2)))
+    near = its.fit_model([RIVALS[2], OTHER])
+    found = its.narrow_down(near, 0, [*RIVALS, TRUTH], ((4, 3), (20, 2)))
     assert structure(found[0].programs[0]) == structure(TRUTH)
     assert len(found) <= 2
     assert its.tried == {(0, structure(each.programs[0])): each for each in found}
@@ -86,49 +86,49 @@ def test_halving_keeps_the_best_and_notes_them():
 def test_beyond_the_work_that_is_allowed_no_more_programs_are_taken_in(monkeypatch):
     monkeypatch.setattr(comparison, "SETTINGS", settings("selection", batch=2))
     its = lotka()
-    near = its.stand([RIVALS[2], OTHER])
+    near = its.fit_model([RIVALS[2], OTHER])
     programs = [RIVALS[0], RIVALS[3], TRUTH]
-    found = its.halved(near, 0, programs, ((4, 3),), until=its.shooter.work)
+    found = its.narrow_down(near, 0, programs, ((4, 3),), until=its.shooter.work)
     assert {structure(each.programs[0]) for each in found} == {structure(program) for program in programs[:2]}
-    assert len(its.halved(near, 0, programs, ((4, 3),))) == 3
+    assert len(its.narrow_down(near, 0, programs, ((4, 3),))) == 3
 
 
 def test_of_programs_that_say_the_same_the_shortest_stays():
     its = lotka()
-    near = its.stand([TRUTH, OTHER])
+    near = its.fit_model([TRUTH, OTHER])
     words = [LOTKA.parsed(text) for text in ("x/(1.0/(2.9 - 2.1*y - 0.9*x))", "x*(2.9 - 2.1*y - 0.9*x)")]
-    found = its.halved(near, 0, [*words, RIVALS[1]], ((20, 5),))
+    found = its.narrow_down(near, 0, [*words, RIVALS[1]], ((20, 5),))
     assert [structure(each.programs[0]) for each in found] == [structure(words[1])]
 
 
 def test_only_a_shorter_description_replaces_what_was_noted():
     its = lotka()
-    near = its.stand([TRUTH, OTHER])
-    its.halved(near, 0, [RIVALS[0]], ((30, 1),))
+    near = its.fit_model([TRUTH, OTHER])
+    its.narrow_down(near, 0, [RIVALS[0]], ((30, 1),))
     (best,) = its.tried.values()
-    its.halved(near, 0, [RIVALS[0]], ((0, 1),))
+    its.narrow_down(near, 0, [RIVALS[0]], ((0, 1),))
     assert its.tried == {(0, structure(RIVALS[0])): best}
 
 
 def test_distinct_standings_differ_in_misfit():
-    def standing(misfit: float, nats: float) -> Standing:
-        return Standing((), None, misfit, nats)
+    def model(misfit: float, nats: float) -> FittedModel:
+        return FittedModel((), None, misfit, nats)
 
-    its = [standing(-100.0, 1.0), standing(-100.0 - 1e-5, 2.0), standing(-99.0, 3.0), standing(-99.0, 4.0)]
+    its = [model(-100.0, 1.0), model(-100.0 - 1e-5, 2.0), model(-99.0, 3.0), model(-99.0, 4.0)]
     assert [each.nats for each in distinct(its)] == [1.0, 3.0]
-    near = [standing(-99.0 + 1.01e-4 * step, float(step)) for step in range(-3, 4)]
+    near = [model(-99.0 + 1.01e-4 * step, float(step)) for step in range(-3, 4)]
     assert [each.nats for each in distinct(near)] == [-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]
-    nearer = [standing(-99.0 + 0.99e-4 * step, float(step)) for step in range(-3, 4)]
+    nearer = [model(-99.0 + 0.99e-4 * step, float(step)) for step in range(-3, 4)]
     assert [each.nats for each in distinct(nearer)] == [-3.0, -1.0, 1.0, 3.0]
 
 
 def test_constants_of_a_fixed_equation_stay():
     its = lotka(fixed=[1])
     known = LOTKA.parsed("2.02*y - x*y - y**2")
-    standing = its.stand([RIVALS[1], known])
-    assert standing.programs[1] == known
-    assert len(standing.shot.system.places) == 3
-    assert standing.programs[0] != RIVALS[1]
+    model = its.fit_model([RIVALS[1], known])
+    assert model.programs[1] == known
+    assert len(model.shot.system.places) == 3
+    assert model.programs[0] != RIVALS[1]
 
 
 def test_held_nodes_of_a_program_stay():
@@ -142,24 +142,24 @@ def test_held_nodes_of_a_program_stay():
 def test_the_number_of_threads_changes_no_bit(threads):
     def run(executor: Executor | None) -> list[tuple[float, Program]]:
         its = lotka(executor=executor)
-        near = its.stand([RIVALS[0], OTHER])
-        return [(each.nats, each.programs[0]) for each in its.halved(near, 0, [*RIVALS, TRUTH], ((4, 4), (10, 3)))]
+        near = its.fit_model([RIVALS[0], OTHER])
+        return [(each.nats, each.programs[0]) for each in its.narrow_down(near, 0, [*RIVALS, TRUTH], ((4, 4), (10, 3)))]
 
     with ThreadPoolExecutor(threads) as executor:
         assert run(executor) == run(None)
 
 
 def test_noise_is_not_exact_and_its_absence_is():
-    assert not lotka().is_exact(lotka().stand([TRUTH, OTHER]))
-    its = contest(LOTKA, measurements(LOTKA, STARTS, TIMES), 1e-10)
-    assert its.is_exact(its.stand([TRUTH, OTHER]))
-    assert not its.is_exact(its.stand([RIVALS[0], OTHER]))
+    assert not lotka().is_exact(lotka().fit_model([TRUTH, OTHER]))
+    its = compare(LOTKA, measurements(LOTKA, STARTS, TIMES), 1e-10)
+    assert its.is_exact(its.fit_model([TRUTH, OTHER]))
+    assert not its.is_exact(its.fit_model([RIVALS[0], OTHER]))
 
 
 def test_the_covariance_is_that_of_least_squares():
     """x' = -a x from a fitted start: two columns, in closed form."""
     its = measurements(DECAY, [[2.0]], TIMES, noise=0.01)
-    shot = Shooter(its, 1e-10).fit(contest(DECAY, its).system([DECAY.parsed("-0.5*x")]), None, 30)
+    shot = Shooter(its, 1e-10).fit(compare(DECAY, its).system([DECAY.parsed("-0.5*x")]), None, 30)
     rate, start = abs(float(shot.system.values[0])), float(shot.starts[0, 0])
     decay = np.exp(-rate * TIMES)
     columns = np.stack([TIMES * start * decay, decay], axis=1) / shot.sigmas[0]
@@ -168,7 +168,7 @@ def test_the_covariance_is_that_of_least_squares():
 
 def test_constants_that_only_count_together_have_infinite_variances():
     its = measurements(DECAY, [[2.0]], TIMES, noise=0.01)
-    made = contest(DECAY, its).system([DECAY.parsed("-0.2*x - 0.3*x")])
+    made = compare(DECAY, its).system([DECAY.parsed("-0.2*x - 0.3*x")])
     shot = Shooter(its, 1e-8).fit(made, None, 10)
     assert np.isinf(np.diag(covariance(shot))).all()
     assert np.isfinite(covariance(shot)[0, 1])
@@ -178,7 +178,7 @@ def test_constants_that_only_count_together_have_infinite_variances():
 
 def test_a_constant_beside_redundant_ones_keeps_its_variance():
     its = measurements(LOTKA, STARTS, TIMES, noise=NOISE)
-    made = contest(LOTKA, its).system([LOTKA.parsed("2.2*x + 0.7*x - 2.1*x*y - 0.9*x*x"), OTHER])
+    made = compare(LOTKA, its).system([LOTKA.parsed("2.2*x + 0.7*x - 2.1*x*y - 0.9*x*x"), OTHER])
     shot = Shooter(its, 1e-8).fit(made, None, 10)
     variances = np.diag(covariance(shot)).tolist()
     assert len(variances) == len(made.places) > 3

@@ -6,7 +6,7 @@ import pytest
 from atoll_coordinator.model.selection.cross_validation import Validation
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import measurements_of
-from tests.unit.coordinator.model.shooting.made import DECAY, SWING, contest, measurements, recording
+from tests.unit.coordinator.model.shooting.made import DECAY, SWING, compare, measurements, recording
 
 TIMES = 0.1 * np.arange(30.0)
 STARTS = ([1.0, 2.0], [0.5, -1.0], [2.0, 0.3], [-1.0, 1.0])
@@ -14,11 +14,11 @@ NOISE = 0.05
 
 
 def swinging(starts=STARTS, **options):
-    return contest(SWING, measurements(SWING, starts, TIMES, noise=NOISE, seed=120), 1e-5, **options)
+    return compare(SWING, measurements(SWING, starts, TIMES, noise=NOISE, seed=120), 1e-5, **options)
 
 
-def standing(its, *texts):
-    found = its.stand([SWING.parsed(text) for text in texts])
+def model(its, *texts):
+    found = its.fit_model([SWING.parsed(text) for text in texts])
     assert found is not None
     return found
 
@@ -31,32 +31,32 @@ def test_it_takes_three_trajectories(count, possible):
 def test_pieces_of_one_trajectory_stand_and_fall_together():
     rows = measurements_of(recording(SWING, STARTS[:2], TIMES, NOISE), [0, 1], piece=10)
     assert len(rows.bounds) == 6
-    assert not Validation(contest(SWING, rows)).is_possible
+    assert not Validation(compare(SWING, rows)).is_possible
 
 
 def test_the_truth_foretells_and_less_does_not():
     its = swinging()
-    good = Validation(its).of(standing(its, "y", "-1.9*x - 0.2*y"))
+    good = Validation(its).of(model(its, "y", "-1.9*x - 0.2*y"))
     assert all(0.9 < r2 < 1.0 for r2 in good.r2)
-    poor = Validation(its).of(standing(its, "y", "-1.9*x"))
+    poor = Validation(its).of(model(its, "y", "-1.9*x"))
     assert poor.misfit > good.misfit
     assert min(poor.r2) < min(good.r2)
 
 
 def test_what_is_foretold_is_a_little_worse_than_what_was_fitted():
     its = swinging()
-    found = standing(its, "y", "-1.9*x - 0.2*y")
+    found = model(its, "y", "-1.9*x - 0.2*y")
     assert found.misfit < Validation(its).of(found).misfit < found.misfit + 20.0
 
 
 def test_it_is_the_error_of_fits_to_the_others():
     """x' = -a x, by hand: the rate from three trajectories, the start of the fourth alone."""
-    its = contest(DECAY, measurements(DECAY, ([3.0], [2.0], [-1.0], [-2.0]), TIMES, noise=NOISE, seed=121), 1e-8)
-    found = its.stand([DECAY.parsed("-0.4*x")])
+    its = compare(DECAY, measurements(DECAY, ([3.0], [2.0], [-1.0], [-2.0]), TIMES, noise=NOISE, seed=121), 1e-8)
+    found = its.fit_model([DECAY.parsed("-0.4*x")])
     rows = its.shooter.measurements
     squares = 0.0
     for left_out in range(4):
-        others = contest(DECAY, rows.part({0, 1, 2, 3} - {left_out}), 1e-8).stand([DECAY.parsed("-0.4*x")])
+        others = compare(DECAY, rows.part({0, 1, 2, 3} - {left_out}), 1e-8).fit_model([DECAY.parsed("-0.4*x")])
         decay = np.exp(-abs(others.shot.system.values[0]) * TIMES)
         values = rows.part({left_out}).measured[0]
         squares += float(np.sum((values - decay * (decay @ values) / (decay @ decay)) ** 2))
@@ -66,7 +66,7 @@ def test_it_is_the_error_of_fits_to_the_others():
 
 def test_many_trajectories_are_left_out_several_at_a_time(monkeypatch):
     starts = [[1.0 + 0.2 * index, 0.0] for index in range(25)]
-    its = contest(SWING, measurements(SWING, starts, TIMES[:8], noise=NOISE, seed=122), 1e-4)
+    its = compare(SWING, measurements(SWING, starts, TIMES[:8], noise=NOISE, seed=122), 1e-4)
     seen = []
     validation = Validation(its)
     own = validation._left
@@ -76,7 +76,7 @@ def test_many_trajectories_are_left_out_several_at_a_time(monkeypatch):
         return own(found, left_out)
 
     monkeypatch.setattr(validation, "_left", left)
-    validation.of(standing(its, "y", "-1.9*x - 0.2*y"))
+    validation.of(model(its, "y", "-1.9*x - 0.2*y"))
     assert len(seen) == SETTINGS.selection.most_folds
     assert sorted(owner for fold in seen for owner in fold) == list(range(25))
 
@@ -85,7 +85,7 @@ def test_what_cannot_be_simulated_foretells_nothing(monkeypatch):
     its = swinging()
     validation = Validation(its)
     monkeypatch.setattr(validation, "_left", lambda *_: None)
-    found = validation.of(standing(its, "y", "-1.9*x - 0.2*y"))
+    found = validation.of(model(its, "y", "-1.9*x - 0.2*y"))
     assert found.misfit == np.inf
     assert found.r2 == (-np.inf, -np.inf)
 
@@ -93,7 +93,7 @@ def test_what_cannot_be_simulated_foretells_nothing(monkeypatch):
 def test_missing_values_do_not_count():
     whole = recording(SWING, STARTS, TIMES, NOISE, seed=120)
     whole.trajectories[2].measured[0, 4:20] = np.nan
-    its = contest(SWING, measurements_of(whole, [0, 1]), 1e-5)
-    found = Validation(its).of(standing(its, "y", "-1.9*x - 0.2*y"))
+    its = compare(SWING, measurements_of(whole, [0, 1]), 1e-5)
+    found = Validation(its).of(model(its, "y", "-1.9*x - 0.2*y"))
     assert np.isfinite(found.misfit)
     assert all(0.8 < r2 < 1.0 for r2 in found.r2)

@@ -9,7 +9,7 @@ from atoll.expression.program import constant_places
 from atoll_coordinator.model.selection import elimination
 from atoll_coordinator.model.selection.elimination import eliminated
 from atoll_coordinator.model.structure.term_libraries import Divisor, Factor, fractions, libraries
-from tests.unit.coordinator.model.shooting.made import SWING, Known, contest, measurements_of, recording
+from tests.unit.coordinator.model.shooting.made import SWING, Known, compare, measurements_of, recording
 
 PLAIN = (ADD, MULTIPLY)
 X, Y = Factor(0), Factor(1)
@@ -19,10 +19,10 @@ DUFFING = Known(("x", "y"), lambda _, z: [z[1], -1.5 * z[0] - 0.7 * z[0] ** 3 - 
 
 
 def duffing(noise):
-    """Return the contest of y alone, and its problem as a smoother would make it."""
+    """Return the comparison of y alone, and its problem as a smoother would make it."""
     whole = recording(DUFFING, ([1.0, 1.0], [-1.5, 0.5], [0.4, -2.0]), TIMES, noise=noise)
     rows = measurements_of(whole, [1])
-    alone = contest(DUFFING, rows, 1e-5)
+    alone = compare(DUFFING, rows, 1e-5)
     inputs = np.concatenate([part.smoothed for part in whole.trajectories], axis=1)
     slopes = np.concatenate([part.slopes[1] for part in whole.trajectories])
     labels = slopes + noise * np.random.default_rng(3).standard_normal(len(slopes))
@@ -42,7 +42,7 @@ def test_elimination_goes_past_the_truth():
 
 def test_where_a_sum_cannot_be_simulated_the_smallest_term_goes(monkeypatch):
     alone, problem = duffing(0.02)
-    monkeypatch.setattr(alone, "stand", lambda *_: None)
+    monkeypatch.setattr(alone, "fit_model", lambda *_: None)
     seen = []
     monkeypatch.setattr(
         elimination, "_fitted", lambda columns, scales, target: seen.append(len(scales)) or [1.0] * len(scales)
@@ -62,7 +62,7 @@ def test_columns_that_repeat_each_other_are_no_trouble():
 
 def test_a_linear_system_is_found_alone():
     whole = recording(SWING, ([1.0, 1.0], [-1.5, 0.5]), TIMES, noise=0.01)
-    alone = contest(SWING, measurements_of(whole, [1]), 1e-5)
+    alone = compare(SWING, measurements_of(whole, [1]), 1e-5)
     inputs = np.concatenate([part.smoothed for part in whole.trajectories], axis=1)
     slopes = np.concatenate([part.slopes[1] for part in whole.trajectories])
     problem = Problem(SWING.names, inputs, Target("y", "dy/dt", slopes, 0.01, float(slopes.std()), 0.01))
@@ -77,7 +77,7 @@ PREY = Known(("x", "y"), lambda _, z: [4.0 * z[0] - z[0] ** 2 - z[0] * z[1] / (1
 def test_elimination_goes_past_a_law_that_saturates():
     """Its half-saturation is found from elsewhere, and goes on from where the fit before has left it."""
     whole = recording(PREY, ([5.0, 1.0], [0.5, 2.0], [2.0, 3.0]), TIMES, noise=0.01)
-    alone = contest(PREY, measurements_of(whole, [0]), 1e-5)
+    alone = compare(PREY, measurements_of(whole, [0]), 1e-5)
     inputs = np.concatenate([part.smoothed for part in whole.trajectories], axis=1)
     slopes = np.concatenate([part.slopes[0] for part in whole.trajectories])
     problem = Problem(PREY.names, inputs, Target("x", "dx/dt", slopes, 0.01, float(slopes.std()), 0.01))

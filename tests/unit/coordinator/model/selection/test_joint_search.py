@@ -8,7 +8,7 @@ from atoll.expression.program import structure
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection.candidates import collect_candidates
-from atoll_coordinator.model.selection.joint_search import Field, ranked_candidates
+from atoll_coordinator.model.selection.joint_search import ModellingTask, ranked_candidates
 from atoll_coordinator.model.structure.algebra import tidied
 from tests.unit.coordinator.model.shooting.made import Known, pools, table
 
@@ -30,7 +30,7 @@ def candidates(prepared, text):
     (entry,) = its["v"].front
     settled = {"v": Refined(0, DRAG.parsed(text), entry.error, entry.mse)}
     candidates = collect_candidates(prepared.dataset, CONFIG, its)
-    (found,) = ranked_candidates(Field(prepared.dataset, prepared.recording, CONFIG, candidates, settled))
+    (found,) = ranked_candidates(ModellingTask(prepared.dataset, prepared.recording, CONFIG, candidates, settled))
     return found
 
 

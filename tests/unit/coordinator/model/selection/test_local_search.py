@@ -5,10 +5,10 @@ import pytest
 
 from atoll.expression.operators import BY_NAME
 from atoll.expression.program import structure
-from atoll_coordinator.model.selection.local_search import Descent
+from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.moves.extensions import extensions
-from tests.unit.coordinator.model.shooting.made import SWING, Known, contest, measurements
+from tests.unit.coordinator.model.shooting.made import SWING, Known, compare, measurements
 
 TIMES = 0.1 * np.arange(40.0)
 ARITHMETIC = frozenset(BY_NAME[name].code for name in ("+", "-", "*"))
@@ -21,17 +21,17 @@ def around(_, program):
 
 @pytest.fixture
 def swinging():
-    return contest(SWING, measurements(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES, noise=0.02, seed=110), 1e-5)
+    return compare(SWING, measurements(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES, noise=0.02, seed=110), 1e-5)
 
 
 def begun(its, *texts):
-    standing = its.stand([SWING.parsed(text) for text in texts])
-    assert standing is not None
-    return standing
+    model = its.fit_model([SWING.parsed(text) for text in texts])
+    assert model is not None
+    return model
 
 
-def forms(standing):
-    return {structure(program) for program in standing.programs}
+def forms(model):
+    return {structure(program) for program in model.programs}
 
 
 TRUE_FORMS = [
@@ -58,7 +58,7 @@ TRUE_FORMS = [
 )
 def test_whatever_is_not_needed_goes(swinging, texts):
     start = begun(swinging, *texts)
-    end = Descent(swinging, lambda *_: iter(()), PLENTY).down(start, [0, 1])
+    end = LocalSearch(swinging, lambda *_: iter(()), PLENTY).improve(start, [0, 1])
     assert forms(end) in TRUE_FORMS
     assert end.nats < start.nats
 
@@ -67,11 +67,11 @@ def test_whatever_is_not_needed_goes(swinging, texts):
 def test_a_constant_goes_only_if_that_shortens_the_description(rate):
     """x' = -r x, where r is 1 as far as the data can tell, or nearly, or not at all."""
     known = Known(("x",), lambda _, z: [-rate * z[0]])
-    its = contest(known, measurements(known, ([1.0], [-2.0]), TIMES, noise=0.02, seed=111), 1e-6)
-    start = its.stand([known.parsed("-1.2*x")])
-    end = Descent(its, lambda *_: iter(()), PLENTY).down(start, [0])
+    its = compare(known, measurements(known, ([1.0], [-2.0]), TIMES, noise=0.02, seed=111), 1e-6)
+    start = its.fit_model([known.parsed("-1.2*x")])
+    end = LocalSearch(its, lambda *_: iter(()), PLENTY).improve(start, [0])
     assert end.nats <= start.nats
-    bare = its.stand([known.parsed("-x")])
+    bare = its.fit_model([known.parsed("-x")])
     assert (structure(end.programs[0]) == structure(bare.programs[0])) == (
         bare.nats < start.nats - SETTINGS.selection.least_gain
     )
@@ -80,20 +80,20 @@ def test_a_constant_goes_only_if_that_shortens_the_description(rate):
 
 
 def test_what_is_missing_is_found(swinging):
-    end = Descent(swinging, around, PLENTY).down(begun(swinging, "y", "-1.5*x"), [0, 1])
+    end = LocalSearch(swinging, around, PLENTY).improve(begun(swinging, "y", "-1.5*x"), [0, 1])
     assert forms(end) in TRUE_FORMS
 
 
 def test_the_shortest_stays_itself(swinging):
     start = begun(swinging, "y", "-2.1*x - 0.3*y")
-    end = Descent(swinging, around, PLENTY).down(start, [0, 1])
+    end = LocalSearch(swinging, around, PLENTY).improve(start, [0, 1])
     assert end.nats >= start.nats - SETTINGS.selection.least_gain
     assert forms(end) == forms(start)
 
 
 def test_only_the_equations_named_are_changed(swinging):
     start = begun(swinging, "y + 0.05*x", "-2.1*x - 0.3*y + 0.1*x*y")
-    end = Descent(swinging, around, PLENTY).down(start, [1])
+    end = LocalSearch(swinging, around, PLENTY).improve(start, [1])
     assert structure(end.programs[0]) == structure(start.programs[0])
     assert structure(end.programs[1]) != structure(start.programs[1])
 
@@ -102,8 +102,8 @@ def test_only_the_equations_named_are_changed(swinging):
 def test_the_budget_ends_it(swinging, budget):
     start = begun(swinging, "y", "-1.5*x")
     most = swinging.shooter.work + budget
-    descent = Descent(swinging, around, most)
-    end = descent.down(start, [0, 1])
+    descent = LocalSearch(swinging, around, most)
+    end = descent.improve(start, [0, 1])
     assert descent.is_exhausted
     largest_round = 100 * 2 * 80 * (10 + 2 * (1 + 6 + 2))
     assert swinging.shooter.work <= most + largest_round
@@ -112,7 +112,7 @@ def test_the_budget_ends_it(swinging, budget):
 
 def test_an_exhausted_descent_changes_nothing(swinging):
     start = begun(swinging, "y", "-1.5*x")
-    descent = Descent(swinging, around, 0)
+    descent = LocalSearch(swinging, around, 0)
     assert descent.is_exhausted
-    assert descent.down(start, [0, 1]) is start
-    assert descent.reduced(start, 1) is start
+    assert descent.improve(start, [0, 1]) is start
+    assert descent.reduce(start, 1) is start

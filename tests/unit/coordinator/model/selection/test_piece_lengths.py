@@ -7,11 +7,10 @@ import pytest
 
 from atoll.config import JobConfig, SpaceConfig
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.selection import joint_search as model
-from atoll_coordinator.model.selection import piece_lengths
+from atoll_coordinator.model.selection import joint_search, piece_lengths
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
-from atoll_coordinator.model.selection.joint_search import Field
-from atoll_coordinator.model.selection.piece_lengths import chosen, on_all_rows, remarks
+from atoll_coordinator.model.selection.joint_search import ModellingTask
+from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks, select_model
 from atoll_coordinator.model.settings import SETTINGS
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import SWING, Known, pools, table
@@ -22,7 +21,7 @@ CONFIG = JobConfig(space=SpaceConfig(operators=("-", "*")))
 
 @pytest.fixture(autouse=True)
 def _little_work(monkeypatch):
-    monkeypatch.setattr(model, "SETTINGS", settings("selection", search_work=300_000))
+    monkeypatch.setattr(joint_search, "SETTINGS", settings("selection", search_work=300_000))
 
 
 def lorenz(_, z):
@@ -35,18 +34,18 @@ def field_of(known, starts, times, noise, config=CONFIG, given=None, **texts):
     preparation = prepare(table(known, starts, times, noise, 150), config)
     candidates = collect_candidates(preparation.dataset, config, pools(preparation, **texts))
     candidates |= {name: CandidateSet(known=known.parsed(text)) for name, text in (given or {}).items()}
-    return Field(preparation.dataset, preparation.recording, config, candidates)
+    return ModellingTask(preparation.dataset, preparation.recording, config, candidates)
 
 
 SWING_TEXTS = {"x": ("y",), "y": ("-1.9*x - 0.2*y",)}
 
 
 def test_regular_trajectories_are_simulated_in_whole():
-    field = field_of(SWING, ([1.0, 2.0], [0.5, -1.0]), 0.1 * np.arange(220.0), 0.03, **SWING_TEXTS)
-    choice = chosen(field)
-    assert choice.field.piece == field.piece
-    assert np.diff(choice.contest.shooter.measurements.bounds, axis=1).ravel().tolist() == [220, 220]
-    assert list(remarks(choice.field)) == []
+    task = field_of(SWING, ([1.0, 2.0], [0.5, -1.0]), 0.1 * np.arange(220.0), 0.03, **SWING_TEXTS)
+    selection = select_model(task)
+    assert selection.task.piece == task.piece
+    assert np.diff(selection.comparison.shooter.measurements.bounds, axis=1).ravel().tolist() == [220, 220]
+    assert list(remarks(selection.task)) == []
 
 
 def chaotic():
@@ -57,31 +56,31 @@ def chaotic():
 
 
 def test_chaotic_ones_are_simulated_in_pieces_and_that_is_said():
-    choice = chosen(chaotic())
-    assert choice.field.piece in SETTINGS.selection.shorter_pieces
-    (remark,) = remarks(choice.field)
-    assert f"pieces of {choice.field.piece} rows" in remark
+    selection = select_model(chaotic())
+    assert selection.task.piece in SETTINGS.selection.shorter_pieces
+    (remark,) = remarks(selection.task)
+    assert f"pieces of {selection.task.piece} rows" in remark
     assert "500 rows" in remark
 
 
 def test_when_the_work_is_used_up_no_shorter_pieces_are_tried(monkeypatch):
     monkeypatch.setattr(piece_lengths, "SETTINGS", settings("selection", pieces_work=1))
-    field = chaotic()
-    assert chosen(field).field.piece == field.piece
+    task = chaotic()
+    assert select_model(task).task.piece == task.piece
 
 
 def test_no_candidate_is_no_choice():
     texts = {"x": ("exp(9.0*x*x)",), "y": ("y*y*y*y",)}
-    field = field_of(SWING, ([1.0, 2.0],), 0.1 * np.arange(40.0), 0.03, **texts)
-    assert chosen(replace(field, config=JobConfig(space=SpaceConfig(operators=("exp", "*"))))) is None
+    task = field_of(SWING, ([1.0, 2.0],), 0.1 * np.arange(40.0), 0.03, **texts)
+    assert select_model(replace(task, config=JobConfig(space=SpaceConfig(operators=("exp", "*"))))) is None
 
 
 def test_a_choice_on_some_rows_is_fitted_to_all():
     starts = [[1.0 + 0.3 * index, 2.0] for index in range(20)]
-    choice = chosen(field_of(SWING, starts, 0.1 * np.arange(80.0), 0.03, **SWING_TEXTS))
-    assert choice.contest.shooter.measurements.rows < 1_600
-    whole = on_all_rows(choice)
-    assert whole.contest.shooter.measurements.rows == 1_600
-    values = np.sort(np.abs(whole.standing.shot.system.values))
+    selection = select_model(field_of(SWING, starts, 0.1 * np.arange(80.0), 0.03, **SWING_TEXTS))
+    assert selection.comparison.shooter.measurements.rows < 1_600
+    whole = on_all_rows(selection)
+    assert whole.comparison.shooter.measurements.rows == 1_600
+    values = np.sort(np.abs(whole.model.shot.system.values))
     assert values == pytest.approx([0.3, 2.0], rel=0.02)
     assert on_all_rows(whole) is whole

@@ -16,7 +16,7 @@ from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, Trajectory
 from atoll_coordinator.model.refinement import Pool
-from atoll_coordinator.model.selection.comparison import Contest
+from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import Shooter
 from atoll_coordinator.model.structure.algebra import tidied
@@ -141,5 +141,5 @@ def measurements(known: Known, starts: Sequence[Sequence[float]], times: FloatAr
     return measurements_of(recording(known, starts, times, **options), range(len(known.states)))
 
 
-def contest(known: Known, its: Measurements, precision: float = 1e-6, **options) -> Contest:
-    return Contest(Shooter(its, precision), known.names, **options)
+def compare(known: Known, its: Measurements, precision: float = 1e-6, **options) -> ModelComparison:
+    return ModelComparison(Shooter(its, precision), known.names, **options)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.inference.uncertainty import errors_of
+from atoll_coordinator.model.inference.uncertainty import estimate_errors
 from atoll_coordinator.model.shooting.measurements import measurements_of
-from tests.unit.coordinator.model.shooting.made import LOTKA, LOTKA_TEXT, contest, recording
+from tests.unit.coordinator.model.shooting.made import LOTKA, LOTKA_TEXT, compare, recording
 
 TIMES = 0.1 * np.arange(60.0)
 SPAN = 16
@@ -34,10 +34,10 @@ def test_interpolated_states_are_taken_as_known(made):
 
 def test_it_makes_evidence_weaker_and_errors_larger(made):
     its = measurements_of(made, [0])
-    weak, strong = (contest(LOTKA, replace(its, coherence=value)) for value in (SPAN / 2, 1.0))
+    weak, strong = (compare(LOTKA, replace(its, coherence=value)) for value in (SPAN / 2, 1.0))
     program = LOTKA.parsed(LOTKA_TEXT[0])
-    weakly, strongly = weak.stand([program]), strong.stand([program])
+    weakly, strongly = weak.fit_model([program]), strong.fit_model([program])
     assert weakly.misfit == pytest.approx(strongly.misfit / (SPAN / 2))
     assert weak.constant_nats < strong.constant_nats
-    ratios = np.diag(errors_of(weak, weakly).covariance) / np.diag(errors_of(strong, strongly).covariance)
+    ratios = np.diag(estimate_errors(weak, weakly).covariance) / np.diag(estimate_errors(strong, strongly).covariance)
     assert np.all(ratios > SPAN / 2)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.inference.uncertainty import errors_of, simulated
+from atoll_coordinator.model.inference.uncertainty import estimate_errors, simulated
 from atoll_coordinator.model.shooting.measurements import measurements_of
-from tests.unit.coordinator.model.shooting.made import LOTKA, LOTKA_TEXT, contest, recording
+from tests.unit.coordinator.model.shooting.made import LOTKA, LOTKA_TEXT, compare, recording
 
 TIMES = 0.1 * np.arange(60.0)
 STARTS = [[0.4, 1.5], [1.5, 0.3], [0.2, 0.4]]
@@ -25,30 +25,30 @@ def its():
 
 
 def test_offsets_are_fitted_with_whole_trajectories(its):
-    field = contest(LOTKA, its)
-    standing = field.stand([LOTKA.parsed(text) for text in LOTKA_TEXT])
-    assert standing.shot.starts.shape == (3, 3)
-    assert standing.shot.starts[:, 2] == pytest.approx(OFFSETS, abs=0.02)
-    assert np.sqrt(standing.shot.squares) == pytest.approx([0.01, 0.01], rel=0.15)
-    curves = simulated(its, standing.shot, None, ("x", "y"), held_out=False)
+    task = compare(LOTKA, its)
+    model = task.fit_model([LOTKA.parsed(text) for text in LOTKA_TEXT])
+    assert model.shot.starts.shape == (3, 3)
+    assert model.shot.starts[:, 2] == pytest.approx(OFFSETS, abs=0.02)
+    assert np.sqrt(model.shot.squares) == pytest.approx([0.01, 0.01], rel=0.15)
+    curves = simulated(its, model.shot, None, ("x", "y"), held_out=False)
     assert [curve.offsets["x"] for curve in curves] == pytest.approx(OFFSETS, abs=0.02)
     assert set(curves[0].offsets) == {"x"}
     assert curves[0].values[0] == pytest.approx(its.measured[0, :60], abs=0.06)
 
 
 def test_offsets_count_as_fitted_numbers(its):
-    field = contest(LOTKA, its)
-    standing = field.stand([LOTKA.parsed(text) for text in LOTKA_TEXT])
-    assert errors_of(field, standing).freedom == 360 - len(standing.shot.system.places) - 9
+    task = compare(LOTKA, its)
+    model = task.fit_model([LOTKA.parsed(text) for text in LOTKA_TEXT])
+    assert estimate_errors(task, model).freedom == 360 - len(model.shot.system.places) - 9
 
 
 def test_segments_have_none(its):
-    field = contest(LOTKA, its)
-    standing = field.stand([LOTKA.parsed(text) for text in LOTKA_TEXT], lengths=(10,))
-    assert standing.shot.starts.shape == (18, 2)
+    task = compare(LOTKA, its)
+    model = task.fit_model([LOTKA.parsed(text) for text in LOTKA_TEXT], lengths=(10,))
+    assert model.shot.starts.shape == (18, 2)
 
 
 def test_without_offsets_the_same_trajectories_are_not_fitted(its):
-    field = contest(LOTKA, replace(its, offset=its.offset[:0]))
-    standing = field.stand([LOTKA.parsed(text) for text in LOTKA_TEXT])
-    assert standing is None or standing.shot.squares[0] > 1e-3
+    task = compare(LOTKA, replace(its, offset=its.offset[:0]))
+    model = task.fit_model([LOTKA.parsed(text) for text in LOTKA_TEXT])
+    assert model is None or model.shot.squares[0] > 1e-3

@@ -6,7 +6,7 @@ import pytest
 from atoll.expression.evaluation import values_of
 from atoll.expression.program import constant_places
 from atoll_coordinator.model.structure.algebra import tidied
-from atoll_coordinator.model.structure.unit_coefficients import opened
+from atoll_coordinator.model.structure.unit_coefficients import make_coefficients_explicit
 from tests.unit.coordinator.model.fitting import parsed, shown
 
 DRAW = np.random.default_rng(3)
@@ -28,7 +28,7 @@ CASES = {
 @pytest.mark.parametrize("text", CASES)
 def test_terms_without_a_factor_get_one(text):
     terms, count = CASES[text]
-    its = opened(tidied(parsed(text)))
+    its = make_coefficients_explicit(tidied(parsed(text)))
     assert tuple(map(shown, its.terms)) == terms
     assert len(its.origins) == count == len(constant_places(its.program))
     assert sum(origin is None for origin in its.origins) == len(terms)
@@ -37,7 +37,7 @@ def test_terms_without_a_factor_get_one(text):
 @pytest.mark.parametrize("text", CASES)
 def test_the_function_stays_and_the_constants_know_where_they_come_from(text):
     program = tidied(parsed(text))
-    its = opened(program)
+    its = make_coefficients_explicit(program)
     assert values_of(its.program, INPUTS) == pytest.approx(values_of(program, INPUTS), rel=1e-13)
     values = program.constants[constant_places(program)].tolist()
     expected = [1.0 if origin is None else values[origin] for origin in its.origins]
@@ -48,7 +48,7 @@ def test_the_function_stays_and_the_constants_know_where_they_come_from(text):
 @pytest.mark.parametrize("text", CASES)
 def test_no_constant_is_redundant(text):
     """The derivatives with respect to the constants are linearly independent."""
-    its = opened(tidied(parsed(text))).program
+    its = make_coefficients_explicit(tidied(parsed(text))).program
     places = constant_places(its)
     columns = []
     for place in places:
