@@ -11,8 +11,8 @@ from atoll.errors import DataError, RefusedError, UsageError
 from atoll.wire.addresses import Destination, destination
 from atoll.wire.messages.views import JobView
 from atoll.wire.security.credentials import credentials_of
-from atoll_coordinator.cli.job_ids import job_id
 from atoll_coordinator.cli.options.job_config import job_config
+from atoll_coordinator.cli.options.names import job_id
 from atoll_coordinator.cli.terminal.follow import ending, exit_code
 from atoll_coordinator.cli.terminal.output import as_json, note, say
 from atoll_coordinator.client import Client

@@ -16,7 +16,7 @@ from atoll.command_line import duration
 from atoll.config import PRESETS, DataConfig, JobConfig
 from atoll.errors import UsageError
 from atoll.expression.operators import BY_NAME
-from atoll_coordinator.cli.options.name_lists import names
+from atoll_coordinator.cli.options.names import names
 from atoll_coordinator.cli.options.prior_knowledge import prior_settings
 
 

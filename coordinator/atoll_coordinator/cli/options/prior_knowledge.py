@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from atoll.errors import UsageError
-from atoll_coordinator.cli.options.name_lists import names
+from atoll_coordinator.cli.options.names import names
 
 _EXAMPLES: Final = {
     "--guess": "dx=3*x-2*x*y",

@@ -16,8 +16,8 @@ from atoll.errors import DataError, UsageError
 from atoll.logs import configure
 from atoll.machine.cores import usable_cores
 from atoll_coordinator.cli.exit_codes import BAD_INPUT, INTERRUPTED
-from atoll_coordinator.cli.job_ids import job_id
 from atoll_coordinator.cli.local.workers import LocalWorkers, free_endpoint
+from atoll_coordinator.cli.options.names import job_id
 from atoll_coordinator.cli.signals import raising_interrupts
 from atoll_coordinator.cli.terminal.output import refuse_existing_result
 

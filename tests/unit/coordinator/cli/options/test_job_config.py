@@ -6,8 +6,8 @@ import pytest
 
 from atoll.config import PRESETS, JobConfig
 from atoll.errors import UsageError
-from atoll_coordinator.cli.job_ids import job_id
 from atoll_coordinator.cli.options.job_config import epochs, job_config, names, seconds
+from atoll_coordinator.cli.options.names import job_id
 from atoll_coordinator.cli.options.parser import parse
 
 
