@@ -1,5 +1,6 @@
 """The image: built with buildah, which needs no daemon; containers of it are processes of this machine."""
 
+import hashlib
 import json
 import os
 import re
@@ -8,11 +9,10 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from deploy.rehearsal.machine import MARK, ROOT, Machine, NotPossibleError, command_line, wait_until
 
-IMAGE = "localhost/atoll-rehearsal"
+COPIED = ("pyproject.toml", "README.md", "LICENSE", "common", "coordinator", "island_worker", "deploy")
 BASE = "localhost/debian-python"
 SUITE = "bookworm"
 CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt"
@@ -27,14 +27,28 @@ def build_image(machine: Machine) -> str:
     mounts = [f"--volume={settings}:{place}:ro" for settings, place in _pip_settings(machine).items()]
     buildah(
         machine, "bud", "--isolation", "chroot", "--format", "docker", *arguments, *mounts,
-        "--file", str(ROOT / "deploy" / "Dockerfile"), "--tag", IMAGE, str(ROOT), timeout=3600,
+        "--file", str(ROOT / "deploy" / "Dockerfile"), "--tag", image_name(machine), str(ROOT), timeout=3600,
     )  # fmt: skip
     kinds = machine.kernels or "all kinds of processor"
     return f"deploy/Dockerfile builds on {base}, with kernels for {kinds}"
 
 
+def image_name(machine: Machine) -> str:
+    """Return the name of the image, in which the sources, the base and the kernels have their part."""
+    files = [
+        file for name in COPIED for file in ([ROOT / name] if (ROOT / name).is_file() else (ROOT / name).rglob("*"))
+    ]
+    sources = [
+        file for file in files if file.is_file() and "__pycache__" not in file.parts and "rehearsal" not in file.parts
+    ]
+    digest = hashlib.sha256(f"{machine.base} {machine.kernels}".encode())
+    for file in sorted(sources):
+        digest.update(f"{file.relative_to(ROOT)}\n".encode() + file.read_bytes())
+    return f"localhost/atoll-rehearsal:{digest.hexdigest()[:16]}"
+
+
 def has_image(machine: Machine) -> bool:
-    return buildah(machine, "inspect", "--type", "image", IMAGE, check=False).returncode == 0
+    return buildah(machine, "inspect", "--type", "image", image_name(machine), check=False).returncode == 0
 
 
 def require_image(machine: Machine) -> None:
@@ -110,8 +124,9 @@ class Container:
         self._machine, self.name = machine, name
         self._full_name = f"{machine.id}-{name}"
         names = [f"--add-host={host}:127.0.0.1" for host in hosts]
-        buildah(machine, "from", "--pull-never", "--name", self._full_name, *names, IMAGE)
-        config = json.loads(buildah(machine, "inspect", "--type", "image", IMAGE).stdout)["Docker"]["config"]
+        image = image_name(machine)
+        buildah(machine, "from", "--pull-never", "--name", self._full_name, *names, image)
+        config = json.loads(buildah(machine, "inspect", "--type", "image", image).stdout)["Docker"]["config"]
         self._entrypoint: list[str] = config["Entrypoint"]
 
     def start(
@@ -160,11 +175,3 @@ class Container:
     def remove(self) -> None:
         buildah(self._machine, "umount", self._full_name, check=False)
         buildah(self._machine, "rm", self._full_name, check=False)
-
-
-def configuration(machine: Machine) -> dict[str, Any]:
-    """Return the image's configuration: environment, user, entry point."""
-    config: dict[str, Any] = json.loads(buildah(machine, "inspect", "--type", "image", IMAGE).stdout)["Docker"][
-        "config"
-    ]
-    return config

@@ -8,10 +8,12 @@ from typing import Any
 from deploy.rehearsal.machine import ROOT, FailedError, Machine
 
 DATA = ROOT / "examples" / "lynx_hare.csv"
-OPTIONS = ("--time", "year", "--preset", "paper", "--max-epochs", "240", "--seed", "3")
+OPTIONS = ("--time", "year", "--preset", "paper", "--max-epochs", "400", "--seed", "3")
 EARLY = 20
 """Epochs after which workers are killed or the job is cut off: with many still to come."""
 LIMIT_S = 900.0
+UNREACHABLE = 3
+"""Exit code of ``coordinator`` when no coordinator answers."""
 
 
 def program(name: str) -> str:
@@ -45,8 +47,10 @@ def check_digest(machine: Machine, found: str) -> None:
 
 
 def ask(machine: Machine, verb: str, address: str) -> list[dict[str, Any]]:
-    """Return what ``coordinator jobs`` or ``coordinator workers`` of the checkout answers, nothing if there is none."""
+    """Return what ``coordinator jobs`` or ``coordinator workers`` answers, nothing if no coordinator is there."""
     done = machine.run(program("coordinator"), verb, "--connect", address, "--json", check=False)
+    if done.returncode not in (0, UNREACHABLE):
+        raise FailedError(f"coordinator {verb} ended with {done.returncode}: {done.stderr.strip()}")
     return list(json.loads(done.stdout)) if done.returncode == 0 else []
 
 
