@@ -123,14 +123,14 @@ class Machine:
                     found.append(int(folder.name))
         return found
 
-    def end_all(self) -> int:
-        """End every process that was started and is still there; return how many there were."""
+    def end_all(self, grace: float = 10.0) -> int:
+        """End every process that was started, after `grace` seconds by SIGKILL; return how many were still there."""
         left = self.processes()
         for number in (signal.SIGTERM, signal.SIGKILL):
             for pid in self.processes():
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(pid, number)
-            deadline = time.monotonic() + 10
+            deadline = time.monotonic() + grace
             while self.processes() and time.monotonic() < deadline:
                 for each in self._started:
                     each.poll()

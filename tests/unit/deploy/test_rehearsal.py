@@ -1,0 +1,59 @@
+"""The rehearsal's own promises: every process is ended, what is missing is named, every step is described."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from deploy.rehearsal import job
+from deploy.rehearsal.__main__ import STEPS, main
+from deploy.rehearsal.machine import FailedError, Machine, NotPossibleError, wait_until
+from tests.unit.documents import ROOT
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Machine:
+    return Machine(tmp_path, install=False, base=None, kernels="generic")
+
+
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found in /proc")
+def test_processes_are_ended_also_when_their_parent_has_left_them_and_they_ignore_sigterm(machine: Machine) -> None:
+    script = "trap '' TERM; (setsid sleep 1000 &) ; echo ready > ready; exit 0"
+    machine.start("parent", "sh", "-c", script).wait(30)
+    assert (machine.work / "ready").exists()
+    wait_until("the orphan is there", lambda: len(machine.processes("parent")) == 1)
+    assert machine.end_all(grace=0.5) == 1
+    assert machine.processes() == []
+
+
+def test_a_missing_program_is_named_with_its_package(machine: Machine) -> None:
+    with pytest.raises(NotPossibleError, match=r"no-such-program not found.*installs its-package"):
+        machine.need({"no-such-program": "its-package", "sh": "dash"})
+    with pytest.raises(NotPossibleError, match="no-such-tool not found; --install fetches the Python package its-name"):
+        machine.python_tool("no-such-tool", "its-name")
+
+
+def test_a_program_that_fails_is_quoted(machine: Machine) -> None:
+    with pytest.raises(FailedError, match=r"ended with 3:\nfor a reason"):
+        machine.run(sys.executable, "-c", "import sys; print('for a reason', file=sys.stderr); sys.exit(3)")
+
+
+def test_a_digest_is_compared_with_the_checkouts(machine: Machine) -> None:
+    reference = machine.work / f"reference-{machine.id}"
+    reference.mkdir()
+    (reference / "result.json").write_text(json.dumps({"digest": "a" * 64}))
+    job.check_digest(machine, "a" * 64)
+    with pytest.raises(FailedError, match="digest bbbb"):
+        job.check_digest(machine, "b" * 64)
+
+
+def test_a_step_that_is_not_there_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert main(["compos", "--work", str(tmp_path)]) == 2
+    assert "unknown step compos" in capsys.readouterr().err
+
+
+def test_the_documents_describe_every_step_and_name_the_rehearsal() -> None:
+    text = (ROOT / "deploy" / "README.md").read_text("utf-8")
+    assert [name for name in STEPS if f"| `{name}` |" not in text] == []
+    assert "make deploy-rehearsal" in (ROOT / "CONTRIBUTING.md").read_text("utf-8")
