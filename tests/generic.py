@@ -8,7 +8,7 @@ import subprocess
 import sys
 from typing import Final
 
-from atoll.compilation.jit import cache_directory
+from atoll.compilation.cache import cache_directory
 
 _WARM_UP: Final = """
 from atoll_coordinator.data.differentiation import warmup as warmup
@@ -20,7 +20,7 @@ warmup.warm_up()
 
 def environment() -> dict[str, str]:
     """Return the variables under which a process uses these kernels."""
-    return {"NUMBA_CPU_NAME": "generic", "ATOLL_KERNEL_CACHE": str(cache_directory().parent / "generic")}
+    return {"NUMBA_CPU_NAME": "generic", "ATOLL_KERNEL_CACHE": str(cache_directory("atoll").parent / "generic")}
 
 
 if __name__ == "__main__":

@@ -2,30 +2,27 @@
 
 No fast-math and no contraction, so that one seed gives one answer on every processor (ADR 0002). Kernels stay in the
 subset of Python that also runs interpreted (``NUMBA_DISABLE_JIT=1``), which the oracles and the coverage run use.
-The cache lies under the user's cache directory, one folder per digest of the kernels' source text, so that kernels
-compile once per machine and a stale cache can never be loaded.
+Machine code is found by the text of its sources, wherever these lie (ADR 0011); numba's caches of other programs in
+the same process are left alone.
 """
 
-import os
+import functools
+import hashlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
 
-from atoll.compilation.sources import source_digest
+import numba
+import numba.core.caching
+import numba.core.ccallback
+import numba.core.cgutils
+import numba.core.compiler
+import numba.core.dispatcher
+import numba.core.registry
+import numba.core.sigutils
+import numba.extending
 
-
-def cache_directory() -> Path:
-    """Return the folder of compiled kernels: ``ATOLL_KERNEL_CACHE``, else under the user's cache directory."""
-    chosen = os.environ.get("ATOLL_KERNEL_CACHE")
-    base = Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "atoll"
-    return base / f"kernels-{source_digest()}"
-
-
-os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_directory()))
-
-import numba  # noqa: E402  the cache directory must be set before numba reads its configuration
-import numba.core.cgutils  # noqa: E402
-import numba.extending  # noqa: E402
+from atoll.compilation.cache import cache_directory
 
 IS_COMPILED = not numba.config.DISABLE_JIT
 """Whether kernels are machine code; else they run as the Python they are."""
@@ -36,9 +33,8 @@ intrinsic: Callable[[Callable[..., Any]], Any] = numba.extending.intrinsic
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-
-_STRICT = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": False}
-_BARE = {**_STRICT, "_nrt": False}
+_STRICT: Final = {"nogil": True, "error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
+_BARE: Final = {**_STRICT, "_nrt": False}
 """Without numba's run-time counting of references: kernels make no arrays, and the count of an array handed on, an
 atomic instruction, took more time than the work."""
 
@@ -48,19 +44,101 @@ def kernel(function: F) -> F:
 
     It must not make arrays: what it needs is handed to it.
     """
-    return cast(F, numba.njit(**_BARE)(function))
+    return cast(F, _Kernel(function, _BARE)) if IS_COMPILED else function
 
 
 def allocating_kernel(function: F) -> F:
     """Compile `function` as `kernel` does; it may make arrays."""
-    return cast(F, numba.njit(**_STRICT)(function))
-
-
-def callback(signature: str, function: F) -> Any:
-    """Compile `function` apart from its callers, which reach it by its ``address``: once, not in each of them."""
-    return numba.cfunc(signature, cache=True, nopython=True, error_model="numpy", fastmath=False)(function)
+    return cast(F, _Kernel(function, _STRICT)) if IS_COMPILED else function
 
 
 def inlined(function: F) -> F:
     """Compile `function` into its callers, whatever its size: loops over it can then be vectorised."""
-    return cast(F, numba.njit(**_BARE, forceinline=True)(function))
+    return cast(F, _Kernel(function, {**_BARE, "forceinline": True})) if IS_COMPILED else function
+
+
+def callback(signature: str, function: F) -> Any:
+    """Compile `function` apart from its callers, which reach it by its ``address``: once, not in each of them."""
+    options = {"nopython": True, "error_model": "numpy", "fastmath": False}
+    result = numba.core.ccallback.CFunc(function, numba.core.sigutils.normalize_signature(signature), {}, options)
+    result._cache = _Cache(function)
+    result.compile()
+    return result
+
+
+class _CalleeCompiler(numba.core.dispatcher._FunctionCompiler):  # type: ignore[misc]  # numba has no types
+    def _customize_flags(self, flags: Any) -> Any:
+        flags.no_compile = flags.no_cpython_wrapper = True
+        return flags
+
+
+class _Callee(numba.core.registry.CPUDispatcher):  # type: ignore[misc]
+    """A function as its compiled callers see it: optimised, to be linked into them, and never made machine code."""
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        super().__init__(function, targetoptions=options)
+        self._compiler = _CalleeCompiler(function, self.targetdescr, options, {}, numba.core.compiler.Compiler)
+
+    def add_overload(self, result: Any) -> None:
+        library = result.library
+        library._finalize_final_module = functools.partial(setattr, library, "_finalized", True)
+        self.targetctx.insert_user_function(library, result.fndesc, [library])
+        self.overloads[tuple(result.signature.args)] = result
+
+    def get_overload(self, signature: Any) -> Any:
+        return self.overloads[numba.core.sigutils.normalize_signature(signature)[0]].library
+
+
+class _Kernel(numba.core.registry.CPUDispatcher):  # type: ignore[misc]
+    """A function to be called from Python, and from other kernels: two thirds of numba's own time to compile both ways.
+
+    What another kernel calls is compiled for it alone, once for each type of arguments whatever constants they are, and
+    neither wrapped for Python nor cached: it is part of the caller's machine code.
+    """
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        super().__init__(function, targetoptions={**options, "nopython": True})
+        self._cache = _Cache(function)
+        self._callee = _Callee(function, self.targetoptions)
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        return self._callee.get_call_template(tuple(map(types.unliteral, args)), kws)
+
+    def get_overload(self, signature: Any) -> Any:
+        return self._callee.get_overload(signature)
+
+
+class _Locator(numba.core.caching._CacheLocator):  # type: ignore[misc]
+    """The place of one function's machine code: a file in its package's folder, named by module and line."""
+
+    def __init__(self, function: Callable[..., Any], file: str) -> None:
+        self._package, _, self._module = function.__module__.partition(".")
+        self._line = function.__code__.co_firstlineno
+        self._py_file = file  # numba's warnings name it
+
+    def get_cache_path(self) -> str:
+        return str(cache_directory(self._package))
+
+    def get_source_stamp(self) -> str:
+        """Return a digest of the file, for what is not in a folder of kernels, such as tests."""
+        return _digest(self._py_file)
+
+    def get_disambiguator(self) -> str:
+        return f"{self._module}-{self._line}"
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], file: str) -> "_Locator":
+        return cls(function, file)
+
+
+@functools.cache
+def _digest(file: str) -> str:
+    return hashlib.blake2b(Path(file).read_bytes(), digest_size=8).hexdigest()
+
+
+class _Results(numba.core.caching.CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = (_Locator,)
+
+
+class _Cache(numba.core.caching.FunctionCache):  # type: ignore[misc]
+    _impl_class = _Results

@@ -17,6 +17,11 @@ _COMPILED_IN: Final = {
 """Files beside the kernels whose constants and types are compiled into them."""
 
 
+def packages_compiled_into(package: str) -> tuple[str, ...]:
+    """Return the packages whose kernels may be compiled into those of `package`; of tests and the like, all."""
+    return tuple(dict.fromkeys(("atoll", package))) if package in ALL else ALL
+
+
 def kernel_files(packages: Sequence[str] = ALL) -> list[Path]:
     """Return the modules of every folder ``kernels`` in `packages`, in a fixed order."""
     return [file for package in packages for file in sorted(_folder(package).glob("**/kernels/[!_]*.py"))]

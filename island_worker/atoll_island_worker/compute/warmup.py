@@ -1,59 +1,26 @@
-"""Making the kernels ready before work comes: compiled once per machine, loaded from the cache everywhere else.
+"""Making the kernels of the search ready before work comes: compiled once per machine, loaded everywhere else."""
 
-Of several processes that find nothing compiled, one compiles while the others wait and then load. What has been
-compiled is marked by a file beside the cache, one for each kind of processor, version of the compiler and checkout.
-"""
-
-import contextlib
-import os
-from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from atoll.compilation.marker import marker_in
-from atoll.errors import AtollError
+from atoll.compilation.warmup import Report, compile_or_load
 
 if TYPE_CHECKING:
     from atoll.data.dataset import Problem
 
-
-Report = Callable[[str], None]
-
+_PACKAGE: Final = "atoll_island_worker"
 _ROWS: Final = 40
 
 
-def warm_up(report: Report, exercise: Callable[[], None] | None = None) -> None:
+def warm_up(report: Report) -> None:
     """Compile or load every kernel that an epoch needs, by running a very small one for each preset.
 
     Args:
         report: told in one sentence when it is going to take long, and why.
-        exercise: what runs the kernels, instead of the small epochs.
 
     Raises:
         AtollError: the cache of compiled kernels cannot be written.
     """
-    run = exercise or run_small_epochs
-    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
-        return
-    from atoll.compilation.jit import cache_directory
-
-    directory = _made(cache_directory())
-    marker = marker_in(directory)
-    if not marker.exists():
-        with _locked(directory / "lock", report):
-            if not marker.exists():
-                report("compiling kernels, first time on this machine, about a minute")
-                run()
-                marker.touch()
-                return
-    run()
-
-
-def is_compiled() -> bool:
-    """Say whether the kernels have been compiled on this machine, and so need only be loaded."""
-    from atoll.compilation.jit import cache_directory
-
-    return marker_in(cache_directory()).exists()
+    compile_or_load(_PACKAGE, run_small_epochs, report)
 
 
 def run_small_epochs() -> None:
@@ -89,30 +56,3 @@ def _small_problem() -> "Problem":
     inputs = np.stack([numbers * 37 % 41 / 8.0 + 0.5, numbers * 29 % 43 / 16.0 - 1.0])
     values = numbers * 31 % 47 / 4.0 - 5.0
     return Problem(("x", "y"), inputs, Target("x", "dx/dt", values, uncertainty=0.0, standard_deviation=3.4))
-
-
-def _made(directory: Path) -> Path:
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        if not os.access(directory, os.W_OK | os.X_OK):
-            raise PermissionError(13, "permission denied")
-    except OSError as error:
-        raise AtollError(
-            f"the folder of compiled kernels {directory} cannot be written ({error.strerror}); "
-            "set ATOLL_KERNEL_CACHE to one that can"
-        ) from error
-    return directory
-
-
-@contextlib.contextmanager
-def _locked(path: Path, report: Report) -> Iterator[None]:
-    """Hold the machine's one lock on compiling; the system gives it back should the holder die."""
-    import fcntl
-
-    with path.open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            report("waiting while another process of this machine compiles the kernels")
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield

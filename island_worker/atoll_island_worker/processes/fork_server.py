@@ -43,9 +43,10 @@ def load_ahead() -> None:
     with contextlib.suppress(Exception):
         importlib.import_module("atoll.wire.bus.zenoh_bus")
         importlib.import_module("atoll_island_worker.worker")
-        from atoll_island_worker.compute.warmup import is_compiled, run_small_epochs
+        from atoll.compilation.cache import is_compiled
+        from atoll_island_worker.compute.warmup import run_small_epochs
 
-        if is_compiled():
+        if is_compiled("atoll_island_worker"):
             run_small_epochs()
     gc.freeze()  # what is loaded is shared by all workers, as long as the search for garbage does not write to it
 

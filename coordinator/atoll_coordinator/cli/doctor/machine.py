@@ -95,16 +95,15 @@ def check_kernels(options: argparse.Namespace) -> Iterator[Finding]:
             "kernels", "warning", "NUMBA_DISABLE_JIT is set: everything is interpreted, a thousand times slower", advice
         )
         return
-    from atoll.compilation.jit import cache_directory
-    from atoll.compilation.marker import marker_in
+    from atoll.compilation.cache import cache_directory, is_compiled
 
-    directory = cache_directory()
-    if marker_in(directory).exists():
+    directory = cache_directory("atoll_island_worker")
+    if is_compiled("atoll_island_worker"):
         yield fine("kernels", f"compiled, in {directory}")
         return
     existing = _existing(directory)
     if os.access(existing, os.W_OK | os.X_OK):
-        yield fine("kernels", f"not compiled yet; the first worker takes about a minute to do so, into {directory}")
+        yield fine("kernels", f"not compiled yet; the first worker takes half a minute to do so, into {directory}")
     else:
         found = f"not compiled yet, and {existing} cannot be written"
         yield Finding("kernels", "problem", found, "set ATOLL_KERNEL_CACHE to a folder that can be")

@@ -129,8 +129,7 @@ def test_few_open_files_are_pointed_out(soft: int, grade: str, monkeypatch: pyte
 
 
 def test_kernels_are_compiled_or_can_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from atoll.compilation import jit
-    from atoll.compilation.marker import marker_in
+    from atoll.compilation.cache import marker
 
     monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
     monkeypatch.setenv("ATOLL_KERNEL_CACHE", str(tmp_path))
@@ -140,8 +139,8 @@ def test_kernels_are_compiled_or_can_be(tmp_path: Path, monkeypatch: pytest.Monk
     (locked,) = doctor_machine.check_kernels(options())
     assert locked.grade == "problem"
     assert "ATOLL_KERNEL_CACHE" in locked.advice
-    jit.cache_directory().mkdir()
-    marker_in(jit.cache_directory()).touch()
+    marker("atoll_island_worker").parent.mkdir()
+    marker("atoll_island_worker").touch()
     (after,) = doctor_machine.check_kernels(options())
     assert after.found.startswith("compiled")
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")

@@ -2,21 +2,27 @@
 
 import fcntl
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from atoll.compilation import jit
-from atoll.compilation import marker as compiled
+from atoll.compilation import cache as compiled
+from atoll.compilation.warmup import Report, compile_or_load
 from atoll.errors import AtollError
-from atoll_island_worker.compute.warmup import warm_up
+
+PACKAGE = "atoll_island_worker"
+
+
+def warm_up(report: Report, exercise: Callable[[], None]) -> None:
+    compile_or_load(PACKAGE, exercise, report)
 
 
 @pytest.fixture(autouse=True)
 def cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.setenv("ATOLL_KERNEL_CACHE", str(tmp_path))
     monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
-    return jit.cache_directory()
+    return compiled.cache_directory(PACKAGE)
 
 
 class Exercise:
@@ -31,7 +37,7 @@ def test_the_first_time_is_announced_and_later_ones_are_not() -> None:
     said: list[str] = []
     exercise = Exercise()
     warm_up(said.append, exercise)
-    assert said == ["compiling kernels, first time on this machine, about a minute"]
+    assert said == ["compiling kernels, first time on this machine, about half a minute"]
     warm_up(said.append, exercise)
     assert len(said) == 1
     assert exercise.count == 2
@@ -63,19 +69,10 @@ def test_kernels_for_a_chosen_processor_are_ready_on_every_machine(monkeypatch: 
     said: list[str] = []
     warm_up(said.append, Exercise())
     monkeypatch.setattr(compiled.platform, "processor", lambda: "another")
-    monkeypatch.setattr(compiled, "Path", lambda _: Path("/nowhere"))
+    monkeypatch.setattr(compiled, "_CPU_INFO", Path("/nowhere"))
     warm_up(said.append, Exercise())
     assert len(said) == 1
     monkeypatch.delenv("NUMBA_CPU_FEATURES")
-    warm_up(said.append, Exercise())
-    assert len(said) == 2
-
-
-def test_a_copy_of_the_sources_elsewhere_is_another_first_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The machine code of one checkout is not found from another, however equal the sources."""
-    said: list[str] = []
-    warm_up(said.append, Exercise())
-    monkeypatch.setattr(compiled, "_ROOT", tmp_path)
     warm_up(said.append, Exercise())
     assert len(said) == 2
 
@@ -95,15 +92,10 @@ def test_who_comes_while_another_compiles_waits_and_then_loads(cache: Path) -> N
         thread.start()
         assert waiting.wait(30.0)
         assert events == []
-        for name in _marker_names():
-            (cache / name).touch()
+        compiled.marker(PACKAGE).touch()
     thread.join(30.0)
     assert events == ["loaded"]
     assert said == ["waiting while another process of this machine compiles the kernels"]
-
-
-def _marker_names() -> list[str]:
-    return [f"ready-{compiled._machine()}"]
 
 
 def test_a_cache_that_cannot_be_written_is_said_with_advice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

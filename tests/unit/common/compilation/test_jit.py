@@ -1,0 +1,54 @@
+"""Machine code is found by what the sources say, not by where they lie or when they were written."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from atoll.compilation.cache import cache_directory
+from atoll.compilation.jit import IS_COMPILED
+from atoll.compilation.sources import packages_compiled_into
+
+KERNELS = """
+from atoll.compilation.jit import kernel
+
+@kernel
+def double(x):
+    return FACTOR * x
+"""
+USE = """
+import numba, place
+print(place.double(2.0), sum(place.double._cache_hits.values()), numba.config.CACHE_DIR)
+"""
+
+
+def run(folder: Path, factor: float, cache: Path) -> list[str]:
+    """Call a kernel that stands in a module of `folder`; return its value, and how many kernels were loaded."""
+    folder.mkdir(exist_ok=True)
+    (folder / "place.py").write_text(KERNELS.replace("FACTOR", str(factor)))
+    environment = {**os.environ, "ATOLL_KERNEL_CACHE": str(cache)}
+    done = subprocess.run(
+        [sys.executable, "-c", USE], cwd=folder, env=environment, capture_output=True, text=True, check=True
+    )
+    return done.stdout.split()
+
+
+@pytest.mark.skipif(not IS_COMPILED, reason="kernels are interpreted")
+def test_a_copy_of_the_sources_elsewhere_finds_the_machine_code(tmp_path: Path) -> None:
+    assert run(tmp_path / "one", 2.0, tmp_path / "cache") == ["4.0", "0"]
+    assert run(tmp_path / "other", 2.0, tmp_path / "cache") == ["4.0", "1"]
+
+
+@pytest.mark.skipif(not IS_COMPILED, reason="kernels are interpreted")
+def test_sources_that_say_something_else_are_compiled(tmp_path: Path) -> None:
+    assert run(tmp_path / "one", 2.0, tmp_path / "cache") == ["4.0", "0"]
+    assert run(tmp_path / "one", 3.0, tmp_path / "cache") == ["6.0", "0"]
+
+
+def test_each_program_has_a_folder_and_shares_what_both_stand_on() -> None:
+    assert packages_compiled_into("atoll") == ("atoll",)
+    assert packages_compiled_into("atoll_coordinator") == ("atoll", "atoll_coordinator")
+    folders = {cache_directory(name) for name in ("atoll", "atoll_coordinator", "atoll_island_worker")}
+    assert len(folders) == 3
