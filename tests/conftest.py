@@ -1,5 +1,6 @@
 """What holds for every test: arithmetic accidents are errors unless a test says otherwise."""
 
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -8,6 +9,12 @@ import pytest
 from hypothesis import settings
 
 from tests.certificates import HAS_OPENSSL, Lab
+
+# Started in the background (``nohup``, ``&`` in a script) this process ignores signals that tests send, and processes
+# that it starts inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+for _number in (signal.SIGTERM, signal.SIGHUP):
+    signal.signal(_number, signal.SIG_DFL)
 
 settings.register_profile("repeatable", deadline=None, derandomize=True, database=None)
 settings.load_profile("repeatable")

@@ -32,9 +32,11 @@ def stopping(stop: threading.Event) -> Iterator[None]:
 
 @contextmanager
 def _handled(handler: Any) -> Iterator[None]:
-    before = [signal.signal(number, handler) for number in _ENDING]
+    """Handle the signals so inside; a hang-up that is ignored (``nohup``) stays ignored."""
+    numbers = [number for number in _ENDING if number == signal.SIGINT or signal.getsignal(number) != signal.SIG_IGN]
+    before = [signal.signal(number, handler) for number in numbers]
     try:
         yield
     finally:
-        for number, old in zip(_ENDING, before, strict=True):
+        for number, old in zip(numbers, before, strict=True):
             signal.signal(number, old)

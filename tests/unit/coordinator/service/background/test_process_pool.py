@@ -302,7 +302,6 @@ import sys
 from functools import partial
 from pathlib import Path
 from atoll_coordinator.service.background.process_pool import ProcessPool
-from tests.unit.coordinator.model.shooting.made import DECAY, pools, table
 from tests.unit.coordinator.service.background import strange_tasks
 ProcessPool().run("j", partial(strange_tasks.spin, Path(sys.argv[1])))
 """
@@ -312,9 +311,12 @@ ProcessPool().run("j", partial(strange_tasks.spin, Path(sys.argv[1])))
 def test_a_child_ends_with_its_coordinator(number: signal.Signals, tmp_path: Path) -> None:
     command = [sys.executable, "-c", KILLED, str(tmp_path / "mark")]
     with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE) as coordinator:
-        until((tmp_path / "mark").exists)
-        coordinator.send_signal(number)
-        _, said = coordinator.communicate(timeout=LIMIT_S)  # until the child, too, has closed its stderr
+        try:
+            until((tmp_path / "mark").exists)
+            coordinator.send_signal(number)
+            _, said = coordinator.communicate(timeout=LIMIT_S)  # until the child, too, has closed its stderr
+        finally:
+            coordinator.kill()  # else one that does not end would leave a child that computes for ever
     assert said.count(b"Traceback") == (number == signal.SIGINT)  # of the coordinator alone
 
 
