@@ -35,17 +35,21 @@ $(STAMP): pyproject.toml requirements-dev.txt
 demo: $(STAMP)
 	@$(BIN)/python -m examples.demo
 
+# Many tests wait for processes, so there are two at a time for each core; the tests of one file run one after the other.
+AT_A_TIME = $(shell $(BIN)/python -c 'from atoll.machine.cores import usable_cores; print(2 * usable_cores())')
+PYTEST = $(BIN)/pytest -n $(AT_A_TIME) --dist loadfile
+
 test: $(STAMP)
 	@$(MAKE) --no-print-directory -j 2 kernels generic-kernels
-	@$(BIN)/pytest
+	@$(PYTEST)
 
 quick: $(STAMP) kernels
-	@$(BIN)/pytest -m "not slow"
+	@$(PYTEST) -m "not slow"
 
 # Compiled before the first test, whose time is limited.
 kernels: $(STAMP)
-	@$(BIN)/python -c "from atoll_island_worker.compute.warmup import warm_up; warm_up(print)"
-	@$(BIN)/python -c "from atoll_coordinator.warmup import warm_up; warm_up()"
+	@$(BIN)/python -c "from atoll_coordinator.warmup import warm_up; warm_up()" & coordinator=$$!; \
+	  $(BIN)/python -c "from atoll_island_worker.compute.warmup import warm_up; warm_up(print)" && wait $$coordinator
 
 # For the test that compares the bits of different processors; two compilers at a time take no longer than one.
 generic-kernels: $(STAMP)

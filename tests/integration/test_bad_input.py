@@ -1,4 +1,7 @@
-"""Bad input through the whole of ``coordinator run``: one sentence that helps, exit code 2, nothing left behind."""
+"""Bad input through the whole of ``coordinator run``: one sentence that helps, exit code 2, nothing left behind.
+
+What is bad input is tested where it is decided: ``tests/unit/coordinator/test_bad_input.py``.
+"""
 
 import sys
 from collections.abc import Callable
@@ -45,54 +48,11 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     return run
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (None, ["data.csv", "does not exist"]),
-        ("", ["data.csv", "empty"]),
-        ("t,x,y\n", ["data.csv"]),
-        ("t,x,y\n0,1,2\n", ["1 row"]),
-        (changed(5, "0.4,abc,1.4"), ["data.csv", "6", "x", "'abc'"]),
-        (changed(5, "0.4,nan,1.4"), ["x", "row", "5", "--missing drop"]),
-        (changed(5, "0.4,inf,1.4"), ["x", "row", "5", "--missing drop"]),
-        (changed(5, "0.25,1,1.4"), ["t", "0.25"]),
-        (changed(5, "0.3,1,1.4"), ["t", "0.3"]),
-        (GOOD.replace("t,x,y", "t,x,x"), ["'x'", "name"]),
-        (GOOD.replace("t,x,y", "s,x,y"), ["time", "t"]),
-        ("t,x,y\n" + "".join(f"{i},{i * i},3\n" for i in range(40)), ["y", "constant"]),
-    ],
-)
-def test_bad_data_are_refused_with_one_sentence(run: Callable[..., str], text: str | None, words: list[str]) -> None:
-    sentence = run(text)
-    assert [word for word in words if word not in sentence] == []
+def test_bad_data_are_refused_with_one_sentence(run: Callable[..., str]) -> None:
+    sentence = run(changed(5, "0.4,abc,1.4"))
+    assert [word for word in ("data.csv", "6", "x", "'abc'") if word not in sentence] == []
 
 
-def test_a_device_is_not_called_missing(run: Callable[..., str], tmp_path: Path) -> None:
-    (tmp_path / "data.csv").symlink_to("/dev/null")
-    assert "a pipe or a device" in run(None)
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ("--states x,z", ["'z'", "x, y"]),
-        ("--time when", ["'when'", "t"]),
-        ("--target q", ["'q'"]),
-        ("--only z", ["'z'"]),
-        ("--angle phi", ["'phi'"]),
-        ("--operators +,foo", ["'foo'", "tanh"]),
-        ("--target y --order 2", ["--order 2", "--target"]),
-        ("--states x --inputs x", ["'x'", "--states", "--inputs"]),
-        ("--max-epochs z=5", ["'z'"]),
-        ("--known dz=x", ["--known", "'dz'", "x, y"]),
-        ("--known d2x=y", ["'d2x'", "--order 2"]),
-        ("--guess x=3*w", ["--guess", "'w'", "x, y"]),
-        ("--guess x=tanh(y)", ["tanh(y)", "'tanh'"]),
-        ("--guess x=1 --known x=2", ["--guess", "'x'", "known"]),
-        ("--allow x=z", ["--allow", "'z'", "x, y"]),
-        ("--operators z=+", ["--operators", "'z'", "x, y"]),
-    ],
-)
-def test_bad_options_are_refused_with_one_sentence(run: Callable[..., str], options: str, words: list[str]) -> None:
-    sentence = run(GOOD, *options.split())
-    assert [word for word in words if word not in sentence] == []
+def test_bad_options_are_refused_with_one_sentence(run: Callable[..., str]) -> None:
+    sentence = run(GOOD, "--max-epochs", "z=5")
+    assert "'z'" in sentence
