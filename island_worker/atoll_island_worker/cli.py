@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Final
 
 from atoll.command_line import Parser, add_log_options, add_tls_options, duration, seconds
 from atoll.program import exit_code_of, raise_interrupts
-from atoll_island_worker.launch import complain, work, work_together
+from atoll_island_worker.launch import work, work_together
+from atoll_island_worker.processes.exit_reasons import complain, report_to
 
 if TYPE_CHECKING:
     from atoll.wire.addresses import Destination
@@ -96,16 +97,15 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add_log_options(parser)
     add_tls_options(parser)
     parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # end with this process
-    parser.add_argument("--sentences", type=int, help=argparse.SUPPRESS)  # why we end is written there
-    parser.add_argument("--leave", action="store_true", help=argparse.SUPPRESS)  # the workers to the parent, and end
+    parser.add_argument("--exit-reasons", type=int, help=argparse.SUPPRESS)  # why we end is written there
+    parser.add_argument("--detach", action="store_true", help=argparse.SUPPRESS)  # the workers to the parent, and end
     parser.add_argument("--version", action="version", version=f"atoll {VERSION}")
     return parser.parse_args(argv)
 
 
 def _dispatch(options: argparse.Namespace) -> int:
+    from atoll.machine.cores import usable_cores
     from atoll.wire.security.credentials import credentials_of
-    from atoll_island_worker.processes.exit_reasons import hand_over
-    from atoll_island_worker.processes.signals import choose_number
 
     credentials = credentials_of(vars(options), os.environ, "connect")
     connect = _destination(options, credentials)
@@ -113,11 +113,11 @@ def _dispatch(options: argparse.Namespace) -> int:
     raise_interrupts()
     number = options.processes
     if number is None:
-        number, reason = choose_number(os.environ)
+        number, reason = usable_cores(os.environ)
         sys.stderr.write(f"island-worker: {number} {'process' if number == 1 else 'processes'}: {reason}\n")
-    if number == 1 and not options.leave:
-        say = partial(hand_over, options.sentences) if options.sentences is not None else complain
-        return exit_code_of(partial(work, connect, name, options, options.parent), say)
+    if number == 1 and not options.detach:
+        report = partial(report_to, options.exit_reasons) if options.exit_reasons is not None else complain
+        return exit_code_of(partial(work, connect, name, options, options.parent), report)
     names = [f"{name[:58]}-{index}" for index in range(number)]
     return work_together(connect, names, options)
 

@@ -2,7 +2,6 @@
 
 import argparse
 import os
-import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
@@ -10,44 +9,38 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from atoll.program import exit_code_of
+from atoll_island_worker.processes.exit_reasons import ExitReasons, complain
 
 if TYPE_CHECKING:
     from atoll.wire.addresses import Destination
-    from atoll_island_worker.processes.exit_reasons import Sentences
     from atoll_island_worker.processes.supervisor import Child
-
-
-def complain(sentence: str) -> None:
-    """Write a sentence about an error on stderr."""
-    sys.stderr.write(f"island-worker: {sentence}\n")
 
 
 def work_together(connect: "Destination", names: Sequence[str], options: argparse.Namespace) -> int:
     """Have one process for each name work, as often as it dies; forked, where that can be, after all is loaded once."""
-    from atoll_island_worker.processes.exit_reasons import Sentences
-    from atoll_island_worker.processes.fork_server import Forked, can_fork, leave, load_ahead
-    from atoll_island_worker.processes.signals import ending_on_signals, hear_of_death
+    from atoll_island_worker.processes.fork_server import Forked, can_fork, fork_detached, load_ahead
+    from atoll_island_worker.processes.signals import exit_on_signals, request_parent_death_signal
     from atoll_island_worker.processes.supervisor import Start, supervise
 
     remaining = _remaining(options.lifetime)
-    with Sentences() as sentences:
+    with ExitReasons() as exit_reasons:
         starts: dict[str, Start] = {}
         if not can_fork():
-            starts = {each: partial(_start, connect, each, options, sentences, remaining) for each in names}
-            return supervise(starts, sentences, options.parent, options.grace)
-        with ending_on_signals():
+            starts = {each: partial(_start, connect, each, options, exit_reasons, remaining) for each in names}
+            return supervise(starts, exit_reasons, options.parent, options.grace)
+        with exit_on_signals():
             if options.parent is not None:
-                hear_of_death()
+                request_parent_death_signal()
             load_ahead()
             if options.parent not in (None, os.getppid()):
                 return 0
-        parent = options.parent if options.leave else os.getpid()
+        parent = options.parent if options.detach else os.getpid()
         works = {each: partial(_work_as_fork, connect, each, options, parent, remaining) for each in names}
-        if options.leave:
-            leave(works)
+        if options.detach:
+            fork_detached(works)
             return 0
-        starts = {each: partial(Forked, partial(act, sentences)) for each, act in works.items()}
-        return supervise(starts, sentences, options.parent, options.grace)
+        starts = {each: partial(Forked, partial(act, exit_reasons)) for each, act in works.items()}
+        return supervise(starts, exit_reasons, options.parent, options.grace)
 
 
 def _remaining(lifetime_s: float | None) -> Callable[[], float | None]:
@@ -57,15 +50,15 @@ def _remaining(lifetime_s: float | None) -> Callable[[], float | None]:
 
 
 def _start(
-    connect: "Destination", name: str, options: argparse.Namespace, sentences: "Sentences",
+    connect: "Destination", name: str, options: argparse.Namespace, exit_reasons: ExitReasons,
     remaining: Callable[[], float | None],
 ) -> "Child":  # fmt: skip
     """Start a process that works, for what is left of its lifetime."""
     from atoll_island_worker.processes.signals import worker_command
-    from atoll_island_worker.processes.supervisor import started
+    from atoll_island_worker.processes.supervisor import start_process
 
-    further = [*_log_options(options), "--sentences", str(sentences.writing_end)]
-    return started(worker_command(connect, name, options.wait, options.grace, remaining(), further), sentences)
+    further = [*_log_options(options), "--exit-reasons", str(exit_reasons.writing_end)]
+    return start_process(worker_command(connect, name, options.wait, options.grace, remaining(), further), exit_reasons)
 
 
 def _log_options(options: argparse.Namespace) -> list[str]:
@@ -74,24 +67,24 @@ def _log_options(options: argparse.Namespace) -> list[str]:
 
 def _work_as_fork(
     connect: "Destination", name: str, options: argparse.Namespace, parent: int, remaining: Callable[[], float | None],
-    sentences: "Sentences | None" = None,
+    exit_reasons: ExitReasons | None = None,
 ) -> int:  # fmt: skip
     """Work as a fork, for what is left of the lifetime."""
     options.lifetime = remaining()
-    say = sentences.hand_over if sentences is not None else complain
-    return exit_code_of(partial(work, connect, name, options, parent), say)
+    report = exit_reasons.report if exit_reasons is not None else complain
+    return exit_code_of(partial(work, connect, name, options, parent), report)
 
 
 def work(connect: "Destination", name: str, options: argparse.Namespace, parent: int | None) -> int:
     """Be one worker until there is nothing more to do; `parent`: the process with which this one ends."""
     from atoll.logs import configure
-    from atoll_island_worker.processes.signals import end_with_parent, ending_on_signals, leaving_on_signals
+    from atoll_island_worker.processes.signals import drain_on_signals, end_with_parent, exit_on_signals
 
-    with ending_on_signals():
+    with exit_on_signals():
         if parent is not None:
             end_with_parent(parent)
         configure(options.log_format, options.log_level, worker=name)
         from atoll_island_worker.worker import run_worker
 
-        on_signal = partial(leaving_on_signals, parent) if options.grace > 0.0 else lambda leave: nullcontext()
+        on_signal = partial(drain_on_signals, parent) if options.grace > 0.0 else lambda leave: nullcontext()
         return run_worker(connect, name, options.wait, options.lifetime, options.grace, on_signal)

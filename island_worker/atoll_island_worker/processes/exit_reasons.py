@@ -1,4 +1,4 @@
-"""What processes of one program say of their ends: each sentence once, however many of them say it."""
+"""Why the processes of one program end: each sentence is printed once, however many processes report it."""
 
 import os
 import sys
@@ -6,27 +6,27 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Final, Self
 
-AGAIN_S: Final = 60.0
-"""After this time a sentence may be said again."""
+REPEAT_S: Final = 60.0
+"""After this time a sentence may be printed again."""
 
 _MOST_BYTES: Final = 4000
 """Of one sentence; what is written to a pipe at once stays in one piece up to 4096 bytes."""
 
 
-def say(sentence: str) -> None:
-    """Tell people why a process ends."""
+def complain(sentence: str) -> None:
+    """Print why a process ends."""
     sys.stderr.write(f"island-worker: {sentence}\n")
 
 
-class Sentences:
+class ExitReasons:
     """A pipe from processes to the one that started them; a context manager. `writing_end` is theirs."""
 
-    def __init__(self, say: Callable[[str], None] = say) -> None:
+    def __init__(self, complain: Callable[[str], None] = complain) -> None:
         self._reading_end, self.writing_end = os.pipe()
         os.set_blocking(self._reading_end, False)
-        self._say = say
+        self._complain = complain
         self._rest = b""
-        self._said: dict[str, float] = {}
+        self._printed_at: dict[str, float] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -37,20 +37,20 @@ class Sentences:
         for end in (self._reading_end, self.writing_end):
             os.close(end)
 
-    def hand_over(self, sentence: str) -> None:
-        """Have the first process say a sentence; in a fork of it, which has nothing to read here."""
+    def report(self, sentence: str) -> None:
+        """Have the first process print a sentence; in a fork of it, which has nothing to read here."""
         os.close(self._reading_end)
-        hand_over(self.writing_end, sentence)
+        report_to(self.writing_end, sentence)
 
-    def pass_on(self, now: float) -> None:
-        """Say what has come, but not what was said within the last `AGAIN_S`."""
-        for sentence in self._come():
-            if now - self._said.get(sentence, -AGAIN_S) >= AGAIN_S:
-                self._said[sentence] = now
-                self._say(sentence)
+    def print_new(self, now: float) -> None:
+        """Print the sentences that were reported, but for those printed within the last `REPEAT_S`."""
+        for sentence in self._read():
+            if now - self._printed_at.get(sentence, -REPEAT_S) >= REPEAT_S:
+                self._printed_at[sentence] = now
+                self._complain(sentence)
 
-    def _come(self) -> list[str]:
-        """Return the sentences that have come."""
+    def _read(self) -> list[str]:
+        """Return the sentences that were reported since the last call."""
         data = self._rest
         while True:
             try:
@@ -62,10 +62,10 @@ class Sentences:
         return [line.decode("utf-8", "replace") for line in lines]
 
 
-def hand_over(writing_end: int, sentence: str) -> None:
-    """Have the process at the other end say a sentence; when that one is gone, say it here."""
+def report_to(writing_end: int, sentence: str) -> None:
+    """Have the process at the other end print a sentence; when that one is gone, print it here."""
     line = " ".join(sentence.split()).encode()[:_MOST_BYTES] + b"\n"
     try:
         os.write(writing_end, line)
     except OSError:
-        say(sentence)
+        complain(sentence)

@@ -22,7 +22,7 @@ Work = Callable[[], int]
 """What a forked worker does; returns its exit code."""
 
 _ADOPTION_LIMIT_S: Final = 5.0
-_LOOK_S: Final = 0.001
+_POLL_S: Final = 0.001
 _STDIN: Final = 0
 _STDOUT: Final = 1
 _STDERR: Final = 2
@@ -79,7 +79,7 @@ class Forked:
             os.kill(self.pid, number)
 
 
-def leave(works: Mapping[str, Work]) -> None:
+def fork_detached(works: Mapping[str, Work]) -> None:
     """Fork a worker for each name and return at once: they are left to whom the system gives them as children.
 
     Each of them writes its name and process id in a line on stdout, before anything else; stdout is closed when all
@@ -99,7 +99,7 @@ def _announced(name: str, work: Work, mother: int) -> int:
     os.dup2(_STDERR, _STDOUT)
     end = time.monotonic() + _ADOPTION_LIMIT_S
     while os.getppid() == mother and time.monotonic() < end:
-        time.sleep(_LOOK_S)
+        time.sleep(_POLL_S)
     return work()
 
 

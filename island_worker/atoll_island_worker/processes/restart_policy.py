@@ -1,4 +1,4 @@
-"""The lives that one worker's process leads, one after the other: whether there is another, and when. Pure."""
+"""Whether a worker's process that has ended is started again, and when. Pure."""
 
 from collections.abc import Mapping
 from typing import Final, Literal
@@ -8,41 +8,41 @@ from atoll.errors import LocalProtocolError
 FIRST_PAUSE_S: Final = 1.0
 MOST_PAUSE_S: Final = 30.0
 STEADY_S: Final = 60.0
-"""A life that lasts so long says that the ones before it ended by chance."""
+"""A process that runs so long has its next pause begin at the first one again."""
 
 MOST_DEATHS: Final = 5
-"""So many deaths within `STEADY_S`, and there is no further life."""
+"""After so many deaths within `STEADY_S` it is not started again."""
 
 ENDS: Final = frozenset({0, 3, 130})
-"""Exit codes of lives that end in order, or for a reason that another one meets as well."""
+"""Exit codes of processes that end in order, or for a reason that another one would meet as well."""
 
 REFUSED: Final = 2
-"""Exit code of a process that is refused; after a first life that only means that its name is not free yet."""
+"""Exit code of a process that is refused; after a first one that only means that its name is not free yet."""
 
-LifeState = Literal["alive", "paused", "over"]
-LifeStep = Literal["died", "due", "ended", "told"]
+ProcessState = Literal["running", "paused", "ended"]
+ProcessStep = Literal["died", "due", "finished", "stop"]
 
-LIFE_TRANSITIONS: Final[Mapping[LifeState, Mapping[LifeStep, LifeState]]] = {
-    "alive": {"died": "paused", "ended": "over", "told": "alive"},
-    "paused": {"due": "alive", "told": "over"},
-    "over": {"told": "over"},
+PROCESS_TRANSITIONS: Final[Mapping[ProcessState, Mapping[ProcessStep, ProcessState]]] = {
+    "running": {"died": "paused", "finished": "ended", "stop": "running"},
+    "paused": {"due": "running", "stop": "ended"},
+    "ended": {"stop": "ended"},
 }
-"""Whether a process is there -> what happens -> whether it is there then. `died`: it is to be started again; `ended`:
-it is not; `told`: all are to end."""
+"""State of a process -> what happens -> its next state. `died`: it is to be started again; `finished`: it is not;
+`stop`: all are to end."""
 
 
-class Lives:
-    """The lives of one process. `code` is the exit code of the last one that ended."""
+class RestartPolicy:
+    """Restarts of one worker's process. `code` is the last exit code, `number` counts the starts."""
 
     def __init__(self) -> None:
-        self.state: LifeState = "paused"
+        self.state: ProcessState = "paused"
         self.due_at = 0.0
         self.code = 0
         self.number = 0
         self._began_at = 0.0
         self._in_a_row = 0
         self._deaths: list[float] = []
-        self._is_told = False
+        self._is_stopped = False
 
     @property
     def deaths(self) -> int:
@@ -52,42 +52,42 @@ class Lives:
     @property
     def is_given_up(self) -> bool:
         """Whether it dies too often to be started again."""
-        return self.state == "over" and self.deaths >= MOST_DEATHS
+        return self.state == "ended" and self.deaths >= MOST_DEATHS
 
     def begin(self, now: float) -> None:
-        """Note that the process is started."""
+        """Record a start."""
         self._step("due")
         self.number += 1
         self._began_at = now
 
     def end(self, code: int, now: float) -> float | None:
-        """Note that the process has ended; return for how many seconds to wait before it is started again.
+        """Record an end; return for how many seconds to wait before the process is started again.
 
-        None: it is not, since it ended in order, since all were told to end, or since it dies too often.
+        None: it is not, since it ended in order, since all are to end, or since it dies too often.
         """
         self.code = code
-        is_final = self._is_told or code in ENDS or (code == REFUSED and self.number == 1)
+        is_final = self._is_stopped or code in ENDS or (code == REFUSED and self.number == 1)
         if now - self._began_at >= STEADY_S:
             self._in_a_row = 0
         self._in_a_row += 1
         self._deaths = [at for at in self._deaths if now - at < STEADY_S] + ([] if is_final else [now])
         if is_final or len(self._deaths) >= MOST_DEATHS:
-            self._step("ended")
+            self._step("finished")
             return None
         self._step("died")
         pause_s: float = min(MOST_PAUSE_S, FIRST_PAUSE_S * 2.0 ** (self._in_a_row - 1))
         self.due_at = now + pause_s
         return pause_s
 
-    def tell(self) -> None:
-        """Note that all are to end: there is no further life."""
-        self._is_told = True
+    def stop(self) -> None:
+        """Have no further start: all are to end."""
+        self._is_stopped = True
         if self.state == "paused":
             self.code = 0
-        self._step("told")
+        self._step("stop")
 
-    def _step(self, step: LifeStep) -> None:
-        following = LIFE_TRANSITIONS[self.state].get(step)
+    def _step(self, step: ProcessStep) -> None:
+        following = PROCESS_TRANSITIONS[self.state].get(step)
         if following is None:
             raise LocalProtocolError(f"a process that is {self.state} has no {step}")
         self.state = following

@@ -16,15 +16,12 @@ from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 from typing import Final
 
-from atoll.machine.cores import usable_cores
 from atoll.wire.addresses import Destination
 from atoll_island_worker.processes.supervisor import Command, ending_signals, handlers
 
 _STOP_LIMIT_S: Final = 5.0
 _WATCH_INTERVAL_S: Final = 1.0
 _PR_SET_PDEATHSIG: Final = 1
-
-choose_number = usable_cores
 
 
 def worker_command(
@@ -51,7 +48,7 @@ def tls_options(connect: Destination) -> list[str]:
 
 
 @contextlib.contextmanager
-def ending_on_signals() -> Iterator[None]:
+def exit_on_signals() -> Iterator[None]:
     """Raise SystemExit(0) for SIGTERM and hang-up, once, and KeyboardInterrupt for Ctrl-C, so that all is closed."""
 
     def end(number: int, frame: FrameType | None) -> None:
@@ -64,7 +61,7 @@ def ending_on_signals() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def leaving_on_signals(parent: int | None, leave: Callable[[], None]) -> Iterator[None]:
+def drain_on_signals(parent: int | None, leave: Callable[[], None]) -> Iterator[None]:
     """Call `leave` at the first SIGTERM or hang-up, and raise SystemExit(0) at the second.
 
     A death of the process `parent`, of which the system tells by the same signal, ends this one at the first.
@@ -85,11 +82,11 @@ def leaving_on_signals(parent: int | None, leave: Callable[[], None]) -> Iterato
 
 def end_with_parent(parent: int) -> None:
     """End this process, by a SIGTERM to itself, as soon as `parent` is no longer its parent; if need be, forcibly."""
-    hear_of_death()
+    request_parent_death_signal()
     threading.Thread(target=_watch, args=(parent,), name="watching the parent", daemon=True).start()
 
 
-def hear_of_death() -> None:
+def request_parent_death_signal() -> None:
     """Have the system send this process a SIGTERM when its parent dies, at once; on Linux only, and not for sure."""
     if sys.platform == "linux":
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -16,11 +16,11 @@ from typing import Any, Final, Protocol
 
 from atoll.errors import AtollError
 from atoll.program import INTERRUPTED
-from atoll_island_worker.processes.exit_reasons import Sentences, say
-from atoll_island_worker.processes.restart_policy import Lives
+from atoll_island_worker.processes.exit_reasons import ExitReasons, complain
+from atoll_island_worker.processes.restart_policy import RestartPolicy
 
 _STOP_LIMIT_S: Final = 5.0
-_LOOK_S: Final = 0.1
+_POLL_S: Final = 0.1
 
 Command = Sequence[str]
 
@@ -43,11 +43,11 @@ class Child(Protocol):
 Start = Callable[[], Child]
 
 
-def started(command: Command, sentences: Sentences) -> Child:
-    """Start a command whose process may write to `sentences`; raises AtollError when the system does not."""
+def start_process(command: Command, exit_reasons: ExitReasons) -> Child:
+    """Start a command whose process may write to `exit_reasons`; raises AtollError when the system does not."""
     try:
         return subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, start_new_session=True, pass_fds=(sentences.writing_end,)
+            command, stdin=subprocess.DEVNULL, start_new_session=True, pass_fds=(exit_reasons.writing_end,)
         )
     except OSError as error:
         raise AtollError(f"the system starts no more processes ({error.strerror}); ask for fewer") from error
@@ -59,32 +59,32 @@ def worst(codes: Sequence[int]) -> int:
 
 
 @dataclass(slots=True)
-class _Watched:
+class _Process:
     """One worker's process, as often as it is started."""
 
     name: str
     start: Start
     child: Child | None = None
-    lives: Lives = field(default_factory=Lives)
+    policy: RestartPolicy = field(default_factory=RestartPolicy)
 
 
 class Supervisor:
     """Children of this process by the names of their workers."""
 
     def __init__(
-        self, starts: Mapping[str, Start], sentences: Sentences, grace_s: float = 0.0,
+        self, starts: Mapping[str, Start], exit_reasons: ExitReasons, grace_s: float = 0.0,
         clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep,
     ) -> None:  # fmt: skip
         """Set up; nothing is started yet.
 
         Args:
             starts: starts each worker's process, as often as it is called.
-            sentences: what they say of their ends.
+            exit_reasons: what they report of their ends.
             grace_s: seconds for children to hand over what they compute, after a SIGTERM.
             clock: seconds; `sleep` lets some pass.
         """
-        self._watched = [_Watched(name, start) for name, start in starts.items()]
-        self._sentences = sentences
+        self._processes = [_Process(name, start) for name, start in starts.items()]
+        self._exit_reasons = exit_reasons
         self._grace_s = grace_s
         self._clock = clock
         self._sleep = sleep
@@ -101,71 +101,71 @@ class Supervisor:
         asked = dict.fromkeys((signal.SIGINT, *ending_signals()), self._on_signal)
         with handlers(asked):
             try:
-                while not all(each.lives.state == "over" for each in self._watched):
-                    self._look(parent)
-                    self._sleep(_LOOK_S)
+                while not all(each.policy.state == "ended" for each in self._processes):
+                    self._poll(parent)
+                    self._sleep(_POLL_S)
             finally:
                 self._kill()
-                self._sentences.pass_on(self._clock())
-        codes = [each.lives.code for each in self._watched]
+                self._exit_reasons.print_new(self._clock())
+        codes = [each.policy.code for each in self._processes]
         if self._deadline is not None:  # who was told before it could listen has ended as it was told
             codes = [0 if code == -signal.SIGTERM else code for code in codes]
         return INTERRUPTED if signal.SIGINT in self._signals else worst(codes)
 
-    def _look(self, parent: int | None) -> None:
+    def _poll(self, parent: int | None) -> None:
         """See what has happened since the last look, and do what is due."""
         now = self._clock()
         if parent not in (None, os.getppid()) and not self._signals:
             self._signals.append(signal.SIGTERM)
         while self._served < len(self._signals):
             self._served += 1
-            self._tell(now) if self._deadline is None else self._kill()
+            self._stop(now) if self._deadline is None else self._kill()
         if self._deadline is not None and now > self._deadline:
             self._kill()
-        for each in self._watched:
-            if each.lives.state == "paused" and now >= each.lives.due_at:
+        for each in self._processes:
+            if each.policy.state == "paused" and now >= each.policy.due_at:
                 self._begin(each, now)
-        ended = [(each, code) for each in self._watched if (code := _ended(each)) is not None]
-        self._sentences.pass_on(now)
+        ended = [(each, code) for each in self._processes if (code := _ended(each)) is not None]
+        self._exit_reasons.print_new(now)
         for each, code in ended:
-            self._note_end(each, code, now)
+            self._handle_end(each, code, now)
 
-    def _begin(self, watched: _Watched, now: float) -> None:
+    def _begin(self, process: _Process, now: float) -> None:
         """Start a process; that there is room for no more of them fails all at first, and is a death later."""
-        watched.lives.begin(now)
+        process.policy.begin(now)
         try:
-            watched.child = watched.start()
+            process.child = process.start()
         except AtollError as error:
-            if watched.lives.number == 1:
+            if process.policy.number == 1:
                 raise
-            say(str(error))
-            self._note_end(watched, error.exit_code, now)
+            complain(str(error))
+            self._handle_end(process, error.exit_code, now)
 
-    def _note_end(self, watched: _Watched, code: int, now: float) -> None:
-        who = f"process {watched.child.pid} ({watched.name})" if watched.child is not None else watched.name
-        watched.child = None
-        pause_s = watched.lives.end(code, now)
+    def _handle_end(self, process: _Process, code: int, now: float) -> None:
+        who = f"process {process.child.pid} ({process.name})" if process.child is not None else process.name
+        process.child = None
+        pause_s = process.policy.end(code, now)
         how = f"was ended by signal {-code}" if code < 0 else f"has ended with exit code {code}"
         if pause_s is not None:
-            say(f"{who} {how}; it is started again in {pause_s:g} s")
-        elif watched.lives.is_given_up:
-            others = sum(each.lives.state != "over" for each in self._watched)
+            complain(f"{who} {how}; it is started again in {pause_s:g} s")
+        elif process.policy.is_given_up:
+            others = sum(each.policy.state != "ended" for each in self._processes)
             left = f"{others} {'other goes' if others == 1 else 'others go'} on" if others else "no other is left"
-            say(
-                f"{who} {how}, as it did {watched.lives.deaths} times within a minute, and is "
+            complain(
+                f"{who} {how}, as it did {process.policy.deaths} times within a minute, and is "
                 f"not started again ({left}); see what was said before, and whether this machine has enough memory"
             )
 
-    def _tell(self, now: float) -> None:
+    def _stop(self, now: float) -> None:
         grace_s = 0.0 if signal.SIGINT in self._signals else self._grace_s
         self._deadline = now + _STOP_LIMIT_S + grace_s
-        for each in self._watched:
-            each.lives.tell()
+        for each in self._processes:
+            each.policy.stop()
             if each.child is not None:
                 each.child.terminate()
 
     def _kill(self) -> None:
-        for each in self._watched:
+        for each in self._processes:
             if each.child is not None:
                 each.child.kill()
 
@@ -174,14 +174,14 @@ class Supervisor:
 
 
 def supervise(
-    starts: Mapping[str, Start], sentences: Sentences, parent: int | None = None, grace_s: float = 0.0
+    starts: Mapping[str, Start], exit_reasons: ExitReasons, parent: int | None = None, grace_s: float = 0.0
 ) -> int:
     """Start workers' processes, by name, and watch over them; see `Supervisor.run`."""
-    return Supervisor(starts, sentences, grace_s).run(parent)
+    return Supervisor(starts, exit_reasons, grace_s).run(parent)
 
 
-def _ended(watched: _Watched) -> int | None:
-    return watched.child.poll() if watched.child is not None and watched.lives.state == "alive" else None
+def _ended(process: _Process) -> int | None:
+    return process.child.poll() if process.child is not None and process.policy.state == "running" else None
 
 
 def ending_signals() -> list[signal.Signals]:

@@ -125,7 +125,7 @@ def test_where_a_fork_is_unsafe_several_processes_are_started_and_end_with_this_
 
     monkeypatch.setattr(forking, "can_fork", lambda: False)
     monkeypatch.setattr(supervision, "supervise", supervise)
-    monkeypatch.setattr(supervision, "started", lambda command, _: started.append(command) or 3)
+    monkeypatch.setattr(supervision, "start_process", lambda command, _: started.append(command) or 3)
     words = ["--connect", "tcp/a:1", "--processes", "2", "--name", "n" * 64, "--lifetime", "30m", "--grace", "5"]
     assert cli.main(words) == 3
     assert loads == []
@@ -134,7 +134,7 @@ def test_where_a_fork_is_unsafe_several_processes_are_started_and_end_with_this_
         assert command[command.index("--name") + 1] == "n" * 58 + f"-{index}"
         assert command[command.index("--processes") + 1] == "1"
         assert "--parent" in command
-        assert "--sentences" in command
+        assert "--exit-reasons" in command
         assert command[command.index("--lifetime") + 1] == "1800"
         assert command[command.index("--grace") + 1] == "5"
 
@@ -143,9 +143,9 @@ def test_no_worker_is_forked_for_a_parent_that_died_while_loading(
     monkeypatch: pytest.MonkeyPatch, loads: list[str]
 ) -> None:
     monkeypatch.setattr(forking, "can_fork", lambda: True)
-    monkeypatch.setattr(processes, "hear_of_death", lambda: None)
-    monkeypatch.setattr(forking, "leave", lambda works: pytest.fail("a worker was forked"))
-    assert cli.main(["--connect", "tcp/a:1", "--processes", "2", "--parent", str(1 << 30), "--leave"]) == 0
+    monkeypatch.setattr(processes, "request_parent_death_signal", lambda: None)
+    monkeypatch.setattr(forking, "fork_detached", lambda works: pytest.fail("a worker was forked"))
+    assert cli.main(["--connect", "tcp/a:1", "--processes", "2", "--parent", str(1 << 30), "--detach"]) == 0
     assert loads == ["all"]
 
 

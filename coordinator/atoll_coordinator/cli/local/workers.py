@@ -142,7 +142,7 @@ def worker_command(endpoint: str, name: str) -> Sequence[str]:
 
 def fork_server_command(endpoint: str, number: int) -> Sequence[str]:
     """Return the command of the process that forks so many workers, w-0, w-1 and so on, and leaves them to this one."""
-    return [*_command(endpoint, "w", number), "--leave"]
+    return [*_command(endpoint, "w", number), "--detach"]
 
 
 def _command(endpoint: str, name: str, number: int) -> Sequence[str]:

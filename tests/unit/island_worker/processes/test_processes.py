@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from atoll_island_worker.processes import restart_policy as lives
-from atoll_island_worker.processes.exit_reasons import Sentences
-from atoll_island_worker.processes.supervisor import started, supervise, worst
+from atoll_island_worker.processes import restart_policy
+from atoll_island_worker.processes.exit_reasons import ExitReasons
+from atoll_island_worker.processes.supervisor import start_process, supervise, worst
 
 LIMIT_S = 30.0
 
@@ -21,32 +21,32 @@ SUPERVISOR = """
 import sys
 from functools import partial
 from atoll_island_worker.processes import supervisor as supervision
-from atoll_island_worker.processes.exit_reasons import Sentences
+from atoll_island_worker.processes.exit_reasons import ExitReasons
 supervision._STOP_LIMIT_S = float(sys.argv[1])
 grace_s = 30.0 if "0.5" in sys.argv[2] else 0.0
-with Sentences() as sentences:
-    start = partial(supervision.started, [sys.executable, "-c", sys.argv[2]], sentences)
-    sys.exit(supervision.supervise({"w-0": start, "w-1": start}, sentences, None, grace_s))
+with ExitReasons() as exit_reasons:
+    start = partial(supervision.start_process, [sys.executable, "-c", sys.argv[2]], exit_reasons)
+    sys.exit(supervision.supervise({"w-0": start, "w-1": start}, exit_reasons, None, grace_s))
 """
 FORKING_SUPERVISOR = """
 import sys
 from functools import partial
 from atoll_island_worker.processes import supervisor as supervision
 from atoll_island_worker.processes.fork_server import Forked
-from atoll_island_worker.processes.exit_reasons import Sentences
+from atoll_island_worker.processes.exit_reasons import ExitReasons
 from atoll.program import exit_code_of
-from atoll_island_worker.launch import complain
+from atoll_island_worker.processes.exit_reasons import complain
 supervision._STOP_LIMIT_S = float(sys.argv[1])
 code = compile(sys.argv[2], "child", "exec")
 grace_s = 30.0 if "0.5" in sys.argv[2] else 0.0
 start = partial(Forked, lambda: exit_code_of(lambda: exec(code, {}) or 0, complain))
-with Sentences() as sentences:
-    sys.exit(supervision.supervise({"w-0": start, "w-1": start}, sentences, None, grace_s))
+with ExitReasons() as exit_reasons:
+    sys.exit(supervision.supervise({"w-0": start, "w-1": start}, exit_reasons, None, grace_s))
 """
 OBEDIENT = r"""
 import os, signal
-from atoll_island_worker.processes.signals import end_with_parent, ending_on_signals
-with ending_on_signals():
+from atoll_island_worker.processes.signals import end_with_parent, exit_on_signals
+with exit_on_signals():
     end_with_parent(os.getppid())
     os.write(1, b"%d\n" % os.getpid())
     while True:
@@ -54,9 +54,9 @@ with ending_on_signals():
 """
 LEAVING = r"""
 import os, signal, sys, time
-from atoll_island_worker.processes.signals import ending_on_signals, leaving_on_signals
+from atoll_island_worker.processes.signals import exit_on_signals, drain_on_signals
 told = []
-with ending_on_signals(), leaving_on_signals(None, lambda: told.append(1)):
+with exit_on_signals(), drain_on_signals(None, lambda: told.append(1)):
     os.kill(os.getpid(), signal.SIGTERM)
     print("told", len(told), flush=True)
     os.kill(os.getpid(), signal.SIGTERM)
@@ -135,7 +135,7 @@ def test_the_first_signal_asks_to_be_let_go_and_the_second_ends_at_once() -> Non
 
 
 def test_a_signal_of_a_parent_that_has_died_ends_at_once() -> None:
-    script = LEAVING.replace("leaving_on_signals(None", "leaving_on_signals(1 << 30")
+    script = LEAVING.replace("drain_on_signals(None", "drain_on_signals(1 << 30")
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=LIMIT_S, check=False)
     assert (done.stdout, done.returncode) == ("", 0)
 
@@ -179,17 +179,18 @@ def test_a_child_whose_parent_died_before_it_looked_ends_too() -> None:
 
 def _ended(*codes: str) -> int:
     """Supervise children that end so; return the exit code."""
-    with Sentences() as sentences:
+    with ExitReasons() as exit_reasons:
         commands = ([sys.executable, "-c", f"import os, signal, sys; {code}"] for code in codes)
         return supervise(
-            {f"w-{number}": partial(started, command, sentences) for number, command in enumerate(commands)}, sentences
+            {f"w-{number}": partial(start_process, command, exit_reasons) for number, command in enumerate(commands)},
+            exit_reasons,
         )
 
 
 @pytest.fixture
 def once(monkeypatch: pytest.MonkeyPatch) -> None:
     """No child is started again."""
-    monkeypatch.setattr(lives, "MOST_DEATHS", 1)
+    monkeypatch.setattr(restart_policy, "MOST_DEATHS", 1)
 
 
 @pytest.mark.usefixtures("once")
@@ -212,18 +213,18 @@ def test_a_fork_ends_with_the_code_of_its_work_and_never_returns() -> None:
     script = """
 import os, sys
 from functools import partial
-from atoll_island_worker.processes import restart_policy as lives
+from atoll_island_worker.processes import restart_policy
 from atoll_island_worker.processes.fork_server import Forked
-from atoll_island_worker.processes.exit_reasons import Sentences
+from atoll_island_worker.processes.exit_reasons import ExitReasons
 from atoll_island_worker.processes.supervisor import supervise
-lives.MOST_DEATHS = 1
+restart_policy.MOST_DEATHS = 1
 def broken():
     raise ValueError("no such thing")
 def killed():
     os.abort()
 def ended(*works):
-    with Sentences() as sentences:
-        return supervise({f"w-{number}": partial(Forked, work) for number, work in enumerate(works)}, sentences)
+    with ExitReasons() as exit_reasons:
+        return supervise({f"w-{number}": partial(Forked, work) for number, work in enumerate(works)}, exit_reasons)
 print(ended(lambda: 0, lambda: 3), ended(broken), ended(killed), flush=True)
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=LIMIT_S, check=False)
@@ -233,7 +234,7 @@ print(ended(lambda: 0, lambda: 3), ended(broken), ended(killed), flush=True)
 
 
 def test_a_child_that_is_killed_is_started_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lives, "FIRST_PAUSE_S", 0.01)
+    monkeypatch.setattr(restart_policy, "FIRST_PAUSE_S", 0.01)
     mark = str(tmp_path / "mark")
     killed_once = f"os.path.exists({mark!r}) or (open({mark!r}, 'x'), os.kill(os.getpid(), signal.SIGKILL))"
     assert _ended(killed_once, "sys.exit(0)") == 0
@@ -241,9 +242,9 @@ def test_a_child_that_is_killed_is_started_again(tmp_path: Path, monkeypatch: py
 
 
 def test_what_processes_say_of_their_ends_is_said_once(capfd: pytest.CaptureFixture[str]) -> None:
-    with Sentences() as sentences:
-        told = f"os.write({sentences.writing_end}, b'no coordinator answers\\n'); sys.exit(3)"
+    with ExitReasons() as exit_reasons:
+        told = f"os.write({exit_reasons.writing_end}, b'no coordinator answers\\n'); sys.exit(3)"
         command = [sys.executable, "-c", f"import os, sys; {told}"]
-        starts = {f"w-{number}": partial(started, command, sentences) for number in range(3)}
-        assert supervise(starts, sentences) == 3
+        starts = {f"w-{number}": partial(start_process, command, exit_reasons) for number in range(3)}
+        assert supervise(starts, exit_reasons) == 3
     assert capfd.readouterr().err == "island-worker: no coordinator answers\n"

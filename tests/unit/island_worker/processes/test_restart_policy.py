@@ -5,14 +5,14 @@ from collections.abc import Callable
 import pytest
 
 from atoll.errors import AtollError, LocalProtocolError
-from atoll_island_worker.processes.exit_reasons import Sentences
-from atoll_island_worker.processes.restart_policy import Lives
+from atoll_island_worker.processes.exit_reasons import ExitReasons
+from atoll_island_worker.processes.restart_policy import RestartPolicy
 from atoll_island_worker.processes.supervisor import Supervisor
 
 
 def lived(*lives: tuple[float, int]) -> list[float | None]:
     """Let a process live so long and end so, again and again; return the pauses."""
-    process, now, pauses = Lives(), 0.0, []
+    process, now, pauses = RestartPolicy(), 0.0, []
     for seconds, code in lives:
         process.begin(now)
         now += seconds
@@ -44,14 +44,14 @@ def test_a_name_that_is_not_free_yet_is_tried_again() -> None:
 
 def test_nobody_is_started_again_who_was_told_to_end() -> None:
     for was_alive in (True, False):
-        process = Lives()
+        process = RestartPolicy()
         process.begin(0.0)
         if was_alive:
-            process.tell()
+            process.stop()
             assert process.end(-15, 1.0) is None
         else:
             process.end(-9, 1.0)
-            process.tell()
+            process.stop()
             assert process.code == 0
         with pytest.raises(LocalProtocolError):
             process.begin(2.0)
@@ -88,9 +88,9 @@ class Stage:
         self._plans = {f"w-{number}": list(plan) for number, plan in enumerate(plans)}
 
     def run(self) -> int:
-        with Sentences() as sentences:
+        with ExitReasons() as exit_reasons:
             starts = {name: lambda name=name: self._start(name) for name in self._plans}
-            return Supervisor(starts, sentences, clock=lambda: self.now, sleep=self._sleep).run()
+            return Supervisor(starts, exit_reasons, clock=lambda: self.now, sleep=self._sleep).run()
 
     def _start(self, name: str) -> Fake:
         self.started.append((round(self.now - 1000.0), name))

@@ -17,7 +17,7 @@ from atoll_coordinator.cli.local.workers import NoWorkerLeftError, LocalWorkers
 
 FORKS = '''
 import os, signal, sys
-from atoll_island_worker.processes.fork_server import leave
+from atoll_island_worker.processes.fork_server import fork_detached
 def idle():
     signal.pause()
 def deaf():
@@ -27,7 +27,7 @@ def deaf():
         signal.pause()
 def quits():
     return 3
-leave({f"w-{index}": globals()[kind] for index, kind in enumerate(sys.argv[1:])})
+fork_detached({f"w-{index}": globals()[kind] for index, kind in enumerate(sys.argv[1:])})
 '''
 
 def workers(*kinds, script=FORKS):
@@ -41,9 +41,9 @@ def pids(family):
     return [each.pid for each in family._processes.values()]
 
 def said(family):
-    while not (sentences := family.check()):
+    while not (exit_reasons := family.check()):
         time.sleep(0.01)
-    return sentences
+    return exit_reasons
 
 def children():
     return Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
