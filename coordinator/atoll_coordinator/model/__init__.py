@@ -1,0 +1,15 @@
+"""From what a search hands on to the equations that are shown, and how far they can be trusted.
+
+`pipeline` tells the whole way on one page; it goes down this list from refinement to report:
+
+- `refinement`: what comes in (`Pool`: the front of a variable) and what goes out (`Refinement`). Pure data
+- `settings`: every number that was set by hand, by stage; `criteria`: the four description lengths, side by side
+- `structure`: programs rewritten, changed in one place, made of libraries of terms. Algebra without data
+- `regression`: the equation of one variable fitted to its target
+- `shooting`: a system of equations fitted to the measured trajectories
+- `selection`: which equations together are the model, and which come next
+- `inference`: errors of constants, simulations, residuals, the verdict
+- `report`: ``result.json``, and its text for people
+
+Which room may import which is a contract in pyproject.toml.
+"""

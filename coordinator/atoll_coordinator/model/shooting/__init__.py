@@ -1,0 +1,10 @@
+"""Systems of equations fitted to measured trajectories by multiple shooting.
+
+- `measurements`: the recording laid out for fits: all rows one after another, and the pieces that are simulated
+- `system`: several programs as one system whose constants can be fitted
+- `multiple_shooting`: the fit of constants and initial states; `fit_cache` remembers fits
+- `covariance`: how well a fit determines its constants
+- `kernels`: integration, sensitivities and normal equations, compiled; `warmup` makes them ready
+
+A recording and programs go in, a `Shot` comes out: states as simulated, residuals, normal equations.
+"""
