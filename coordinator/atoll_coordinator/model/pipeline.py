@@ -42,14 +42,16 @@ def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Ref
         equations = _by_regression(preparation, config, candidates)
         return Refinement({name: with_intervals(equation) for name, equation in equations.items()})
     is_noisy = {target.variable: target.is_noisy for target in preparation.dataset.targets}
-    settled = _by_regression(preparation, config, {name: its for name, its in candidates.items() if not is_noisy[name]})
+    settled = _by_regression(
+        preparation, config, {name: those for name, those in candidates.items() if not is_noisy[name]}
+    )
     with ThreadPoolExecutor(usable_cores(os.environ)[0]) as executor:
         task = ModellingTask(preparation.dataset, preparation.recording, config, candidates, settled, executor)
         choice = select_model(task)
         model = None if choice is None else summarize(choice)
     if model is not None:
         return model
-    rest = _by_regression(preparation, config, {name: its for name, its in candidates.items() if is_noisy[name]})
+    rest = _by_regression(preparation, config, {name: those for name, those in candidates.items() if is_noisy[name]})
     return Refinement({**settled, **rest}, warnings=(NOT_SIMULATED,))
 
 

@@ -87,9 +87,9 @@ def summarize(selection: SelectedModel) -> Refinement | None:
         name: _refined(final, index, constants[index], _prediction_r2(final, out, index))
         for index, name in enumerate(task.variables)
     }
-    its = final.comparison.shooter.measurements
-    spread = bands(its, final.free.shot, *scaled_covariance(final.comparison, final.free.shot, errors))
-    trajectories = simulated(its, final.shown_fit.shot, spread, task.variables, held_out=False)
+    measurements = final.comparison.shooter.measurements
+    spread = bands(measurements, final.free.shot, *scaled_covariance(final.comparison, final.free.shot, errors))
+    trajectories = simulated(measurements, final.shown_fit.shot, spread, task.variables, held_out=False)
     return Refinement(
         equations,
         Simulation(task.variables, (*trajectories, *(out.trajectories if out is not None else ()))),
@@ -151,13 +151,16 @@ def _held_out(
 
     With the `errors` of the constants there are bands; these programs are the ones shown, then.
     """
-    its = unseen.shooter.measurements
+    measurements = unseen.shooter.measurements
     shot = fit_starts(unseen, programs)
     if shot is None:
-        return _HeldOut(tuple(not_simulated(its, held_out=True)), tuple(-np.inf for _ in its.observed))
+        return _HeldOut(
+            tuple(not_simulated(measurements, held_out=True)), tuple(-np.inf for _ in measurements.observed)
+        )
     spread = None if errors is None else _carried_bands(final, unseen, shot, errors)
     return _HeldOut(
-        tuple(simulated(its, shot, spread, final.task.variables, held_out=True)), tuple(r2_of(its, shot, slice(None)))
+        tuple(simulated(measurements, shot, spread, final.task.variables, held_out=True)),
+        tuple(r2_of(measurements, shot, slice(None))),
     )
 
 
@@ -182,16 +185,16 @@ def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None)
     nearest = _no_elaborations(final.ranking.selection.model.programs[index], alternatives)
     variance = problem.target.standard_deviation**2
     smoothing = task.recording.smoothing[task.recording.states.index(name)]
-    its = final.comparison.shooter.measurements
+    measurements = final.comparison.shooter.measurements
     evidence = Evidence(
         error=error / problem.target.standard_deviation,
         target_uncertainty=problem.target.uncertainty,
         convergence_threshold=problem.target.convergence_threshold(),
         target_r2=1.0 - mse / variance if variance else None,
-        residuals=_residuals(its, final.shown_fit.shot, index),
-        parameters=(len(final.free.shot.system.places) + final.free.shot.starts.size) / len(its.observed),
+        residuals=_residuals(measurements, final.shown_fit.shot, index),
+        parameters=(len(final.free.shot.system.places) + final.free.shot.starts.size) / len(measurements.observed),
         noise=0.0 if smoothing.method == "interpolation" else smoothing.noise,
-        deviation=_deviation(its, index),
+        standard_deviation=_standard_deviation(measurements, index),
         has_outliers=smoothing.outliers > 0,
         held_out_r2=held_out_r2,
         is_cross_validated=final.unseen is None,
@@ -215,17 +218,21 @@ def _no_elaborations(program: Program, alternatives: Sequence[Alternative]) -> l
     return [each for each in alternatives if not each.is_shown and len(constant_places(each.program)) <= most]
 
 
-def _residuals(its: Measurements, shot: Shot, index: int) -> list[FloatArray]:
+def _residuals(measurements: Measurements, shot: Shot, index: int) -> list[FloatArray]:
     """Return what is left of a state along each piece, where it was measured and counts, as in a row of weight 1."""
-    pieces = [slice(first, end) for first, end in its.bounds.tolist()]
-    residuals = shot.residuals[index] if its.precision is None else shot.residuals[index] * np.sqrt(its.precision)
-    parts = [residuals[rows][its.weights[index, rows] > 0.0] for rows in pieces]
+    pieces = [slice(first, end) for first, end in measurements.bounds.tolist()]
+    residuals = (
+        shot.residuals[index]
+        if measurements.precision is None
+        else shot.residuals[index] * np.sqrt(measurements.precision)
+    )
+    parts = [residuals[rows][measurements.weights[index, rows] > 0.0] for rows in pieces]
     return [part for part in parts if len(part)]
 
 
-def _deviation(its: Measurements, index: int) -> float:
+def _standard_deviation(measurements: Measurements, index: int) -> float:
     """Return the standard deviation of what was measured of a state, where it counts."""
-    values = its.measured[index][its.weights[index] > 0.0]
+    values = measurements.measured[index][measurements.weights[index] > 0.0]
     return max(float(values.std()), 1e-300) if len(values) else 1e-300
 
 

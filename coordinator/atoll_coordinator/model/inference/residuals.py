@@ -23,13 +23,13 @@ _NORMAL_MAD: Final = 0.6744897501960817
 class Check:
     """What was found of the residuals of one state.
 
-    `deviation` is their standard deviation, corrected for what was fitted. `ratio` is that over the noise and
+    `standard_deviation` is theirs, corrected for what was fitted. `ratio` is that over the noise and
     `too_large` the probability of at least that ratio if they were noise. `correlation` is that of neighbours, as far
     as it exceeds what fitting causes: about the share of the residuals' variance that follows a pattern; `patterned` is
     the probability of at least that much, over a few lags, if they were noise.
     """
 
-    deviation: float
+    standard_deviation: float
     ratio: float
     too_large: float
     correlation: float
@@ -51,16 +51,16 @@ def check(residuals: Sequence[FloatArray], noise: float, parameters: float = 0.0
 
     rows = sum(len(each) for each in residuals)
     free = max(rows - parameters, 1.0)
-    errors = _brought_in(residuals) if is_robust else residuals
+    errors = _clip_outliers(residuals) if is_robust else residuals
     square = float(sum(each @ each for each in errors))
-    deviation = math.sqrt(square / free)
-    ratio = deviation / noise if noise > 0.0 else math.inf
+    standard_deviation = math.sqrt(square / free)
+    ratio = standard_deviation / noise if noise > 0.0 else math.inf
     if square == 0.0:
         return Check(0.0, 0.0 if noise > 0.0 else 1.0, 1.0, 0.0, 1.0)
     correlations, weights = _correlations(errors, square, rows / free * parameters)
     score = sum(correlations) / math.sqrt(sum(weights)) if sum(weights) else 0.0
     return Check(
-        deviation,
+        standard_deviation,
         ratio,
         float(special.fdtrc(free, free, ratio * ratio)) if math.isfinite(ratio) else 0.0,
         correlations[0] if correlations else 0.0,
@@ -86,7 +86,7 @@ def _correlations(errors: Sequence[FloatArray], square: float, parameters: float
     return correlations, variances
 
 
-def _brought_in(residuals: Sequence[FloatArray]) -> list[FloatArray]:
+def _clip_outliers(residuals: Sequence[FloatArray]) -> list[FloatArray]:
     """Return the residuals with those far out, by the median of their size, brought in."""
     limit = SETTINGS.inference.far_out * float(np.median(np.abs(np.concatenate(list(residuals))))) / _NORMAL_MAD
     return [np.clip(each, -limit, limit) for each in residuals]

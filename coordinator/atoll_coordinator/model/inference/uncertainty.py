@@ -118,58 +118,66 @@ def fit_starts(comparison: ModelComparison, programs: Sequence[Program], near: S
 
 
 def simulated(
-    its: Measurements, shot: Shot, errors: FloatArray | None, states: Sequence[str], *, held_out: bool
+    measurements: Measurements, shot: Shot, errors: FloatArray | None, states: Sequence[str], *, held_out: bool
 ) -> list[Simulated]:
     """Return the simulations of all trajectories of `states`; `errors` are (O, N)."""
-    offsets = _offsets(its, shot)
-    values = shot.simulated[its.observed]
-    for state, offset in zip(its.offset.tolist(), offsets, strict=True):
+    offsets = _offsets(measurements, shot)
+    values = shot.simulated[measurements.observed]
+    for state, offset in zip(measurements.offset.tolist(), offsets, strict=True):
         values[state] += offset
     return [
         Simulated(
             name,
             held_out,
-            its.times[rows],
+            measurements.times[rows],
             values[:, rows],
             None if errors is None else errors[:, rows],
-            tuple(r2_of(its, shot, rows)),
-            {states[state]: float(offset[rows].mean()) for state, offset in zip(its.offset, offsets, strict=True)},
+            tuple(r2_of(measurements, shot, rows)),
+            {
+                states[state]: float(offset[rows].mean())
+                for state, offset in zip(measurements.offset, offsets, strict=True)
+            },
         )
-        for name, rows in _rows_of(its)
+        for name, rows in _rows_of(measurements)
     ]
 
 
-def _offsets(its: Measurements, shot: Shot) -> list[FloatArray]:
+def _offsets(measurements: Measurements, shot: Shot) -> list[FloatArray]:
     """Return for each state that has one the offset at every row (N,)."""
     lengths = shot.segments[:, 1] - shot.segments[:, 0]
-    columns = shot.starts[:, shot.starts.shape[1] - len(its.offset) :].T
+    columns = shot.starts[:, shot.starts.shape[1] - len(measurements.offset) :].T
     return [np.repeat(column, lengths) for column in columns]
 
 
-def not_simulated(its: Measurements, *, held_out: bool) -> list[Simulated]:
+def not_simulated(measurements: Measurements, *, held_out: bool) -> list[Simulated]:
     """Return as many simulations that came to nothing as there are trajectories."""
-    unknown = tuple(None for _ in its.observed)
-    return [Simulated(name, held_out, its.times[rows], None, None, unknown) for name, rows in _rows_of(its)]
+    unknown = tuple(None for _ in measurements.observed)
+    return [
+        Simulated(name, held_out, measurements.times[rows], None, None, unknown)
+        for name, rows in _rows_of(measurements)
+    ]
 
 
-def _rows_of(its: Measurements) -> list[tuple[str, FloatArray]]:
-    ranges = [np.arange(*bound) for bound in its.bounds.tolist()]
+def _rows_of(measurements: Measurements) -> list[tuple[str, FloatArray]]:
+    ranges = [np.arange(*bound) for bound in measurements.bounds.tolist()]
     found = []
-    for index, name in enumerate(its.names):
-        own = [rows for rows, owner in zip(ranges, its.owners.tolist(), strict=True) if owner == index]
+    for index, name in enumerate(measurements.names):
+        own = [rows for rows, owner in zip(ranges, measurements.owners.tolist(), strict=True) if owner == index]
         if own:
             found.append((name, np.concatenate(own)))
     return found
 
 
-def r2_of(its: Measurements, shot: Shot, rows: FloatArray | slice) -> list[float | None]:
+def r2_of(measurements: Measurements, shot: Shot, rows: FloatArray | slice) -> list[float | None]:
     """Return for each measured state the share of its variance along these rows that the simulation explains."""
     found: list[float | None] = []
-    for state in range(len(its.observed)):
-        weights = its.weights[state, rows]
+    for state in range(len(measurements.observed)):
+        weights = measurements.weights[state, rows]
         left = weights * shot.residuals[state, rows] ** 2
-        values = its.measured[state, rows][weights > 0.0]
-        precision = np.ones(len(values)) if its.precision is None else its.precision[rows][weights > 0.0]
+        values = measurements.measured[state, rows][weights > 0.0]
+        precision = (
+            np.ones(len(values)) if measurements.precision is None else measurements.precision[rows][weights > 0.0]
+        )
         mean = float((precision * values).sum() / precision.sum()) if len(values) else 0.0
         spread = float((precision * (values - mean) ** 2).sum())
         found.append(1.0 - float(left.sum()) / spread if spread > 0.0 else None)
@@ -183,7 +191,7 @@ def scaled_covariance(comparison: ModelComparison, shot: Shot, errors: Errors) -
     return scale * bounded_covariance(shot), scale
 
 
-def bands(its: Measurements, shot: Shot, spread: FloatArray, scale: float) -> FloatArray:
+def bands(measurements: Measurements, shot: Shot, spread: FloatArray, scale: float) -> FloatArray:
     """Return the standard errors (O, N) of the simulated states: those of constants and initial states together.
 
     To first order: with sensitivities J of the constants and Y of a piece's initial state, whose normal equations have
@@ -191,18 +199,18 @@ def bands(its: Measurements, shot: Shot, spread: FloatArray, scale: float) -> Fl
     constants may have been fitted to these trajectories or to others.
 
     Args:
-        its: the trajectories.
+        measurements: the trajectories.
         shot: the fit of their initial states, in which the constants are free.
         spread: S, the covariance (P, P) of the constants.
         scale: what variances that follow from normal equations are multiplied by.
     """
     fitted = len(shot.system.places)
-    found = np.zeros((len(its.observed), its.rows))
+    found = np.zeros((len(measurements.observed), measurements.rows))
     sensitivities = shot.integrated_sensitivities()
     for group, (first, end) in enumerate(shot.segments.tolist()):
         own = np.linalg.pinv(shot.own[group], hermitian=True)
         carried = own @ shot.coupling[group].T
-        for state, index in enumerate(its.observed.tolist()):
+        for state, index in enumerate(measurements.observed.tolist()):
             gradients = sensitivities[first:end, index]
             starts = gradients[:, fitted:]
             constants = gradients[:, :fitted] - starts @ carried

@@ -26,9 +26,9 @@ class Evidence:
     Of the simulation: `residuals` has (R,) numbers for each trajectory that was fitted and could be simulated to its
     end, measured minus simulated values of this state; `failed` counts the others. `parameters` is how many numbers
     were fitted to them: constants and initial values, each shared by as many states as it was fitted to. `noise` is
-    the smoother's estimate of the measurement errors (0 for a state that was interpolated) and `deviation` the pooled
-    standard deviation, both in the state's unit; `has_outliers` makes the checks robust. `held_out_r2` is the R2 of the
-    simulations of held-out trajectories; with `is_cross_validated`, of those that were left out one at a time.
+    the smoother's estimate of the measurement errors (0 for a state that was interpolated) and `standard_deviation`
+    that of what was measured, both in the state's unit; `has_outliers` makes the checks robust. `held_out_r2` is the
+    R2 of the simulations of held-out trajectories; with `is_cross_validated`, of those left out one at a time.
 
     Of the model: `constants`, as they are reported; `alternative` is how many nats longer the description is with
     the next best equation that is another function and has no more constants; `is_known` tells that the equation was
@@ -42,7 +42,7 @@ class Evidence:
     failed: int = 0
     parameters: float = 0.0
     noise: float = 0.0
-    deviation: float = 1.0
+    standard_deviation: float = 1.0
     has_outliers: bool = False
     held_out_r2: float | None = None
     is_cross_validated: bool = False
@@ -64,104 +64,115 @@ def judge(evidence: Evidence) -> tuple[Grade, str]:
     return _by_target(evidence)
 
 
-def _by_simulation(its: Evidence) -> tuple[Grade, str]:
-    trajectories = len(its.residuals) + its.failed
-    if its.failed * 2 >= trajectories:
-        return "no model", f"It cannot be simulated to the end of {its.failed} of {trajectories} trajectories."
-    found = check(its.residuals, its.noise, its.parameters, is_robust=its.has_outliers)
-    left = found.deviation / its.deviation
+def _by_simulation(evidence: Evidence) -> tuple[Grade, str]:
+    trajectories = len(evidence.residuals) + evidence.failed
+    if evidence.failed * 2 >= trajectories:
+        return "no model", f"It cannot be simulated to the end of {evidence.failed} of {trajectories} trajectories."
+    residuals = check(evidence.residuals, evidence.noise, evidence.parameters, is_robust=evidence.has_outliers)
+    left = residuals.standard_deviation / evidence.standard_deviation
     r2 = 1.0 - left * left
     if not r2 >= SETTINGS.inference.least_r2:  # NaN explains nothing
         return "no model", f"Its simulation explains too little of the measurements (R2 {_r2(r2)})."
-    doubts = [*_doubts_of_simulation(its, found), *_doubts_of_model(its)]
-    if doubts:
-        return "doubtful", _sentence(doubts)
-    if its.noise <= SETTINGS.inference.clean * its.deviation and left <= max(
-        SETTINGS.inference.exact, 2.0 * its.noise / its.deviation
+    objections = [*_objections_to_simulation(evidence, residuals), *_objections_to_model(evidence)]
+    if objections:
+        return "doubtful", _sentence(objections)
+    if evidence.noise <= SETTINGS.inference.clean * evidence.standard_deviation and left <= max(
+        SETTINGS.inference.exact, 2.0 * evidence.noise / evidence.standard_deviation
     ):
         return "exact", f"Without noise, the simulation misses the measurements by {left:.1g} of their deviation."
-    return "good", _sentence([_praise(its, found)])
+    return "good", _sentence([_merit_of_simulation(evidence, residuals)])
 
 
-def _by_target(its: Evidence) -> tuple[Grade, str]:
-    if its.target_uncertainty <= SETTINGS.inference.clean and its.error <= its.convergence_threshold:
-        return "exact", f"The error, {its.error:.1g} of the target's deviation, is at the level of rounding."
-    if not math.isfinite(its.error):
+def _by_target(evidence: Evidence) -> tuple[Grade, str]:
+    if evidence.target_uncertainty <= SETTINGS.inference.clean and evidence.error <= evidence.convergence_threshold:
+        return "exact", f"The error, {evidence.error:.1g} of the target's deviation, is at the level of rounding."
+    if not math.isfinite(evidence.error):
         return "no model", "Its error is not finite."
-    is_at_floor = its.error <= 2.0 * its.target_uncertainty
-    r2 = its.target_r2
+    is_at_floor = evidence.error <= 2.0 * evidence.target_uncertainty
+    r2 = evidence.target_r2
     if r2 is not None and r2 < SETTINGS.inference.least_target_r2:
         what = (
-            "It is not much better than a constant" if its.is_known else "Nothing much better than a constant was found"
+            "It is not much better than a constant"
+            if evidence.is_known
+            else "Nothing much better than a constant was found"
         )
         return "no model", f"{what} (R2 {_r2(r2)} on the target)."
-    doubts = [*_doubts_of_target(its, is_at_floor=is_at_floor), *_doubts_of_model(its)]
-    if doubts:
-        return "doubtful", _sentence(doubts)
-    return "good", _sentence([_praise_of_target(its, is_at_floor=is_at_floor)])
+    objections = [*_objections_to_target(evidence, is_at_floor=is_at_floor), *_objections_to_model(evidence)]
+    if objections:
+        return "doubtful", _sentence(objections)
+    return "good", _sentence([_merit_of_target(evidence, is_at_floor=is_at_floor)])
 
 
-def _doubts_of_simulation(its: Evidence, found: Check) -> Iterator[str]:
+def _objections_to_simulation(evidence: Evidence, residuals: Check) -> Iterator[str]:
     """Yield what speaks against the simulation, the worst first."""
-    left = found.deviation / its.deviation
-    noise = its.noise / its.deviation
-    if its.failed:
-        yield f"it cannot be simulated to the end of {its.failed} of {len(its.residuals) + its.failed} trajectories"
-    if its.held_out_r2 is not None and its.held_out_r2 < 1.0 - noise * noise - (1.0 - SETTINGS.inference.good_r2):
-        yield f"{_unseen(its)} are simulated with R2 {_r2(its.held_out_r2)} only"
+    left = residuals.standard_deviation / evidence.standard_deviation
+    noise = evidence.noise / evidence.standard_deviation
+    if evidence.failed:
+        trajectories = len(evidence.residuals) + evidence.failed
+        yield f"it cannot be simulated to the end of {evidence.failed} of {trajectories} trajectories"
+    if evidence.held_out_r2 is not None and evidence.held_out_r2 < 1.0 - noise * noise - (
+        1.0 - SETTINGS.inference.good_r2
+    ):
+        yield f"{_unseen(evidence)} are simulated with R2 {_r2(evidence.held_out_r2)} only"
     if left <= SETTINGS.inference.negligible:
         return
     if noise <= SETTINGS.inference.clean:
         yield f"there is no noise, but the simulation misses the measurements by {_percent(left)} of their deviation"
         return
-    if found.ratio > SETTINGS.inference.too_large and found.too_large < SETTINGS.inference.improbable:
+    if residuals.ratio > SETTINGS.inference.too_large and residuals.too_large < SETTINGS.inference.improbable:
         yield (
-            f"the simulation misses the measurements by {_percent(left)} of their deviation, {found.ratio:.2g} times "
-            f"the noise (p = {found.too_large:.1g})"
+            f"the simulation misses the measurements by {_percent(left)} of their deviation, "
+            f"{residuals.ratio:.2g} times the noise (p = {residuals.too_large:.1g})"
         )
-    if found.correlation > SETTINGS.inference.patterned and found.patterned < SETTINGS.inference.improbable:
-        share = _percent(min(found.correlation, 1.0))
-        yield f"about {share} of what it leaves follows a pattern (p = {found.patterned:.1g})"
+    if residuals.correlation > SETTINGS.inference.patterned and residuals.patterned < SETTINGS.inference.improbable:
+        share = _percent(min(residuals.correlation, 1.0))
+        yield f"about {share} of what it leaves follows a pattern (p = {residuals.patterned:.1g})"
 
 
-def _doubts_of_target(its: Evidence, *, is_at_floor: bool) -> Iterator[str]:
-    if its.target_r2 is not None and its.target_r2 < SETTINGS.inference.good_r2 and not is_at_floor:
-        yield f"it explains the target with R2 {_r2(its.target_r2)} only"
-    if its.target_uncertainty > SETTINGS.inference.largest_uncertainty:
-        yield f"the target itself is uncertain by {_percent(its.target_uncertainty)} of its deviation"
+def _objections_to_target(evidence: Evidence, *, is_at_floor: bool) -> Iterator[str]:
+    if evidence.target_r2 is not None and evidence.target_r2 < SETTINGS.inference.good_r2 and not is_at_floor:
+        yield f"it explains the target with R2 {_r2(evidence.target_r2)} only"
+    if evidence.target_uncertainty > SETTINGS.inference.largest_uncertainty:
+        yield f"the target itself is uncertain by {_percent(evidence.target_uncertainty)} of its deviation"
 
 
-def _doubts_of_model(its: Evidence) -> Iterator[str]:
-    if its.alternative is not None and its.alternative < SETTINGS.inference.distinct_nats:
-        nats = f"{its.alternative:.2g} nats apart" if its.alternative >= 0.0 else f"{-its.alternative:.2g} nats shorter"
+def _objections_to_model(evidence: Evidence) -> Iterator[str]:
+    if evidence.alternative is not None and evidence.alternative < SETTINGS.inference.distinct_nats:
+        nats = (
+            f"{evidence.alternative:.2g} nats apart"
+            if evidence.alternative >= 0.0
+            else f"{-evidence.alternative:.2g} nats shorter"
+        )
         yield f"another equation describes the data about as well ({nats})"
-    loose = sum(not constant.identifiable for constant in its.constants)
+    loose = sum(not constant.identifiable for constant in evidence.constants)
     if loose:
-        many = f"{loose} of {len(its.constants)} constants are" if len(its.constants) > 1 else "its constant is"
+        many = (
+            f"{loose} of {len(evidence.constants)} constants are" if len(evidence.constants) > 1 else "its constant is"
+        )
         yield f"{many} not determined by the data"
 
 
-def _praise(its: Evidence, found: Check) -> str:
-    left = found.deviation / its.deviation
-    held_out = f"; {_unseen(its)}: R2 {_r2(its.held_out_r2)}" if its.held_out_r2 is not None else ""
+def _merit_of_simulation(evidence: Evidence, residuals: Check) -> str:
+    left = residuals.standard_deviation / evidence.standard_deviation
+    held_out = f"; {_unseen(evidence)}: R2 {_r2(evidence.held_out_r2)}" if evidence.held_out_r2 is not None else ""
     if left <= SETTINGS.inference.negligible:
         return f"the simulation misses the measurements by {left:.1g} of their deviation{held_out}"
     return (
         f"what the simulation leaves, {_percent(left)} of the deviation, is like the noise, "
-        f"{_percent(its.noise / its.deviation)}, and without a pattern{held_out}"
+        f"{_percent(evidence.noise / evidence.standard_deviation)}, and without a pattern{held_out}"
     )
 
 
-def _unseen(its: Evidence) -> str:
-    return "trajectories left out one at a time" if its.is_cross_validated else "held-out trajectories"
+def _unseen(evidence: Evidence) -> str:
+    return "trajectories left out one at a time" if evidence.is_cross_validated else "held-out trajectories"
 
 
-def _praise_of_target(its: Evidence, *, is_at_floor: bool) -> str:
+def _merit_of_target(evidence: Evidence, *, is_at_floor: bool) -> str:
     if is_at_floor:
-        return f"the error is that of the target itself, {_percent(its.target_uncertainty)} of its deviation"
-    if its.target_r2 is None:
-        return f"the error is {_percent(its.error)} of the target's deviation"
-    return f"it explains the target with R2 {_r2(its.target_r2)}; how much of the rest is noise is not known"
+        return f"the error is that of the target itself, {_percent(evidence.target_uncertainty)} of its deviation"
+    if evidence.target_r2 is None:
+        return f"the error is {_percent(evidence.error)} of the target's deviation"
+    return f"it explains the target with R2 {_r2(evidence.target_r2)}; how much of the rest is noise is not known"
 
 
 def _sentence(clauses: Sequence[str]) -> str:

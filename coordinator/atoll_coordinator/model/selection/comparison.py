@@ -48,16 +48,16 @@ class ModelComparison:
         self, shooter: Shooter, names: Sequence[str], fixed: Iterable[int] = (), leading: Sequence[Program] = (),
         executor: Executor | None = None,
     ) -> None:  # fmt: skip
-        its = shooter.measurements
+        measurements = shooter.measurements
         self.shooter: Final = shooter
         self.names: Final = tuple(names)
         self.fixed: Final = frozenset(fixed)
         self.leading: Final = tuple(leading)
         self.tried: Final[dict[tuple[int, bytes], FittedModel]] = {}
-        self.counts: Final = its.weights.sum(axis=1)
-        self.least_errors: Final = SETTINGS.selection.exact * its.scales[its.observed]
-        self.coherence: Final = its.coherence
-        self.constant_nats: Final = constant_nats_of(its.rows / its.coherence)
+        self.counts: Final = measurements.weights.sum(axis=1)
+        self.least_errors: Final = SETTINGS.selection.exact * measurements.scales[measurements.observed]
+        self.coherence: Final = measurements.coherence
+        self.constant_nats: Final = constant_nats_of(measurements.rows / measurements.coherence)
         self._map: Final = map if executor is None else executor.map
 
     def fit_all(self, work: Callable[[Item], FittedModel | None], items: Iterable[Item]) -> list[FittedModel]:
@@ -76,10 +76,10 @@ class ModelComparison:
             found += self.fit_all(work, items[first : first + SETTINGS.selection.batch])
         return sorted(found, key=lambda model: model.nats)
 
-    def system(self, programs: Sequence[Program], held: Sequence[Iterable[int]] = ()) -> System:
-        """Return the system of `programs`; `held` are nodes of each whose constants stay as they are."""
+    def system(self, programs: Sequence[Program], fixed_nodes: Sequence[Iterable[int]] = ()) -> System:
+        """Return the system of `programs`; `fixed_nodes` are nodes of each whose constants stay as they are."""
         fixed = [
-            set(constant_places(program)) if index in self.fixed else set(held[index]) if held else set()
+            set(constant_places(program)) if index in self.fixed else set(fixed_nodes[index]) if fixed_nodes else set()
             for index, program in enumerate(programs)
         ]
         none: list[set[int]] = [set() for _ in self.leading]

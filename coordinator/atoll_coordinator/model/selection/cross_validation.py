@@ -35,8 +35,8 @@ class Validation:
 
     def __init__(self, comparison: ModelComparison) -> None:
         self._comparison = comparison
-        its = comparison.shooter.measurements
-        owners = sorted(set(its.owners.tolist()))
+        measurements = comparison.shooter.measurements
+        owners = sorted(set(measurements.owners.tolist()))
         count = min(len(owners), SETTINGS.selection.most_folds)
         self._folds = [frozenset(owners[fold::count]) for fold in range(count)]
         self.is_possible: Final = count >= SETTINGS.selection.least_folds
@@ -44,25 +44,25 @@ class Validation:
 
     def of(self, model: FittedModel) -> Validated:
         """Return how well the system of `model` predicts."""
-        its = self._comparison.shooter.measurements
-        squares, spread = np.zeros(len(its.observed)), np.zeros(len(its.observed))
+        measurements = self._comparison.shooter.measurements
+        squares, total = np.zeros(len(measurements.observed)), np.zeros(len(measurements.observed))
         for left_out in self._folds:
-            errors = self._left(model, left_out)
+            errors = self._squared_errors(model, left_out)
             if errors is None:
-                return Validated(tuple(-np.inf for _ in its.observed), np.inf)
+                return Validated(tuple(-np.inf for _ in measurements.observed), np.inf)
             squares += errors
-            spread += _spread(its.part(left_out))
-        r2 = [1.0 - left / whole if whole > 0.0 else None for left, whole in zip(squares, spread, strict=True)]
+            total += _total_squares(measurements.part(left_out))
+        r2 = [1.0 - left / whole if whole > 0.0 else None for left, whole in zip(squares, total, strict=True)]
         counts = self._comparison.counts
         misfit = trajectory_misfit(squares / counts, self._comparison.least_errors, counts / self._comparison.coherence)
         return Validated(tuple(r2), misfit)
 
-    def _left(self, model: FittedModel, left_out: frozenset[int]) -> FloatArray | None:
+    def _squared_errors(self, model: FittedModel, left_out: frozenset[int]) -> FloatArray | None:
         """Return the sums of squared errors (O,) along trajectories left out; None where they cannot be simulated."""
         comparison, shot = self._comparison, model.shot
-        its = comparison.shooter.measurements
-        is_out = np.isin(its.owners, list(left_out))
-        others = self._shooter(its.part(set(its.owners.tolist()) - left_out))
+        measurements = comparison.shooter.measurements
+        is_out = np.isin(measurements.owners, list(left_out))
+        others = self._shooter(measurements.part(set(measurements.owners.tolist()) - left_out))
         fitted = others.fit(
             comparison.system(model.programs),
             None,
@@ -73,20 +73,20 @@ class Validation:
         if fitted is None:
             return None
         programs = split(fitted.system, [*comparison.leading, *model.programs])[len(comparison.leading) :]
-        held = comparison.system(programs, [constant_places(program) for program in programs])
-        rest = self._shooter(its.part(left_out))
-        predicted = rest.fit(held, None, SETTINGS.selection.validation_steps, shot.starts[is_out], shot.sigmas)
+        fixed = comparison.system(programs, [constant_places(program) for program in programs])
+        rest = self._shooter(measurements.part(left_out))
+        predicted = rest.fit(fixed, None, SETTINGS.selection.validation_steps, shot.starts[is_out], shot.sigmas)
         if predicted is None:
             return None
         return np.asarray((rest.measurements.weights * predicted.residuals**2).sum(axis=1))
 
-    def _shooter(self, its: Measurements) -> Shooter:
-        return Shooter(its, self._comparison.shooter.precision)
+    def _shooter(self, measurements: Measurements) -> Shooter:
+        return Shooter(measurements, self._comparison.shooter.precision)
 
 
-def _spread(its: Measurements) -> FloatArray:
+def _total_squares(measurements: Measurements) -> FloatArray:
     """Return the sums of squared deviations (O,) from the mean along these trajectories."""
-    known = its.weights > 0.0
-    values = np.where(known, its.measured, 0.0)
-    means = (its.weights * values).sum(axis=1) / np.maximum(its.weights.sum(axis=1), 1.0)
-    return np.asarray((its.weights * np.where(known, values - means[:, None], 0.0) ** 2).sum(axis=1))
+    known = measurements.weights > 0.0
+    values = np.where(known, measurements.measured, 0.0)
+    means = (measurements.weights * values).sum(axis=1) / np.maximum(measurements.weights.sum(axis=1), 1.0)
+    return np.asarray((measurements.weights * np.where(known, values - means[:, None], 0.0) ** 2).sum(axis=1))

@@ -88,14 +88,16 @@ class ModellingTask:
         states = [self.recording.states.index(name) for name in variables]
         return measurements_of(self.recording, states, held_out=held_out, piece=self.piece)
 
-    def compare(self, its: Measurements, variables: Sequence[str]) -> ModelComparison:
+    def compare(self, measurements: Measurements, variables: Sequence[str]) -> ModelComparison:
         """Return a comparison over these measurements."""
         precision = float(
-            np.clip(SETTINGS.selection.tolerated_noise * its.relative_noise.min(), *SETTINGS.selection.tolerances)
+            np.clip(
+                SETTINGS.selection.tolerated_noise * measurements.relative_noise.min(), *SETTINGS.selection.tolerances
+            )
         )
         fixed = [index for index, name in enumerate(variables) if name in self.known]
         return ModelComparison(
-            Shooter(its, precision), self.dataset.names, fixed, self.leading(variables), self.executor
+            Shooter(measurements, precision), self.dataset.names, fixed, self.leading(variables), self.executor
         )
 
     def leading(self, variables: Sequence[str]) -> list[Program]:
@@ -132,8 +134,8 @@ def search_jointly(
         begun: a system to begin with; the best of a few unless given.
         is_hopeless: tells of the best of the candidates when its neighbours need not be looked at.
     """
-    its = task.measurements(task.variables).thinned(SETTINGS.selection.compared_rows)
-    comparison = task.compare(its, task.variables)
+    measurements = task.measurements(task.variables).thinned(SETTINGS.selection.compared_rows)
+    comparison = task.compare(measurements, task.variables)
     best = _combined(comparison, lists) if begun is None else comparison.fit_model(begun)
     if best is None:
         return None
@@ -163,9 +165,9 @@ def _compared(task: ModellingTask, name: str) -> list[Program]:
     problem = task.dataset.problem(name)
     programs = [task.settled[name].program] if name in task.settled else []
     programs += task.candidates[name].programs
-    its = replace(task.measurements([name]).thinned(SETTINGS.selection.compared_rows), coherence=1.0)
-    comparison = task.compare(its, [name])
-    best = ranked(comparison, problem, programs, _libraries(task, name, its))
+    measurements = replace(task.measurements([name]).thinned(SETTINGS.selection.compared_rows), coherence=1.0)
+    comparison = task.compare(measurements, [name])
+    best = ranked(comparison, problem, programs, _libraries(task, name, measurements))
     return [program for program in best if task.may_be_shown(program)]
 
 
@@ -178,11 +180,11 @@ def _is_exact(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> bool:
     return found is not None and comparison.is_exact(found)
 
 
-def _libraries(task: ModellingTask, name: str, its: Measurements) -> Iterator[list[Term]]:
+def _libraries(task: ModellingTask, name: str, measurements: Measurements) -> Iterator[list[Term]]:
     """Yield the libraries of terms for the equation of one variable."""
     columns, operators = task.columns(name), task.operators(name)
     yield from libraries(columns, operators)
-    yield from fractions(columns, operators, _scales(task, its))
+    yield from fractions(columns, operators, _scales(task, measurements))
 
 
 def _combined(comparison: ModelComparison, lists: Sequence[Sequence[Program]]) -> FittedModel | None:
@@ -270,7 +272,7 @@ def _kind(program: Program) -> tuple[bool, bool]:
     ) > SETTINGS.selection.small_program
 
 
-def _scales(task: ModellingTask, its: Measurements) -> list[float]:
+def _scales(task: ModellingTask, measurements: Measurements) -> list[float]:
     """Return the size of each variable of the dataset."""
-    sizes = dict(zip(its.variables, its.sizes.tolist(), strict=True))
+    sizes = dict(zip(measurements.variables, measurements.sizes.tolist(), strict=True))
     return [sizes[name] for name in task.dataset.names]

@@ -42,12 +42,12 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
 
 def on_all_rows(selection: SelectedModel) -> SelectedModel | None:
     """Return the chosen system fitted to all rows, in shorter pieces if it must be; None when it cannot be."""
-    its = selection.task.measurements(selection.task.variables)
-    if its.rows == selection.comparison.shooter.measurements.rows:
+    measurements = selection.task.measurements(selection.task.variables)
+    if measurements.rows == selection.comparison.shooter.measurements.rows:
         return selection
     found: list[SelectedModel] = []
     for task in _tasks(selection.task):
-        fitted = _fitted(task, selection.model.programs, its.rows)
+        fitted = _fitted(task, selection.model.programs, measurements.rows)
         if fitted is not None:
             found.append(fitted)
             if _excess(fitted.comparison, fitted.model) <= SETTINGS.selection.noise_excess:
@@ -128,9 +128,9 @@ def _excess(comparison: ModelComparison, model: FittedModel) -> float:
 
     Where smoothed states are inputs, their errors are taken to leave as much as the noise again.
     """
-    its = comparison.shooter.measurements
-    noise = np.maximum(its.noise, SETTINGS.selection.slight * its.scales[its.observed])
-    allowed = noise * (2.0 if its.coherence > 1.0 else 1.0)
+    measurements = comparison.shooter.measurements
+    noise = np.maximum(measurements.noise, SETTINGS.selection.slight * measurements.scales[measurements.observed])
+    allowed = noise * (2.0 if measurements.coherence > 1.0 else 1.0)
     return float(np.max(np.sqrt(model.shot.squares) / allowed))
 
 

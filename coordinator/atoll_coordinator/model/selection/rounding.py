@@ -37,8 +37,8 @@ def _measured(
 ) -> tuple[float, tuple[Program, ...]] | None:
     """Return the nats and the programs of a decision, its open constants fitted; None when it cannot be simulated."""
     numbers = dict(decision.numbers)
-    programs, held = _decided(comparison, model.programs, numbers)
-    system = comparison.system(programs, held)
+    programs, fixed = _decided(comparison, model.programs, numbers)
+    system = comparison.system(programs, fixed)
     shot = comparison.shooter.fit(system, None, SETTINGS.selection.rounding_steps, model.shot.starts, model.shot.sigmas)
     if shot is None:
         return None
@@ -62,12 +62,12 @@ def _decided(
 ) -> tuple[list[Program], list[set[int]]]:
     """Return the programs with decided constants, and the nodes of these."""
     changed: list[Program] = []
-    held: list[set[int]] = []
+    fixed: list[set[int]] = []
     index = 0
     for equation, program in enumerate(programs):
         places = [] if equation in comparison.fixed else constant_places(program)
         chosen = {place: numbers[index + k] for k, place in enumerate(places) if index + k in numbers}
         changed.append(with_constants(program, chosen))
-        held.append(set(chosen))
+        fixed.append(set(chosen))
         index += len(places)
-    return changed, held
+    return changed, fixed

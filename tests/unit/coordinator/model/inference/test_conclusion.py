@@ -14,7 +14,7 @@ from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.inference import conclusion
-from atoll_coordinator.model.inference.conclusion import _deviation, _no_elaborations
+from atoll_coordinator.model.inference.conclusion import _no_elaborations, _standard_deviation
 from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.refinement import Alternative, Pool
 from atoll_coordinator.model.selection import joint_search
@@ -97,8 +97,8 @@ def test_the_deviation_is_that_of_what_was_measured_and_counts():
     its = measurements(DECAY, [[2.0]], TIMES, noise=0.3)
     its.weights[0, :5] = 0.0
     its.measured[0, :5] = np.nan
-    assert _deviation(its, 0) == pytest.approx(its.measured[0, 5:].std())
-    assert _deviation(its, 0) != pytest.approx(float(its.scales[0]))
+    assert _standard_deviation(its, 0) == pytest.approx(its.measured[0, 5:].std())
+    assert _standard_deviation(its, 0) != pytest.approx(float(its.scales[0]))
 
 
 def test_an_elaboration_of_the_equation_is_no_rival():

@@ -27,14 +27,14 @@ def test_noise_is_seldom_taken_for_anything_else() -> None:
     found = [check(noise(seed), 1.0) for seed in range(300)]
     assert sum(each.patterned < 0.05 for each in found) in range(5, 27)
     assert sum(each.too_large < 0.05 for each in found) < 15
-    assert np.mean([each.deviation for each in found]) == pytest.approx(1.0, abs=0.01)
+    assert np.mean([each.standard_deviation for each in found]) == pytest.approx(1.0, abs=0.01)
     assert np.mean([each.correlation for each in found]) == pytest.approx(0.0, abs=0.01)
 
 
 def test_what_fitting_takes_away_is_allowed_for() -> None:
     fitted = [[without_polynomial(each, 6) for each in noise(seed)] for seed in range(300)]
     found = [check(each, 1.0, parameters=24) for each in fitted]
-    assert np.mean([each.deviation for each in found]) == pytest.approx(1.0, abs=0.01)
+    assert np.mean([each.standard_deviation for each in found]) == pytest.approx(1.0, abs=0.01)
     assert np.mean([each.correlation for each in found]) == pytest.approx(0.0, abs=0.015)
     assert np.mean([check(each, 1.0).correlation for each in fitted]) < -0.04
     assert sum(each.patterned < 0.05 for each in found) in range(5, 30)
@@ -69,6 +69,6 @@ def test_outliers_do_not_decide_a_robust_check() -> None:
 
 def test_no_residuals_and_no_noise_are_borne() -> None:
     nothing = [np.zeros(10)]
-    assert check(nothing, 1.0).deviation == 0.0
+    assert check(nothing, 1.0).standard_deviation == 0.0
     assert check(nothing, 0.0).too_large == 1.0
     assert check(noise(3), 0.0).ratio == np.inf

@@ -21,8 +21,8 @@ def waves(sd: float) -> tuple[FloatArray, ...]:
     return tuple(sd * np.sqrt(2.0) * np.sin(np.linspace(0.0, 12.0, 100) + start) for start in range(4))
 
 
-NOISY = Evidence(0.3, 0.2, 0.9, noise(0.1), 0, 3.0, noise=0.1, deviation=2.0, constants=KNOWN, alternative=9.0)
-CLEAN = Evidence(1e-12, 1e-9, 1.0, waves(1e-9), 0, 3.0, noise=0.0, deviation=2.0, constants=KNOWN)
+NOISY = Evidence(0.3, 0.2, 0.9, noise(0.1), 0, 3.0, noise=0.1, standard_deviation=2.0, constants=KNOWN, alternative=9.0)
+CLEAN = Evidence(1e-12, 1e-9, 1.0, waves(1e-9), 0, 3.0, noise=0.0, standard_deviation=2.0, constants=KNOWN)
 
 
 def test_a_simulation_without_noise_and_without_error_is_exact() -> None:

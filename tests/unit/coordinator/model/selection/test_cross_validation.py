@@ -69,13 +69,13 @@ def test_many_trajectories_are_left_out_several_at_a_time(monkeypatch):
     its = compare(SWING, measurements(SWING, starts, TIMES[:8], noise=NOISE, seed=122), 1e-4)
     seen = []
     validation = Validation(its)
-    own = validation._left
+    own = validation._squared_errors
 
     def left(found, left_out):
         seen.append(left_out)
         return own(found, left_out)
 
-    monkeypatch.setattr(validation, "_left", left)
+    monkeypatch.setattr(validation, "_squared_errors", left)
     validation.of(model(its, "y", "-1.9*x - 0.2*y"))
     assert len(seen) == SETTINGS.selection.most_folds
     assert sorted(owner for fold in seen for owner in fold) == list(range(25))
@@ -84,7 +84,7 @@ def test_many_trajectories_are_left_out_several_at_a_time(monkeypatch):
 def test_what_cannot_be_simulated_foretells_nothing(monkeypatch):
     its = swinging()
     validation = Validation(its)
-    monkeypatch.setattr(validation, "_left", lambda *_: None)
+    monkeypatch.setattr(validation, "_squared_errors", lambda *_: None)
     found = validation.of(model(its, "y", "-1.9*x - 0.2*y"))
     assert found.misfit == np.inf
     assert found.r2 == (-np.inf, -np.inf)
