@@ -200,7 +200,7 @@ def test_a_stranger_who_makes_up_what_it_holds_fills_no_memory() -> None:
     world = World(workers=1)
     world.submit(config(1, max_epochs=100_000, stagnation=100_000), variables=ENDLESS)
     world.client.pause(1.5)
-    membership, controller = world.service.controller.membership, world.service.controller
+    membership, controller = world.service.controller.workers.membership, world.service.controller
     member = membership.member("w0")
     assert member is not None
     for number in range(200):

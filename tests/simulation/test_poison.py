@@ -57,7 +57,7 @@ class Ward:
         self.world.at(self.world.network.now + 1.0, self._look)
 
     def deaths(self, variable: str = "x") -> int:
-        return self.world.service.controller.crash_loops.loop(("job", variable)).deaths
+        return self.world.service.controller.workers.crash_loops.loop(("job", variable)).deaths
 
     def until(self, deaths: int, variable: str = "x") -> None:
         """Let time pass until so many deaths are counted for an archipelago."""

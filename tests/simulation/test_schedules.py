@@ -82,7 +82,7 @@ def test_another_answer_is_found() -> None:
 
 
 def test_a_job_that_does_not_end_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("atoll_coordinator.service.controller.Controller.place", lambda self, now: None)
+    monkeypatch.setattr("atoll_coordinator.service.workers.controller.WorkerController.place", lambda self, now: None)
     outcome = play(disturbed())
     assert any("do not end" in each for each in outcome.wrong), told(outcome)
 

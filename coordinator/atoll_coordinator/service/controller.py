@@ -1,4 +1,4 @@
-"""What becomes of jobs and workers: takes in what happens, and has the rooms below decide, store, send and compute.
+"""What becomes of jobs: takes in what happens, and has the rooms below decide, store, send and compute.
 
 Knows no bus and no thread. What is sent has been stored before.
 """
@@ -12,19 +12,14 @@ from atoll.config import JobConfig
 from atoll.errors import RefusedError, RemoteProtocolError
 from atoll.wire.codec import decode, encode
 from atoll.wire.messages.clients import Submit
-from atoll.wire.messages.handshake import Hello
 from atoll.wire.messages.views import FINAL_STATES, JobView
 from atoll.wire.messages.workers import (
     Close,
     CloseJob,
     EpochReport,
-    Introduce,
     JobAnnouncement,
-    Placement,
     Placements,
-    PullReports,
     PullStates,
-    Shutdown,
     States,
     WorkerStatus,
 )
@@ -42,7 +37,6 @@ from atoll_coordinator.service.jobs.job import (
     Refine,
 )
 from atoll_coordinator.service.jobs.queue import next_job
-from atoll_coordinator.service.monitoring.counters import CounterRegistry
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.views import ended_view, job_result, job_view, result_text
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
@@ -52,39 +46,28 @@ from atoll_coordinator.service.search.cut import Cut
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
-from atoll_coordinator.service.workers.crash_loops import CrashLoops
-from atoll_coordinator.service.workers.leases import LeaseBackoff
-from atoll_coordinator.service.workers.membership import Member, Membership
-from atoll_coordinator.service.workers.quarantine import Quarantine
-from atoll_coordinator.service.workers.reconciliation import corrections
-from atoll_coordinator.service.workers.scheduling import Scheduler
-from atoll_coordinator.service.workers.stalls import StallDetector
+from atoll_coordinator.service.workers.controller import WorkerController
 
 
 class Controller:
-    """All live jobs, all workers, and the views of the jobs that have ended."""
+    """All live jobs, the workers that compute them, and the views of the jobs that have ended."""
 
     def __init__(
         self, store: Store, channel: WorkerChannel, tasks: TaskRunner, clock: Callable[[], str],
         expected_workers: int = 1,
     ) -> None:  # fmt: skip
         """`clock` gives the time of day as ISO text; no island is placed before the expected workers are ready."""
-        self.membership: Final = Membership()
         self.jobs: dict[str, Job] = {}
         self.ended: dict[str, JobView | None] = {}
         """Jobs that have ended; None: the view has not been made of what is stored yet."""
         self.events: Final = EventLog(store, clock)
-        self.counters: Final = CounterRegistry()
-        self.crash_loops: Final = CrashLoops(store, self.events)
+        self.workers: Final = WorkerController(self.jobs, store, channel, self.events, self.fail_job, expected_workers)
+        self.counters: Final = self.workers.counters
         self.checkpoints: Final = CheckpointCoordinator()
         self._store = store
         self._channel = channel
         self._tasks = tasks
         self._clock = clock
-        self._leases = LeaseBackoff()
-        self._quarantine = Quarantine(self.membership, self.crash_loops)
-        self._scheduler = Scheduler(self.membership, self._quarantine, expected_workers)
-        self._stalls = StallDetector(self.membership)
 
     # ------------------------------------------------------------------------------------------- jobs
 
@@ -106,7 +89,7 @@ class Controller:
                 self.events.record("failed", reason, record.id)
             else:
                 self.jobs[record.id] = Job(record, config, now)
-                self.crash_loops.recover(record.id)
+                self.workers.crash_loops.recover(record.id)
 
     def submit(self, body: Submit, now: float, submitter: str | None = None) -> None:
         """Take in a job. The same id with the same contents again changes nothing, nor does it whose job it is.
@@ -156,7 +139,7 @@ class Controller:
         self.events.record_preparation(job)
         self._channel.publish(job.announcement())
         self._carry_out(job, actions, now)
-        self.place(now)
+        self.workers.place(now)
 
     def finish_job(self, job_id: str, refinement: Refinement, now: float) -> None:
         """End a job with what refining gave."""
@@ -197,86 +180,18 @@ class Controller:
         open_ones = job.open_archipelagos if job is not None else ()
         return Placements(placements=tuple(each.placement for each in open_ones if each.placement is not None))
 
-    # ---------------------------------------------------------------------------------------- workers
-
-    def register_worker(self, hello: Hello, now: float) -> str | None:
-        """Take in a worker; return a sentence instead when it must be refused.
-
-        A new process under a known name does not have the islands of the old one: they are placed anew.
-        """
-        is_new, before = self.membership.is_new(hello), self.membership.member(hello.name)
-        refusal = self.membership.register(hello, now)
-        if refusal is not None:
-            self.events.record_refusal(hello.name, refusal)
-        elif is_new:
-            self.events.record_joining(hello)
-            self.crash_loops.withdraw((hello.name, hello.instance))
-            if before is not None:
-                self._lose(before, "a new process has its name", now)
-            for archipelago in self._open_archipelagos():
-                if hello.name in archipelago.workers:
-                    archipelago.unplace()
-            self.place(now)
-        return refusal
+    # --------------------------------------------------------------------------- workers' reports, time
 
     def add_heartbeat(self, worker: str, status: WorkerStatus, now: float) -> None:
-        """Take in a heartbeat, and correct what the worker holds and should not, or should and does not.
+        """Take in a heartbeat: who is there, what it holds, and of which epochs it has snapshots.
 
         Raises:
             RemoteProtocolError: The worker has heard of an incarnation that there is not.
             StoreError: There is: another coordinator has taken over.
         """
-        self._check_incarnation(worker, status)
-        was_ready, was_lost = self.membership.is_ready(worker), self.membership.is_lost(worker)
-        if not self.membership.record_heartbeat(worker, status, now):
-            self._channel.send(worker, Introduce())
-            return
-        if was_lost and not self.membership.is_lost(worker):
-            self.events.record_return(worker)
-            self.crash_loops.withdraw((worker, status.instance))
-        if not was_ready and self.membership.is_ready(worker):
-            self.place(now)
-        self._fail_broken_jobs(worker, status, now)
-        self._update_holdings(worker, status)
-        for correction in corrections(self.jobs, worker, status):
-            if isinstance(correction, PullReports):
-                self._channel.pull(worker, correction)
-            else:
-                self._channel.send(worker, correction)
-        if status.state == "leaving":
-            self._let_leave(worker, now)
-        for holding in status.holdings:
+        is_known = self.workers.add_heartbeat(worker, status, now)
+        for holding in status.holdings if is_known else ():
             self._advance_checkpoint(self.jobs.get(holding.job), holding.variable, now)
-
-    def _check_incarnation(self, worker: str, status: WorkerStatus) -> None:
-        if status.incarnation > self._store.incarnation:
-            self._store.check()
-            raise RemoteProtocolError(
-                f"worker {worker} has heard of incarnation {status.incarnation}, but this is {self._store.incarnation}"
-            )
-
-    def _fail_broken_jobs(self, worker: str, status: WorkerStatus, now: float) -> None:
-        """Let the jobs fail whose islands a worker cannot compute under their current term."""
-        for failure in status.failures:
-            if self._placed(failure.job, failure.variable, failure.term) is not None:
-                self.fail_job(failure.job, "internal", f"{failure.sentence} (on worker {worker})", now)
-
-    def _update_holdings(self, worker: str, status: WorkerStatus) -> None:
-        """Take in how far a worker is with what is placed on it; publish commits that are due by that."""
-        for holding in status.holdings:
-            archipelago = self._placed(holding.job, holding.variable, holding.term)
-            if archipelago is not None:
-                archipelago.update_holding(worker, holding)
-                self.counters.set_waited(worker, holding)
-                commit = archipelago.due_commit()
-                if commit is not None:
-                    self._channel.publish(commit)
-
-    def _let_leave(self, worker: str, now: float) -> None:
-        """Place elsewhere what a worker has that wants to end; when it has nothing, tell it so."""
-        self.place(now)
-        if not any(worker in archipelago.workers for archipelago in self._open_archipelagos()):
-            self._channel.send(worker, Shutdown(sentence="nothing is placed here any more"))
 
     def add_report(self, worker: str, report: EpochReport, now: float) -> None:
         """Take in a report; raises RemoteProtocolError when it cannot be."""
@@ -291,70 +206,14 @@ class Controller:
 
     def tick(self, now: float) -> None:
         """Let time pass: lost workers, `--max-time`, jobs that wait for their turn."""
-        for member in self.membership.expire(now, self._leases.factors(self._open_archipelagos())):
-            self._lose(member, member.lost_by, now)
+        self.workers.expire(now)
         for job in list(self.jobs.values()):
             self._carry_out(job, job.tick(now), now)
         self._prepare_next(now)
-        self.place(now)
+        self.workers.place(now)
         self._advance_checkpoints(now)
-        self._check_stalls(now)
+        self.workers.check_stalls(now)
         self.events.flush()
-
-    def _lose(self, member: Member, why: str, now: float) -> None:
-        """Take in that a process is lost, and let the jobs fail that have cost one worker too many by that.
-
-        One that had said that it would leave was not ended by what it computed.
-        """
-        name = member.hello.name
-        lost = [each for each in self._open_archipelagos() if name in each.workers]
-        for job in dict.fromkeys(each.job for each in lost) or (None,):
-            self.events.record("worker-lost", why, job, worker=name)
-        reasons: list[tuple[str, str]] = []
-        for archipelago in lost if not member.is_leaving else ():
-            self._leases.add_eviction(archipelago.key)
-            self.counters.add(archipelago.job, deaths=1)
-            term = archipelago.placement.term if archipelago.placement is not None else 0
-            reason = self.crash_loops.add_death(archipelago.key, term, (name, member.hello.instance), why)
-            reasons += [(archipelago.job, reason)] if reason is not None else []
-        for job_id, reason in reasons:
-            self.fail_job(job_id, "poison", reason, now)
-
-    def _check_stalls(self, now: float) -> None:
-        """Record which archipelagos stand still, and which get on again."""
-        for (job, variable), stall in self._stalls.check(self._open_archipelagos(), now):
-            if stall is None:
-                self.events.record("moving", "it gets on again", job, variable=variable)
-                continue
-            self.counters.add(job, stalls=1)
-            self.events.record(
-                "stalled", stall.sentence, job, variable=variable, island=stall.islands[0], epoch=stall.epoch,
-                term=stall.term, worker=stall.worker, cause=stall.cause,
-            )  # fmt: skip
-
-    def place(self, now: float) -> None:
-        """Begin the terms that are due: first all of them in the store, since each commit takes its time."""
-        self.crash_loops.save()
-        plan = self._scheduler.plan(tuple(self.jobs.values()), now)
-        for key in plan.broken:
-            self.events.record_broken_placement(key)
-        for held in plan.released:
-            for worker in dict.fromkeys(held.workers):
-                self._channel.send(worker, Close(job=held.job, variable=held.variable, term=held.term))
-        placements: list[Placement] = []
-
-        def encode_placement(index: int, term: int) -> bytes:
-            placements.append(plan.assignments[index].placement(self._store.incarnation, term))
-            return encode(placements[-1])
-
-        if plan.assignments:
-            self._store.begin_terms([each.archipelago.key for each in plan.assignments], encode_placement)
-        for each, placement in zip(plan.assignments, placements, strict=True):
-            each.archipelago.place(placement, now)
-            each.job.start_search(now)
-            self._channel.publish(Placements(placements=(placement,)))
-            self.counters.add(placement.job, placements=1)
-            self.events.record_placement(placement)
 
     # ------------------------------------------------------------------------------------- checkpoints
 
@@ -377,13 +236,12 @@ class Controller:
         archipelago = job.archipelagos.get(checkpoint.variable) if job is not None else None
         if archipelago is not None and archipelago.is_writing:  # the id of a deleted job may be used again
             commit = archipelago.mark_durable(checkpoint, now)
-            self._leases.add_commit(checkpoint.key)
             self.counters.add(checkpoint.job, commits=1)
-            self.crash_loops.add_commit(checkpoint.key, checkpoint.epoch)
+            self.workers.add_commit(checkpoint)
             self.events.record_commit(checkpoint)
             if commit is not None:
                 self._channel.publish(commit)
-        self.place(now)
+        self.workers.place(now)
         if self.checkpoints.is_short:
             self._advance_checkpoints(now)
 
@@ -439,9 +297,8 @@ class Controller:
         self.ended[job.id] = self._live_view(job, now).model_copy(update={"workers": 0, "stalls": (), "ahead": None})
         del self.jobs[job.id]
         self.events.record_end(job)
-        self._leases.forget(job.id)
         self.counters.forget(job.id)
-        self.crash_loops.forget(job.id)
+        self.workers.forget(job.id)
         self._prepare_next(now)
 
     def _prepare_next(self, now: float) -> None:
@@ -460,23 +317,8 @@ class Controller:
         self._tasks.prepare(waiting.id, table, waiting.config)
 
     def _live_view(self, job: Job, now: float) -> JobView:
-        quarantined = self._quarantine.waiting(job.open_archipelagos)
-        waits = f"islands of {', '.join(quarantined)} are isolated and wait for a worker of their own"
-        return job_view(
-            job,
-            tuple(self.jobs.values()),
-            now,
-            waits if quarantined else self.membership.waiting_reason(),
-            self.counters.counters(job),
-            self._stalls.sentences(job.id),
-        )
+        waiting_reason, stalls = self.workers.waiting_reason(job), self.workers.stalls(job.id)
+        return job_view(job, tuple(self.jobs.values()), now, waiting_reason, self.counters.counters(job), stalls)
 
     def _open_archipelagos(self) -> list[Archipelago]:
         return [each for job in self.jobs.values() for each in job.open_archipelagos]
-
-    def _placed(self, job_id: str, variable: str, term: int) -> Archipelago | None:
-        """Return the archipelago that is placed under a term now; None: there is none."""
-        job = self.jobs.get(job_id)
-        archipelago = job.open_archipelago(variable) if job is not None else None
-        placement = archipelago.placement if archipelago is not None else None
-        return archipelago if placement is not None and placement.term == term else None

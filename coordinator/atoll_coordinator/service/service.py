@@ -193,7 +193,7 @@ class Service:
         if self._bus.dropped > self._dropped:
             self._dropped = self._bus.dropped
             _LOG.warning("messages were dropped, since they came too fast", extra=fields(dropped=self._dropped))
-            self.controller.membership.renew_leases(now)
+            self.controller.workers.membership.renew_leases(now)
         if self._is_linked:  # else nobody can be heard, and nobody's silence says anything
             self.controller.tick(now)
         self._deletion.delete_expired(now)
@@ -204,13 +204,13 @@ class Service:
         _LOG.warning("router link", extra=fields(up=event.up))
         self._is_linked = event.up
         if event.up:
-            self.controller.membership.renew_leases(self._bus.now())
+            self.controller.workers.membership.renew_leases(self._bus.now())
 
     @_on.register
     def _on_presence(self, event: Presence) -> None:
         key = topics.parse(event.key)
         if isinstance(key, topics.WorkerKey):
-            self.controller.membership.record_presence(key.worker, event.present, self._bus.now())
+            self.controller.workers.membership.record_presence(key.worker, event.present, self._bus.now())
             if not event.present:
                 self._bus.call_later(ABSENCE_S, _ABSENCE)
 

@@ -71,15 +71,16 @@ def outcome_of(archipelago: Archipelago) -> VariableOutcome:
 
 
 def job_view(
-    job: Job, jobs: Sequence[Job], now: float, waits_for: str, counters: JobCounters, stalls: tuple[str, ...]
-) -> JobView:
+    job: Job, jobs: Sequence[Job], now: float, waiting_reason: str | None, counters: JobCounters,
+    stalls: tuple[str, ...],
+) -> JobView:  # fmt: skip
     """Return what `jobs` and `status` show of a live job, or of one that ends now.
 
     Args:
         job: any of `jobs`, or one that ends now.
         jobs: all live ones.
         now: the bus's seconds.
-        waits_for: what its archipelagos without workers wait for, in words.
+        waiting_reason: what its archipelagos without workers wait for, in words, if there are any.
         counters: of this job.
         stalls: why its archipelagos stand still, in words.
     """
@@ -93,7 +94,7 @@ def job_view(
         state=job.state,
         seed=job.config.seed,
         preset=job.config.preset,
-        reason=_reason(job, jobs, waits_for),
+        reason=waits_for_turn(job, jobs) if job.state == "queued" else job.reason or waiting_reason,
         fault=job.fault,
         warnings=job.prepared.dataset.warnings if job.prepared else (),
         submitted=job.submitted,
@@ -190,11 +191,3 @@ def _stored_variable_view(equation: dict[str, Any]) -> VariableView:
     fields = ("variable", "lhs", "epoch", "error", "normalized_error", "complexity", "expression", "converged", "why")
     known = {name: equation[name] for name in fields} | {"verdict": equation.get("verdict")}
     return VariableView(**known, point_evaluations=equation["point_evaluations"], finished=True)
-
-
-def _reason(job: Job, jobs: Sequence[Job], waits_for: str) -> str | None:
-    """Return why a job has failed, or what it waits for if it cannot get on by itself."""
-    if job.state == "queued":
-        return waits_for_turn(job, jobs)
-    is_waiting = any(each.placement is None for each in job.open_archipelagos)
-    return job.reason or (waits_for if is_waiting else None)

@@ -85,7 +85,7 @@ class ClientRequests:
             case Status():
                 return self._status(body.job)
             case Workers():
-                views = self._controller.membership.views(self._now())
+                views = self._controller.workers.membership.views(self._now())
                 return WorkerList(workers=views, coordinator=self._coordinator())
             case GetResult():
                 return self._result(body.job)

@@ -64,7 +64,7 @@ class Handshake:
         refusal = version_refusal(hello) or self._authorization.refuse_role(hello)
         if refusal is not None or hello.role == "client" or name is None:
             return refusal
-        return self._controller.register_worker(hello, self._now())
+        return self._controller.workers.register(hello, self._now())
 
 
 def _refusal(sentence: str) -> Refusal:

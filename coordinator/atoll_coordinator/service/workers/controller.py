@@ -1,0 +1,223 @@
+"""What becomes of workers and placements: takes in greetings, heartbeats and silence, and begins terms.
+
+A job that cannot go on because of its workers is handed to the `fail_job` given. What is sent has been stored before.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from atoll.errors import RemoteProtocolError
+from atoll.wire.codec import encode
+from atoll.wire.messages.handshake import Hello
+from atoll.wire.messages.workers import (
+    Close,
+    Introduce,
+    Placement,
+    Placements,
+    PullReports,
+    Shutdown,
+    WorkerStatus,
+)
+from atoll_coordinator.service.jobs.job import Fault, Job
+from atoll_coordinator.service.monitoring.counters import CounterRegistry
+from atoll_coordinator.service.monitoring.event_log import EventLog
+from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
+from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.workers.channel import WorkerChannel
+from atoll_coordinator.service.workers.crash_loops import CrashLoops
+from atoll_coordinator.service.workers.leases import LeaseBackoff
+from atoll_coordinator.service.workers.membership import Member, Membership
+from atoll_coordinator.service.workers.quarantine import Quarantine
+from atoll_coordinator.service.workers.reconciliation import corrections
+from atoll_coordinator.service.workers.scheduling import Scheduler
+from atoll_coordinator.service.workers.stalls import StallDetector
+
+
+class WorkerController:
+    """All workers, and the placements of all archipelagos on them."""
+
+    def __init__(
+        self, jobs: Mapping[str, Job], store: Store, channel: WorkerChannel, events: EventLog,
+        fail_job: Callable[[str, Fault, str, float], None], expected_workers: int,
+    ) -> None:  # fmt: skip
+        """`jobs` are the live ones, by id, as they come and go; see `Scheduler` for the expected workers."""
+        self.membership: Final = Membership()
+        self.counters: Final = CounterRegistry()
+        self.crash_loops: Final = CrashLoops(store, events)
+        self._jobs = jobs
+        self._store = store
+        self._channel = channel
+        self._events = events
+        self._fail_job = fail_job
+        self._leases = LeaseBackoff()
+        self._quarantine = Quarantine(self.membership, self.crash_loops)
+        self._scheduler = Scheduler(self.membership, self._quarantine, expected_workers)
+        self._stalls = StallDetector(self.membership)
+
+    def register(self, hello: Hello, now: float) -> str | None:
+        """Take in a worker; return a sentence instead when it must be refused.
+
+        A new process under a known name does not have the islands of the old one: they are placed anew.
+        """
+        is_new, before = self.membership.is_new(hello), self.membership.member(hello.name)
+        refusal = self.membership.register(hello, now)
+        if refusal is not None:
+            self._events.record_refusal(hello.name, refusal)
+        elif is_new:
+            self._events.record_joining(hello)
+            self.crash_loops.withdraw((hello.name, hello.instance))
+            if before is not None:
+                self._lose(before, "a new process has its name", now)
+            for archipelago in self._open_archipelagos():
+                if hello.name in archipelago.workers:
+                    archipelago.unplace()
+            self.place(now)
+        return refusal
+
+    def add_heartbeat(self, worker: str, status: WorkerStatus, now: float) -> bool:
+        """Take in a heartbeat, and correct what the worker holds and should not, or should and does not.
+
+        Returns False when this process is not known; it is asked to greet.
+
+        Raises:
+            RemoteProtocolError: The worker has heard of an incarnation that there is not.
+            StoreError: There is: another coordinator has taken over.
+        """
+        self._check_incarnation(worker, status)
+        was_ready, was_lost = self.membership.is_ready(worker), self.membership.is_lost(worker)
+        if not self.membership.record_heartbeat(worker, status, now):
+            self._channel.send(worker, Introduce())
+            return False
+        if was_lost and not self.membership.is_lost(worker):
+            self._events.record_return(worker)
+            self.crash_loops.withdraw((worker, status.instance))
+        if not was_ready and self.membership.is_ready(worker):
+            self.place(now)
+        for failure in status.failures:
+            if self._placed(failure.job, failure.variable, failure.term) is not None:
+                self._fail_job(failure.job, "internal", f"{failure.sentence} (on worker {worker})", now)
+        self._update_holdings(worker, status)
+        for correction in corrections(self._jobs, worker, status):
+            if isinstance(correction, PullReports):
+                self._channel.pull(worker, correction)
+            else:
+                self._channel.send(worker, correction)
+        if status.state == "leaving":
+            self._let_leave(worker, now)
+        return True
+
+    def _check_incarnation(self, worker: str, status: WorkerStatus) -> None:
+        if status.incarnation > self._store.incarnation:
+            self._store.check()
+            raise RemoteProtocolError(
+                f"worker {worker} has heard of incarnation {status.incarnation}, but this is {self._store.incarnation}"
+            )
+
+    def _update_holdings(self, worker: str, status: WorkerStatus) -> None:
+        """Take in how far a worker is with what is placed on it; publish commits that are due by that."""
+        for holding in status.holdings:
+            archipelago = self._placed(holding.job, holding.variable, holding.term)
+            if archipelago is not None:
+                archipelago.update_holding(worker, holding)
+                self.counters.set_waited(worker, holding)
+                commit = archipelago.due_commit()
+                if commit is not None:
+                    self._channel.publish(commit)
+
+    def _let_leave(self, worker: str, now: float) -> None:
+        """Place elsewhere what a worker has that wants to end; when it has nothing, tell it so."""
+        self.place(now)
+        if not any(worker in archipelago.workers for archipelago in self._open_archipelagos()):
+            self._channel.send(worker, Shutdown(sentence="nothing is placed here any more"))
+
+    def expire(self, now: float) -> None:
+        """Give up the workers whose leases are over."""
+        for member in self.membership.expire(now, self._leases.factors(self._open_archipelagos())):
+            self._lose(member, member.lost_by, now)
+
+    def _lose(self, member: Member, why: str, now: float) -> None:
+        """Take in that a process is lost, and let the jobs fail that have cost one worker too many by that.
+
+        One that had said that it would leave was not ended by what it computed.
+        """
+        name = member.hello.name
+        lost = [each for each in self._open_archipelagos() if name in each.workers]
+        for job in dict.fromkeys(each.job for each in lost) or (None,):
+            self._events.record("worker-lost", why, job, worker=name)
+        reasons: list[tuple[str, str]] = []
+        for archipelago in lost if not member.is_leaving else ():
+            self._leases.add_eviction(archipelago.key)
+            self.counters.add(archipelago.job, deaths=1)
+            term = archipelago.placement.term if archipelago.placement is not None else 0
+            reason = self.crash_loops.add_death(archipelago.key, term, (name, member.hello.instance), why)
+            reasons += [(archipelago.job, reason)] if reason is not None else []
+        for job_id, reason in reasons:
+            self._fail_job(job_id, "poison", reason, now)
+
+    def place(self, now: float) -> None:
+        """Begin the terms that are due: first all of them in the store, since each commit takes its time."""
+        self.crash_loops.save()
+        plan = self._scheduler.plan(tuple(self._jobs.values()), now)
+        for key in plan.broken:
+            self._events.record_broken_placement(key)
+        for held in plan.released:
+            for worker in dict.fromkeys(held.workers):
+                self._channel.send(worker, Close(job=held.job, variable=held.variable, term=held.term))
+        placements: list[Placement] = []
+
+        def encode_placement(index: int, term: int) -> bytes:
+            placements.append(plan.assignments[index].placement(self._store.incarnation, term))
+            return encode(placements[-1])
+
+        if plan.assignments:
+            self._store.begin_terms([each.archipelago.key for each in plan.assignments], encode_placement)
+        for each, placement in zip(plan.assignments, placements, strict=True):
+            each.archipelago.place(placement, now)
+            each.job.start_search(now)
+            self._channel.publish(Placements(placements=(placement,)))
+            self.counters.add(placement.job, placements=1)
+            self._events.record_placement(placement)
+
+    def add_commit(self, checkpoint: Checkpoint) -> None:
+        """Take in that a checkpoint is durable: its archipelago gets on."""
+        self._leases.add_commit(checkpoint.key)
+        self.crash_loops.add_commit(checkpoint.key, checkpoint.epoch)
+
+    def check_stalls(self, now: float) -> None:
+        """Record which archipelagos stand still, and which get on again."""
+        for (job, variable), stall in self._stalls.check(self._open_archipelagos(), now):
+            if stall is None:
+                self._events.record("moving", "it gets on again", job, variable=variable)
+                continue
+            self.counters.add(job, stalls=1)
+            self._events.record(
+                "stalled", stall.sentence, job, variable=variable, island=stall.islands[0], epoch=stall.epoch,
+                term=stall.term, worker=stall.worker, cause=stall.cause,
+            )  # fmt: skip
+
+    def stalls(self, job: str) -> tuple[str, ...]:
+        """Return why archipelagos of a job stand still, in words, by variable."""
+        return self._stalls.sentences(job)
+
+    def waiting_reason(self, job: Job) -> str | None:
+        """Return in words what the archipelagos of a job wait for that have no workers; None: all have."""
+        quarantined = self._quarantine.waiting(job.open_archipelagos)
+        if quarantined:
+            return f"islands of {', '.join(quarantined)} are isolated and wait for a worker of their own"
+        is_waiting = any(each.placement is None for each in job.open_archipelagos)
+        return self.membership.waiting_reason() if is_waiting else None
+
+    def forget(self, job: str) -> None:
+        """Forget a job that has ended."""
+        self._leases.forget(job)
+        self.crash_loops.forget(job)
+
+    def _open_archipelagos(self) -> list[Archipelago]:
+        return [each for job in self._jobs.values() for each in job.open_archipelagos]
+
+    def _placed(self, job_id: str, variable: str, term: int) -> Archipelago | None:
+        """Return the archipelago that is placed under a term now; None: there is none."""
+        job = self._jobs.get(job_id)
+        archipelago = job.open_archipelago(variable) if job is not None else None
+        placement = archipelago.placement if archipelago is not None else None
+        return archipelago if placement is not None and placement.term == term else None
