@@ -1,0 +1,106 @@
+"""How many states of checkpoints are pulled at a time, over all archipelagos."""
+
+import pytest
+
+from atoll.search.commit_order import CommitOrder
+from atoll.wire.messages.limits import CHUNK_SIZE
+from atoll.wire.messages.workers import Holding, Placement, PullStates, States
+from atoll.wire.state_transfer import State, cut
+from atoll_coordinator.service.search import checkpoint_coordinator as module
+from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
+from atoll_coordinator.service.search.checkpoint_coordinator import MAX_PULLS, CheckpointCoordinator
+from atoll_coordinator.service.search.checkpoints import FIRST_INTERVAL
+from atoll_coordinator.service.search.collector import Limits, SearchState
+
+COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=8)
+STATE = b"a state of an island"
+
+
+def archipelago(variable: str, workers: int) -> Archipelago:
+    """Return an archipelago with an island on each worker, all of which have a snapshot for the first checkpoint."""
+    names = tuple(f"w{number}" for number in range(workers))
+    limits = Limits(islands=workers, epochs=100, stagnation=100, commit_order=COMMIT_ORDER)
+    made = Archipelago("job", variable, limits, lambda front: 0.0, lambda program: None)
+    placement = Placement(
+        incarnation=1, term=1, job="job", variable=variable, workers=names, epochs=100, interval=FIRST_INTERVAL,
+        commit_order=COMMIT_ORDER,
+    )  # fmt: skip
+    made.place(placement, 0.0)
+    for name in names:
+        holding = Holding(
+            job="job", variable=variable, term=1, islands=1, reported=8, commit=0, snapshots=(FIRST_INTERVAL,)
+        )
+        made.update_holding(name, holding)
+    made.collector._past[FIRST_INTERVAL] = SearchState(epochs=FIRST_INTERVAL)
+    return made
+
+
+def reply(coordinator: CheckpointCoordinator, made: Archipelago, worker: str, pull: PullStates) -> None:
+    pieces = cut(pull.islands, pull.offset, lambda island: State.of(STATE))
+    coordinator.add_states(made, worker, pull, States(pieces=pieces))
+
+
+def complete(coordinator: CheckpointCoordinator, made: Archipelago) -> Checkpoint:
+    """Pull all states of an archipelago and return its checkpoint."""
+    while pulls := coordinator.next_pulls(made):
+        for worker, pull in pulls:
+            reply(coordinator, made, worker, pull)
+    checkpoint = coordinator.take_complete_checkpoint(made)
+    assert checkpoint is not None
+    return checkpoint
+
+
+def test_few_pulls_are_under_way_at_a_time() -> None:
+    coordinator, x, y = CheckpointCoordinator(), archipelago("x", MAX_PULLS + 2), archipelago("y", 1)
+    first = coordinator.next_pulls(x)
+    assert len(first) == MAX_PULLS
+    assert coordinator.next_pulls(x) == coordinator.next_pulls(y) == []
+    reply(coordinator, x, *first[0])
+    assert len(coordinator.next_pulls(y)) == 1
+    assert coordinator.next_pulls(x) == []
+
+
+def test_states_count_from_their_arrival_until_they_are_written() -> None:
+    coordinator, made = CheckpointCoordinator(), archipelago("x", 3)
+    checkpoint = complete(coordinator, made)
+    assert coordinator.held_bytes == checkpoint.size == 3 * len(STATE)
+    assert coordinator.take_complete_checkpoint(made) is None
+    coordinator.mark_written(checkpoint)
+    assert coordinator.held_bytes == 0
+
+
+def test_without_memory_the_checkpoint_that_was_begun_first_goes_on_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MAX_BYTES", CHUNK_SIZE)
+    coordinator, x, y = CheckpointCoordinator(), archipelago("x", 2), archipelago("y", 2)
+    pulls = coordinator.next_pulls(x)
+    assert len(pulls) == 2
+    assert not coordinator.is_short
+    assert coordinator.next_pulls(y) == []
+    assert coordinator.is_short
+    for worker, pull in pulls:
+        reply(coordinator, x, worker, pull)
+    checkpoint = coordinator.take_complete_checkpoint(x)
+    assert checkpoint is not None
+    assert coordinator.next_pulls(y) == []
+    coordinator.mark_written(checkpoint)
+    coordinator.begin_round({y.key: y})
+    assert len(coordinator.next_pulls(y)) == 2
+
+
+def test_states_of_an_archipelago_that_lost_its_placement_count_no_more() -> None:
+    coordinator, made = CheckpointCoordinator(), archipelago("x", 2)
+    (worker, pull), late = coordinator.next_pulls(made)
+    reply(coordinator, made, worker, pull)
+    assert coordinator.held_bytes == len(STATE)
+    made.unplace()
+    coordinator.begin_round({made.key: made})
+    assert coordinator.held_bytes == 0
+    reply(coordinator, made, *late)
+    assert coordinator.held_bytes == 0
+
+
+def test_a_pull_without_an_answer_is_made_again() -> None:
+    coordinator, made = CheckpointCoordinator(), archipelago("x", 1)
+    ((worker, pull),) = coordinator.next_pulls(made)
+    coordinator.add_states(made, worker, pull, None)
+    assert coordinator.next_pulls(made) == [(worker, pull)]

@@ -1,0 +1,89 @@
+"""What a worker is sent after a heartbeat, so that it holds what is placed on it and nothing else."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from atoll.search.commit_order import CommitOrder
+from atoll.wire.messages.workers import Close, CloseJob, Holding, Placement, Placements, PullReports, WorkerStatus
+from atoll_coordinator.service.jobs.job import Job
+from atoll_coordinator.service.search.archipelago import Archipelago
+from atoll_coordinator.service.search.collector import Limits
+from atoll_coordinator.service.workers.reconciliation import Correction, corrections
+
+COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
+TERM = 2
+
+
+def archipelago(*workers: str) -> Archipelago:
+    """Return an archipelago with two islands, placed on these workers if there are any."""
+    limits = Limits(islands=2, epochs=10, stagnation=5, commit_order=COMMIT_ORDER)
+    made = Archipelago("job", "x", limits, lambda front: 0.0, lambda program: None)
+    if workers:
+        placement = Placement(
+            incarnation=1, term=TERM, job="job", variable="x", workers=workers, epochs=10, interval=16,
+            commit_order=COMMIT_ORDER,
+        )  # fmt: skip
+        made.place(placement, 0.0)
+    return made
+
+
+def job(made: Archipelago, state: str = "running") -> Job:
+    is_open = state == "running" and made.cut is None
+    fields = {"state": state, "archipelagos": {"x": made}, "open_archipelagos": (made,) if is_open else ()}
+    return cast(Job, SimpleNamespace(**fields))
+
+
+def answer(jobs: dict[str, Job], *holdings: Holding, datasets: tuple[str, ...] = ()) -> list[Correction]:
+    status = WorkerStatus(instance="i", incarnation=1, state="computing", progress=1, holdings=holdings, jobs=datasets)
+    return corrections(jobs, "a", status)
+
+
+def holding(**changes: Any) -> Holding:
+    return Holding(**{"job": "job", "variable": "x", "term": TERM, "islands": 2, "reported": 0, "commit": 0, **changes})
+
+
+def test_a_worker_that_holds_what_is_placed_on_it_is_sent_nothing() -> None:
+    assert answer({"job": job(archipelago("a", "b"))}, holding(), datasets=("job",)) == []
+
+
+def test_a_missing_placement_is_sent_again() -> None:
+    made = archipelago("a", "b")
+    assert answer({"job": job(made)}) == [Placements(placements=(made.placement,))]
+    assert answer({"job": job(archipelago("b", "b"))}) == []
+
+
+def test_an_old_term_is_answered_with_the_placement_and_a_later_one_with_nothing() -> None:
+    made = archipelago("b", "b")
+    assert answer({"job": job(made)}, holding(term=1)) == [Placements(placements=(made.placement,))]
+    assert answer({"job": job(made)}, holding(term=3)) == []
+
+
+def test_what_is_placed_nowhere_may_be_held() -> None:
+    assert answer({"job": job(archipelago())}, holding()) == []
+
+
+def test_what_was_cut_is_closed_under_the_term_that_is_held() -> None:
+    made = archipelago("a", "a")
+    made.collector.cut_now("cancelled")
+    assert answer({"job": job(made)}, holding()) == [Close(job="job", variable="x", term=TERM)]
+
+
+@pytest.mark.parametrize("state", ["refining", "done", None])
+def test_a_job_whose_search_has_ended_is_closed_with_its_dataset(state: str | None) -> None:
+    jobs = {"job": job(archipelago("a", "a"), state)} if state is not None else {}
+    assert answer(jobs, holding(), datasets=("job",)) == [CloseJob(job="job")] * 2
+
+
+@pytest.mark.parametrize("state", ["queued", "preparing"])
+def test_a_job_that_is_prepared_again_keeps_its_dataset(state: str) -> None:
+    assert answer({"job": job(archipelago(), state)}, holding(), datasets=("job",)) == []
+
+
+def test_lost_reports_are_pulled_and_a_lost_commit_is_sent_again() -> None:
+    made = archipelago("a", "b")
+    made.durable = 4
+    pull, commit = answer({"job": job(made)}, holding(reported=3))
+    assert pull == PullReports(job="job", variable="x", term=TERM, first=0, last=3)
+    assert commit == made.commit()
