@@ -252,7 +252,7 @@ class Controller:
             self._advance_checkpoint(self.jobs[archipelago.job], archipelago.variable, now)
 
     def _advance_checkpoint(self, job: Job | None, variable: str, now: float) -> None:
-        """Do so for one archipelago, of which there is news: to look at all of them each time would take its time."""
+        """Do so for one archipelago, of which something has come; all of them each time would take too long."""
         archipelago = job.open_archipelago(variable) if job is not None else None
         if job is None or archipelago is None:
             return

@@ -75,7 +75,7 @@ class Service:
             bus: open, with a router that workers and clients reach.
             store: open; decides realm and incarnation.
             expected_workers: how many workers the first placement waits for, within limits.
-            dismisses_workers: whether workers are told to end when this ends; otherwise they wait for its return.
+            dismisses_workers: whether workers are shut down when this ends; otherwise they wait for its return.
             ports: the pool of processes, the time of day and so on; the real ones unless given.
             roster: names and roles, where certificates prove names; None: every name may be anybody.
         """
@@ -257,5 +257,5 @@ class Service:
             self._bus.reply(event, None)
             raise
         self._bus.reply(event, answer)
-        if self._requests.store_error is not None:  # whoever asked has been told; now this is the end
+        if self._requests.store_error is not None:  # the client has its answer; the coordinator ends
             raise self._requests.store_error

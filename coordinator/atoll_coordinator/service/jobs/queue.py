@@ -29,7 +29,7 @@ def ahead_of(job: Job, jobs: Iterable[Job]) -> int | None:
     return waiting_jobs(jobs).index(job) if job.state == "queued" else None
 
 
-def waits_for_turn(job: Job, jobs: Iterable[Job]) -> str:
+def waiting_reason(job: Job, jobs: Iterable[Job]) -> str:
     """Return in words what a queued job waits for."""
     jobs = tuple(jobs)
     ahead = waiting_jobs(jobs).index(job)

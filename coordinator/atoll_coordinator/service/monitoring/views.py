@@ -14,8 +14,8 @@ from atoll.wire.messages.views import JobCounters, JobState, JobView, VariableVi
 from atoll_coordinator.model.report.numbers import finite
 from atoll_coordinator.model.report.result import KNOWN, Account, VariableOutcome, build_result, equation_of
 from atoll_coordinator.model.report.trust import verdict
+from atoll_coordinator.service.jobs import queue
 from atoll_coordinator.service.jobs.job import Job, Prepared
-from atoll_coordinator.service.jobs.queue import ahead_of, waits_for_turn
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.cut import Why
 from atoll_coordinator.service.store.jobs import JobRecord
@@ -94,7 +94,7 @@ def job_view(
         state=job.state,
         seed=job.config.seed,
         preset=job.config.preset,
-        reason=waits_for_turn(job, jobs) if job.state == "queued" else job.reason or waiting_reason,
+        reason=queue.waiting_reason(job, jobs) if job.state == "queued" else job.reason or waiting_reason,
         fault=job.fault,
         warnings=job.prepared.dataset.warnings if job.prepared else (),
         submitted=job.submitted,
@@ -104,7 +104,7 @@ def job_view(
         point_evaluations_per_second=evaluations / seconds if seconds > 0.0 and evaluations else None,
         variables=variables,
         priority=job.priority,
-        ahead=ahead_of(job, jobs),
+        ahead=queue.ahead_of(job, jobs),
         stalls=stalls,
         counters=counters,
         target_error=job.config.budget.target_error,

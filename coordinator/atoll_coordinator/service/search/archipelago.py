@@ -32,7 +32,7 @@ from atoll_coordinator.service.search.collector import Collector, Limits, Measur
 from atoll_coordinator.service.search.cut import Cut
 
 FORGET_EPOCHS: Final = 16
-"""Workers are told in steps of so many epochs what nobody will ask them for any more."""
+"""Commits that only say what workers may forget are published in steps of so many epochs."""
 
 MOST_PULLED_EPOCHS: Final = 64
 
@@ -252,7 +252,7 @@ class Archipelago:
         return Checkpoint(self.job, self.variable, placement.term, gathering.epoch, state, states)
 
     def mark_durable(self, checkpoint: Checkpoint, now: float) -> Commit | None:
-        """Take in that a checkpoint is durable; return what the workers are to be told."""
+        """Take in that a checkpoint is durable; return the commit that is published, if its term is the current one."""
         self.is_writing = False
         epochs, seconds = checkpoint.epoch - self.durable, now - self._durable_at
         self.interval = interval_of(seconds / epochs, checkpoint.size, self.interval)
@@ -266,7 +266,7 @@ class Archipelago:
         return self.commit()
 
     def commit(self) -> Commit | None:
-        """Return the current commit, for a worker that does not know it yet."""
+        """Return the current commit; None without a placement."""
         if self.placement is None:
             return None
         return Commit(

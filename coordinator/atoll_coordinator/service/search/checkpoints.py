@@ -117,7 +117,7 @@ class Gathering:
         return {island: state for each in self._assemblies.values() for island, state in each.states.items()}
 
     def next_pulls(self, most: int) -> list[tuple[str, PullStates]]:
-        """Return at most so many questions, each with its worker, and note them as under way."""
+        """Return at most so many pulls, each with its worker; they count as under way."""
         waiting = [name for name, each in self._assemblies.items() if name not in self._asked and not each.is_complete]
         pulls = [(name, self._pull(self._assemblies[name])) for name in waiting[: max(0, most)]]
         self._asked.update(name for name, _ in pulls)
@@ -161,8 +161,8 @@ def interval_of(epoch_s: float, size: int, former: int) -> int:
 def schedule_after(schedule: Schedule, epoch: int, interval: int, holds: bool) -> Schedule:
     """Return the checkpoints that follow when the one for `epoch` is durable.
 
-    The one that has been told already stays; the new one lies `interval` epochs behind it or, when all islands are to
-    wait there, one epoch: no island can have passed an epoch that none has been told of.
+    The one that workers know already stays; the new one lies `interval` epochs behind it or, when all islands are to
+    wait there, one epoch: no island can have passed an epoch that no worker knows of.
     """
     if schedule.holds:
         return Schedule(next=schedule.last, last=schedule.last, holds=True)

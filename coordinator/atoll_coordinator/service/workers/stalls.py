@@ -15,7 +15,7 @@ PATIENCE_S: Final[dict[Cause, float]] = {
     "silence": 5.0, "absence": 3.0, "compiling": 5.0, "not taken up": 5.0, "lost report": 5.0, "standing": 10.0,
     "others": 30.0, "migrants": 5.0, "slow": 60.0,
 }  # fmt: skip
-"""For how many seconds an archipelago must stand still, and the cause last, before that is told."""
+"""For how many seconds an archipelago must stand still, and the cause last, before that is a stall."""
 
 _SILENT_S: Final = 3.0
 _STANDING_S: Final = 5.0
@@ -36,7 +36,7 @@ class Stall:
 
 
 def stall_of(archipelago: Archipelago, membership: Membership, still_s: float) -> Stall | None:
-    """Return why no further epoch of an archipelago is complete, or None when there is nothing to tell.
+    """Return why no further epoch of an archipelago is complete, or None when it is no stall.
 
     Args:
         archipelago: any one; only one that is placed and not cut can stand still.
@@ -69,13 +69,13 @@ def _stall(
     epoch, member = archipelago.collector.state.epochs, membership.member(worker)
     stall = Stall("absence", worker, islands, epoch, placement.term, still_s, "")
     waits = f"waiting for {named(islands)} on worker {worker}"
-    cause, said, seconds = _cause(archipelago, member, membership.checked_at, epoch, still_s)
+    cause, words, seconds = _cause(archipelago, member, membership.checked_at, epoch, still_s)
     sentence = {
         "lost report": f"waiting for the report of epoch {epoch} from worker {worker}",
         "not taken up": f"waiting for worker {worker} to take up {named(islands)} under term {placement.term}",
-        "standing": f"computing slowly: {said} on worker {worker}, {seconds:.0f} s without progress",
+        "standing": f"computing slowly: {words} on worker {worker}, {seconds:.0f} s without progress",
         "slow": f"computing slowly: {named(islands)} on worker {worker}, epoch {epoch}, for {seconds:.0f} s",
-    }.get(cause, f"{waits}, {said}")
+    }.get(cause, f"{waits}, {words}")
     return replace(stall, cause=cause, seconds=seconds, sentence=sentence)
 
 
@@ -118,7 +118,7 @@ def named(islands: Sequence[int]) -> str:
 
 
 class StallDetector:
-    """Since when each archipelago stands still, and the stalls that people have been told of."""
+    """Since when each archipelago stands still, and the stalls that last."""
 
     def __init__(self, membership: Membership) -> None:
         self._membership = membership
@@ -154,5 +154,5 @@ class StallDetector:
 
 
 def _identity(stall: Stall | None) -> tuple[str, str] | None:
-    """Return by what a stall differs from another one that people are told of."""
+    """Return by what a stall differs from another: one that only lasts longer is the same."""
     return (stall.cause, stall.worker) if stall is not None else None

@@ -2,7 +2,7 @@
 
 from atoll.config import JobConfig
 from atoll_coordinator.service.jobs.job import Job
-from atoll_coordinator.service.jobs.queue import MAX_RUNNING, ahead_of, next_job, waiting_jobs, waits_for_turn
+from atoll_coordinator.service.jobs.queue import MAX_RUNNING, ahead_of, next_job, waiting_jobs, waiting_reason
 from atoll_coordinator.service.store.jobs import JobRecord
 
 
@@ -29,7 +29,7 @@ def test_one_job_is_prepared_at_a_time_while_there_is_room() -> None:
 
 def test_what_a_queued_job_waits_for_is_said() -> None:
     jobs = [job("r", state="running"), job("a"), job("b"), job("c")]
-    said = [waits_for_turn(each, jobs) for each in jobs[1:]]
+    said = [waiting_reason(each, jobs) for each in jobs[1:]]
     assert said == [
         "waits for its turn (it is next; 1 job is under way)",
         "waits for its turn (1 job before it)",

@@ -1,4 +1,4 @@
-"""The states of checkpoints take no more room at the coordinator than they are given, and nobody waits for ever."""
+"""The states of checkpoints take no more memory at the coordinator than they are given, and nobody waits for ever."""
 
 import pytest
 
@@ -42,7 +42,7 @@ def run(monkeypatch: pytest.MonkeyPatch) -> tuple[list[str], list[int]]:
     return [comparable(world.result(f"job{seed}")) for seed in range(JOBS)], held
 
 
-def test_without_any_room_one_checkpoint_goes_through_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_any_memory_one_checkpoint_goes_through_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     answers, held = run(monkeypatch)
     assert max(held) > ISLANDS * STATE_BYTES
     with monkeypatch.context() as crowded:
