@@ -150,7 +150,7 @@ class ShootingSettings:
 
 @dataclass(frozen=True)
 class SelectionSettings:
-    """Which equations together are the model. Work is counted by the shooter, see `Shooter.work`."""
+    """Which equations together are the model. Work is counted by the estimator, see `MultipleShooting.work`."""
 
     alternatives: int = 8
     """Alternative equations of a variable that are reported, at most."""

@@ -30,7 +30,7 @@ from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks
 from atoll_coordinator.model.selection.rounding import round_system
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.multiple_shooting import Shot
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.like_terms import gathered
 from atoll_coordinator.model.structure.unit_coefficients import (
@@ -87,9 +87,9 @@ def summarize(selection: SelectedModel) -> Refinement | None:
         name: _refined(final, index, constants[index], _prediction_r2(final, out, index))
         for index, name in enumerate(task.variables)
     }
-    measurements = final.comparison.shooter.measurements
-    spread = bands(measurements, final.free.shot, *scaled_covariance(final.comparison, final.free.shot, errors))
-    trajectories = simulated(measurements, final.shown_fit.shot, spread, task.variables, held_out=False)
+    measurements = final.comparison.estimator.measurements
+    spread = bands(measurements, final.free.fit, *scaled_covariance(final.comparison, final.free.fit, errors))
+    trajectories = simulated(measurements, final.shown_fit.fit, spread, task.variables, held_out=False)
     return Refinement(
         equations,
         Simulation(task.variables, (*trajectories, *(out.trajectories if out is not None else ()))),
@@ -110,9 +110,9 @@ def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> _
     ):
         shown = tuple(_tidied(whole.task, comparison, equation, program) for equation, program in enumerate(programs))
         explicit, free = _freed(comparison, best, shown)
-        shot = fit_starts(comparison, shown, best.shot)
-        if free is not None and shot is not None:
-            final = comparison.measure(shown, shot)
+        fit = fit_starts(comparison, shown, best.fit)
+        if free is not None and fit is not None:
+            final = comparison.measure(shown, fit)
             return _Final(whole.task, ranking, origins, _unseen(whole.task), comparison, shown, explicit, free, final)
     return None
 
@@ -151,28 +151,28 @@ def _held_out(
 
     With the `errors` of the constants there are bands; these programs are the ones shown, then.
     """
-    measurements = unseen.shooter.measurements
-    shot = fit_starts(unseen, programs)
-    if shot is None:
+    measurements = unseen.estimator.measurements
+    fit = fit_starts(unseen, programs)
+    if fit is None:
         return _HeldOut(
             tuple(not_simulated(measurements, held_out=True)), tuple(-np.inf for _ in measurements.observed)
         )
-    spread = None if errors is None else _carried_bands(final, unseen, shot, errors)
+    spread = None if errors is None else _carried_bands(final, unseen, fit, errors)
     return _HeldOut(
-        tuple(simulated(measurements, shot, spread, final.task.variables, held_out=True)),
-        tuple(r2_of(measurements, shot, slice(None))),
+        tuple(simulated(measurements, fit, spread, final.task.variables, held_out=True)),
+        tuple(r2_of(measurements, fit, slice(None))),
     )
 
 
-def _carried_bands(final: _Final, unseen: ModelComparison, shot: Shot, errors: Errors) -> FloatArray | None:
+def _carried_bands(final: _Final, unseen: ModelComparison, fit: TrajectoryFit, errors: Errors) -> FloatArray | None:
     """Return the standard errors (O, N) of held-out trajectories as simulated; None when they cannot be told."""
     system = unseen.system([each.program for each in final.explicit])
-    free = final.free.shot
-    near = unseen.shooter.fit(system, None, 0, shot.starts, free.sigmas, is_stiff=shot.is_stiff)
+    free = final.free.fit
+    near = unseen.estimator.fit(system, None, 0, fit.starts, free.sigmas, is_stiff=fit.is_stiff)
     return (
         None
         if near is None
-        else bands(unseen.shooter.measurements, near, *scaled_covariance(final.comparison, free, errors))
+        else bands(unseen.estimator.measurements, near, *scaled_covariance(final.comparison, free, errors))
     )
 
 
@@ -185,14 +185,14 @@ def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None)
     nearest = _no_elaborations(final.ranking.selection.model.programs[index], alternatives)
     variance = problem.target.standard_deviation**2
     smoothing = task.recording.smoothing[task.recording.states.index(name)]
-    measurements = final.comparison.shooter.measurements
+    measurements = final.comparison.estimator.measurements
     evidence = Evidence(
         error=error / problem.target.standard_deviation,
         target_uncertainty=problem.target.uncertainty,
         convergence_threshold=problem.target.convergence_threshold(),
         target_r2=1.0 - mse / variance if variance else None,
-        residuals=_residuals(measurements, final.shown_fit.shot, index),
-        parameters=(len(final.free.shot.system.places) + final.free.shot.starts.size) / len(measurements.observed),
+        residuals=_residuals(measurements, final.shown_fit.fit, index),
+        parameters=(len(final.free.fit.system.places) + final.free.fit.starts.size) / len(measurements.observed),
         noise=0.0 if smoothing.method == "interpolation" else smoothing.noise,
         standard_deviation=_standard_deviation(measurements, index),
         has_outliers=smoothing.outliers > 0,
@@ -218,13 +218,13 @@ def _no_elaborations(program: Program, alternatives: Sequence[Alternative]) -> l
     return [each for each in alternatives if not each.is_shown and len(constant_places(each.program)) <= most]
 
 
-def _residuals(measurements: Measurements, shot: Shot, index: int) -> list[FloatArray]:
+def _residuals(measurements: Measurements, fit: TrajectoryFit, index: int) -> list[FloatArray]:
     """Return what is left of a state along each piece, where it was measured and counts, as in a row of weight 1."""
     pieces = [slice(first, end) for first, end in measurements.bounds.tolist()]
     residuals = (
-        shot.residuals[index]
-        if measurements.precision is None
-        else shot.residuals[index] * np.sqrt(measurements.precision)
+        fit.residuals[index]
+        if measurements.inverse_variances is None
+        else fit.residuals[index] * np.sqrt(measurements.inverse_variances)
     )
     parts = [residuals[rows][measurements.weights[index, rows] > 0.0] for rows in pieces]
     return [part for part in parts if len(part)]
@@ -246,13 +246,13 @@ def _reported_alternatives(final: _Final, index: int, held_out_r2: float | None)
     """Return the equation that is shown and what came closest to it, all other equations as they are."""
     ranking = final.ranking
     comparison, best = ranking.selection.comparison, ranking.selection.model
-    r2 = r2_of(final.comparison.shooter.measurements, final.shown_fit.shot, slice(None))[index]
+    r2 = r2_of(final.comparison.estimator.measurements, final.shown_fit.fit, slice(None))[index]
     origin = final.origin(index, best.programs[index])
     is_crossed = final.unseen is None and ranking.validated is not None
     found = [Alternative(final.shown[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
     for alternative in ranking.alternatives[index]:
         program, nats = alternative.model.programs[index], alternative.model.nats - best.nats
-        r2 = r2_of(comparison.shooter.measurements, alternative.model.shot, slice(None))[index]
+        r2 = r2_of(comparison.estimator.measurements, alternative.model.fit, slice(None))[index]
         held_out_r2 = None if alternative.validated is None else alternative.validated.r2[index]
         if nats <= SETTINGS.selection.validated_nats and final.unseen is not None:
             held_out_r2 = _held_out(final, final.unseen, alternative.model.programs).r2[index]

@@ -16,7 +16,7 @@ from atoll_coordinator.model.selection.comparison import FittedModel, ModelCompa
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.multiple_shooting import Shot
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.structure.unit_coefficients import ONE, ExplicitCoefficients
 
 
@@ -39,11 +39,11 @@ class Errors:
 
 def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
     """Return the errors of the constants of a fit, variances corrected for the numbers fitted."""
-    shot = model.shot
-    counts = float(comparison.counts.sum()) / comparison.coherence
-    fitted = len(shot.system.places) + shot.starts.size
+    fit = model.fit
+    counts = float(comparison.counts.sum()) / comparison.correlation_length
+    fitted = len(fit.system.places) + fit.starts.size
     freedom = max(counts - fitted, 1.0)
-    return Errors(shot.system.values, covariance(shot) * (comparison.coherence * counts / freedom), freedom)
+    return Errors(fit.system.values, covariance(fit) * (comparison.correlation_length * counts / freedom), freedom)
 
 
 def describe_constants(
@@ -110,19 +110,21 @@ def find_correlations(
     return tuple(sorted(pairs, key=lambda pair: -abs(pair.value)))
 
 
-def fit_starts(comparison: ModelComparison, programs: Sequence[Program], near: Shot | None = None) -> Shot | None:
+def fit_starts(
+    comparison: ModelComparison, programs: Sequence[Program], near: TrajectoryFit | None = None
+) -> TrajectoryFit | None:
     """Return `programs`, all constants as they are, fitted to the trajectories by their initial states alone."""
     system = comparison.system(programs, [constant_places(program) for program in programs])
     starts, sigmas = (None, None) if near is None else (near.starts, near.sigmas)
-    return comparison.shooter.fit(system, None, SETTINGS.inference.start_steps, starts, sigmas)
+    return comparison.estimator.fit(system, None, SETTINGS.inference.start_steps, starts, sigmas)
 
 
 def simulated(
-    measurements: Measurements, shot: Shot, errors: FloatArray | None, states: Sequence[str], *, held_out: bool
+    measurements: Measurements, fit: TrajectoryFit, errors: FloatArray | None, states: Sequence[str], *, held_out: bool
 ) -> list[Simulated]:
     """Return the simulations of all trajectories of `states`; `errors` are (O, N)."""
-    offsets = _offsets(measurements, shot)
-    values = shot.simulated[measurements.observed]
+    offsets = _offsets(measurements, fit)
+    values = fit.simulated[measurements.observed]
     for state, offset in zip(measurements.offset.tolist(), offsets, strict=True):
         values[state] += offset
     return [
@@ -132,7 +134,7 @@ def simulated(
             measurements.times[rows],
             values[:, rows],
             None if errors is None else errors[:, rows],
-            tuple(r2_of(measurements, shot, rows)),
+            tuple(r2_of(measurements, fit, rows)),
             {
                 states[state]: float(offset[rows].mean())
                 for state, offset in zip(measurements.offset, offsets, strict=True)
@@ -142,10 +144,10 @@ def simulated(
     ]
 
 
-def _offsets(measurements: Measurements, shot: Shot) -> list[FloatArray]:
+def _offsets(measurements: Measurements, fit: TrajectoryFit) -> list[FloatArray]:
     """Return for each state that has one the offset at every row (N,)."""
-    lengths = shot.segments[:, 1] - shot.segments[:, 0]
-    columns = shot.starts[:, shot.starts.shape[1] - len(measurements.offset) :].T
+    lengths = fit.segments[:, 1] - fit.segments[:, 0]
+    columns = fit.starts[:, fit.starts.shape[1] - len(measurements.offset) :].T
     return [np.repeat(column, lengths) for column in columns]
 
 
@@ -168,30 +170,32 @@ def _rows_of(measurements: Measurements) -> list[tuple[str, FloatArray]]:
     return found
 
 
-def r2_of(measurements: Measurements, shot: Shot, rows: FloatArray | slice) -> list[float | None]:
+def r2_of(measurements: Measurements, fit: TrajectoryFit, rows: FloatArray | slice) -> list[float | None]:
     """Return for each measured state the share of its variance along these rows that the simulation explains."""
     found: list[float | None] = []
     for state in range(len(measurements.observed)):
         weights = measurements.weights[state, rows]
-        left = weights * shot.residuals[state, rows] ** 2
+        left = weights * fit.residuals[state, rows] ** 2
         values = measurements.measured[state, rows][weights > 0.0]
-        precision = (
-            np.ones(len(values)) if measurements.precision is None else measurements.precision[rows][weights > 0.0]
+        inverse_variances = (
+            np.ones(len(values))
+            if measurements.inverse_variances is None
+            else measurements.inverse_variances[rows][weights > 0.0]
         )
-        mean = float((precision * values).sum() / precision.sum()) if len(values) else 0.0
-        spread = float((precision * (values - mean) ** 2).sum())
+        mean = float((inverse_variances * values).sum() / inverse_variances.sum()) if len(values) else 0.0
+        spread = float((inverse_variances * (values - mean) ** 2).sum())
         found.append(1.0 - float(left.sum()) / spread if spread > 0.0 else None)
     return found
 
 
-def scaled_covariance(comparison: ModelComparison, shot: Shot, errors: Errors) -> tuple[FloatArray, float]:
+def scaled_covariance(comparison: ModelComparison, fit: TrajectoryFit, errors: Errors) -> tuple[FloatArray, float]:
     """Return the covariance (P, P) of the constants, large where it is infinite, and what variances are to be scaled
     by: the sum of weights over the rows left to judge by."""
-    scale = float(comparison.shooter.measurements.weights.sum()) / errors.freedom
-    return scale * bounded_covariance(shot), scale
+    scale = float(comparison.estimator.measurements.weights.sum()) / errors.freedom
+    return scale * bounded_covariance(fit), scale
 
 
-def bands(measurements: Measurements, shot: Shot, spread: FloatArray, scale: float) -> FloatArray:
+def bands(measurements: Measurements, fit: TrajectoryFit, spread: FloatArray, scale: float) -> FloatArray:
     """Return the standard errors (O, N) of the simulated states: those of constants and initial states together.
 
     To first order: with sensitivities J of the constants and Y of a piece's initial state, whose normal equations have
@@ -200,16 +204,16 @@ def bands(measurements: Measurements, shot: Shot, spread: FloatArray, scale: flo
 
     Args:
         measurements: the trajectories.
-        shot: the fit of their initial states, in which the constants are free.
+        fit: the fit of their initial states, in which the constants are free.
         spread: S, the covariance (P, P) of the constants.
         scale: what variances that follow from normal equations are multiplied by.
     """
-    fitted = len(shot.system.places)
+    fitted = len(fit.system.places)
     found = np.zeros((len(measurements.observed), measurements.rows))
-    sensitivities = shot.integrated_sensitivities()
-    for group, (first, end) in enumerate(shot.segments.tolist()):
-        own = np.linalg.pinv(shot.own[group], hermitian=True)
-        carried = own @ shot.coupling[group].T
+    sensitivities = fit.integrated_sensitivities()
+    for group, (first, end) in enumerate(fit.segments.tolist()):
+        own = np.linalg.pinv(fit.own[group], hermitian=True)
+        carried = own @ fit.coupling[group].T
         for state, index in enumerate(measurements.observed.tolist()):
             gradients = sensitivities[first:end, index]
             starts = gradients[:, fitted:]

@@ -18,7 +18,7 @@ from atoll.expression.program import Program, constant_places, structure
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.refinement import NORMAL_95, Constant, Member, Refined, may_be_shown
 from atoll_coordinator.model.regression.errors import errors_on
-from atoll_coordinator.model.regression.fit import Polisher
+from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import round_constants
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
 from atoll_coordinator.model.regression.standard_errors import standard_errors
@@ -81,17 +81,17 @@ def _finished(
     """Decide the constants on more rows where there are more; measure errors and standard errors."""
     program = candidate.model.program
     decisive = _spread(problem, SETTINGS.regression.deciding_rows)
-    criterion, polisher = (
+    criterion, least_squares = (
         RegressionCriterion.of(decisive.target),
-        Polisher(decisive, _spread_weights(weights, SETTINGS.regression.deciding_rows)),
+        LeastSquares(decisive, _spread_weights(weights, SETTINGS.regression.deciding_rows)),
     )
     if len(problem.target.values) > SETTINGS.regression.compared_rows:
-        program = round_constants(polisher.fit(candidate.fitted.program), criterion, polisher).program
+        program = round_constants(least_squares.fit(candidate.fitted.program), criterion, least_squares).program
     if may_be_shown(gathered(program), config.space.max_size):
         program = gathered(program)
     error, mse = errors_on(problem, program, config.evolution.loss)
-    fitted = polisher.fit(program).program
-    std_errors = standard_errors(polisher.fit(program, steps=0), criterion)
+    fitted = least_squares.fit(program).program
+    std_errors = standard_errors(least_squares.fit(program, steps=0), criterion)
     return Refined(member, program, error, mse, _constants(program, fitted, std_errors))
 
 

@@ -29,7 +29,7 @@ class Fitted:
     normal: FloatArray
 
 
-class Polisher:
+class LeastSquares:
     """Fits programs to the rows of one problem; `evaluations` counts the point evaluations, overhead included."""
 
     def __init__(self, problem: Problem, weights: FloatArray | None = None) -> None:

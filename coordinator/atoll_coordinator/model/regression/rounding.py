@@ -14,7 +14,7 @@ import numpy as np
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, with_constants
 from atoll_coordinator.model.criteria import RegressionCriterion
-from atoll_coordinator.model.regression.fit import Fitted, Polisher
+from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.simple_numbers import fitted_length, simple_numbers
 from atoll_coordinator.model.regression.standard_errors import covariance_of, description_length, standard_errors
 from atoll_coordinator.model.settings import SETTINGS
@@ -48,14 +48,14 @@ class Decision:
         return self.decided + sum(map(fitted_length, self.means.tolist(), errors))
 
 
-def round_constants(fitted: Fitted, criterion: RegressionCriterion, polisher: Polisher) -> Model:
+def round_constants(fitted: Fitted, criterion: RegressionCriterion, least_squares: LeastSquares) -> Model:
     """Return the shortest model that comes from `fitted` by making constants simple; itself when none is shorter."""
     best = Model(fitted.program, description_length(fitted, criterion), fitted.mse)
     places = constant_places(fitted.program)
     if not 0 < len(places) <= SETTINGS.regression.most_rounded_constants or not math.isfinite(best.length):
         return best
     for decision in decisions(fitted.program.constants[places], covariance_of(fitted, criterion)):
-        model = _measured(fitted.program, places, decision, criterion, polisher)
+        model = _measured(fitted.program, places, decision, criterion, least_squares)
         if model.length <= best.length:
             best = model
     return best
@@ -103,17 +103,17 @@ def _decided(decision: Decision, k: int, index: int, number: float, nats: float)
 
 
 def _measured(
-    program: Program, places: list[int], decision: Decision, criterion: RegressionCriterion, polisher: Polisher
+    program: Program, places: list[int], decision: Decision, criterion: RegressionCriterion, least_squares: LeastSquares
 ) -> Model:
     """Return the model of a decision, its open constants fitted and its neutral ones gone."""
     values = {places[index]: number for index, number in decision.numbers}
     prices = {number: min(simple_numbers(number, 0.0).values(), default=0.0) for number in values.values()}
     values |= {places[index]: float(mean) for index, mean in zip(decision.open, decision.means, strict=True)}
-    refitted = polisher.fit(with_constants(program, values), [places[index] for index, _ in decision.numbers])
+    refitted = least_squares.fit(with_constants(program, values), [places[index] for index, _ in decision.numbers])
     opened = refitted.program.constants[[places[index] for index in decision.open]].tolist()
     prices |= dict(zip(opened, map(fitted_length, opened, standard_errors(refitted, criterion)), strict=True))
     shown = tidied(refitted.program)
-    mse = polisher.mse(shown)
+    mse = least_squares.mse(shown)
     remaining = set(np.abs(shown.constants[constant_places(shown)]).tolist())
     numbers = sum(price for number, price in prices.items() if abs(number) in remaining)
     return Model(shown, criterion.length(mse, shown, numbers), mse)

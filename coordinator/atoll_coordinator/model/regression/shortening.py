@@ -17,7 +17,7 @@ import numpy as np
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.program import Program, structure
 from atoll_coordinator.model.criteria import RegressionCriterion, program_length
-from atoll_coordinator.model.regression.fit import Fitted, Polisher
+from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.rounding import Model, round_constants
 from atoll_coordinator.model.regression.standard_errors import description_length
 from atoll_coordinator.model.settings import SETTINGS
@@ -55,7 +55,7 @@ class Shortening:
         `weights` (R,) of the rows are 1 on average; None: all alike.
         """
         self.criterion: Final = RegressionCriterion.of(problem.target)
-        self.polisher: Final = Polisher(problem, weights)
+        self.least_squares: Final = LeastSquares(problem, weights)
         self._variables = range(len(problem.names)) if variables is None else variables
         self._operators = operators
         self._fits: dict[bytes, tuple[Fitted, float]] = {}
@@ -109,7 +109,7 @@ class Shortening:
         for fitted in fits:
             key = structure(fitted.program)
             if key not in found:
-                found[key] = Candidate(member, fitted, round_constants(fitted, self.criterion, self.polisher))
+                found[key] = Candidate(member, fitted, round_constants(fitted, self.criterion, self.least_squares))
 
     def _fitted(self, program: Program, enough: float = 0.0) -> Fitted:
         """Return `program` fitted; less well when it is not going to come near the mean squared error `enough`."""
@@ -117,7 +117,7 @@ class Shortening:
         known = self._fits.get(key)
         if known is None or (known[0].mse > known[1] > 0.0 and not 0.0 < enough <= known[1]):
             known = (
-                self.polisher.fit(
+                self.least_squares.fit(
                     program,
                     enough=enough,
                     steps=SETTINGS.regression.trial_steps if enough else SETTINGS.regression.shortening_steps,
@@ -179,4 +179,4 @@ class Shortening:
         return [fitted for _, one in nearest for fitted in (one, self._reduced(one))]
 
     def _is_exhausted(self) -> bool:
-        return self.polisher.evaluations > SETTINGS.regression.most_evaluations
+        return self.least_squares.evaluations > SETTINGS.regression.most_evaluations

@@ -81,7 +81,7 @@ def _winner(
     for each in (alternative for its in alternatives for alternative in its):
         if each.validated is None or each.model.nats > model.nats + SETTINGS.selection.undecided_nats:
             continue
-        if len(each.model.shot.system.places) > len(model.shot.system.places):
+        if len(each.model.fit.system.places) > len(model.fit.system.places):
             continue
         nats = validated_length(each.validated.misfit, each.model.programs)
         if nats < best:

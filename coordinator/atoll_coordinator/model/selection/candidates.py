@@ -13,7 +13,7 @@ from atoll.data.dataset import Dataset, Problem
 from atoll.expression.program import Program, structure
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs
 from atoll_coordinator.model.refinement import Member, Origin, Pools, decode_members
-from atoll_coordinator.model.regression.fit import Polisher
+from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import ModelComparison, distinct
 from atoll_coordinator.model.selection.elimination import eliminated
 from atoll_coordinator.model.settings import SETTINGS
@@ -95,17 +95,17 @@ def ranked(
         programs: candidates; of equal structures the first counts.
         libraries: terms that are left out one after another.
     """
-    polisher = Polisher(problem)
+    least_squares = LeastSquares(problem)
     unique = {structure(program): program for program in reversed([tidied(each) for each in programs])}
     polished = [
-        polisher.fit(program, steps=SETTINGS.selection.regression_steps) for program in reversed(unique.values())
+        least_squares.fit(program, steps=SETTINGS.selection.regression_steps) for program in reversed(unique.values())
     ]
     started = [each.program for each in polished if np.isfinite(each.mse)]
     found = comparison.fit_all(
         lambda program: comparison.fit_model([program], 4, (SETTINGS.selection.short_segment,)), started
     )[: SETTINGS.selection.kept_candidates]
     for terms in libraries:
-        if comparison.shooter.work < SETTINGS.selection.library_work:
+        if comparison.estimator.work < SETTINGS.selection.library_work:
             found += eliminated(comparison, problem, terms)
     chosen = {structure(each.programs[0]): each.programs[0] for each in found}
     longer = comparison.fit_all(

@@ -16,8 +16,9 @@ import numpy as np
 from atoll.expression.program import Program, constant_places, structure
 from atoll_coordinator.model.criteria import constant_nats_of, system_length, trajectory_misfit
 from atoll_coordinator.model.settings import SETTINGS
-from atoll_coordinator.model.shooting.multiple_shooting import Shooter, Shot, staged
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import System, split, system_of
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 
 Item = TypeVar("Item")
 
@@ -30,7 +31,7 @@ class FittedModel:
     """
 
     programs: tuple[Program, ...]
-    shot: Shot
+    fit: TrajectoryFit
     misfit: float
     nats: float
 
@@ -45,19 +46,19 @@ class ModelComparison:
     """
 
     def __init__(
-        self, shooter: Shooter, names: Sequence[str], fixed: Iterable[int] = (), leading: Sequence[Program] = (),
-        executor: Executor | None = None,
+        self, estimator: MultipleShooting, names: Sequence[str], fixed: Iterable[int] = (),
+        leading: Sequence[Program] = (), executor: Executor | None = None,
     ) -> None:  # fmt: skip
-        measurements = shooter.measurements
-        self.shooter: Final = shooter
+        measurements = estimator.measurements
+        self.estimator: Final = estimator
         self.names: Final = tuple(names)
         self.fixed: Final = frozenset(fixed)
         self.leading: Final = tuple(leading)
         self.tried: Final[dict[tuple[int, bytes], FittedModel]] = {}
         self.counts: Final = measurements.weights.sum(axis=1)
         self.least_errors: Final = SETTINGS.selection.exact * measurements.scales[measurements.observed]
-        self.coherence: Final = measurements.coherence
-        self.constant_nats: Final = constant_nats_of(measurements.rows / measurements.coherence)
+        self.correlation_length: Final = measurements.correlation_length
+        self.constant_nats: Final = constant_nats_of(measurements.rows / measurements.correlation_length)
         self._map: Final = map if executor is None else executor.map
 
     def fit_all(self, work: Callable[[Item], FittedModel | None], items: Iterable[Item]) -> list[FittedModel]:
@@ -68,10 +69,10 @@ class ModelComparison:
     def _bounded(
         self, work: Callable[[Item], FittedModel | None], items: Sequence[Item], until: float
     ) -> list[FittedModel]:
-        """Return what `map` does, of the first items as far as the shooter's work is less than `until`."""
+        """Return what `map` does, of the first items as far as the estimator's work is less than `until`."""
         found: list[FittedModel] = []
         for first in range(0, len(items), SETTINGS.selection.batch):
-            if first and self.shooter.work >= until:
+            if first and self.estimator.work >= until:
                 break
             found += self.fit_all(work, items[first : first + SETTINGS.selection.batch])
         return sorted(found, key=lambda model: model.nats)
@@ -83,7 +84,7 @@ class ModelComparison:
             for index, program in enumerate(programs)
         ]
         none: list[set[int]] = [set() for _ in self.leading]
-        variables = self.shooter.measurements.variables
+        variables = self.estimator.measurements.variables
         return system_of([*self.leading, *programs], self.names, variables, [*none, *fixed])
 
     def fit_model(
@@ -93,14 +94,14 @@ class ModelComparison:
         lengths: Sequence[int | None] = SETTINGS.selection.first_lengths,
     ) -> FittedModel | None:
         """Return the fitted system of `programs`, None when it cannot be simulated."""
-        shot = staged(self.shooter, self.system(programs), lengths, steps)
-        return None if shot is None else self.measure(programs, shot)
+        fit = fit_in_stages(self.estimator, self.system(programs), lengths, steps)
+        return None if fit is None else self.measure(programs, fit)
 
     def fit_beside(self, near: FittedModel, programs: Sequence[Program], steps: int = 20) -> FittedModel | None:
         """Return the fitted system of `programs`, begun with the initial states of `near`."""
-        its = near.shot
-        shot = self.shooter.fit(self.system(programs), None, steps, its.starts, its.sigmas, is_stiff=its.is_stiff)
-        return None if shot is None else self.measure(programs, shot)
+        its = near.fit
+        fit = self.estimator.fit(self.system(programs), None, steps, its.starts, its.sigmas, is_stiff=its.is_stiff)
+        return None if fit is None else self.measure(programs, fit)
 
     def fit_exchanged(self, near: FittedModel, equation: int, program: Program, steps: int) -> FittedModel | None:
         """Return `near` with another program for one equation."""
@@ -113,7 +114,7 @@ class ModelComparison:
         """Return models of the best of `programs` for one equation, fewer of them after each of the `rounds`.
 
         Each round is a number of steps and how many programs stay. Of programs with the same misfit, which say the same
-        in other words, the one of shortest description stays. Once the shooter's work is `until`, no more are taken
+        in other words, the one of shortest description stays. Once the estimator's work is `until`, no more are taken
         in than the next few.
         """
         found: list[FittedModel] = []
@@ -129,16 +130,16 @@ class ModelComparison:
             self._remember(equation, its)
         return found
 
-    def measure(self, programs: Sequence[Program], shot: Shot) -> FittedModel:
+    def measure(self, programs: Sequence[Program], fit: TrajectoryFit) -> FittedModel:
         """Return the model of a fit of `programs`."""
-        its = trajectory_misfit(shot.squares, self.least_errors, self.counts / self.coherence)
-        nats = system_length(its, programs, len(shot.system.places), self.constant_nats)
-        fitted = split(shot.system, [*self.leading, *programs])[len(self.leading) :]
-        return FittedModel(tuple(fitted), shot, its, nats)
+        its = trajectory_misfit(fit.squares, self.least_errors, self.counts / self.correlation_length)
+        nats = system_length(its, programs, len(fit.system.places), self.constant_nats)
+        fitted = split(fit.system, [*self.leading, *programs])[len(self.leading) :]
+        return FittedModel(tuple(fitted), fit, its, nats)
 
     def is_exact(self, model: FittedModel) -> bool:
         """Tell whether all errors are those of the integration."""
-        return bool(np.all(model.shot.squares <= self.least_errors * self.least_errors))
+        return bool(np.all(model.fit.squares <= self.least_errors * self.least_errors))
 
     def _remember(self, equation: int, model: FittedModel) -> None:
         key = (equation, structure(model.programs[equation]))

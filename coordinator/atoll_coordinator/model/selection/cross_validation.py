@@ -15,7 +15,7 @@ from atoll_coordinator.model.criteria import trajectory_misfit
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.multiple_shooting import Shooter
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import split
 
 
@@ -35,7 +35,7 @@ class Validation:
 
     def __init__(self, comparison: ModelComparison) -> None:
         self._comparison = comparison
-        measurements = comparison.shooter.measurements
+        measurements = comparison.estimator.measurements
         owners = sorted(set(measurements.owners.tolist()))
         count = min(len(owners), SETTINGS.selection.most_folds)
         self._folds = [frozenset(owners[fold::count]) for fold in range(count)]
@@ -44,7 +44,7 @@ class Validation:
 
     def of(self, model: FittedModel) -> Validated:
         """Return how well the system of `model` predicts."""
-        measurements = self._comparison.shooter.measurements
+        measurements = self._comparison.estimator.measurements
         squares, total = np.zeros(len(measurements.observed)), np.zeros(len(measurements.observed))
         for left_out in self._folds:
             errors = self._squared_errors(model, left_out)
@@ -54,34 +54,36 @@ class Validation:
             total += _total_squares(measurements.part(left_out))
         r2 = [1.0 - left / whole if whole > 0.0 else None for left, whole in zip(squares, total, strict=True)]
         counts = self._comparison.counts
-        misfit = trajectory_misfit(squares / counts, self._comparison.least_errors, counts / self._comparison.coherence)
+        misfit = trajectory_misfit(
+            squares / counts, self._comparison.least_errors, counts / self._comparison.correlation_length
+        )
         return Validated(tuple(r2), misfit)
 
     def _squared_errors(self, model: FittedModel, left_out: frozenset[int]) -> FloatArray | None:
         """Return the sums of squared errors (O,) along trajectories left out; None where they cannot be simulated."""
-        comparison, shot = self._comparison, model.shot
-        measurements = comparison.shooter.measurements
+        comparison, fit = self._comparison, model.fit
+        measurements = comparison.estimator.measurements
         is_out = np.isin(measurements.owners, list(left_out))
         others = self._shooter(measurements.part(set(measurements.owners.tolist()) - left_out))
         fitted = others.fit(
             comparison.system(model.programs),
             None,
             SETTINGS.selection.validation_steps,
-            shot.starts[~is_out],
-            shot.sigmas,
+            fit.starts[~is_out],
+            fit.sigmas,
         )
         if fitted is None:
             return None
         programs = split(fitted.system, [*comparison.leading, *model.programs])[len(comparison.leading) :]
         fixed = comparison.system(programs, [constant_places(program) for program in programs])
         rest = self._shooter(measurements.part(left_out))
-        predicted = rest.fit(fixed, None, SETTINGS.selection.validation_steps, shot.starts[is_out], shot.sigmas)
+        predicted = rest.fit(fixed, None, SETTINGS.selection.validation_steps, fit.starts[is_out], fit.sigmas)
         if predicted is None:
             return None
         return np.asarray((rest.measurements.weights * predicted.residuals**2).sum(axis=1))
 
-    def _shooter(self, measurements: Measurements) -> Shooter:
-        return Shooter(measurements, self._comparison.shooter.precision)
+    def _shooter(self, measurements: Measurements) -> MultipleShooting:
+        return MultipleShooting(measurements, self._comparison.estimator.tolerance)
 
 
 def _total_squares(measurements: Measurements) -> FloatArray:

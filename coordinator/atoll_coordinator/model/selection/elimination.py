@@ -80,9 +80,9 @@ def _least(model: FittedModel | None, columns: FloatArray, coefficients: Sequenc
     by_size = int(np.argmin(np.abs(coefficients) * columns.std(axis=1)))
     if model is None:
         return by_size
-    its = model.shot.system
+    its = model.fit.system
     is_factor = ~np.isin(its.places, sorted(_below(model.programs[0])))
     if int(is_factor.sum()) != len(coefficients):
         return by_size
-    errors = np.sqrt(np.maximum(np.diag(covariance(model.shot))[is_factor], 1e-300))
+    errors = np.sqrt(np.maximum(np.diag(covariance(model.fit))[is_factor], 1e-300))
     return int(np.argmin(np.abs(its.values[is_factor]) / errors))

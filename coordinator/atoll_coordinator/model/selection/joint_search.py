@@ -24,7 +24,7 @@ from atoll_coordinator.model.selection.comparison import FittedModel, ModelCompa
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
-from atoll_coordinator.model.shooting.multiple_shooting import Shooter
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import variable_program
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
@@ -90,14 +90,14 @@ class ModellingTask:
 
     def compare(self, measurements: Measurements, variables: Sequence[str]) -> ModelComparison:
         """Return a comparison over these measurements."""
-        precision = float(
+        tolerance = float(
             np.clip(
                 SETTINGS.selection.tolerated_noise * measurements.relative_noise.min(), *SETTINGS.selection.tolerances
             )
         )
         fixed = [index for index, name in enumerate(variables) if name in self.known]
         return ModelComparison(
-            Shooter(measurements, precision), self.dataset.names, fixed, self.leading(variables), self.executor
+            MultipleShooting(measurements, tolerance), self.dataset.names, fixed, self.leading(variables), self.executor
         )
 
     def leading(self, variables: Sequence[str]) -> list[Program]:
@@ -165,7 +165,7 @@ def _compared(task: ModellingTask, name: str) -> list[Program]:
     problem = task.dataset.problem(name)
     programs = [task.settled[name].program] if name in task.settled else []
     programs += task.candidates[name].programs
-    measurements = replace(task.measurements([name]).thinned(SETTINGS.selection.compared_rows), coherence=1.0)
+    measurements = replace(task.measurements([name]).thinned(SETTINGS.selection.compared_rows), correlation_length=1.0)
     comparison = task.compare(measurements, [name])
     best = ranked(comparison, problem, programs, _libraries(task, name, measurements))
     return [program for program in best if task.may_be_shown(program)]
@@ -214,7 +214,7 @@ def _exchanged(comparison: ModelComparison, best: FittedModel, lists: Sequence[S
                     best = found[0]
         if (
             best.nats > before - SETTINGS.selection.least_gain
-            or comparison.shooter.work >= SETTINGS.selection.exchange_work
+            or comparison.estimator.work >= SETTINGS.selection.exchange_work
         ):
             return best
         tried = [programs[: SETTINGS.selection.exchanged_again] for programs in lists]
@@ -224,7 +224,7 @@ def _search_locally(
     task: ModellingTask, comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]]
 ) -> FittedModel:
     """Return the end of the descent from the best system."""
-    sizes = _scales(task, comparison.shooter.measurements)
+    sizes = _scales(task, comparison.estimator.measurements)
 
     def around(equation: int, program: Program) -> Iterator[Program]:
         name = task.variables[equation]
@@ -236,13 +236,13 @@ def _search_locally(
     def beyond(equation: int, program: Program) -> Iterator[Program]:
         return filter(task.may_be_shown, leaps(program, task.operators(task.variables[equation])))
 
-    descent = LocalSearch(comparison, around, comparison.shooter.work + SETTINGS.selection.search_work, beyond)
+    descent = LocalSearch(comparison, around, comparison.estimator.work + SETTINGS.selection.search_work, beyond)
     equations = [index for index, its in enumerate(lists) if index not in comparison.fixed]
     best = descent.improve(best, equations)
     for equation in equations:
         best = _restarted(comparison, descent, best, equation, lists[equation])
     best = _exchanged(comparison, best, lists)
-    last = LocalSearch(comparison, around, comparison.shooter.work + SETTINGS.selection.reduction_work)
+    last = LocalSearch(comparison, around, comparison.estimator.work + SETTINGS.selection.reduction_work)
     for equation in equations:
         best = last.reduce(best, equation)
     return best

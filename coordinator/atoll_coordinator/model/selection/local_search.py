@@ -19,7 +19,7 @@ Around = Callable[[int, Program], Iterator[Program]]
 
 
 class LocalSearch:
-    """Shortens systems until nothing near is shorter, or the shooter's `budget` of work is used up.
+    """Shortens systems until nothing near is shorter, or the estimator's `budget` of work is used up.
 
     What was begun then is finished, unless that takes more than the overdraft beyond.
     """
@@ -36,7 +36,7 @@ class LocalSearch:
     @property
     def is_exhausted(self) -> bool:
         """Whether nothing more is tried."""
-        return self._comparison.shooter.work > self._budget
+        return self._comparison.estimator.work > self._budget
 
     def improve(self, model: FittedModel, equations: list[int]) -> FittedModel:
         """Return the end of the descent from `model`, by changes of `equations`."""
@@ -87,12 +87,12 @@ class LocalSearch:
         Constants that the data do not determine, of infinite variance, are the first; by what is nearest.
         """
         program = model.programs[equation]
-        shot = model.shot
-        own = np.flatnonzero(shot.system.owners == equation + len(self._comparison.leading))
-        variances = np.diag(covariance(shot))[own]
+        fit = model.fit
+        own = np.flatnonzero(fit.system.owners == equation + len(self._comparison.leading))
+        variances = np.diag(covariance(fit))[own]
         priced: list[tuple[float, float, int, float]] = []
         for place, value, variance in zip(
-            constant_places(program), shot.system.values[own].tolist(), variances.tolist(), strict=True
+            constant_places(program), fit.system.values[own].tolist(), variances.tolist(), strict=True
         ):
             for neutral in _NEUTRAL:
                 nats = 0.5 * (value - neutral) ** 2 / max(variance, 1e-300)

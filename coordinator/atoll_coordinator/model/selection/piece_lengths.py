@@ -32,7 +32,7 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
     for selection in _ever_shorter(task, lists):
         found.append(selection)
         if _excess(selection.comparison, selection.model) <= SETTINGS.selection.noise_excess:
-            work = sum(each.comparison.shooter.work for each in found)
+            work = sum(each.comparison.estimator.work for each in found)
             return replace(
                 selection if work >= SETTINGS.selection.pieces_work else _lengthened(task, selection, lists),
                 lists=lists,
@@ -43,7 +43,7 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
 def on_all_rows(selection: SelectedModel) -> SelectedModel | None:
     """Return the chosen system fitted to all rows, in shorter pieces if it must be; None when it cannot be."""
     measurements = selection.task.measurements(selection.task.variables)
-    if measurements.rows == selection.comparison.shooter.measurements.rows:
+    if measurements.rows == selection.comparison.estimator.measurements.rows:
         return selection
     found: list[SelectedModel] = []
     for task in _tasks(selection.task):
@@ -81,14 +81,14 @@ def _ever_shorter(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> It
         def is_hopeless(selection: SelectedModel, shorter: Sequence[ModellingTask] = shorter) -> bool:
             may_be = (
                 _longest(selection.task) > SETTINGS.selection.long_trajectory
-                or selection.comparison.shooter.work >= SETTINGS.selection.dear_work
+                or selection.comparison.estimator.work >= SETTINGS.selection.dear_work
             )
             return may_be and _is_better_in(shorter, selection)
 
         selection = search_jointly(here, lists, is_hopeless=is_hopeless)
         if selection is not None:
             yield selection
-            work += selection.comparison.shooter.work
+            work += selection.comparison.estimator.work
             if work >= SETTINGS.selection.pieces_work or not _is_better_in(shorter, selection):
                 return
 
@@ -97,7 +97,7 @@ def _is_better_in(tasks: Sequence[ModellingTask], selection: SelectedModel) -> b
     """Tell whether a system that does not fit well does so in shorter pieces."""
     if _excess(selection.comparison, selection.model) <= SETTINGS.selection.noise_excess:
         return False
-    rows = selection.comparison.shooter.measurements.rows
+    rows = selection.comparison.estimator.measurements.rows
     fits = (_fitted(task, selection.model.programs, rows) for task in tasks)
     return any(
         fit is not None and _excess(fit.comparison, fit.model) <= SETTINGS.selection.noise_excess for fit in fits
@@ -106,7 +106,7 @@ def _is_better_in(tasks: Sequence[ModellingTask], selection: SelectedModel) -> b
 
 def _lengthened(task: ModellingTask, selection: SelectedModel, lists: Sequence[Sequence[Program]]) -> SelectedModel:
     """Return what becomes of a system for short pieces if it holds for longer ones; itself if it does not."""
-    rows = selection.comparison.shooter.measurements.rows
+    rows = selection.comparison.estimator.measurements.rows
     for longer in _tasks(task):
         if longer.piece <= selection.task.piece:
             break
@@ -128,10 +128,10 @@ def _excess(comparison: ModelComparison, model: FittedModel) -> float:
 
     Where smoothed states are inputs, their errors are taken to leave as much as the noise again.
     """
-    measurements = comparison.shooter.measurements
+    measurements = comparison.estimator.measurements
     noise = np.maximum(measurements.noise, SETTINGS.selection.slight * measurements.scales[measurements.observed])
-    allowed = noise * (2.0 if measurements.coherence > 1.0 else 1.0)
-    return float(np.max(np.sqrt(model.shot.squares) / allowed))
+    allowed = noise * (2.0 if measurements.correlation_length > 1.0 else 1.0)
+    return float(np.max(np.sqrt(model.fit.squares) / allowed))
 
 
 def _tasks(task: ModellingTask) -> list[ModellingTask]:

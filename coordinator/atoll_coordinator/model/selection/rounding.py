@@ -18,10 +18,10 @@ from atoll_coordinator.model.structure.algebra import tidied
 
 def round_system(comparison: ModelComparison, model: FittedModel) -> tuple[Program, ...]:
     """Return the programs of the shortest description that comes of `model` by making constants simple."""
-    shot = model.shot
-    if not 0 < len(shot.system.places) <= SETTINGS.selection.most_rounded_constants:
+    fit = model.fit
+    if not 0 < len(fit.system.places) <= SETTINGS.selection.most_rounded_constants:
         return model.programs
-    means, spread = shot.system.values, comparison.coherence * bounded_covariance(shot)
+    means, spread = fit.system.values, comparison.correlation_length * bounded_covariance(fit)
     errors = [float(variance) ** 0.5 for variance in spread.diagonal().clip(0.0)]
     best = rounded_system_length(model.misfit, model.programs, map(fitted_length, means.tolist(), errors))
     shown = model.programs
@@ -39,14 +39,15 @@ def _measured(
     numbers = dict(decision.numbers)
     programs, fixed = _decided(comparison, model.programs, numbers)
     system = comparison.system(programs, fixed)
-    shot = comparison.shooter.fit(system, None, SETTINGS.selection.rounding_steps, model.shot.starts, model.shot.sigmas)
-    if shot is None:
+    fit = comparison.estimator.fit(system, None, SETTINGS.selection.rounding_steps, model.fit.starts, model.fit.sigmas)
+    if fit is None:
         return None
-    after = comparison.measure(programs, shot)
+    after = comparison.measure(programs, fit)
     open_errors = [
-        float(variance) ** 0.5 for variance in (comparison.coherence * bounded_covariance(shot)).diagonal().clip(0.0)
+        float(variance) ** 0.5
+        for variance in (comparison.correlation_length * bounded_covariance(fit)).diagonal().clip(0.0)
     ]
-    lengths = [sum(map(fitted_length, shot.system.values.tolist(), open_errors)), sum(map(_price, numbers.values()))]
+    lengths = [sum(map(fitted_length, fit.system.values.tolist(), open_errors)), sum(map(_price, numbers.values()))]
     shown = tuple(
         program if index in comparison.fixed else tidied(program) for index, program in enumerate(after.programs)
     )

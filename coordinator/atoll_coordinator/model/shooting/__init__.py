@@ -2,9 +2,10 @@
 
 - `measurements`: the recording laid out for fits: all rows one after another, and the pieces that are simulated
 - `system`: several programs as one system whose constants can be fitted
-- `multiple_shooting`: the fit of constants and initial states; `fit_cache` remembers fits
+- `multiple_shooting`: the estimator of constants and initial states; `fit_cache` remembers fits
+- `trajectory_fit`: what it returns
 - `covariance`: how well a fit determines its constants
 - `kernels`: integration, sensitivities and normal equations, compiled; `warmup` makes them ready
 
-A recording and programs go in, a `Shot` comes out: states as simulated, residuals, normal equations.
+A recording and programs go in, a `TrajectoryFit` comes out: states as simulated, residuals, normal equations.
 """

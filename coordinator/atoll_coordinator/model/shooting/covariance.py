@@ -6,27 +6,27 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.settings import SETTINGS
-from atoll_coordinator.model.shooting.multiple_shooting import Shot
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 
 
-def covariance(shot: Shot) -> FloatArray:
+def covariance(fit: TrajectoryFit) -> FloatArray:
     """Return the covariance (P, P) of the fitted constants, initial states eliminated.
 
     The variance is infinite of a constant that the others, or the initial states, can stand in for.
     """
-    found, is_open = _spread(shot)
+    found, is_open = _spread(fit)
     found[np.diag_indices_from(found)] = np.where(is_open, math.inf, np.diag(found))
     return found
 
 
-def bounded_covariance(shot: Shot) -> FloatArray:
+def bounded_covariance(fit: TrajectoryFit) -> FloatArray:
     """Return the same with large variances in the place of infinite ones: a positive definite matrix."""
-    return _spread(shot)[0]
+    return _spread(fit)[0]
 
 
-def _spread(shot: Shot) -> tuple[FloatArray, FloatArray]:
+def _spread(fit: TrajectoryFit) -> tuple[FloatArray, FloatArray]:
     """Return the bounded covariance, and which constants load on directions that the data do not determine."""
-    normal, reduced = np.diag(shot.normal), shot.reduced
+    normal, reduced = np.diag(fit.normal), fit.reduced
     least = np.maximum(SETTINGS.shooting.cancelled * np.nan_to_num(normal), 1e-100)
     scale = np.sqrt(np.clip(np.nan_to_num(np.diag(reduced)), least, 1e100))
     with np.errstate(all="ignore"):

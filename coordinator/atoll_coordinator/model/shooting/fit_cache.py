@@ -21,7 +21,7 @@ def key_of(system: System, starts: FloatArray | None, sigmas: FloatArray | None,
     return (*(None if each is None else each.tobytes() for each in arrays), *rest)
 
 
-class Memory(Generic[Fit]):
+class FitCache(Generic[Fit]):
     """Remembers fits by their keys. Any thread may use it."""
 
     def __init__(self, size_bytes: int, room_bytes: int = SETTINGS.shooting.cache_bytes) -> None:
@@ -30,12 +30,12 @@ class Memory(Generic[Fit]):
         self._fits: Final[OrderedDict[Key, Fit]] = OrderedDict()
         self._lock: Final = threading.Lock()
 
-    def recall(self, key: Key) -> Fit | None:
+    def get(self, key: Key) -> Fit | None:
         """Return the fit of this key, None when it is not remembered."""
         with self._lock:
             return self._fits.get(key)
 
-    def keep(self, key: Key, fit: Fit) -> None:
+    def put(self, key: Key, fit: Fit) -> None:
         """Remember a fit."""
         with self._lock:
             self._fits[key] = fit

@@ -24,11 +24,11 @@ class Measurements:
     `bounds` (B, 2) are the half-open row ranges of the pieces that are simulated at a stretch, `owners` (B,) the
     trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), 0 leaves a number out;
     `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured, and `offset` (K,) which of these up
-    to an offset. `scales` (D,) are the states' standard deviations, `noise` (O,) the smoother's estimate of that of the
-    measurement errors; `coherence` is along how many rows errors go together, more than one where states without an
-    equation are inputs as smoothed. `precision` (N,) divides the variance of the errors of each row, 1 on average over
-    the recording; it is part of `weights`. `input_slopes` belong to `inputs` (U, N). `variables` names the numbers of a
-    point: D states, then U inputs.
+    to an offset. `scales` (D,) are the states' standard deviations, `noise` (O,) the smoother's estimate of that of
+    the measurement errors; `correlation_length` is along how many rows errors go together, more than one where states
+    without an equation are inputs as smoothed. `inverse_variances` (N,) divide the variance of the errors of each
+    row, 1 on average over the recording; they are part of `weights`. `input_slopes` belong to `inputs` (U, N).
+    `variables` names the numbers of a point: D states, then U inputs.
     """
 
     bounds: Ints
@@ -45,8 +45,8 @@ class Measurements:
     offset: Ints
     variables: tuple[str, ...]
     names: tuple[str, ...]
-    coherence: float = 1.0
-    precision: FloatArray | None = None
+    correlation_length: float = 1.0
+    inverse_variances: FloatArray | None = None
 
     @property
     def rows(self) -> int:
@@ -114,7 +114,7 @@ class Measurements:
             times=np.ascontiguousarray(self.times[rows]),
             measured=np.ascontiguousarray(self.measured[:, rows]),
             weights=np.ascontiguousarray(self.weights[:, rows]),
-            precision=None if self.precision is None else self.precision[rows],
+            inverse_variances=None if self.inverse_variances is None else self.inverse_variances[rows],
             smoothed=np.ascontiguousarray(self.smoothed[:, rows]),
             inputs=np.ascontiguousarray(self.inputs[:, rows]),
             input_slopes=np.ascontiguousarray(self.input_slopes[:, rows]),
@@ -154,7 +154,7 @@ def measurements_of(
         owners=owners,
         times=np.concatenate([part.times for part in parts]),
         measured=measured,
-        weights=_stacked(_trust(part, chosen) for part in parts),
+        weights=_stacked(_robustness_weights(part, chosen) for part in parts),
         smoothed=np.ascontiguousarray(smoothed),
         observed=np.arange(len(chosen), dtype=np.int64),
         inputs=np.ascontiguousarray(np.concatenate(inputs)),
@@ -166,12 +166,12 @@ def measurements_of(
         ),
         variables=_variables(recording, chosen, others),
         names=tuple(part.name for part in parts),
-        coherence=_coherence(recording, others),
-        precision=_precision(parts),
+        correlation_length=_correlation_length(recording, others),
+        inverse_variances=_inverse_variances(parts),
     )
 
 
-def _coherence(recording: Recording, others: Sequence[int]) -> float:
+def _correlation_length(recording: Recording, others: Sequence[int]) -> float:
     """Return along how many rows the errors of these states as smoothed go together: about half a span."""
     return max((0.5 * (recording.smoothing[index].span or 2.0) for index in others), default=1.0)
 
@@ -189,14 +189,14 @@ def _variables(recording: Recording, chosen: list[int], others: list[int]) -> tu
     )
 
 
-def _trust(part: Trajectory, chosen: list[int]) -> FloatArray:
+def _robustness_weights(part: Trajectory, chosen: list[int]) -> FloatArray:
     """Return how much each measurement counts: nothing where it is missing, little where smoothing met an outlier."""
     measured = np.isfinite(part.measured[chosen]).astype(np.float64)
     believed = measured if part.robustness_weights is None else measured * part.robustness_weights[chosen]
     return believed if part.weights is None else believed * part.weights
 
 
-def _precision(parts: Sequence[Trajectory]) -> FloatArray | None:
+def _inverse_variances(parts: Sequence[Trajectory]) -> FloatArray | None:
     if all(part.weights is None for part in parts):
         return None
     return np.concatenate([np.ones(len(part.times)) if part.weights is None else part.weights for part in parts])

@@ -8,7 +8,7 @@ states are weighted by their variances, which are fitted as well. Letters as in 
 import math
 import threading
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -16,51 +16,14 @@ import numpy as np
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.model.settings import SETTINGS
-from atoll_coordinator.model.shooting.fit_cache import Memory, key_of
+from atoll_coordinator.model.shooting.fit_cache import FitCache, key_of
 from atoll_coordinator.model.shooting.kernels.implicit import STIFF
-from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, shoot
+from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, integrate_segments
 from atoll_coordinator.model.shooting.kernels.normal_equations import normal_equations, solve_step
 from atoll_coordinator.model.shooting.kernels.rates import Table
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.system import System
-
-
-@dataclass(frozen=True, eq=False)
-class Shot:
-    """A system fitted to segments.
-
-    `starts` (G, D) are the fitted initial states of `segments` (G, 2), and behind them, where trajectories are fitted
-    in whole, their K offsets (G, D + K); `simulated` (D, N); `residuals` (O, N) measured minus simulated and offset;
-    `sigmas` (O,) the standard deviations that errors were weighted by; `squares` (O,) their mean squares; `normal`,
-    `coupling` and `own` the blocks of the normal equations at the end, weighted; `shooter` fitted it; `is_stiff` tells
-    whether the system was integrated as a stiff one.
-    """
-
-    system: System
-    segments: Ints
-    starts: FloatArray
-    simulated: FloatArray
-    residuals: FloatArray
-    sigmas: FloatArray
-    squares: FloatArray
-    normal: FloatArray
-    coupling: FloatArray
-    own: FloatArray
-    shooter: "Shooter" = field(repr=False)
-    is_stiff: bool = False
-
-    def integrated_sensitivities(self) -> FloatArray:
-        """Return the sensitivities (N, D, P + D + K) to the constants and to what each segment has its own.
-
-        They are integrated again at each call, since they would make a shot many times as large.
-        """
-        return self.shooter.sensitivities(self)
-
-    @property
-    def reduced(self) -> FloatArray:
-        """The normal matrix (P, P) of the constants, initial states eliminated."""
-        own = _inverses(self.own)
-        return np.asarray(self.normal - np.einsum("gpd,gde,gqe->pq", self.coupling, own, self.coupling))
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +45,7 @@ class _Equations:
 class _Done:
     """What a fit came to, None when the system cannot be integrated, and the work that it took."""
 
-    shot: Shot | None
+    fit: TrajectoryFit | None
     work: int
 
 
@@ -100,26 +63,26 @@ class _Method:
         return max(rows, int(steps / self.free))
 
 
-class Shooter:
+class MultipleShooting:
     """Fits systems to `measurements`; `work` counts rows times numbers carried along, of all integrations."""
 
-    def __init__(self, measurements: Measurements, precision: float) -> None:
-        """`precision` is the error of a step over a state's standard deviation."""
-        self.precision: Final = precision
+    def __init__(self, measurements: Measurements, tolerance: float) -> None:
+        """`tolerance` is the error of a step over a state's standard deviation."""
+        self.tolerance: Final = tolerance
         quick, precise, implicit = SETTINGS.shooting.free_steps
-        is_quick = precision >= SETTINGS.shooting.quick_enough
+        is_quick = tolerance >= SETTINGS.shooting.quick_enough
         explicit = (
             (QUICK, SETTINGS.shooting.quick_steps_per_row, quick)
             if is_quick
             else (PRECISE, SETTINGS.shooting.steps_per_row, precise)
         )
         self._methods: Final = (
-            _Method(*explicit, precision * measurements.scales),
+            _Method(*explicit, tolerance * measurements.scales),
             _Method(
                 STIFF,
                 SETTINGS.shooting.steps_per_row,
                 implicit,
-                max(precision, SETTINGS.shooting.finest_implicit) * measurements.scales,
+                max(tolerance, SETTINGS.shooting.finest_implicit) * measurements.scales,
             ),
         )
         self.measurements: Final = measurements
@@ -130,12 +93,12 @@ class Shooter:
         self.work = 0
         self._lock = threading.Lock()
         self._own = threading.local()
-        self._fits: Final = Memory[_Done](SETTINGS.shooting.fit_bytes + 8 * 2 * measurements.smoothed.size)
+        self._cache: Final = FitCache[_Done](SETTINGS.shooting.fit_bytes + 8 * 2 * measurements.smoothed.size)
 
     def fit(
         self, system: System, length: int | None, steps: int, starts: FloatArray | None = None,
         sigmas: FloatArray | None = None, *, is_stiff: bool = False,
-    ) -> Shot | None:  # fmt: skip
+    ) -> TrajectoryFit | None:  # fmt: skip
         """Return `system` fitted to segments of about `length` rows, None when it cannot be integrated from `starts`.
 
         Args:
@@ -148,20 +111,20 @@ class Shooter:
                 candidates that seem so are bad ones.
         """
         key = key_of(system, starts, sigmas, length, steps, is_stiff)
-        done = self._fits.recall(key)
+        done = self._cache.get(key)
         if done is None:
             self._own.work = 0
-            shot = self._fitted(system, length, steps, starts, sigmas, is_stiff=is_stiff)
-            done = _Done(shot, self._own.work)
-            self._fits.keep(key, done)
+            fit = self._fitted(system, length, steps, starts, sigmas, is_stiff=is_stiff)
+            done = _Done(fit, self._own.work)
+            self._cache.put(key, done)
         with self._lock:
             self.work += done.work
-        return done.shot
+        return done.fit
 
     def _fitted(
         self, system: System, length: int | None, steps: int, starts: FloatArray | None, sigmas: FloatArray | None,
         *, is_stiff: bool,
-    ) -> Shot | None:  # fmt: skip
+    ) -> TrajectoryFit | None:  # fmt: skip
         """Return what `fit` does, and add what it takes to the work of this thread."""
         its = self.measurements
         segments = self._segments.get(length)
@@ -195,7 +158,7 @@ class Shooter:
             if is_settled:
                 break
         squares = self._squares(here.residuals)
-        return Shot(
+        return TrajectoryFit(
             system, segments, starts, here.simulated, here.residuals, sigmas, squares, here.normal, here.coupling,
             here.own, self, method is self._methods[1],
         )  # fmt: skip
@@ -241,7 +204,7 @@ class Shooter:
         """
         its = self.measurements
         states, fitted, local = len(system.outputs), len(system.places), starts.shape[1]
-        done, taken, simulated, gradients = self._shot(method, system, segments, starts)
+        done, taken, simulated, gradients = self._integrated(method, system, segments, starts)
         self._own.work += method.work(taken, its.rows) * (
             SETTINGS.shooting.overhead_numbers + states * (1 + fitted + local)
         )
@@ -259,21 +222,21 @@ class Shooter:
             return None, False
         return self._weighed(simulated, gradients, residuals, segments, sigmas, fitted), False
 
-    def sensitivities(self, shot: Shot) -> FloatArray:
-        """Return `Shot.integrated_sensitivities` of a fit of this shooter's."""
-        method = self._methods[1 if shot.is_stiff else 0]
-        return self._shot(method, shot.system, shot.segments, shot.starts)[3]
+    def sensitivities(self, fit: TrajectoryFit) -> FloatArray:
+        """Return `TrajectoryFit.integrated_sensitivities` of a fit of this estimator's."""
+        method = self._methods[1 if fit.is_stiff else 0]
+        return self._integrated(method, fit.system, fit.segments, fit.starts)[3]
 
-    def _shot(
+    def _integrated(
         self, method: _Method, system: System, segments: Ints, starts: FloatArray
     ) -> tuple[int, int, FloatArray, FloatArray]:
-        """Return what `shoot` does, the steps taken, the states (D, N) and their sensitivities (N, D, P + L)."""
+        """Return what `integrate_segments` does, the steps, the states (D, N) and their sensitivities (N, D, P + L)."""
         its = self.measurements
         states, fitted, local = len(system.outputs), len(system.places), starts.shape[1]
         simulated = np.full((states, its.rows), np.nan)
         gradients = np.zeros((its.rows, states, fitted + local))
         taken = np.zeros(1, dtype=np.int64)
-        done = shoot(
+        done = integrate_segments(
             method.table, system.tape, system.owners, (its.times, its.inputs, its.input_slopes), segments, starts,
             method.tolerance, its.limits, 200 + method.steps * its.rows, True, simulated, gradients, taken,
         )  # fmt: skip
@@ -310,29 +273,22 @@ def _solved(here: _Equations, damping: float) -> tuple[FloatArray, FloatArray] |
     return (change, moves) if solved and np.isfinite(change).all() and np.isfinite(moves).all() else None
 
 
-def _inverses(own: FloatArray) -> FloatArray:
-    """Return the inverses (G, D, D) of the blocks of the initial states."""
-    diagonals = np.einsum("gdd->gd", own)
-    scale = np.sqrt(np.maximum(diagonals, 1e-200))
-    unit = own / (scale[:, :, None] * scale[:, None, :])
-    unit = unit + 1e-13 * np.eye(own.shape[1])
-    return np.asarray(np.linalg.inv(unit) / (scale[:, :, None] * scale[:, None, :]))
-
-
-def staged(shooter: Shooter, system: System, lengths: Sequence[int | None], steps: int) -> Shot | None:
+def fit_in_stages(
+    estimator: MultipleShooting, system: System, lengths: Sequence[int | None], steps: int
+) -> TrajectoryFit | None:
     """Return `system` fitted to segments of growing `lengths`, each fit begun where the one before ended."""
-    shot: Shot | None = None
-    for length in _gradual(lengths, shooter.measurements):
+    fit: TrajectoryFit | None = None
+    for length in _gradual(lengths, estimator.measurements):
         starts = None
-        if shot is not None:
-            starts = np.ascontiguousarray(shot.simulated[:, shooter.measurements.segments(length)[:, 0]].T)
-        following = shooter.fit(
-            system if shot is None else shot.system, length, steps, starts, None if shot is None else shot.sigmas
+        if fit is not None:
+            starts = np.ascontiguousarray(fit.simulated[:, estimator.measurements.segments(length)[:, 0]].T)
+        following = estimator.fit(
+            system if fit is None else fit.system, length, steps, starts, None if fit is None else fit.sigmas
         )
         if following is None:
             return None
-        shot = following
-    return shot
+        fit = following
+    return fit
 
 
 def _gradual(lengths: Sequence[int | None], its: Measurements) -> Iterator[int | None]:

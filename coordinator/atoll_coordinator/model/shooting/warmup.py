@@ -8,10 +8,10 @@ import numpy as np
 from atoll.expression.operators import ADD, CONSTANT, MULTIPLY, VARIABLE
 from atoll.expression.program import Program
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.multiple_shooting import Shooter
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import System, system_of
 
-PRECISIONS: Final = (1e-8, 1e-3)
+TOLERANCES: Final = (1e-8, 1e-3)
 """One for either table of the integration."""
 
 _ROWS: Final = 6
@@ -25,8 +25,8 @@ def warm_up() -> None:
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return
     its, system = _small_measurements(), _small_system()
-    for precision in PRECISIONS:
-        Shooter(its, precision).fit(system, 3, 2)
+    for tolerance in TOLERANCES:
+        MultipleShooting(its, tolerance).fit(system, 3, 2)
 
 
 def _small_system() -> System:

@@ -15,7 +15,7 @@ from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Pool, Refined, decode_members
 from atoll_coordinator.model.regression import shortening as shorten
 from atoll_coordinator.model.regression.equation import fit_equation
-from atoll_coordinator.model.regression.fit import Polisher
+from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import round_constants
 from atoll_coordinator.model.regression.standard_errors import description_length
 from tests.unit.coordinator.model.fitting import CONFIG, dataset, entry, parsed, problem, settings, shown
@@ -193,15 +193,15 @@ def test_the_work_is_bounded(monkeypatch):
         monkeypatch.setattr(shorten, "SETTINGS", settings("regression", most_evaluations=most))
         shortening = shorten.Shortening(its, frozenset({2, 3, 4, 5, 6, 7}))
         assert shortening.candidates([Program.from_bytes(each.program, 2) for each in front])
-        spent.append(shortening.polisher.evaluations)
+        spent.append(shortening.least_squares.evaluations)
     assert spent[0] < 0.5 * spent[1]
 
 
 def test_a_snapped_model_is_never_longer():
     its = problem(lotka, 0.1)
-    criterion, polisher = RegressionCriterion.of(its.target), Polisher(its)
-    fitted = polisher.fit(parsed("2.9*x - 2.0*x*y - x*x"))
-    assert round_constants(fitted, criterion, polisher).length <= description_length(fitted, criterion)
+    criterion, least_squares = RegressionCriterion.of(its.target), LeastSquares(its)
+    fitted = least_squares.fit(parsed("2.9*x - 2.0*x*y - x*x"))
+    assert round_constants(fitted, criterion, least_squares).length <= description_length(fitted, criterion)
 
 
 def test_operators_and_variables_of_one_equation_hold_for_its_refinement():

@@ -167,7 +167,7 @@ def advance(table: Table, tape: Tape, owners: Ints, path: Path, row: int, tolera
 
 
 @allocating_kernel
-def shoot(table: Table, tape: Tape, owners: Ints, path: Path, segments: Ints, starts: FloatArray,
+def integrate_segments(table: Table, tape: Tape, owners: Ints, path: Path, segments: Ints, starts: FloatArray,
           tolerance: FloatArray, limits: FloatArray, budget: int, wants: bool, simulated: FloatArray,
           gradients: FloatArray, taken: Ints) -> int:  # fmt: skip
     """Integrate every segment from its start; write states (D, N) and sensitivities (N, D, Q) at its rows.

@@ -17,7 +17,7 @@ from atoll_coordinator.model.inference.uncertainty import (
     simulated,
 )
 from atoll_coordinator.model.shooting.measurements import measurements_of
-from atoll_coordinator.model.shooting.multiple_shooting import Shooter
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.structure.unit_coefficients import as_written
 from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, Known, compare, recording
 
@@ -38,7 +38,7 @@ def find_correlations(its, variables, shown, errors):
 
 
 def banded(its, rows, model):
-    return bands(rows, model.shot, *scaled_covariance(its, model.shot, estimate_errors(its, model)))
+    return bands(rows, model.fit, *scaled_covariance(its, model.fit, estimate_errors(its, model)))
 
 
 def drawn(seed, noise=NOISE):
@@ -56,7 +56,7 @@ def draws():
 
 
 def rate_of(model):
-    return abs(float(model.shot.system.values[0]))
+    return abs(float(model.fit.system.values[0]))
 
 
 def test_intervals_cover_the_truth_as_often_as_they_say(draws):
@@ -84,8 +84,8 @@ def test_intervals_are_those_of_students_t():
 
 
 def test_bands_are_the_spread_of_the_simulations(draws):
-    spread = np.std([model.shot.simulated[0] for _, model in draws], axis=0)
-    errors = [banded(its, its.shooter.measurements, model)[0] for its, model in draws]
+    spread = np.std([model.fit.simulated[0] for _, model in draws], axis=0)
+    errors = [banded(its, its.estimator.measurements, model)[0] for its, model in draws]
     found = np.mean(errors, axis=0)
     assert found == pytest.approx(spread, rel=0.25)
     assert found.mean() == pytest.approx(spread.mean(), rel=0.05)
@@ -96,13 +96,13 @@ def test_bands_of_a_coupled_system_are_those_of_its_linearisation():
     rows = measurements_of(recording(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES, 0.01), [0, 1])
     its = compare(LOTKA, rows, 1e-8)
     model = its.fit_model([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
-    shot, fitted = model.shot, len(model.shot.system.places)
+    fit, fitted = model.fit, len(model.fit.system.places)
     whole = np.zeros((len(TIMES) * 2, 2, fitted + 4))
-    sensitivities = shot.integrated_sensitivities()
-    for group, (first, end) in enumerate(shot.segments.tolist()):
+    sensitivities = fit.integrated_sensitivities()
+    for group, (first, end) in enumerate(fit.segments.tolist()):
         whole[first:end, :, :fitted] = sensitivities[first:end, :, :fitted]
         whole[first:end, :, fitted + 2 * group : fitted + 2 * group + 2] = sensitivities[first:end, :, fitted:]
-    weighed = (whole / shot.sigmas[None, :, None]).reshape(-1, fitted + 4)
+    weighed = (whole / fit.sigmas[None, :, None]).reshape(-1, fitted + 4)
     errors = estimate_errors(its, model)
     covariance = np.linalg.inv(weighed.T @ weighed) * (80.0 / errors.freedom)
     expected = np.sqrt(np.einsum("nop,pq,noq->on", whole, covariance, whole))
@@ -113,11 +113,11 @@ def test_bands_integrate_once_however_many_pieces_there_are(monkeypatch):
     rows = measurements_of(recording(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES, 0.01), [0, 1])
     its = compare(LOTKA, rows, 1e-8)
     model = its.fit_model([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
-    integrate, times = Shooter.sensitivities, []
-    monkeypatch.setattr(Shooter, "sensitivities", lambda self, shot: times.append(1) or integrate(self, shot))
-    spread, scale = scaled_covariance(its, model.shot, estimate_errors(its, model))
+    integrate, times = MultipleShooting.sensitivities, []
+    monkeypatch.setattr(MultipleShooting, "sensitivities", lambda self, fit: times.append(1) or integrate(self, fit))
+    spread, scale = scaled_covariance(its, model.fit, estimate_errors(its, model))
     times.clear()
-    bands(rows, model.shot, spread, scale)
+    bands(rows, model.fit, spread, scale)
     assert len(times) == 1
 
 
@@ -128,7 +128,7 @@ def test_bands_of_a_system_without_constants_are_those_of_its_initial_states():
     its = compare(bare, rows, 1e-8)
     model = its.fit_model([bare.parsed("-x")], lengths=(None,))
     decay = np.exp(-TIMES)
-    error = model.shot.sigmas[0] * np.sqrt(20.0 / 19.0) / np.sqrt(decay @ decay)
+    error = model.fit.sigmas[0] * np.sqrt(20.0 / 19.0) / np.sqrt(decay @ decay)
     assert banded(its, rows, model)[0] == pytest.approx(error * decay, rel=1e-4)
     assert describe_constants(its, model.programs, estimate_errors(its, model)) == [()]
 
@@ -173,17 +173,17 @@ def test_shown_values_stand_beside_fitted_ones():
     its, model = drawn(0)
     ((constant,),) = describe_constants(its, [TRUTH], estimate_errors(its, model))
     assert abs(constant.value) == 0.5
-    assert constant.fitted == float(model.shot.system.values[0])
+    assert constant.fitted == float(model.fit.system.values[0])
 
 
 def test_held_constants_stay_and_starts_are_fitted():
     its, model = drawn(3)
-    shot = fit_starts(its, [TRUTH])
-    assert shot.system.values.size == 0
-    assert shot.squares[0] >= model.shot.squares[0]
-    assert shot.starts[:, 0] == pytest.approx([2.0, 1.0, -1.5], abs=4.0 * NOISE)
-    near = fit_starts(its, [TRUTH], model.shot)
-    assert near.squares[0] == pytest.approx(shot.squares[0], rel=1e-5)
+    fit = fit_starts(its, [TRUTH])
+    assert fit.system.values.size == 0
+    assert fit.squares[0] >= model.fit.squares[0]
+    assert fit.starts[:, 0] == pytest.approx([2.0, 1.0, -1.5], abs=4.0 * NOISE)
+    near = fit_starts(its, [TRUTH], model.fit)
+    assert near.squares[0] == pytest.approx(fit.squares[0], rel=1e-5)
 
 
 def test_simulations_are_by_trajectory():
@@ -191,13 +191,13 @@ def test_simulations_are_by_trajectory():
     its = compare(DECAY, rows, 1e-6)
     model = its.fit_model([TRUTH])
     errors = np.arange(60.0)[None]
-    found = simulated(rows, model.shot, errors, ("x",), held_out=False)
+    found = simulated(rows, model.fit, errors, ("x",), held_out=False)
     assert [each.name for each in found] == ["1", "2", "3"]
     assert [len(each.times) for each in found] == [20, 20, 20]
     assert np.concatenate([each.errors[0] for each in found]).tolist() == errors[0].tolist()
-    assert np.concatenate([each.values[0] for each in found]).tolist() == model.shot.simulated[0].tolist()
+    assert np.concatenate([each.values[0] for each in found]).tolist() == model.fit.simulated[0].tolist()
     assert all(0.5 < each.r2[0] < 1.0 for each in found)
-    assert simulated(rows, model.shot, None, ("x",), held_out=True)[0].errors is None
+    assert simulated(rows, model.fit, None, ("x",), held_out=True)[0].errors is None
 
 
 def test_what_could_not_be_simulated_has_neither_values_nor_r2():
@@ -212,12 +212,12 @@ def test_r2_is_the_share_that_is_explained_of_what_was_measured():
     whole = recording(DECAY, STARTS, TIMES, NOISE)
     whole.trajectories[0].measured[0, 3] = np.nan
     rows = measurements_of(whole, [0])
-    shot = compare(DECAY, rows, 1e-6).fit_model([TRUTH]).shot
+    fit = compare(DECAY, rows, 1e-6).fit_model([TRUTH]).fit
     kept = np.delete(np.arange(60), 3)
-    values, left = rows.measured[0, kept], (rows.measured - shot.simulated)[0, kept]
+    values, left = rows.measured[0, kept], (rows.measured - fit.simulated)[0, kept]
     expected = 1.0 - float(left @ left) / float(((values - values.mean()) ** 2).sum())
-    assert r2_of(rows, shot, slice(None)) == [pytest.approx(expected)]
-    assert r2_of(rows, shot, np.array([3])) == [None]
+    assert r2_of(rows, fit, slice(None)) == [pytest.approx(expected)]
+    assert r2_of(rows, fit, np.array([3])) == [None]
 
 
 def test_constants_are_fitted_by_weight_and_their_errors_say_so():

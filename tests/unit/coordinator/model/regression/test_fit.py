@@ -9,7 +9,7 @@ from atoll.data.dataset import Problem, Target
 from atoll.expression.program import constant_places
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.criteria import RegressionCriterion, program_length
-from atoll_coordinator.model.regression.fit import Polisher
+from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.standard_errors import description_length, standard_errors
 from tests.unit.coordinator.model.fitting import parsed, problem
 
@@ -23,14 +23,14 @@ def constants(program):
 
 
 def test_exact_data_give_exact_constants():
-    fitted = Polisher(problem(truth)).fit(parsed("2.0*x - 1.5*x*y/(1.0 + 0.9*x*x)"))
+    fitted = LeastSquares(problem(truth)).fit(parsed("2.0*x - 1.5*x*y/(1.0 + 0.9*x*x)"))
     assert fitted.mse < 1e-28
     assert constants(fitted.program)[0] == pytest.approx(3.0, rel=1e-13)
 
 
 def test_a_linear_fit_is_that_of_the_normal_equations():
     its = problem(lambda x, y: 3.0 * x - 2.0 * y, noise=0.1)
-    fitted = Polisher(its).fit(parsed("0.1*x + 9.0*y"))
+    fitted = LeastSquares(its).fit(parsed("0.1*x + 9.0*y"))
     expected, *_ = np.linalg.lstsq(its.inputs.T, its.target.values, rcond=None)
     assert constants(fitted.program) == pytest.approx(expected.tolist(), rel=1e-7)
     variance = np.linalg.inv(its.inputs @ its.inputs.T) * fitted.mse
@@ -41,14 +41,14 @@ def test_a_linear_fit_is_that_of_the_normal_equations():
 def test_what_is_fixed_stays():
     program = parsed("2.9*x - 1.5*y")
     first, second = constant_places(program)
-    fitted = Polisher(problem(lambda x, y: 3.0 * x - 2.0 * y)).fit(program, fixed=[first])
+    fitted = LeastSquares(problem(lambda x, y: 3.0 * x - 2.0 * y)).fit(program, fixed=[first])
     assert fitted.program.constants[first] == 2.9
     assert fitted.program.constants[second] != 1.5
     assert fitted.normal.shape == (1, 1)
 
 
 def test_a_hopeless_fit_is_given_up_early():
-    patient, hasty = Polisher(problem(truth, 0.1)), Polisher(problem(truth, 0.1))
+    patient, hasty = LeastSquares(problem(truth, 0.1)), LeastSquares(problem(truth, 0.1))
     start = parsed("0.1*cos(3.0*x + 0.5*y) + 2.5*sin(4.0*x*y)")
     patient.fit(start)
     hasty.fit(start, enough=1e-9)
@@ -56,14 +56,14 @@ def test_a_hopeless_fit_is_given_up_early():
 
 
 def test_a_program_without_a_finite_value_stays_and_has_infinite_error():
-    fitted = Polisher(problem(truth)).fit(parsed("2.0*log(y)"))
+    fitted = LeastSquares(problem(truth)).fit(parsed("2.0*log(y)"))
     assert fitted.mse == math.inf
     assert description_length(fitted, RegressionCriterion.of(problem(truth).target)) == math.inf
 
 
 def test_constants_that_the_data_cannot_tell_apart_have_large_errors():
     its = problem(lambda x, y: 6.0 * x, noise=0.1)
-    errors = standard_errors(Polisher(its).fit(parsed("(2.0*(3.0*sin(x)))")), RegressionCriterion.of(its.target))
+    errors = standard_errors(LeastSquares(its).fit(parsed("(2.0*(3.0*sin(x)))")), RegressionCriterion.of(its.target))
     assert min(errors) > 1e3
 
 
@@ -84,9 +84,9 @@ def test_rows_count_by_their_weights():
     weights = np.array([4.0, 1.0, 0.25])
     x, y = np.array([1.0, 2.0, 3.0]), np.array([2.0, 5.0, 1.0])
     problem = Problem(("x",), x[None], Target("y", "y", y, 0.0, 1.0))
-    fitted = Polisher(problem, weights).fit(from_infix("1.5*x", ("x",)))
+    fitted = LeastSquares(problem, weights).fit(from_infix("1.5*x", ("x",)))
     slope = float((weights * x * y).sum() / (weights * x * x).sum())
     assert fitted.program.constants[fitted.program.operators == 1] == pytest.approx([slope])
     assert fitted.mse == pytest.approx(float((weights * (slope * x - y) ** 2).mean()))
     assert fitted.normal == pytest.approx(np.array([[(weights * x * x).sum()]]))
-    assert Polisher(problem, weights).mse(fitted.program) == pytest.approx(fitted.mse)
+    assert LeastSquares(problem, weights).mse(fitted.program) == pytest.approx(fitted.mse)

@@ -11,7 +11,7 @@ from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.selection import comparison
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison, distinct
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
-from atoll_coordinator.model.shooting.multiple_shooting import Shooter
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, compare, measurements
 
@@ -35,12 +35,12 @@ def test_a_standing_has_the_nats_of_misfit_programs_and_constants():
     its = lotka()
     model = its.fit_model([TRUTH, OTHER])
     assert model is not None
-    squares = (model.shot.residuals**2).mean(axis=1)
+    squares = (model.fit.residuals**2).mean(axis=1)
     misfit = 0.5 * 120 * float(np.log(squares).sum())
     assert model.misfit == pytest.approx(misfit)
     programs = structure_length(TRUTH) + structure_length(OTHER)
-    assert model.nats == pytest.approx(misfit + programs + 0.5 * math.log(120) * len(model.shot.system.places))
-    assert model.shot.segments.tolist() == [[0, 40], [40, 80], [80, 120]]
+    assert model.nats == pytest.approx(misfit + programs + 0.5 * math.log(120) * len(model.fit.system.places))
+    assert model.fit.segments.tolist() == [[0, 40], [40, 80], [80, 120]]
 
 
 def test_programs_come_back_with_fitted_constants():
@@ -88,7 +88,7 @@ def test_beyond_the_work_that_is_allowed_no_more_programs_are_taken_in(monkeypat
     its = lotka()
     near = its.fit_model([RIVALS[2], OTHER])
     programs = [RIVALS[0], RIVALS[3], TRUTH]
-    found = its.narrow_down(near, 0, programs, ((4, 3),), until=its.shooter.work)
+    found = its.narrow_down(near, 0, programs, ((4, 3),), until=its.estimator.work)
     assert {structure(each.programs[0]) for each in found} == {structure(program) for program in programs[:2]}
     assert len(its.narrow_down(near, 0, programs, ((4, 3),))) == 3
 
@@ -127,7 +127,7 @@ def test_constants_of_a_fixed_equation_stay():
     known = LOTKA.parsed("2.02*y - x*y - y**2")
     model = its.fit_model([RIVALS[1], known])
     assert model.programs[1] == known
-    assert len(model.shot.system.places) == 3
+    assert len(model.fit.system.places) == 3
     assert model.programs[0] != RIVALS[1]
 
 
@@ -159,27 +159,27 @@ def test_noise_is_not_exact_and_its_absence_is():
 def test_the_covariance_is_that_of_least_squares():
     """x' = -a x from a fitted start: two columns, in closed form."""
     its = measurements(DECAY, [[2.0]], TIMES, noise=0.01)
-    shot = Shooter(its, 1e-10).fit(compare(DECAY, its).system([DECAY.parsed("-0.5*x")]), None, 30)
-    rate, start = abs(float(shot.system.values[0])), float(shot.starts[0, 0])
+    fit = MultipleShooting(its, 1e-10).fit(compare(DECAY, its).system([DECAY.parsed("-0.5*x")]), None, 30)
+    rate, start = abs(float(fit.system.values[0])), float(fit.starts[0, 0])
     decay = np.exp(-rate * TIMES)
-    columns = np.stack([TIMES * start * decay, decay], axis=1) / shot.sigmas[0]
-    assert covariance(shot)[0, 0] == pytest.approx(np.linalg.inv(columns.T @ columns)[0, 0], rel=1e-5)
+    columns = np.stack([TIMES * start * decay, decay], axis=1) / fit.sigmas[0]
+    assert covariance(fit)[0, 0] == pytest.approx(np.linalg.inv(columns.T @ columns)[0, 0], rel=1e-5)
 
 
 def test_constants_that_only_count_together_have_infinite_variances():
     its = measurements(DECAY, [[2.0]], TIMES, noise=0.01)
     made = compare(DECAY, its).system([DECAY.parsed("-0.2*x - 0.3*x")])
-    shot = Shooter(its, 1e-8).fit(made, None, 10)
-    assert np.isinf(np.diag(covariance(shot))).all()
-    assert np.isfinite(covariance(shot)[0, 1])
-    bounded = bounded_covariance(shot)
+    fit = MultipleShooting(its, 1e-8).fit(made, None, 10)
+    assert np.isinf(np.diag(covariance(fit))).all()
+    assert np.isfinite(covariance(fit)[0, 1])
+    bounded = bounded_covariance(fit)
     assert (np.linalg.eigvalsh(bounded) > 0.0).all()
 
 
 def test_a_constant_beside_redundant_ones_keeps_its_variance():
     its = measurements(LOTKA, STARTS, TIMES, noise=NOISE)
     made = compare(LOTKA, its).system([LOTKA.parsed("2.2*x + 0.7*x - 2.1*x*y - 0.9*x*x"), OTHER])
-    shot = Shooter(its, 1e-8).fit(made, None, 10)
-    variances = np.diag(covariance(shot)).tolist()
+    fit = MultipleShooting(its, 1e-8).fit(made, None, 10)
+    variances = np.diag(covariance(fit)).tolist()
     assert len(variances) == len(made.places) > 3
     assert np.isinf(variances).tolist() == [True, True, *[False] * (len(variances) - 2)]

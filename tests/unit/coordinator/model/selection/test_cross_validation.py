@@ -53,11 +53,11 @@ def test_it_is_the_error_of_fits_to_the_others():
     """x' = -a x, by hand: the rate from three trajectories, the start of the fourth alone."""
     its = compare(DECAY, measurements(DECAY, ([3.0], [2.0], [-1.0], [-2.0]), TIMES, noise=NOISE, seed=121), 1e-8)
     found = its.fit_model([DECAY.parsed("-0.4*x")])
-    rows = its.shooter.measurements
+    rows = its.estimator.measurements
     squares = 0.0
     for left_out in range(4):
         others = compare(DECAY, rows.part({0, 1, 2, 3} - {left_out}), 1e-8).fit_model([DECAY.parsed("-0.4*x")])
-        decay = np.exp(-abs(others.shot.system.values[0]) * TIMES)
+        decay = np.exp(-abs(others.fit.system.values[0]) * TIMES)
         values = rows.part({left_out}).measured[0]
         squares += float(np.sum((values - decay * (decay @ values) / (decay @ decay)) ** 2))
     mean = squares / 120.0

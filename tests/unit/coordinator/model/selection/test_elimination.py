@@ -35,7 +35,7 @@ def test_elimination_goes_past_the_truth():
     found = eliminated(alone, problem, terms)
     assert [len(constant_places(each.programs[0])) for each in found] == list(range(10, 0, -1))
     best = min(found, key=lambda each: each.nats)
-    assert sorted(best.shot.system.values.tolist()) == pytest.approx([-1.5, -0.7, -0.2], abs=0.06)
+    assert sorted(best.fit.system.values.tolist()) == pytest.approx([-1.5, -0.7, -0.2], abs=0.06)
     text = DUFFING.text(best.programs[0])
     assert (text.count("x"), text.count("y")) == (2, 1) or (text.count("x"), text.count("y")) == (4, 1)
 
@@ -68,7 +68,7 @@ def test_a_linear_system_is_found_alone():
     problem = Problem(SWING.names, inputs, Target("y", "dy/dt", slopes, 0.01, float(slopes.std()), 0.01))
     found = eliminated(alone, problem, SQUARES)
     best = min(found, key=lambda each: each.nats)
-    assert sorted(best.shot.system.values.tolist()) == pytest.approx([-2.0, -0.3], abs=0.03)
+    assert sorted(best.fit.system.values.tolist()) == pytest.approx([-2.0, -0.3], abs=0.03)
 
 
 PREY = Known(("x", "y"), lambda _, z: [4.0 * z[0] - z[0] ** 2 - z[0] * z[1] / (1.0 + z[0]), 0.5 * z[1]])
@@ -83,7 +83,7 @@ def test_elimination_goes_past_a_law_that_saturates():
     problem = Problem(PREY.names, inputs, Target("x", "dx/dt", slopes, 0.01, float(slopes.std()), 0.01))
     found = eliminated(alone, problem, next(fractions([0, 1], (*PLAIN, DIVIDE), [3.0, 3.0])))
     best = min(found, key=lambda each: each.nats)
-    assert sorted(best.shot.system.values.tolist()) == pytest.approx([-1.0, -1.0, 1.0, 4.0], abs=0.15)
+    assert sorted(best.fit.system.values.tolist()) == pytest.approx([-1.0, -1.0, 1.0, 4.0], abs=0.15)
 
 
 def test_what_has_no_value_is_left_out():

@@ -101,12 +101,12 @@ def test_only_the_equations_named_are_changed(swinging):
 @pytest.mark.parametrize("budget", [1, 200_000])
 def test_the_budget_ends_it(swinging, budget):
     start = begun(swinging, "y", "-1.5*x")
-    most = swinging.shooter.work + budget
+    most = swinging.estimator.work + budget
     descent = LocalSearch(swinging, around, most)
     end = descent.improve(start, [0, 1])
     assert descent.is_exhausted
     largest_round = 100 * 2 * 80 * (10 + 2 * (1 + 6 + 2))
-    assert swinging.shooter.work <= most + largest_round
+    assert swinging.estimator.work <= most + largest_round
     assert end.nats <= start.nats
 
 

@@ -44,7 +44,7 @@ def test_regular_trajectories_are_simulated_in_whole():
     task = field_of(SWING, ([1.0, 2.0], [0.5, -1.0]), 0.1 * np.arange(220.0), 0.03, **SWING_TEXTS)
     selection = select_model(task)
     assert selection.task.piece == task.piece
-    assert np.diff(selection.comparison.shooter.measurements.bounds, axis=1).ravel().tolist() == [220, 220]
+    assert np.diff(selection.comparison.estimator.measurements.bounds, axis=1).ravel().tolist() == [220, 220]
     assert list(remarks(selection.task)) == []
 
 
@@ -78,9 +78,9 @@ def test_no_candidate_is_no_choice():
 def test_a_choice_on_some_rows_is_fitted_to_all():
     starts = [[1.0 + 0.3 * index, 2.0] for index in range(20)]
     selection = select_model(field_of(SWING, starts, 0.1 * np.arange(80.0), 0.03, **SWING_TEXTS))
-    assert selection.comparison.shooter.measurements.rows < 1_600
+    assert selection.comparison.estimator.measurements.rows < 1_600
     whole = on_all_rows(selection)
-    assert whole.comparison.shooter.measurements.rows == 1_600
-    values = np.sort(np.abs(whole.model.shot.system.values))
+    assert whole.comparison.estimator.measurements.rows == 1_600
+    values = np.sort(np.abs(whole.model.fit.system.values))
     assert values == pytest.approx([0.3, 2.0], rel=0.02)
     assert on_all_rows(whole) is whole

@@ -34,7 +34,7 @@ def shown(rate, noise, **options):
 )
 def test_a_simple_number_within_the_error_is_taken(rate, simple):
     text, model = shown(rate, 0.02)
-    (value,), (error,) = np.abs(model.shot.system.values), np.sqrt(np.diag(covariance(model.shot)))
+    (value,), (error,) = np.abs(model.fit.system.values), np.sqrt(np.diag(covariance(model.fit)))
     assert value != rate
     assert abs(value - rate) < 4.0 * error
     assert text == simple
@@ -44,7 +44,7 @@ def test_the_shorter_number_is_taken_the_less_is_known():
     """0.0496 with an error of about 0.0001 stays; with one of about 0.002 it is 0.05."""
     assert shown(0.0496, 1e-4)[0] == "-0.0496*x"
     text, model = shown(0.0496, 0.03)
-    assert 5e-4 < math.sqrt(covariance(model.shot)[0, 0]) < 4e-3
+    assert 5e-4 < math.sqrt(covariance(model.fit)[0, 0]) < 4e-3
     assert text == "-0.05*x"
 
 
@@ -73,7 +73,7 @@ def test_what_is_shown_misses_the_measurements_by_little_more():
     _, its, model = decayed(0.0496, 0.03)
     (program,) = round_system(its, model)
     held = its.system([program], [range(len(program))])
-    simple = its.shooter.fit(held, None, 30)
+    simple = its.estimator.fit(held, None, 30)
     assert model.misfit <= its.measure([program], simple).misfit < model.misfit + 3.0
 
 
@@ -99,8 +99,8 @@ def test_too_many_constants_are_left_as_fitted():
         f"{0.2 + 0.001 * index}*x**{index}" for index in range(1, SETTINGS.selection.most_rounded_constants + 2)
     )
     system = its.system([known.parsed(text)])
-    shot = its.shooter.fit(system, 5, 0)
-    model = its.measure([known.parsed(text)], shot)
+    fit = its.estimator.fit(system, 5, 0)
+    model = its.measure([known.parsed(text)], fit)
     assert len(constant_places(model.programs[0])) > SETTINGS.selection.most_rounded_constants
     assert round_system(its, model) == model.programs
 

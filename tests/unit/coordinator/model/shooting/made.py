@@ -18,7 +18,7 @@ from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, 
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
-from atoll_coordinator.model.shooting.multiple_shooting import Shooter
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.structure.algebra import tidied
 
 Rates = Callable[[float, Sequence[float]], Sequence[float]]
@@ -142,4 +142,4 @@ def measurements(known: Known, starts: Sequence[Sequence[float]], times: FloatAr
 
 
 def compare(known: Known, its: Measurements, precision: float = 1e-6, **options) -> ModelComparison:
-    return ModelComparison(Shooter(its, precision), known.names, **options)
+    return ModelComparison(MultipleShooting(its, precision), known.names, **options)

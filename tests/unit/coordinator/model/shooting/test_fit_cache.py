@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from atoll_coordinator.model.shooting.fit_cache import Memory, key_of
-from atoll_coordinator.model.shooting.multiple_shooting import Shooter
+from atoll_coordinator.model.shooting.fit_cache import FitCache, key_of
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import system_of
 from tests.unit.coordinator.model.shooting.made import DECAY, measurements
 
@@ -15,10 +15,10 @@ def decay(text="-0.4*x"):
 
 
 def test_what_is_kept_is_recalled_until_there_is_no_room():
-    memory = Memory[str](10, room_bytes=20)
+    cache = FitCache[str](10, room_bytes=20)
     for number, fit in enumerate("abc"):
-        memory.keep((number,), fit)
-    assert [memory.recall((number,)) for number in range(3)] == [None, "b", "c"]
+        cache.put((number,), fit)
+    assert [cache.get((number,)) for number in range(3)] == [None, "b", "c"]
 
 
 def test_a_key_differs_with_the_last_bit_of_a_constant_or_a_start():
@@ -37,30 +37,30 @@ def test_a_key_differs_with_the_last_bit_of_a_constant_or_a_start():
 
 
 def test_the_same_fit_again_is_the_same_object_and_counts_the_same_work():
-    shooter = Shooter(measurements(DECAY, [[3.0], [2.0]], TIMES, noise=0.05), 1e-6)
-    first = shooter.fit(decay(), 5, 4)
-    work = shooter.work
-    assert shooter.fit(decay(), 5, 4) is first
-    assert shooter.work == 2 * work
-    assert shooter.fit(decay(), 5, 3) is not first
+    estimator = MultipleShooting(measurements(DECAY, [[3.0], [2.0]], TIMES, noise=0.05), 1e-6)
+    first = estimator.fit(decay(), 5, 4)
+    work = estimator.work
+    assert estimator.fit(decay(), 5, 4) is first
+    assert estimator.work == 2 * work
+    assert estimator.fit(decay(), 5, 3) is not first
 
 
 def test_a_system_that_cannot_be_integrated_is_remembered_as_such():
-    shooter = Shooter(measurements(DECAY, [[3.0], [2.0]], TIMES), 1e-6)
-    assert shooter.fit(decay("x*x*x"), None, 4) is None
-    work = shooter.work
-    assert shooter.fit(decay("x*x*x"), None, 4) is None
-    assert shooter.work == 2 * work > 0
+    estimator = MultipleShooting(measurements(DECAY, [[3.0], [2.0]], TIMES), 1e-6)
+    assert estimator.fit(decay("x*x*x"), None, 4) is None
+    work = estimator.work
+    assert estimator.fit(decay("x*x*x"), None, 4) is None
+    assert estimator.work == 2 * work > 0
 
 
 def test_sensitivities_are_those_of_finite_differences():
-    shooter = Shooter(measurements(DECAY, [[3.0], [2.0]], TIMES, noise=0.05), 1e-9)
-    shot = shooter.fit(decay(), None, 10)
+    estimator = MultipleShooting(measurements(DECAY, [[3.0], [2.0]], TIMES, noise=0.05), 1e-9)
+    fit = estimator.fit(decay(), None, 10)
     little = 1e-5
 
     def moved(by: float) -> np.ndarray:
-        system = shot.system.with_values(shot.system.values + by)
-        return shooter.fit(system, None, 0, shot.starts, shot.sigmas).simulated[0]
+        system = fit.system.with_values(fit.system.values + by)
+        return estimator.fit(system, None, 0, fit.starts, fit.sigmas).simulated[0]
 
     expected = (moved(little) - moved(-little)) / (2.0 * little)
-    assert np.abs(shot.integrated_sensitivities()[:, 0, 0] - expected).max() < 1e-4 * np.abs(expected).max()
+    assert np.abs(fit.integrated_sensitivities()[:, 0, 0] - expected).max() < 1e-4 * np.abs(expected).max()

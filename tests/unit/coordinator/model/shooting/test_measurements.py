@@ -173,7 +173,7 @@ def test_limits_leave_room_on_both_sides():
     assert its.limits[:, 1] == pytest.approx(high + SETTINGS.shooting.blow_up_widths * (high - low))
 
 
-def test_rows_count_by_their_weights_and_by_their_trust():
+def test_rows_count_by_their_weights_and_by_their_robustness_weights():
     its = recording(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES, 0.1)
     first, second = its.trajectories
     weights = np.linspace(0.5, 1.5, len(TIMES))
@@ -184,6 +184,6 @@ def test_rows_count_by_their_weights_and_by_their_trust():
     found = measurements_of(weighed, [0, 1])
     assert found.weights[0, : len(TIMES)] == pytest.approx(weights)
     assert found.weights[1, 2] == pytest.approx(0.25 * weights[2])
-    assert found.precision == pytest.approx(np.tile(weights, 2))
-    assert found.part([1]).precision == pytest.approx(weights)
-    assert measurements_of(its, [0, 1]).precision is None
+    assert found.inverse_variances == pytest.approx(np.tile(weights, 2))
+    assert found.part([1]).inverse_variances == pytest.approx(weights)
+    assert measurements_of(its, [0, 1]).inverse_variances is None

@@ -8,7 +8,7 @@ import pytest
 from atoll_coordinator.model.criteria import trajectory_misfit
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import measurements_of
-from atoll_coordinator.model.shooting.multiple_shooting import Shooter, staged
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import system_of, variable_program
 from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, recording
 
@@ -26,34 +26,34 @@ def system(known, *texts):
 
 
 def fitted_lotka(its, precision=1e-8):
-    return staged(Shooter(its, precision), system(LOTKA, *FAR), (8, 25, None), 40)
+    return fit_in_stages(MultipleShooting(its, precision), system(LOTKA, *FAR), (8, 25, None), 40)
 
 
-def sizes(shot):
-    return sorted(np.abs(shot.system.values).tolist())
+def sizes(fit):
+    return sorted(np.abs(fit.system.values).tolist())
 
 
 @pytest.mark.parametrize("precision", [1e-8, 1e-5, 1e-3], ids=["precise", "quick", "rough"])
 def test_constants_are_found_from_bad_starts(precision):
-    shot = fitted_lotka(lotka(), precision)
-    assert sizes(shot) == pytest.approx([1.0, 1.0, 1.0, 2.0, 2.0, 3.0], rel=max(30.0 * precision, 1e-5))
-    assert shot.segments.tolist() == [[0, 50], [50, 100], [100, 150]]
-    assert shot.starts == pytest.approx(np.array(LOTKA_STARTS), rel=max(30.0 * precision, 1e-5))
+    fit = fitted_lotka(lotka(), precision)
+    assert sizes(fit) == pytest.approx([1.0, 1.0, 1.0, 2.0, 2.0, 3.0], rel=max(30.0 * precision, 1e-5))
+    assert fit.segments.tolist() == [[0, 50], [50, 100], [100, 150]]
+    assert fit.starts == pytest.approx(np.array(LOTKA_STARTS), rel=max(30.0 * precision, 1e-5))
 
 
 def test_noise_costs_accuracy_in_proportion():
     errors = []
     for noise in (1e-4, 1e-2):
-        shot = fitted_lotka(lotka(noise=noise))
-        errors.append(np.abs(np.array(sizes(shot)) - [1.0, 1.0, 1.0, 2.0, 2.0, 3.0]).max())
-        assert np.sqrt(shot.squares) == pytest.approx([noise, noise], rel=0.15)
+        fit = fitted_lotka(lotka(noise=noise))
+        errors.append(np.abs(np.array(sizes(fit)) - [1.0, 1.0, 1.0, 2.0, 2.0, 3.0]).max())
+        assert np.sqrt(fit.squares) == pytest.approx([noise, noise], rel=0.15)
     assert 30.0 * errors[0] < errors[1] < 0.2
 
 
 def test_a_measured_input_takes_part():
     its = measurements(DRIVEN, [[2.0], [-1.0]], TIMES)
-    shot = Shooter(its, 1e-8).fit(system(DRIVEN, "-0.3*x + 0.5*u"), 10, 30)
-    assert sizes(shot) == pytest.approx([0.8, 1.5], rel=1e-3)
+    fit = MultipleShooting(its, 1e-8).fit(system(DRIVEN, "-0.3*x + 0.5*u"), 10, 30)
+    assert sizes(fit) == pytest.approx([0.8, 1.5], rel=1e-3)
 
 
 def test_errors_of_every_state_are_weighted_by_their_own_size():
@@ -62,37 +62,37 @@ def test_errors_of_every_state_are_weighted_by_their_own_size():
     its = measurements(both, [[3.0, 1.0], [2.0, -1.0]], TIMES, noise=(0.3, 3e-4), seed=1)
     start = system(both, "-0.8*x", "-0.5*x - 0.2*y")
     equal = np.array([0.1, 0.1])
-    shot = Shooter(its, 1e-6).fit(start, None, 40, sigmas=equal)
-    assert shot.sigmas == pytest.approx([0.3, 3e-4], rel=0.2)
-    assert shot.sigmas == pytest.approx(np.sqrt(shot.squares), rel=2e-3)
-    assert sizes(shot) == pytest.approx([0.2, 0.5, 0.5], rel=5e-3)
+    fit = MultipleShooting(its, 1e-6).fit(start, None, 40, sigmas=equal)
+    assert fit.sigmas == pytest.approx([0.3, 3e-4], rel=0.2)
+    assert fit.sigmas == pytest.approx(np.sqrt(fit.squares), rel=2e-3)
+    assert sizes(fit) == pytest.approx([0.2, 0.5, 0.5], rel=5e-3)
 
 
 def test_missing_values_and_outliers_without_weight_do_not_count():
     complete = recording(LOTKA, LOTKA_STARTS, TIMES, noise=1e-3)
     holed = recording(LOTKA, LOTKA_STARTS, TIMES, noise=1e-3)
     holed.trajectories[0].measured[0, 5:15] = np.nan
-    shot = fitted_lotka(measurements_of(holed, [0, 1]))
-    assert sizes(shot) == pytest.approx(sizes(fitted_lotka(measurements_of(complete, [0, 1]))), rel=0.01)
-    assert np.isfinite(shot.squares).all()
+    fit = fitted_lotka(measurements_of(holed, [0, 1]))
+    assert sizes(fit) == pytest.approx(sizes(fitted_lotka(measurements_of(complete, [0, 1]))), rel=0.01)
+    assert np.isfinite(fit.squares).all()
 
 
 def test_the_fit_is_the_one_of_least_squares():
     """At the end the gradient vanishes, and moving any constant or start costs."""
     its = measurements(DECAY, [[3.0], [2.0]], TIMES, noise=0.05)
-    shooter = Shooter(its, 1e-9)
-    shot = shooter.fit(system(DECAY, "-0.3*x"), None, 50)
+    estimator = MultipleShooting(its, 1e-9)
+    fit = estimator.fit(system(DECAY, "-0.3*x"), None, 50)
     for shift in (-1e-3, 1e-3):
-        moved = shooter.fit(shot.system.with_values(shot.system.values + shift), None, 0, shot.starts, shot.sigmas)
-        assert moved.squares[0] > shot.squares[0]
-        moved = shooter.fit(shot.system, None, 0, shot.starts + np.array([[shift], [0.0]]), shot.sigmas)
-        assert moved.squares[0] > shot.squares[0]
+        moved = estimator.fit(fit.system.with_values(fit.system.values + shift), None, 0, fit.starts, fit.sigmas)
+        assert moved.squares[0] > fit.squares[0]
+        moved = estimator.fit(fit.system, None, 0, fit.starts + np.array([[shift], [0.0]]), fit.sigmas)
+        assert moved.squares[0] > fit.squares[0]
 
 
 def test_without_steps_a_system_is_simulated_as_it_is():
-    shot = Shooter(lotka(), 1e-8).fit(system(LOTKA, "3*x - 2*x*y - x**2", "2*y - x*y - y**2"), None, 0)
-    assert np.abs(shot.residuals).max() < 1e-6
-    assert shot.residuals == pytest.approx(lotka().measured - shot.simulated)
+    fit = MultipleShooting(lotka(), 1e-8).fit(system(LOTKA, "3*x - 2*x*y - x**2", "2*y - x*y - y**2"), None, 0)
+    assert np.abs(fit.residuals).max() < 1e-6
+    assert fit.residuals == pytest.approx(lotka().measured - fit.simulated)
 
 
 def test_constants_that_are_held_stay_and_initial_states_are_fitted():
@@ -100,27 +100,27 @@ def test_constants_that_are_held_stay_and_initial_states_are_fitted():
     programs = [LOTKA.parsed("3*x - 2*x*y - x**2"), LOTKA.parsed("2*y - x*y - y**2")]
     held = system_of(programs, LOTKA.names, LOTKA.names, [range(20), range(20)])
     off = np.array(LOTKA_STARTS) + 0.2
-    shot = Shooter(its, 1e-8).fit(held, None, 30, off)
-    assert shot.system.values.size == 0
-    assert shot.starts == pytest.approx(np.array(LOTKA_STARTS), abs=0.03)
-    assert shot.reduced.shape == (0, 0)
+    fit = MultipleShooting(its, 1e-8).fit(held, None, 30, off)
+    assert fit.system.values.size == 0
+    assert fit.starts == pytest.approx(np.array(LOTKA_STARTS), abs=0.03)
+    assert fit.reduced.shape == (0, 0)
 
 
 @pytest.mark.parametrize("text", ["x*x*x", "log(x - 100.0)", "1e6*x - 1e6", "1/(x - x)"])
 def test_what_cannot_be_integrated_is_none(text):
     """It blows up, or has no value."""
     its = measurements(DECAY, [[3.0], [2.0]], TIMES)
-    assert Shooter(its, 1e-6).fit(system(DECAY, text), None, 10) is None
-    assert staged(Shooter(its, 1e-6), system(DECAY, text), (8, None), 10) is None
+    assert MultipleShooting(its, 1e-6).fit(system(DECAY, text), None, 10) is None
+    assert fit_in_stages(MultipleShooting(its, 1e-6), system(DECAY, text), (8, None), 10) is None
 
 
 def test_a_stiff_system_is_simulated():
     """Within a microsecond the state is what the equation says."""
     its = measurements(DECAY, [[3.0], [2.0]], TIMES)
-    shot = Shooter(its, 1e-4).fit(system(DECAY, "-1e6*x + 1e6"), None, 0, is_stiff=True)
-    assert shot is not None
-    assert shot.is_stiff
-    assert shot.simulated[0, 1:50] == pytest.approx(np.ones(49), abs=1e-3)
+    fit = MultipleShooting(its, 1e-4).fit(system(DECAY, "-1e6*x + 1e6"), None, 0, is_stiff=True)
+    assert fit is not None
+    assert fit.is_stiff
+    assert fit.simulated[0, 1:50] == pytest.approx(np.ones(49), abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -129,34 +129,34 @@ def test_a_stiff_system_is_simulated():
 def test_what_seems_stiff_gets_implicit_steps_in_a_long_fit_alone(steps, is_fitted):
     """Most candidates that seem so are bad ones."""
     its = measurements(DECAY, [[3.0], [2.0]], TIMES)
-    shot = Shooter(its, 1e-4).fit(system(DECAY, "-1e6*x + 1e6"), None, steps)
-    assert (shot is not None) is is_fitted
+    fit = MultipleShooting(its, 1e-4).fit(system(DECAY, "-1e6*x + 1e6"), None, steps)
+    assert (fit is not None) is is_fitted
 
 
 def test_short_segments_hold_where_whole_trajectories_blow_up():
     """x' = 0.2 x^2 from 3 has a pole at 1.7, segments of five rows do not reach it."""
     its = measurements(DECAY, [[3.0], [2.0]], TIMES)
     start = system(DECAY, "0.2*x*x - 0.1*x")
-    assert Shooter(its, 1e-6).fit(start, None, 10) is None
-    shot = staged(Shooter(its, 1e-6), start, (5, None), 30)
-    assert shot is not None
-    assert np.sqrt(shot.squares[0]) < 0.02
+    assert MultipleShooting(its, 1e-6).fit(start, None, 10) is None
+    fit = fit_in_stages(MultipleShooting(its, 1e-6), start, (5, None), 30)
+    assert fit is not None
+    assert np.sqrt(fit.squares[0]) < 0.02
 
 
 def test_the_block_inverse_gives_the_covariance_of_the_dense_fit():
     its = lotka(noise=0.01)
-    shot = fitted_lotka(its)
-    fitted = len(shot.system.places)
+    fit = fitted_lotka(its)
+    fitted = len(fit.system.places)
     columns = []
-    for group, (first, end) in enumerate(shot.segments.tolist()):
+    for group, (first, end) in enumerate(fit.segments.tolist()):
         part = np.zeros((2 * (end - first), fitted + 6))
-        gradients = shot.integrated_sensitivities()[first:end] / shot.sigmas[None, :, None]
+        gradients = fit.integrated_sensitivities()[first:end] / fit.sigmas[None, :, None]
         part[:, :fitted] = gradients[:, :, :fitted].reshape(-1, fitted)
         part[:, fitted + 2 * group : fitted + 2 * group + 2] = gradients[:, :, fitted:].reshape(-1, 2)
         columns.append(part)
     jacobian = np.concatenate(columns)
     expected = np.linalg.inv(jacobian.T @ jacobian)[:fitted, :fitted]
-    assert np.linalg.inv(shot.reduced) == pytest.approx(expected, rel=1e-6)
+    assert np.linalg.inv(fit.reduced) == pytest.approx(expected, rel=1e-6)
 
 
 def test_two_fits_are_the_same_to_the_bit():
@@ -169,7 +169,7 @@ def test_two_fits_are_the_same_to_the_bit():
 
 def test_work_counts_rows_and_what_is_carried_along():
     its = lotka()
-    small, large = Shooter(its, 1e-6), Shooter(its, 1e-6)
+    small, large = MultipleShooting(its, 1e-6), MultipleShooting(its, 1e-6)
     small.fit(system(LOTKA, "3*x", "2*y"), 10, 0)
     large.fit(system(LOTKA, *FAR), 10, 0)
     assert small.work == 150 * (10 + 2 * (1 + 2 + 2))
@@ -178,13 +178,13 @@ def test_work_counts_rows_and_what_is_carried_along():
 
 def test_the_misfit_is_the_likelihood_with_fitted_variances_above_the_floor():
     its = lotka(noise=(0.01, 0.1))
-    shot = fitted_lotka(its)
+    fit = fitted_lotka(its)
     counts, none = its.weights.sum(axis=1), np.zeros(2)
-    variances = (shot.residuals**2).mean(axis=1)
-    assert trajectory_misfit(shot.squares, none, counts) == pytest.approx(0.5 * 150 * np.log(variances).sum())
+    variances = (fit.residuals**2).mean(axis=1)
+    assert trajectory_misfit(fit.squares, none, counts) == pytest.approx(0.5 * 150 * np.log(variances).sum())
     floors = np.array([1.0, 0.0])
     expected = 0.5 * 150 * (variances[0] - 1.0) + 0.5 * 150 * np.log(variances[1])
-    assert trajectory_misfit(shot.squares, floors, counts) == pytest.approx(expected)
+    assert trajectory_misfit(fit.squares, floors, counts) == pytest.approx(expected)
 
 
 def test_an_unmeasured_velocity_is_fitted_from_positions():
@@ -200,6 +200,6 @@ def test_an_unmeasured_velocity_is_fitted_from_positions():
     )  # fmt: skip
     its = measurements_of(second, [0])
     made = system_of([variable_program(1), SWING.parsed("-1.2*x - 0.1*y")], SWING.names, its.variables)
-    shot = staged(Shooter(its, 1e-6), made, (10, None), 30)
-    assert sizes(shot) == pytest.approx([0.3, 2.0], rel=0.01)
-    assert shot.starts == pytest.approx(np.array([[1.0, 2.0], [0.5, -1.0]]), abs=0.01)
+    fit = fit_in_stages(MultipleShooting(its, 1e-6), made, (10, None), 30)
+    assert sizes(fit) == pytest.approx([0.3, 2.0], rel=0.01)
+    assert fit.starts == pytest.approx(np.array([[1.0, 2.0], [0.5, -1.0]]), abs=0.01)

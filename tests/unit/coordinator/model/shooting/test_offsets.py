@@ -27,10 +27,10 @@ def its():
 def test_offsets_are_fitted_with_whole_trajectories(its):
     task = compare(LOTKA, its)
     model = task.fit_model([LOTKA.parsed(text) for text in LOTKA_TEXT])
-    assert model.shot.starts.shape == (3, 3)
-    assert model.shot.starts[:, 2] == pytest.approx(OFFSETS, abs=0.02)
-    assert np.sqrt(model.shot.squares) == pytest.approx([0.01, 0.01], rel=0.15)
-    curves = simulated(its, model.shot, None, ("x", "y"), held_out=False)
+    assert model.fit.starts.shape == (3, 3)
+    assert model.fit.starts[:, 2] == pytest.approx(OFFSETS, abs=0.02)
+    assert np.sqrt(model.fit.squares) == pytest.approx([0.01, 0.01], rel=0.15)
+    curves = simulated(its, model.fit, None, ("x", "y"), held_out=False)
     assert [curve.offsets["x"] for curve in curves] == pytest.approx(OFFSETS, abs=0.02)
     assert set(curves[0].offsets) == {"x"}
     assert curves[0].values[0] == pytest.approx(its.measured[0, :60], abs=0.06)
@@ -39,16 +39,16 @@ def test_offsets_are_fitted_with_whole_trajectories(its):
 def test_offsets_count_as_fitted_numbers(its):
     task = compare(LOTKA, its)
     model = task.fit_model([LOTKA.parsed(text) for text in LOTKA_TEXT])
-    assert estimate_errors(task, model).freedom == 360 - len(model.shot.system.places) - 9
+    assert estimate_errors(task, model).freedom == 360 - len(model.fit.system.places) - 9
 
 
 def test_segments_have_none(its):
     task = compare(LOTKA, its)
     model = task.fit_model([LOTKA.parsed(text) for text in LOTKA_TEXT], lengths=(10,))
-    assert model.shot.starts.shape == (18, 2)
+    assert model.fit.starts.shape == (18, 2)
 
 
 def test_without_offsets_the_same_trajectories_are_not_fitted(its):
     task = compare(LOTKA, replace(its, offset=its.offset[:0]))
     model = task.fit_model([LOTKA.parsed(text) for text in LOTKA_TEXT])
-    assert model is None or model.shot.squares[0] > 1e-3
+    assert model is None or model.fit.squares[0] > 1e-3

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from atoll.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, OPERATORS, POW, VARIABLE
 from atoll.expression.program import Program, with_constants
 from atoll.expression.text.parsing import from_infix
-from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, shoot
-from atoll_coordinator.model.shooting.multiple_shooting import Shooter
+from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, integrate_segments
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import system_of
-from atoll_coordinator.model.shooting.warmup import PRECISIONS
+from atoll_coordinator.model.shooting.warmup import TOLERANCES
 from tests.oracles.integration import integrate
 from tests.unit.coordinator.model.shooting.made import DECAY, measurements
 from tests.unit.documents import ROOT
@@ -29,7 +29,7 @@ WIDE = np.array([[-1e3, 1e3], [-1e3, 1e3]])
 WHOLE = np.array([[0, len(TIMES)]], dtype=np.int64)
 
 
-def shot(
+def integrated(
     programs, start, *, table=PRECISE, tolerance=1e-9, times=TIMES, inputs=WAVE, input_slopes=RISE, segments=WHOLE,
     limits=WIDE, budget=100_000, wants=True,
 ):  # fmt: skip
@@ -39,7 +39,7 @@ def shot(
     starts = np.atleast_2d(np.asarray(start, dtype=np.float64))
     simulated = np.full((states, len(times)), np.nan)
     gradients = np.full((len(times), states, len(system.places) + states), np.nan)
-    done = shoot(
+    done = integrate_segments(
         table, system.tape, system.owners, (times, inputs, input_slopes), segments, starts, np.full(states, tolerance),
         np.ascontiguousarray(limits[:states]), budget, wants, simulated, gradients, np.zeros(1, np.int64),
     )  # fmt: skip
@@ -62,7 +62,7 @@ SYSTEMS = {
 @pytest.mark.parametrize(("table", "tolerance", "error"), [(PRECISE, 1e-9, 3e-8), (QUICK, 1e-6, 3e-5)])
 def test_states_are_those_of_scipy(texts, table, tolerance, error):
     programs = parsed(*texts)
-    done, simulated, _ = shot(programs, [0.7, 0.4], table=table, tolerance=tolerance)
+    done, simulated, _ = integrated(programs, [0.7, 0.4], table=table, tolerance=tolerance)
     assert done == 1
     expected = integrate(programs, np.array([0.7, 0.4]), TIMES, WAVE, RISE)
     assert simulated == pytest.approx(expected, abs=error)
@@ -73,7 +73,7 @@ def test_the_error_falls_with_the_tolerance(table):
     programs = parsed(*SYSTEMS["swinging"])
     expected = integrate(programs, np.array([0.7, 0.4]), TIMES, WAVE, RISE)
     errors = [
-        np.abs(shot(programs, [0.7, 0.4], table=table, tolerance=tolerance)[1] - expected).max()
+        np.abs(integrated(programs, [0.7, 0.4], table=table, tolerance=tolerance)[1] - expected).max()
         for tolerance in (1e-3, 1e-5, 1e-7)
     ]
     assert errors[0] > 3.0 * errors[1] > 9.0 * errors[2]
@@ -111,11 +111,11 @@ def differences(programs, start, step=1e-5):
         for sign in (1.0, -1.0):
             values = system.values
             values[p] += sign * step
-            both.append(shot(system.with_values(values), start, tolerance=1e-11, wants=False)[1])
+            both.append(integrated(system.with_values(values), start, tolerance=1e-11, wants=False)[1])
         columns.append((both[0] - both[1]) / (2.0 * step))
     for d in range(len(start)):
         shift = step * np.eye(len(start))[d]
-        both = [shot(system, start + sign * shift, tolerance=1e-11, wants=False)[1] for sign in (1.0, -1.0)]
+        both = [integrated(system, start + sign * shift, tolerance=1e-11, wants=False)[1] for sign in (1.0, -1.0)]
         columns.append((both[0] - both[1]) / (2.0 * step))
     return np.array(columns).transpose(2, 1, 0)
 
@@ -127,7 +127,7 @@ def test_sensitivities_are_the_differences_for_every_operator(code):
     starts = [np.array([1.2, 0.4])]
     starts += [np.array([-1.2, 0.4])] if OPERATORS[code].name not in ("log", "sqrt", "pow") else []
     for start in starts:
-        done, _, gradients = shot([chain(code), other], start, tolerance=1e-11)
+        done, _, gradients = integrated([chain(code), other], start, tolerance=1e-11)
         assert done == 1
         assert gradients == pytest.approx(differences([chain(code), other], start), abs=2e-5, rel=1e-4)
 
@@ -139,7 +139,7 @@ def test_a_whole_power_of_a_negative_number_has_sensitivities():
     program = with_constants(program, {exponent: 3.0})
     system = system_of([program], NAMES, NAMES, [{exponent}])
     still = np.zeros((2, len(TIMES)))
-    done, simulated, gradients = shot(system, [1.0], tolerance=1e-11, inputs=still, input_slopes=still)
+    done, simulated, gradients = integrated(system, [1.0], tolerance=1e-11, inputs=still, input_slopes=still)
     assert done == 1
     assert simulated[0] == pytest.approx(3.0 - (0.25 - TIMES / 5.0) ** -0.5, abs=1e-8)
     assert gradients[:, 0, -1] == pytest.approx((1.0 - 0.8 * TIMES) ** -1.5, rel=1e-5)
@@ -149,7 +149,7 @@ def test_the_first_row_is_the_start_and_segments_begin_anew():
     segments = np.array([[0, 3], [3, 4], [4, len(TIMES)]], dtype=np.int64)
     starts = [[0.7, 0.4], [1.0, 2.0], [-0.5, 0.1]]
     programs = parsed(*SYSTEMS["driven"])
-    done, simulated, gradients = shot(programs, starts, segments=segments)
+    done, simulated, gradients = integrated(programs, starts, segments=segments)
     assert done == 3
     fitted = gradients.shape[2] - 2
     for (first, end), start in zip(segments.tolist(), starts, strict=True):
@@ -164,14 +164,14 @@ def test_the_first_row_is_the_start_and_segments_begin_anew():
 
 def test_states_are_the_same_to_the_bit_without_sensitivities():
     programs = parsed(*SYSTEMS["fractions"])
-    assert shot(programs, [0.7, 0.4])[1].tolist() == shot(programs, [0.7, 0.4], wants=False)[1].tolist()
+    assert integrated(programs, [0.7, 0.4])[1].tolist() == integrated(programs, [0.7, 0.4], wants=False)[1].tolist()
 
 
 def test_a_fixed_constant_has_no_column():
     program, other = parsed("-0.5*x + 0.25*y", "-y")
     places = np.flatnonzero(program.operators == CONSTANT).tolist()
-    free = shot([program, other], [1.0, 2.0])[2]
-    held = shot(system_of([program, other], NAMES, NAMES, [{places[0]}, ()]), [1.0, 2.0])[2]
+    free = integrated([program, other], [1.0, 2.0])[2]
+    held = integrated(system_of([program, other], NAMES, NAMES, [{places[0]}, ()]), [1.0, 2.0])[2]
     assert held.shape[2] == free.shape[2] - 1
     assert held.tolist() == free[:, :, 1:].tolist()
 
@@ -182,7 +182,7 @@ def test_a_blow_up_ends_the_segment_at_its_row_and_those_behind_are_not_tried():
     segments = np.array([[0, 2], [2, 7], [7, 8]], dtype=np.int64)
     starts = [[1.0, 0.0], [1.0 / 0.8, 0.0], [3.0, 0.0]]
     limits = np.array([[-5.0, 5.0], [-5.0, 5.0]])
-    done, simulated, _ = shot(programs, starts, segments=segments, limits=limits)
+    done, simulated, _ = integrated(programs, starts, segments=segments, limits=limits)
     assert done == 1
     assert simulated[0, :6] == pytest.approx(1.0 / (1.0 - TIMES[:6]), rel=1e-6)
     assert np.isnan(simulated[:, 6:]).all()
@@ -191,7 +191,7 @@ def test_a_blow_up_ends_the_segment_at_its_row_and_those_behind_are_not_tried():
 @pytest.mark.parametrize("text", ["log(x)", "-1.0 - sqrt(x)", "1/(0.4 - x)", "-exp(8.0/x)"])
 def test_where_the_rates_have_no_value_the_segment_ends(text):
     """x falls to zero, or meets a pole, between rows."""
-    done, simulated, _ = shot(parsed(text, "0*y"), [0.3, 1.0])
+    done, simulated, _ = integrated(parsed(text, "0*y"), [0.3, 1.0])
     assert done == 0
     ended = np.isnan(simulated[0]).argmax()
     assert 0 < ended < len(TIMES)
@@ -200,7 +200,7 @@ def test_where_the_rates_have_no_value_the_segment_ends(text):
 
 
 def test_rates_without_a_value_at_the_start_end_it_there():
-    done, simulated, _ = shot(parsed("log(x)", "0*y"), [-1.0, 1.0])
+    done, simulated, _ = integrated(parsed("log(x)", "0*y"), [-1.0, 1.0])
     assert done == 0
     assert simulated[:, 0].tolist() == [-1.0, 1.0]
     assert np.isnan(simulated[:, 1:]).all()
@@ -218,7 +218,7 @@ def test_a_step_too_wide_for_one_state_is_taken_again_whatever_the_other_says(or
     times = np.array([0.0, 1.0])
     still = np.zeros((1, 2))
     start = [{"x": 1.0, "y": 0.0}[name] for name in variables[:2]]
-    done, simulated, _ = shot(
+    done, simulated, _ = integrated(
         system, start, times=times, inputs=still, input_slopes=still, segments=np.array([[0, 2]], dtype=np.int64)
     )
     assert done == 1
@@ -230,13 +230,13 @@ def test_when_the_steps_are_used_up_the_rows_before_stay():
     programs = parsed("-3000.0*(x - u)", "0*y")
     reached = []
     for budget in (100, 400, 1200):
-        done, simulated, _ = shot(programs, [1.0, 0.0], budget=budget)
+        done, simulated, _ = integrated(programs, [1.0, 0.0], budget=budget)
         assert done == -1
         ended = int(np.isnan(simulated[0]).argmax())
         assert simulated[0, 1:ended] == pytest.approx(WAVE[0, 1:ended], abs=0.01)
         reached.append(ended)
     assert reached == sorted(set(reached))
-    assert shot(programs, [1.0, 0.0], budget=100_000)[0] == 1
+    assert integrated(programs, [1.0, 0.0], budget=100_000)[0] == 1
 
 
 @settings(max_examples=30, deadline=None)
@@ -257,7 +257,7 @@ def test_a_linear_equation_is_solved_whatever_the_segments(rate, level, start, c
     edges = [0, *sorted(cuts), len(TIMES)]
     segments = np.array(list(pairwise(edges)), dtype=np.int64)
     still = np.zeros((2, len(TIMES)))
-    done, simulated, gradients = shot(
+    done, simulated, gradients = integrated(
         system, expected[segments[:, :1]], segments=segments, inputs=still, input_slopes=still
     )
     assert done == len(segments)
@@ -280,17 +280,17 @@ def numbers():
             part
             for table in (PRECISE, QUICK)
             for texts in (*SYSTEMS.values(), ("exp(900.0*x)", "tanh(y)"))
-            for part in shot(parsed(*texts), [0.7, 0.4], table=table)[1:]
+            for part in integrated(parsed(*texts), [0.7, 0.4], table=table)[1:]
         ]
-        parts += [fitted for precision in PRECISIONS for fitted in small_fit(precision)]
+        parts += [fitted for precision in TOLERANCES for fitted in small_fit(precision)]
     return np.concatenate([part.ravel() for part in parts]).tolist()
 
 
 def small_fit(precision):
     times = 0.1 * np.arange(12.0)
-    its = Shooter(measurements(DECAY, [[2.0]], times, noise=0.01), precision)
-    shot = its.fit(system_of([DECAY.parsed("-0.4*x")], DECAY.names, DECAY.names), 6, 5)
-    return shot.system.values, shot.starts, shot.normal, shot.simulated
+    its = MultipleShooting(measurements(DECAY, [[2.0]], times, noise=0.01), precision)
+    fit = its.integrated(system_of([DECAY.parsed("-0.4*x")], DECAY.names, DECAY.names), 6, 5)
+    return fit.system.values, fit.starts, fit.normal, fit.simulated
 
 
 def test_interpreted_kernels_give_the_numbers_of_the_compiled_ones():

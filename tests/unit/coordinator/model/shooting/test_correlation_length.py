@@ -20,21 +20,21 @@ def made():
 
 
 def test_a_whole_system_has_none(made):
-    assert measurements_of(made, range(2)).coherence == 1.0
+    assert measurements_of(made, range(2)).correlation_length == 1.0
 
 
 def test_it_is_half_a_span_where_a_state_has_no_equation(made):
-    assert measurements_of(made, [0]).coherence == SPAN / 2
+    assert measurements_of(made, [0]).correlation_length == SPAN / 2
 
 
 def test_interpolated_states_are_taken_as_known(made):
     clean = replace(made, smoothing=tuple(replace(each, span=None) for each in made.smoothing))
-    assert measurements_of(clean, [0]).coherence == 1.0
+    assert measurements_of(clean, [0]).correlation_length == 1.0
 
 
 def test_it_makes_evidence_weaker_and_errors_larger(made):
     its = measurements_of(made, [0])
-    weak, strong = (compare(LOTKA, replace(its, coherence=value)) for value in (SPAN / 2, 1.0))
+    weak, strong = (compare(LOTKA, replace(its, correlation_length=value)) for value in (SPAN / 2, 1.0))
     program = LOTKA.parsed(LOTKA_TEXT[0])
     weakly, strongly = weak.fit_model([program]), strong.fit_model([program])
     assert weakly.misfit == pytest.approx(strongly.misfit / (SPAN / 2))

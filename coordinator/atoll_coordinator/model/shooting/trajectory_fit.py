@@ -1,0 +1,60 @@
+"""A system fitted to measured trajectories. Letters as in `atoll_coordinator.model.shooting.kernels.integrate`."""
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.kernels.tape import Ints
+from atoll_coordinator.model.shooting.system import System
+
+if TYPE_CHECKING:
+    from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryFit:
+    """A system fitted to segments.
+
+    `starts` (G, D) are the fitted initial states of `segments` (G, 2), and behind them, where trajectories are fitted
+    in whole, their K offsets (G, D + K); `simulated` (D, N); `residuals` (O, N) measured minus simulated and offset;
+    `sigmas` (O,) the standard deviations that errors were weighted by; `squares` (O,) their mean squares; `normal`,
+    `coupling` and `own` the blocks of the normal equations at the end, weighted; `estimator` fitted it; `is_stiff`
+    tells whether the system was integrated as a stiff one.
+    """
+
+    system: System
+    segments: Ints
+    starts: FloatArray
+    simulated: FloatArray
+    residuals: FloatArray
+    sigmas: FloatArray
+    squares: FloatArray
+    normal: FloatArray
+    coupling: FloatArray
+    own: FloatArray
+    estimator: "MultipleShooting" = field(repr=False)
+    is_stiff: bool = False
+
+    def integrated_sensitivities(self) -> FloatArray:
+        """Return the sensitivities (N, D, P + D + K) to the constants and to what each segment has its own.
+
+        They are integrated again at each call, since they would make a fit many times as large.
+        """
+        return self.estimator.sensitivities(self)
+
+    @property
+    def reduced(self) -> FloatArray:
+        """The normal matrix (P, P) of the constants, initial states eliminated."""
+        own = _inverses(self.own)
+        return np.asarray(self.normal - np.einsum("gpd,gde,gqe->pq", self.coupling, own, self.coupling))
+
+
+def _inverses(own: FloatArray) -> FloatArray:
+    """Return the inverses (G, D, D) of the blocks of the initial states."""
+    diagonals = np.einsum("gdd->gd", own)
+    scale = np.sqrt(np.maximum(diagonals, 1e-200))
+    unit = own / (scale[:, :, None] * scale[:, None, :])
+    unit = unit + 1e-13 * np.eye(own.shape[1])
+    return np.asarray(np.linalg.inv(unit) / (scale[:, :, None] * scale[:, None, :]))
