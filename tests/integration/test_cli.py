@@ -195,6 +195,8 @@ def test_serve_submit_status_result_and_cancel_by_hand(tmp_path: Path) -> None:
         assert names == ["lab"]
         assert coordinator("cancel", "second", *there, cwd=tmp_path).returncode == 0
         assert "cancelled" in coordinator("status", "second", *there, cwd=tmp_path).stdout
+        assert coordinator("delete", "second", *there, cwd=tmp_path).stdout == "job second is deleted\n"
+        assert coordinator("status", "second", *there, cwd=tmp_path).returncode == 2
 
         result = json.loads(coordinator("result", "first", "--format", "json", *there, cwd=tmp_path).stdout)
         assert result["job"] == "first"
