@@ -12,7 +12,11 @@ from pathlib import Path
 
 from deploy.rehearsal.machine import MARK, ROOT, Machine, NotPossibleError, command_line, wait_until
 
-COPIED = ("pyproject.toml", "README.md", "LICENSE", "common", "coordinator", "island_worker", "deploy")
+COPIED = (
+    *("pyproject.toml", "README.md", "LICENSE", "common", "coordinator", "island_worker"),
+    *("deploy/Dockerfile", "deploy/entrypoint.sh"),
+)
+"""What an image is made of: the files that the Dockerfile copies, and itself."""
 BASE = "localhost/debian-python"
 SUITE = "bookworm"
 CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt"
@@ -38,9 +42,7 @@ def image_name(machine: Machine) -> str:
     files = [
         file for name in COPIED for file in ([ROOT / name] if (ROOT / name).is_file() else (ROOT / name).rglob("*"))
     ]
-    sources = [
-        file for file in files if file.is_file() and "__pycache__" not in file.parts and "rehearsal" not in file.parts
-    ]
+    sources = [file for file in files if file.is_file() and "__pycache__" not in file.parts]
     digest = hashlib.sha256(f"{machine.base} {machine.kernels}".encode())
     for file in sorted(sources):
         digest.update(f"{file.relative_to(ROOT)}\n".encode() + file.read_bytes())
