@@ -27,7 +27,7 @@ from atoll_coordinator.data.reading.files import read_table
 from atoll_island_worker.evolution.island import Island
 from atoll_island_worker.evolution.kernels.random import below
 from atoll_island_worker.evolution.kernels.variation import copy_list, cross, mutate
-from atoll_island_worker.evolution.setting import Setting
+from atoll_island_worker.evolution.setup import IslandSetup
 from atoll_island_worker.evolution.structures import Lists, Space, empty_lists
 from benchmarks.peers.strogatz import LABEL, PUBLISHED
 
@@ -132,7 +132,7 @@ def _spaced(problem: Problem) -> npt.NDArray[np.int64]:
 
 def _offspring(problem: Problem, config: JobConfig, share: int) -> tuple[Lists, npt.NDArray[np.int16]]:
     """Return `share` children with their parents' generations, spread evenly over all populations of a search."""
-    space = Setting(problem, config, 0).space
+    space = IslandSetup(problem, config, 0).space
     populations = list(_populations(problem, config))
     chosen = [index * len(populations) // share for index in range(share)]
     children = empty_lists(share, space.nodes)

@@ -25,12 +25,12 @@ from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll.errors import RemoteProtocolError
 from atoll.search.seeding import Stream, stream_key
 from atoll.wire import topics
-from atoll.wire.bus.faults import Plan
 from atoll.wire.codec import decode
 from atoll.wire.messages.clients import Answer, Ask
 from atoll.wire.messages.handshake import Greeting, GreetingAnswer
 from atoll.wire.messages.limits import MAX_MESSAGE
 from atoll.wire.messages.workers import Control, EpochReport, Mail, Pull, PullAnswer, WorkerStatus
+from tests.simulation.bus.faults import Plan
 from tests.simulation.world import World, bus_of, comparable
 
 CONFIG = JobConfig(seed=3, evolution=EvolutionConfig(islands=4), budget=BudgetConfig(max_epochs=14))

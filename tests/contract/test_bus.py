@@ -10,8 +10,8 @@ import pytest
 
 from atoll.errors import LocalProtocolError
 from atoll.wire.bus.interface import MAX_PAYLOAD, Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
-from atoll.wire.bus.simulated_bus import SimulatedNetwork
 from atoll.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
+from tests.simulation.bus.network import SimulatedNetwork
 
 E = TypeVar("E", bound=Event)
 LIMIT_S = 30.0

@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll.search.seeding import Stream, stream_key
-from atoll.wire.bus.faults import Plan
+from tests.simulation.bus.faults import Plan
 
 Kind = Literal[
     "kill", "hang", "stuck", "slow", "cut", "join", "leave", "close",

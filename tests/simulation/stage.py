@@ -13,11 +13,11 @@ from typing import Any, Final
 
 from atoll.config import JobConfig
 from atoll.errors import AtollError, RefusedError, UnreachableError
-from atoll.wire.bus.faults import Plan
 from atoll.wire.messages.views import FINAL_STATES, JobView
 from atoll_coordinator.client import Client
 from atoll_coordinator.service.search import archipelago
 from atoll_coordinator.service.search import checkpoints as checkpoint
+from tests.simulation.bus.faults import Plan
 from tests.simulation.hand import Hand
 from tests.simulation.schedule import JobPlan, Schedule
 from tests.simulation.troupe import STUBS, Cast, Troupe

@@ -15,13 +15,13 @@ from atoll.errors import RemoteProtocolError
 from atoll.expression.operators import CONSTANT, COS, SIN, TANH
 from atoll.search.commit_order import CommitOrder, Position
 from atoll.search.seeding import Stream, stream_key
-from atoll.wire.bus.simulated_bus import SimulatedNetwork
 from atoll.wire.messages.workers import Addition, HitStatement, IslandReport, SliceCounters
 from atoll_coordinator.service.jobs.job import commit_order_of
 from atoll_island_worker.compute.compute_thread import WarmedUp, WarmUpNote
 from atoll_island_worker.compute.run_queue import RunQueue, Work
 from atoll_island_worker.session.events import Computed, JobReady
 from atoll_island_worker.session.tasks import ShareKey, Task, TaskKey
+from tests.simulation.bus.network import SimulatedNetwork
 
 SLOTS = 4
 """Solutions per island."""

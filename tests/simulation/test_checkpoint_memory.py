@@ -3,8 +3,8 @@
 import pytest
 
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from atoll.wire.bus.faults import Plan
 from atoll_coordinator.service.search import checkpoint_coordinator
+from tests.simulation.bus.faults import Plan
 from tests.simulation.schedule import schedule_of
 from tests.simulation.soak import play
 from tests.simulation.world import World, comparable

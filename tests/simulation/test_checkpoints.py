@@ -9,11 +9,11 @@ import pytest
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll.errors import StoreError
 from atoll.wire import topics
-from atoll.wire.bus.faults import Partition, Plan
 from atoll.wire.bus.interface import Event, Message
 from atoll.wire.codec import decode, encode
 from atoll.wire.messages.workers import Close, Control, Placements, WorkerStatus
 from atoll_coordinator.service.store.store import Store
+from tests.simulation.bus.faults import Partition, Plan
 from tests.simulation.stub import StubIsland
 from tests.simulation.world import World, bus_of, comparable
 

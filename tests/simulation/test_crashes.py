@@ -9,12 +9,12 @@ import pytest
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll.wire import topics
 from atoll.wire.bus.interface import Query
-from atoll.wire.bus.simulated_bus import SimulatedNetwork
 from atoll.wire.codec import encode
 from atoll.wire.messages.clients import Ask, Submit
 from atoll.wire.security.access_control import Roster
 from atoll_coordinator.service.jobs.job import Job, JobAction
 from atoll_coordinator.service.service import Service
+from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.disk import CoordinatorDied, Disk
 from tests.simulation.schedule import JobPlan
 from tests.simulation.stage import Stage, calm_schedule

@@ -9,10 +9,10 @@ import pytest
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll.search.commit_order import CommitOrder, Position
 from atoll.search.pareto import FrontEntry, merge
-from atoll.wire.bus.faults import Plan
 from atoll.wire.messages.workers import IslandReport
 from atoll_coordinator.service.jobs.job import commit_order_of
 from atoll_island_worker.session.tasks import Task, TaskKey
+from tests.simulation.bus.faults import Plan
 from tests.simulation.stub import Shuffle, StubIsland, StubWork, hits_of, parse_slots
 from tests.simulation.world import World
 

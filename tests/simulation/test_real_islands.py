@@ -7,12 +7,12 @@ import pytest
 
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll.data.dataset import Dataset, Target
-from atoll.wire.bus.faults import Plan
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Refinement
 from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.compute.run_queue import Work
 from atoll_island_worker.session.tasks import ShareKey, Task
+from tests.simulation.bus.faults import Plan
 from tests.simulation.stub import StubCompute
 from tests.simulation.world import World, comparable
 

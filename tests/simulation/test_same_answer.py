@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
-from atoll.wire.bus.faults import Partition, Plan
+from tests.simulation.bus.faults import Partition, Plan
 from tests.simulation.world import World, comparable
 
 ROOT = Path(__file__).resolve().parents[2]

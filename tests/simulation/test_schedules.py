@@ -9,8 +9,8 @@ from typing import get_args
 
 import pytest
 
-from atoll.wire.bus.faults import Plan
 from atoll_coordinator.service.store.jobs import JobRecord
+from tests.simulation.bus.faults import Plan
 from tests.simulation.disk import CoordinatorDied, Disk
 from tests.simulation.schedule import Fault, JobPlan, Kind, Schedule, job_config, schedule_of
 from tests.simulation.shrink import shrunk

@@ -8,7 +8,6 @@ from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll.errors import DataError, RefusedError
 from atoll.wire import topics
-from atoll.wire.bus.faults import Plan
 from atoll.wire.bus.interface import Reply
 from atoll.wire.codec import decode, encode
 from atoll.wire.messages.clients import Submit
@@ -26,6 +25,7 @@ from atoll.wire.messages.workers import (
     WorkerStatus,
 )
 from atoll_coordinator.service.store.store import Store
+from tests.simulation.bus.faults import Plan
 from tests.simulation.world import World, bus_of, comparable
 
 BLOB = "0" * 64

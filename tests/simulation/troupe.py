@@ -12,13 +12,14 @@ from typing import Any, Final
 
 from atoll.config import JobConfig
 from atoll.wire.bus.interface import Event
-from atoll.wire.bus.simulated_bus import SimulatedBus, SimulatedNetwork
 from atoll.wire.messages.workers import EpochReport
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_island_worker.session.events import Computed
 from atoll_island_worker.worker import Worker
+from tests.simulation.bus.network import SimulatedNetwork
+from tests.simulation.bus.participant import SimulatedBus
 from tests.simulation.disk import CoordinatorDied, Disk, DiskStore
 from tests.simulation.schedule import Schedule, job_config
 from tests.simulation.stub import StubCompute

@@ -13,9 +13,7 @@ import numpy as np
 from atoll.config import JobConfig
 from atoll.data.dataset import Dataset, Target
 from atoll.errors import UnreachableError
-from atoll.wire.bus.faults import Plan
 from atoll.wire.bus.interface import Event
-from atoll.wire.bus.simulated_bus import SimulatedBus, SimulatedNetwork
 from atoll.wire.messages.views import FINAL_STATES, JobView
 from atoll_coordinator.client import Client
 from atoll_coordinator.data.recording import Preparation
@@ -25,6 +23,9 @@ from atoll_coordinator.service.background.tasks import Preparer, Refiner
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_island_worker.worker import Worker
+from tests.simulation.bus.faults import Plan
+from tests.simulation.bus.network import SimulatedNetwork
+from tests.simulation.bus.participant import SimulatedBus
 from tests.simulation.stub import StubCompute
 from tests.task_pools import LocalPool, call
 

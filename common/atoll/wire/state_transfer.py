@@ -24,7 +24,9 @@ class State(NamedTuple):
         return cls(data, hashlib.sha256(data).hexdigest())
 
 
-def cut(islands: Sequence[int], offset: int, load: Callable[[int], State], room: int = CHUNK_SIZE) -> tuple[Piece, ...]:
+def split_states(
+    islands: Sequence[int], offset: int, load: Callable[[int], State], room: int = CHUNK_SIZE
+) -> tuple[Piece, ...]:
     """Return pieces of states in the order of `islands`, the first one from `offset` on, `room` bytes at most.
 
     Raises:

@@ -63,7 +63,7 @@ def to_program(formula: Formula) -> Program:
     )
 
 
-def combined(formula: Formula, terms: Sequence[int], coefficients: Sequence[float], shift: float) -> Formula:
+def combine_terms(formula: Formula, terms: Sequence[int], coefficients: Sequence[float], shift: float) -> Formula:
     """Return shift + sum of coefficient times term, the terms being nodes of `formula`; zero ones are left out.
 
     A positive term comes first where there is one, so that signs become differences. What is dead stays in the list.

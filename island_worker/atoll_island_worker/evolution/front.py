@@ -15,7 +15,7 @@ from atoll.expression.text.infix import PRINTABLE_SIZE, tree_size
 from atoll.search.pareto import FrontEntry, merge
 from atoll_island_worker.evolution.formula import (
     Formula,
-    combined,
+    combine_terms,
     from_book,
     from_program,
     from_tape,
@@ -34,7 +34,7 @@ from atoll_island_worker.evolution.kernels.offers import (
 from atoll_island_worker.evolution.kernels.rows import padded_rows
 from atoll_island_worker.evolution.kernels.tape import canonical_tape
 from atoll_island_worker.evolution.runners_up import RunnersUp
-from atoll_island_worker.evolution.setting import Setting
+from atoll_island_worker.evolution.setup import IslandSetup
 from atoll_island_worker.evolution.structures import MOST_FITTED, MOST_TERMS, Fit, Lists, Rows, empty_book
 
 REFIT_STEPS = 10
@@ -94,20 +94,20 @@ class Front:
         return True
 
 
-class Offering:
+class FrontUpdater:
     """Offers individuals to a front, and to the runners-up beside it where these are kept.
 
     `offered` and `offered_loss` (by size) remember the last structure offered to the front; `sample` are rows spread
     evenly over all.
     """
 
-    def __init__(self, setting: Setting, front: Front, runners_up: RunnersUp) -> None:
-        self._setting = setting
+    def __init__(self, setup: IslandSetup, front: Front, runners_up: RunnersUp) -> None:
+        self._setup = setup
         self._front = front
         self._runners_up = runners_up
-        sizes, nodes = setting.scratch.best_of_size.shape[0], setting.scratch.book.code.shape[1]
-        population = setting.config.evolution.population
-        self._book = empty_book(sizes + population, nodes) if runners_up.most else setting.scratch.book
+        sizes, nodes = setup.scratch.best_of_size.shape[0], setup.scratch.book.code.shape[1]
+        population = setup.config.evolution.population
+        self._book = empty_book(sizes + population, nodes) if runners_up.most else setup.scratch.book
         self._chosen = np.zeros(len(self._book.size), np.int64)
         self._candidates: list[FrontEntry] = []
         self._measured_loss: dict[int, float] = {}
@@ -115,9 +115,9 @@ class Offering:
         self.offered_loss = np.full(sizes, math.inf)
         self._scale = np.zeros(1 + MOST_TERMS)
         self._result = np.zeros(2)
-        self._unscaled = Fit(setting.fit.steps, 0, MOST_FITTED, setting.fit.loss, math.inf)
-        self._largest = setting.config.space.max_size or MOST_NODES
-        self.sample = _spread(setting.every)
+        self._unscaled = Fit(setup.fit.steps, 0, MOST_FITTED, setup.fit.loss, math.inf)
+        self._largest = setup.config.space.max_size or MOST_NODES
+        self.sample = _spread(setup.every)
 
     def offer(
         self,
@@ -131,12 +131,12 @@ class Offering:
 
         With `looks_beside`, the next best of each size are offered as well where runners-up are kept.
         """
-        setting = self._setting
+        setup = self._setup
         looks_beside = looks_beside and self._runners_up.most > 0
         number, least = self._choose(lists, fitness, looks_beside)
         count = refit_chosen(
-            lists, self._chosen, number, setting.every, setting.fit, REFIT_STEPS if setting.fit.steps else 0,
-            setting.scratch, least, _SLACK if looks_beside else math.inf, self._book, counters,
+            lists, self._chosen, number, setup.every, setup.fit, REFIT_STEPS if setup.fit.steps else 0,
+            setup.scratch, least, _SLACK if looks_beside else math.inf, self._book, counters,
         )  # fmt: skip
         before, found = self._front.entries(), list[FrontEntry]()
         for k in range(count):
@@ -150,7 +150,7 @@ class Offering:
         self, lists: Lists, fitness: npt.NDArray[np.float64], looks_beside: bool
     ) -> tuple[int, npt.NDArray[np.float64]]:
         """Choose individuals; return their number and, by size, the loss below which one is worth offering."""
-        scratch, chosen, runners_up = self._setting.scratch, self._chosen, self._runners_up
+        scratch, chosen, runners_up = self._setup.scratch, self._chosen, self._runners_up
         number = int(choose_offers(lists, fitness, scratch, self.offered, self.offered_loss, chosen))
         if not looks_beside:
             return number, self._front.least_by_size(len(self.offered))
@@ -164,7 +164,7 @@ class Offering:
         loss = float(book.loss[k])
         if not (keeps or loss < self._front.error_at(int(book.size[k]))):
             return
-        limit = _NEAR * loss + _NEAR_EXACT * self._setting.deviation
+        limit = _NEAR * loss + _NEAR_EXACT * self._setup.deviation
         for variant, expected in self._variants(from_book(book, k), k, limit).items():
             entry = self._measured(variant, expected, counters, tag)
             if entry is None:
@@ -176,7 +176,7 @@ class Offering:
 
     def _error(self) -> float:
         """Return the loss of the last measurement, in the target's units."""
-        return float(self._result[0]) if self._setting.fit.loss == 0 else math.sqrt(float(self._result[1]))
+        return float(self._result[0]) if self._setup.fit.loss == 0 else math.sqrt(float(self._result[1]))
 
     def _variants(self, formula: Formula, k: int, limit: float) -> dict[Formula, float]:
         """Return the ways to write down the coefficients just fitted that leave the loss within `limit`, and that loss.
@@ -186,7 +186,7 @@ class Offering:
         """
         book = self._book
         number = int(book.number[k])
-        if not self._setting.fit.terms:
+        if not self._setup.fit.terms:
             return {formula: float(book.loss[k])}
         terms = book.terms[k, :number].tolist()
         shift, *coefficients = book.scale[k, : 1 + number].tolist()
@@ -197,8 +197,8 @@ class Offering:
                 break
             if loss <= limit:
                 written = plain if index & 2 else coefficients
-                variants.setdefault(combined(formula, terms, written, 0.0 if index & 1 else shift), loss)
-        if self._setting.config.space.max_size is not None:
+                variants.setdefault(combine_terms(formula, terms, written, 0.0 if index & 1 else shift), loss)
+        if self._setup.config.space.max_size is not None:
             variants.setdefault(formula, float(book.loss[k]))
         return variants
 
@@ -211,7 +211,7 @@ class Offering:
         if not self._runners_up.most:
             return True
         loss *= _POLISHED
-        structure = int(structure_hash(self._setting.scratch.canonical, size))
+        structure = int(structure_hash(self._setup.scratch.canonical, size))
         if not loss < min(self._runners_up.limit(size), self._measured_loss.get(structure, math.inf)):
             return loss < self._front.error_at(size)
         self._measured_loss[structure] = loss
@@ -223,23 +223,23 @@ class Offering:
 
     def _measured(self, formula: Formula, expected: float, counters: Counters, tag: Tag) -> FrontEntry | None:
         """Return an entry for `formula`, its constants refined, or None when it is too large or not finite."""
-        setting, scratch = self._setting, self._setting.scratch
+        setup, scratch = self._setup, self._setup.scratch
         size = self._canonical(formula)
         if size > self._largest or not self._is_wanted(size, expected):
             return None
-        self._refit(size, setting.every, POLISH_STEPS if setting.fit.steps else 0, counters)
+        self._refit(size, setup.every, POLISH_STEPS if setup.fit.steps else 0, counters)
         program = to_program(from_tape(scratch.canonical, size))
         if not math.isfinite(self._error()) or tree_size(program) > PRINTABLE_SIZE:
             return None
         return self._entry(program, tag)
 
     def _refit(self, size: int, rows: Rows, steps: int, counters: Counters) -> None:
-        scratch = self._setting.scratch
+        scratch = self._setup.scratch
         refit(size, rows, self._unscaled, steps, scratch.canonical, scratch.work, self._scale, self._result, counters)
 
     def _canonical(self, formula: Formula) -> int:
         """Put the canonical form of `formula` on the canonical tape; return its size."""
-        scratch = self._setting.scratch
+        scratch = self._setup.scratch
         return int(canonical_tape(scratch.tape, onto_tape(formula, scratch.tape), scratch.work, scratch.canonical))
 
     def _entry(self, program: Program, tag: Tag) -> FrontEntry:
@@ -252,7 +252,7 @@ class Offering:
         the first reduction that still meets the target is taken, until there is none. Returns the additions.
         """
         found: list[FrontEntry] = []
-        if not self._setting.fit.steps:
+        if not self._setup.fit.steps:
             return found
         formula: Formula | None = self._best(target)
         while formula is not None:
@@ -266,16 +266,16 @@ class Offering:
     def _best(self, target: float) -> Formula:
         """Return the simplest formula on the front that meets `target`."""
         entry = next(e for e in self._front.entries() if e.error <= target)
-        return from_program(Program.from_bytes(entry.program, self._setting.space.variables))
+        return from_program(Program.from_bytes(entry.program, self._setup.space.variables))
 
     def _reduced(self, formula: Formula, target: float, counters: Counters) -> Formula | None:
         """Return the first smaller formula that meets `target`; its measurement stands in the scratch arrays."""
-        scratch = self._setting.scratch
+        scratch = self._setup.scratch
         for candidate in reductions(formula):
             size = self._canonical(candidate)
             if size >= len(formula) or not self._promising(size, target, counters):
                 continue
-            self._refit(size, self._setting.every, PRUNE_STEPS, counters)
+            self._refit(size, self._setup.every, PRUNE_STEPS, counters)
             if self._error() <= target:
                 return from_tape(scratch.canonical, size)
         return None

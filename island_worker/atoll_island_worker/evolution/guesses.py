@@ -14,7 +14,7 @@ from atoll.expression.operation_list import PlacedNode, placed_text
 from atoll.expression.operators import ARITY, CONSTANT
 from atoll.search.seeding import Stream, stream_key
 from atoll_island_worker.evolution.kernels.generation import OFFSPRING, measure_all
-from atoll_island_worker.evolution.setting import Setting
+from atoll_island_worker.evolution.setup import IslandSetup
 from atoll_island_worker.evolution.structures import Ints, Lists, Rows
 
 GUESS_STEPS: Final = 25
@@ -26,18 +26,18 @@ OCTAVES: Final = 3
 Guess = Sequence[PlacedNode]
 
 
-def begin_with_guesses(lists: Lists, setting: Setting, rows: Rows, counters: Ints) -> None:
+def begin_with_guesses(lists: Lists, setup: IslandSetup, rows: Rows, counters: Ints) -> None:
     """Write the guesses for this equation over the first individuals, one each, and fit their constants to `rows`.
 
     The fit is counted as that of offspring. Where nothing is fitted, all islands take the guesses as they are. Pure but
     for `lists`, scratch and `counters`.
     """
-    guesses = guessed(setting)
+    guesses = parse_guesses(setup)
     if not guesses:
         return
-    is_fitted = setting.fit.steps > 0
-    key = stream_key(setting.config.seed, setting.variable, setting.island, 0, "guesses")
-    stream = Stream(key) if is_fitted and setting.island > 0 else None
+    is_fitted = setup.fit.steps > 0
+    key = stream_key(setup.config.seed, setup.variable, setup.island, 0, "guesses")
+    stream = Stream(key) if is_fitted and setup.island > 0 else None
     for p, guess in enumerate(guesses):
         place(lists, p, guess, stream)
     if is_fitted:
@@ -46,20 +46,20 @@ def begin_with_guesses(lists: Lists, setting: Setting, rows: Rows, counters: Int
             lists.code[:number], lists.left[:number], lists.right[:number], lists.constants[:number],
             lists.scale[:number],
         )  # fmt: skip
-        options, scratch = setting.fit._replace(steps=GUESS_STEPS), setting.scratch
+        options, scratch = setup.fit._replace(steps=GUESS_STEPS), setup.scratch
         measure_all(first, np.zeros(number), rows, options, scratch._replace(near=scratch.work), counters, OFFSPRING)
 
 
-def guessed(setting: Setting) -> tuple[Guess, ...]:
-    """Return the nodes of the guesses for the equation of `setting`.
+def parse_guesses(setup: IslandSetup) -> tuple[Guess, ...]:
+    """Return the nodes of the guesses for the equation of `setup`.
 
     Raises:
         UsageError: a guess does not fit its lists; a coordinator refuses such jobs.
     """
-    space = setting.space
+    space = setup.space
     operators, inner = space.operators.tolist(), space.nodes - space.terminals
-    texts = setting.config.prior.guesses.get(setting.variable, ())
-    return tuple(placed_text(text, setting.names, operators, space.terminals, inner) for text in texts)
+    texts = setup.config.prior.guesses.get(setup.variable, ())
+    return tuple(placed_text(text, setup.names, operators, space.terminals, inner) for text in texts)
 
 
 def place(lists: Lists, p: int, guess: Guess, stream: Stream | None) -> None:

@@ -20,12 +20,12 @@ from atoll.search.seeding import stream_key
 from atoll.wire.codec import decode_arrays, encode_arrays
 from atoll_island_worker.evolution import migration
 from atoll_island_worker.evolution.coevolution import begin_coevolution, evolve, use_best_predictor
-from atoll_island_worker.evolution.front import Front, Offering
+from atoll_island_worker.evolution.front import Front, FrontUpdater
 from atoll_island_worker.evolution.guesses import begin_with_guesses
 from atoll_island_worker.evolution.kernels.coevolution import train
 from atoll_island_worker.evolution.kernels.generation import OFFSPRING, PARTS, measure_all, random_population
 from atoll_island_worker.evolution.runners_up import RunnersUp
-from atoll_island_worker.evolution.setting import Setting
+from atoll_island_worker.evolution.setup import IslandSetup
 from atoll_island_worker.evolution.structures import Lists, empty_lists
 
 LOOKS_BESIDE = 5
@@ -74,14 +74,14 @@ class Island:
     """
 
     def __init__(self, problem: Problem, config: JobConfig, island: int) -> None:
-        self._setting = Setting(problem, config, island)
-        self._lists = empty_lists(config.evolution.population, self._setting.space.nodes)
+        self._setup = IslandSetup(problem, config, island)
+        self._lists = empty_lists(config.evolution.population, self._setup.space.nodes)
         self._fitness = np.full(config.evolution.population, math.inf)
-        self._coevolution = self._setting.empty_coevolution()
+        self._coevolution = self._setup.empty_coevolution()
         self._counters = np.zeros(len(PARTS), np.int64)
         self._front = Front()
-        self._runners_up = RunnersUp(self._setting.runners_up)
-        self._offering = Offering(self._setting, self._front, self._runners_up)
+        self._runners_up = RunnersUp(self._setup.runners_up)
+        self._updater = FrontUpdater(self._setup, self._front, self._runners_up)
         self.epoch = 0
         self._start_epoch()
 
@@ -97,16 +97,16 @@ class Island:
         self._additions: list[FrontEntry] = []
         self._near: list[FrontEntry] = []
         self._counters_by_slice: dict[int, dict[str, int]] = {}
-        self._offering.begin_epoch()
-        setting = self._setting
-        key = stream_key(setting.config.seed, setting.variable, setting.island, self.epoch, "generations")
+        self._updater.begin_epoch()
+        setup = self._setup
+        key = stream_key(setup.config.seed, setup.variable, setup.island, self.epoch, "generations")
         self._stream = np.array([key], np.uint64)
 
     def advance(self, generations: int = 10) -> bool:
         """Advance at most `generations` generations; return True when the epoch is finished or the target was hit."""
         if not self._begun:
             self._begin()
-        interval, last = self._setting.config.evolution.refit_interval, self._setting.config.migration.generations
+        interval, last = self._setup.config.evolution.refit_interval, self._setup.config.migration.generations
         end = min(last, self._generation + generations)
         while self._generation < end and self._hit is None:
             step = min(end - self._generation, interval - self._generation % interval)
@@ -118,49 +118,49 @@ class Island:
 
     def _begin(self) -> None:
         """Draw the first population and its predictors at epoch 0; measure what immigrated later on."""
-        setting, scratch = self._setting, self._setting.scratch
+        setup, scratch = self._setup, self._setup.scratch
         if self.epoch == 0:
-            random_population(self._lists, setting.space, self._stream)
-            begin_with_guesses(self._lists, setting, self._offering.sample, self._counters)
-            if setting.coevolving.enabled:
+            random_population(self._lists, setup.space, self._stream)
+            begin_with_guesses(self._lists, setup, self._updater.sample, self._counters)
+            if setup.coevolving.enabled:
                 begin_coevolution(
-                    self._lists, self._coevolution, setting.every, setting.fit, scratch, self._stream, self._counters
+                    self._lists, self._coevolution, setup.every, setup.fit, scratch, self._stream, self._counters
                 )
-            setting.gather(self._coevolution)
-            measure_all(self._lists, self._fitness, setting.rows, setting.fit, scratch, self._counters, OFFSPRING)
+            setup.gather(self._coevolution)
+            measure_all(self._lists, self._fitness, setup.rows, setup.fit, scratch, self._counters, OFFSPRING)
         else:
             use_best_predictor(
-                self._lists, self._fitness, self._coevolution, setting.every, setting.rows, setting.fit, scratch,
+                self._lists, self._fitness, self._coevolution, setup.every, setup.rows, setup.fit, scratch,
                 self._counters,
             )  # fmt: skip
         self._begun = True
 
     def _evolve(self, generations: int) -> None:
-        setting = self._setting
+        setup = self._setup
         evolve(
-            generations, self._lists, self._fitness, self._coevolution, setting.space, setting.fit, setting.coevolving,
-            setting.every, setting.rows, setting.scratch, self._stream, self._counters,
+            generations, self._lists, self._fitness, self._coevolution, setup.space, setup.fit, setup.coevolving,
+            setup.every, setup.rows, setup.scratch, self._stream, self._counters,
         )  # fmt: skip
         self._generation += generations
 
     def _offer(self) -> None:
-        config = self._setting.config
+        config = self._setup.config
         every, last = LOOKS_BESIDE * config.evolution.refit_interval, config.migration.generations
         looks_beside = self._generation % every == 0 or self._generation == last
-        found, near = self._offering.offer(self._lists, self._fitness, self._counters, self._tag(), looks_beside)
+        found, near = self._updater.offer(self._lists, self._fitness, self._counters, self._tag(), looks_beside)
         self._additions += found
         self._near += near
         least = self._front.least_error()
-        target = self._setting.target
+        target = self._setup.target
         if least is not None and least <= target:
-            self._additions += self._offering.prune(target, self._counters, self._tag())
+            self._additions += self._updater.prune(target, self._counters, self._tag())
             self._hit = Hit(self._generation, self._normalized(self._front.least_error()))
 
     def _tag(self) -> tuple[int, int, int]:
-        return (self.epoch, self._generation, self._setting.island)
+        return (self.epoch, self._generation, self._setup.island)
 
     def _normalized(self, error: float | None) -> float:
-        return math.inf if error is None else error / self._setting.deviation
+        return math.inf if error is None else error / self._setup.deviation
 
     def outcome(self) -> EpochOutcome:
         """Return the report of the epoch, finished or not."""
@@ -169,8 +169,8 @@ class Island:
             self.epoch,
             self._generation,
             self._hit,
-            tuple(self._setting.outward(entry) for entry in self._additions),
-            tuple(self._setting.outward(entry) for entry in self._near),
+            tuple(self._setup.outward(entry) for entry in self._additions),
+            tuple(self._setup.outward(entry) for entry in self._near),
             self._evaluations(),
             dict(self._counters_by_slice),
             best if math.isfinite(best) else None,
@@ -188,8 +188,8 @@ class Island:
 
     def emigrants(self) -> dict[int, bytes]:
         """Return, by destination island (this one included), a block of solutions with their destination slots."""
-        setting = self._setting
-        places = migration.destinations(setting.config, setting.variable, self.epoch)[setting.island]
+        setup = self._setup
+        places = migration.destinations(setup.config, setup.variable, self.epoch)[setup.island]
         return migration.pack(self._lists, places)
 
     def immigrate(self, blocks: Mapping[int, bytes]) -> None:
@@ -198,8 +198,8 @@ class Island:
         Raises RemoteProtocolError when a block is malformed or the slots do not add up; the island is then unchanged.
         """
         if not self._begun:
-            raise LocalProtocolError(f"island {self._setting.island} cannot take immigrants before its epoch has run")
-        lists = migration.unpack(blocks, len(self._fitness), self._setting.space, self._setting.allowed)
+            raise LocalProtocolError(f"island {self._setup.island} cannot take immigrants before its epoch has run")
+        lists = migration.unpack(blocks, len(self._fitness), self._setup.space, self._setup.allowed)
         self._replace_population(lists)
         self.epoch += 1
         self._start_epoch()
@@ -218,8 +218,8 @@ class Island:
         return arrays | {
             "fitness": self._fitness,
             "counters": self._counters,
-            "offered": self._offering.offered,
-            "offered loss": self._offering.offered_loss,
+            "offered": self._updater.offered,
+            "offered loss": self._updater.offered_loss,
             "known": self._runners_up.known,
         }
 
@@ -253,30 +253,30 @@ class Island:
 
     def _check(self) -> None:
         """Raise RemoteProtocolError unless all nodes and rows that kernels will follow exist; at epoch 0 none are."""
-        setting, its = self._setting, self._coevolution
+        setup, its = self._setup, self._coevolution
         if self.epoch == 0:
             return
-        migration.check_nodes(self._lists, setting.space, setting.allowed)
-        if not setting.coevolving.enabled:
+        migration.check_nodes(self._lists, setup.space, setup.allowed)
+        if not setup.coevolving.enabled:
             return
-        migration.check_nodes(its.trainers, setting.space, setting.allowed)
-        rows_exist = ((its.predictors >= 0) & (its.predictors < setting.every.length)).all()
+        migration.check_nodes(its.trainers, setup.space, setup.allowed)
+        rows_exist = ((its.predictors >= 0) & (its.predictors < setup.every.length)).all()
         if not (rows_exist and 0 <= its.best[0] < len(its.quality)):
             raise RemoteProtocolError("the predictors in the state of an island name rows that do not exist")
 
     def _retrain(self) -> None:
         """Bring back the trainers' losses by row, which follow from the trainers; not counted again."""
-        setting = self._setting
-        if setting.coevolving.enabled and self.epoch > 0:
+        setup = self._setup
+        if setup.coevolving.enabled and self.epoch > 0:
             for t in range(self._coevolution.exact.shape[0]):
                 uncounted = np.zeros(len(PARTS), np.int64)
                 train(
                     self._coevolution,
                     t,
-                    setting.every,
-                    setting.fit,
-                    setting.scratch.tape,
-                    setting.scratch.work,
+                    setup.every,
+                    setup.fit,
+                    setup.scratch.tape,
+                    setup.scratch.work,
                     uncounted,
                 )
 

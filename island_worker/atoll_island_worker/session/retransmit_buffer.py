@@ -20,7 +20,7 @@ from atoll.wire.messages.workers import (
     Reports,
     States,
 )
-from atoll.wire.state_transfer import State, cut
+from atoll.wire.state_transfer import State, split_states
 
 ADDITIONS_PER_ANSWER: Final = 20_000
 """An answer with reports ends after this many additions to the front; the rest is asked for again."""
@@ -101,4 +101,4 @@ class RetransmitBuffer:
         states = self._snapshots.get(pull.epoch, {})
         if not states.keys() >= set(pull.islands) or pull.offset >= len(states[pull.islands[0]].data):
             return NotYet()
-        return States(pieces=cut(pull.islands, pull.offset, states.__getitem__))
+        return States(pieces=split_states(pull.islands, pull.offset, states.__getitem__))

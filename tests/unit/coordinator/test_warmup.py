@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from atoll.config import JobConfig
-from atoll.wire.bus.simulated_bus import SimulatedNetwork
 from atoll_coordinator.service.background.child_main import load_refinement
 from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.background.runner import TaskRunner
 from atoll_coordinator.service.store.store import Store
+from tests.simulation.bus.network import SimulatedNetwork
 from tests.task_pools import LocalPool
 from tests.unit.documents import ROOT
 

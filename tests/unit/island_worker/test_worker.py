@@ -11,13 +11,13 @@ from atoll.errors import AtollError
 from atoll.search.commit_order import CommitOrder
 from atoll.wire import topics
 from atoll.wire.bus.interface import Event, Query
-from atoll.wire.bus.simulated_bus import SimulatedNetwork
 from atoll.wire.codec import encode
 from atoll.wire.messages.handshake import GreetingAnswer, Welcome
 from atoll.wire.messages.workers import CloseJob, Control, JobAnnouncement, Placement, Placements
 from atoll_island_worker.compute.compute_thread import ComputeFailed, WarmedUp
 from atoll_island_worker.session.events import JobReady
 from atoll_island_worker.worker import Worker
+from tests.simulation.bus.network import SimulatedNetwork
 
 ControlBody = JobAnnouncement | Placements | CloseJob
 DATASET = b"a dataset"

@@ -1,0 +1,10 @@
+"""The bus: publish, query, presence and timers, whatever carries the messages.
+
+- ``interface``: what every participant may rely on; `tests/contract` checks it on every bus.
+- ``zenoh_bus``: the bus over Zenoh, as a router or a client. The only module that imports zenoh.
+- ``inbox``: events and timers that wait for the owner thread. ``keys``: legal keys, and what an expression matches.
+- ``metered_bus``: counts what goes through a bus, by kind.
+
+Events come from Zenoh's threads into the ``inbox``; the owner's loop takes them by `Bus.receive`. The bus in virtual
+time, with faults, by which the service is tested without a network, is `tests.simulation.bus`.
+"""

@@ -9,7 +9,7 @@ from atoll.wire.messages.handshake import GreetingAnswer
 from atoll.wire.messages.limits import MAX_MESSAGE
 from atoll.wire.messages.workers import Control, Pull, PullAnswer, PullStates, States
 from atoll.wire.rejects import Rejects
-from atoll.wire.state_transfer import cut
+from atoll.wire.state_transfer import split_states
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.requests.clients import Body, ClientRequests
 from atoll_coordinator.service.requests.handshake import Handshake
@@ -67,7 +67,7 @@ class RequestRouter:
         if not isinstance(pull, PullStates) or pull.job != key.job:
             raise RemoteProtocolError(f"states of job {key.job} were to be asked for, and {pull.kind!r} came")
         try:
-            pieces = cut(
+            pieces = split_states(
                 pull.islands,
                 pull.offset,
                 lambda island: self._store.state(pull.job, pull.variable, pull.epoch, island),

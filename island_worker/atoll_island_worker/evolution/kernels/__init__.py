@@ -1,0 +1,9 @@
+"""The compiled part of the search; see `atoll.compilation.jit` for what a kernel may do.
+
+- ``variation``: random lists, crossover, mutation. ``tape``: from a list to its live nodes, and to a canonical program.
+- ``rows``: the rows that a measurement is made on. ``fit``: coefficients and constants fitted to rows; the loss.
+- ``generation``: whole generations with deterministic crowding. ``offers``: which individuals are measured on all rows.
+- ``predictors``, ``coevolution``: predictors judged and varied, trainers renewed. ``random``: the counter-based stream.
+
+A generation goes through ``variation``, ``tape`` and ``fit``; every edit here changes the fingerprint of all workers.
+"""

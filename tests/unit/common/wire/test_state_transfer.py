@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from atoll.errors import RemoteProtocolError
-from atoll.wire.state_transfer import Assembly, State, cut
+from atoll.wire.state_transfer import Assembly, State, split_states
 
 STATES = {island: State.of(bytes([island]) * (10 + island)) for island in range(4)}
 
@@ -14,7 +14,7 @@ STATES = {island: State.of(bytes([island]) * (10 + island)) for island in range(
 def test_whatever_fits_into_a_message_all_comes_in_the_end(room: int, islands: list[int]) -> None:
     assembly = Assembly(islands)
     while not assembly.is_complete:
-        pieces = cut(assembly.wanted, assembly.offset, STATES.__getitem__, room)
+        pieces = split_states(assembly.wanted, assembly.offset, STATES.__getitem__, room)
         assert sum(len(piece.data) for piece in pieces) <= room
         assembly.take(pieces)
     assert assembly.states == {island: STATES[island] for island in islands}
@@ -22,18 +22,18 @@ def test_whatever_fits_into_a_message_all_comes_in_the_end(room: int, islands: l
 
 def test_an_answer_that_comes_twice_or_out_of_turn_changes_nothing() -> None:
     assembly = Assembly([0, 1])
-    first = cut([0, 1], 0, STATES.__getitem__, 15)
+    first = split_states([0, 1], 0, STATES.__getitem__, 15)
     assert assembly.take(first) == [0]
     assert (assembly.wanted, assembly.offset) == ((1,), 5)
     assert assembly.take(first) == []
-    assert assembly.take(cut([3], 0, STATES.__getitem__)) == []
+    assert assembly.take(split_states([3], 0, STATES.__getitem__)) == []
     assert (assembly.wanted, assembly.offset) == ((1,), 5)
 
 
 @pytest.mark.parametrize("changes", [{"digest": "0" * 64}, {"size": 9}, {"data": b""}])
 def test_a_damaged_state_is_refused_and_begins_anew(changes: dict[str, object]) -> None:
     assembly = Assembly([0])
-    (piece,) = cut([0], 0, STATES.__getitem__)
+    (piece,) = split_states([0], 0, STATES.__getitem__)
     with pytest.raises(RemoteProtocolError, match="damaged"):
         assembly.take([piece.model_copy(update=changes)])
     assert (assembly.wanted, assembly.offset) == ((0,), 0)
@@ -42,4 +42,4 @@ def test_a_damaged_state_is_refused_and_begins_anew(changes: dict[str, object]) 
 
 def test_bytes_beyond_a_state_cannot_be_asked_for() -> None:
     with pytest.raises(RemoteProtocolError, match="byte 10 was asked for of a state of 10 bytes"):
-        cut([0], 10, STATES.__getitem__)
+        split_states([0], 10, STATES.__getitem__)

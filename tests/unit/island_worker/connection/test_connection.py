@@ -4,12 +4,12 @@ import pytest
 
 from atoll import PROTOCOL_VERSION, VERSION
 from atoll.errors import RefusedError, UnreachableError
-from atoll.wire.bus.simulated_bus import SimulatedNetwork
 from atoll.wire.codec import decode, encode
 from atoll.wire.messages.handshake import Greeting, GreetingAnswer, Refusal, Welcome
 from atoll_island_worker.connection.connection import ALONE_S, CoordinatorConnection
 from atoll_island_worker.connection.requests import Request, Requests
 from atoll_island_worker.session.events import Reset
+from tests.simulation.bus.network import SimulatedNetwork
 
 WAIT_S = 10.0
 

@@ -9,7 +9,7 @@ from atoll.expression.operators import ADD, ARITY, MULTIPLY, SIN, SUBTRACT, VARI
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll_island_worker.evolution.formula import (
-    combined,
+    combine_terms,
     from_program,
     from_tape,
     onto_tape,
@@ -40,7 +40,7 @@ def test_a_formula_goes_to_a_program_and_a_tape_and_back(program):
 def test_a_combination_is_worth_what_it_says(program, coefficients, shift, data):
     node = st.integers(0, len(program) - 1)
     terms = data.draw(st.lists(node, max_size=4, unique=True))
-    found = to_program(combined(from_program(program), terms, coefficients[: len(terms)], shift))
+    found = to_program(combine_terms(from_program(program), terms, coefficients[: len(terms)], shift))
     found.validate(len(NAMES))
     values = node_values(program, INPUTS)
     expected = np.full(INPUTS.shape[1], shift)
@@ -66,7 +66,7 @@ def test_a_combination_is_worth_what_it_says(program, coefficients, shift, data)
     ],
 )
 def test_combinations_read_as_a_person_would_write_them(coefficients, shift, expected):
-    formula = combined(from_program(program_of([X, Y])), [0, 1], coefficients, shift)
+    formula = combine_terms(from_program(program_of([X, Y])), [0, 1], coefficients, shift)
     assert to_infix(from_infix(expected, ("x", "y")), ("x", "y")) == to_infix(to_program(formula), ("x", "y"))
 
 

@@ -13,10 +13,10 @@ from atoll.expression.program import Program
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
-from atoll_island_worker.evolution.front import Front, Offering
+from atoll_island_worker.evolution.front import Front, FrontUpdater
 from atoll_island_worker.evolution.kernels.generation import PARTS, REFITTING
 from atoll_island_worker.evolution.runners_up import RunnersUp
-from atoll_island_worker.evolution.setting import Setting
+from atoll_island_worker.evolution.setup import IslandSetup
 from atoll_island_worker.evolution.structures import empty_lists
 from tests.oracles import fitting
 from tests.oracles.tapes import list_of, node_values
@@ -81,10 +81,10 @@ class Arena:
             predictors=PredictorConfig(rows=16),
             budget=BudgetConfig(target_error=1e-9),
         )
-        self.setting = Setting(Problem(NAMES, np.stack([self.x, self.y]), target), config, 0)
+        self.setup = IslandSetup(Problem(NAMES, np.stack([self.x, self.y]), target), config, 0)
         self.front = Front()
         self.runners_up = RunnersUp(runners_up)
-        self.offering = Offering(self.setting, self.front, self.runners_up)
+        self.offering = FrontUpdater(self.setup, self.front, self.runners_up)
         self.counters = np.zeros(len(PARTS), np.int64)
         self.additions = []
 
@@ -94,7 +94,7 @@ class Arena:
 
     def offer_all(self, text):
         """Offer likewise; return what improved the front and the runners-up."""
-        program, nodes = list_of(from_infix(text, NAMES)), self.setting.space.nodes
+        program, nodes = list_of(from_infix(text, NAMES)), self.setup.space.nodes
         lists, room = empty_lists(1, nodes), nodes - program.code.shape[1]
         for mine, theirs in zip(lists[:4], program[:4], strict=True):
             mine[:, room:] = theirs
@@ -143,7 +143,7 @@ def test_pruning_leaves_out_what_is_superfluous():
     """An equation with a part that cancels is reduced as long as the target is still met."""
     arena = Arena(lambda x, y: 3.0 * x - 2.0 * x * y)
     arena.offer("3.0*x - 2.0*x*(y + (x + 0.5)/(x + 0.5) - 1.0)")
-    target = 1e-9 * arena.setting.deviation
+    target = 1e-9 * arena.setup.deviation
     before = arena.front.entries()[-1]
     assert before.error <= target
     additions = arena.offering.prune(target, arena.counters, (0, 10, 0))
@@ -156,8 +156,8 @@ def test_pruning_leaves_out_what_is_superfluous():
 def test_pruning_turns_a_difference_from_next_to_nothing_into_a_negative():
     arena = Arena(lambda x, y: -x)
     arena.offer("y*1e-17 - x")
-    arena.offering.prune(1e-9 * arena.setting.deviation, arena.counters, (0, 10, 0))
-    simplest = next(e for e in arena.front.entries() if e.error <= 1e-9 * arena.setting.deviation)
+    arena.offering.prune(1e-9 * arena.setup.deviation, arena.counters, (0, 10, 0))
+    simplest = next(e for e in arena.front.entries() if e.error <= 1e-9 * arena.setup.deviation)
     assert to_infix(Program.from_bytes(simplest.program, 2), ("x", "y")) == "-x"
 
 
@@ -199,12 +199,12 @@ def test_runners_up_are_measured_on_all_rows_and_no_two_are_one_function():
     values = []
     for entry in (*near, *front):
         program = Program.from_bytes(entry.program, 2)
-        output = np.broadcast_to(node_values(program, arena.setting.every.inputs[:, :100])[-1], 100)
-        absolute, squared = fitting.errors(output, arena.setting.every.target[0, :100])
+        output = np.broadcast_to(node_values(program, arena.setup.every.inputs[:, :100])[-1], 100)
+        absolute, squared = fitting.errors(output, arena.setup.every.target[0, :100])
         assert (entry.error, entry.mse) == (pytest.approx(absolute), pytest.approx(squared))
         values.append(output)
     assert len(near) > 4
-    tolerance = 1e-6 * arena.setting.deviation
+    tolerance = 1e-6 * arena.setup.deviation
     for i, output in enumerate(values):
         assert not any(np.abs(output - other).max() < tolerance for other in values[i + 1 :]), i
     sizes = [entry.complexity for entry in near]

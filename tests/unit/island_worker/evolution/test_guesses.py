@@ -8,10 +8,10 @@ from atoll.expression.operators import BY_NAME, CONSTANT, VARIABLE
 from atoll.expression.program import Program
 from atoll.search.seeding import Stream, stream_key
 from atoll.wire.codec import decode_arrays
-from atoll_island_worker.evolution.guesses import guessed, place
+from atoll_island_worker.evolution.guesses import parse_guesses, place
 from atoll_island_worker.evolution.island import Island
 from atoll_island_worker.evolution.kernels.generation import random_population
-from atoll_island_worker.evolution.setting import Setting
+from atoll_island_worker.evolution.setup import IslandSetup
 from atoll_island_worker.evolution.structures import empty_lists
 from tests.archipelago import search
 from tests.unit.island_worker.evolution.test_island import config_of, problem_of
@@ -28,11 +28,11 @@ def with_prior(*guesses, **changes):
     return config_of(prior=PriorConfig(guesses={"x": guesses} if guesses else {}), space=space, **changes)
 
 
-def drawn(setting, population=16):
+def drawn(setup, population=16):
     """Return the first population before any guess."""
-    lists = empty_lists(population, setting.space.nodes)
-    key = stream_key(setting.config.seed, setting.variable, setting.island, 0, "generations")
-    random_population(lists, setting.space, np.array([key], np.uint64))
+    lists = empty_lists(population, setup.space.nodes)
+    key = stream_key(setup.config.seed, setup.variable, setup.island, 0, "generations")
+    random_population(lists, setup.space, np.array([key], np.uint64))
     return lists
 
 
@@ -42,21 +42,21 @@ def constants_of(lists, p):
 
 
 def test_a_guess_becomes_one_individual_and_leaves_the_others_alone():
-    setting = Setting(problem_of(), with_prior(FORM), 0)
-    lists, before = drawn(setting), drawn(setting)
-    place(lists, 0, guessed(setting)[0], None)
+    setup = IslandSetup(problem_of(), with_prior(FORM), 0)
+    lists, before = drawn(setup), drawn(setup)
+    place(lists, 0, parse_guesses(setup)[0], None)
     for column, old in zip(lists, before, strict=True):
         assert (column[1:] == old[1:]).all()
     assert constants_of(lists, 0)[:3] == [2.0, 3.0, 1.0]
 
 
 def test_constants_vary_within_three_octaves_and_keep_their_sign():
-    setting = Setting(problem_of(), with_prior("-2*x + 3*y"), 1)
-    guess = guessed(setting)[0]
+    setup = IslandSetup(problem_of(), with_prior("-2*x + 3*y"), 1)
+    guess = parse_guesses(setup)[0]
     given = {node.index: node.constant for node in guess if node.code == CONSTANT}
     factors = []
     for number in range(200):
-        lists = drawn(setting)
+        lists = drawn(setup)
         place(lists, 0, guess, Stream(number))
         factors += [lists.constants[0, index] / value for index, value in given.items()]
     assert 1 / 8 <= min(factors) < 1 / 6
@@ -162,10 +162,10 @@ def test_an_equation_keeps_to_its_operators():
 
 
 def test_a_guess_over_allowed_variables_is_placed_over_just_those():
-    setting = Setting(problem_of(), with_prior("2*y", space=NARROW), 0)
-    leaves = [node for node in guessed(setting)[0] if node.code == VARIABLE]
+    setup = IslandSetup(problem_of(), with_prior("2*y", space=NARROW), 0)
+    leaves = [node for node in parse_guesses(setup)[0] if node.code == VARIABLE]
     assert [node.left for node in leaves] == [0]
-    assert setting.names == ("y",)
+    assert setup.names == ("y",)
 
 
 @pytest.mark.parametrize("names", [("x",), ("y", "x"), ("x", "y")])

@@ -26,7 +26,7 @@ from atoll.wire.messages.workers import (
     Sent,
     States,
 )
-from atoll.wire.state_transfer import State, cut
+from atoll.wire.state_transfer import State, split_states
 from atoll_island_worker.session.actions import (
     AskPeer,
     Discard,
@@ -547,7 +547,7 @@ def pull_states(epoch: int, *islands: int, term: int = 1, offset: int = 0) -> Pu
 def states(**of: bytes) -> States:
     """Return whole states, given by island as i0=b"...", i1=b"..."."""
     given = {int(name[1:]): State.of(data) for name, data in of.items()}
-    return States(pieces=cut(list(given), 0, given.__getitem__))
+    return States(pieces=split_states(list(given), 0, given.__getitem__))
 
 
 def to_the_first_checkpoint(session: Session) -> list[object]:

@@ -23,7 +23,6 @@ import pytest
 from atoll.config import JobConfig, SpaceConfig
 from atoll.errors import StoreError
 from atoll.logs import JsonLines, TextLines
-from atoll.wire.bus.simulated_bus import SimulatedNetwork
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.service.background import process_pool as module
 from atoll_coordinator.service.background.child_process import ProcessDiedError, cause_of
@@ -43,6 +42,7 @@ from atoll_coordinator.service.jobs.job import Prepared
 from atoll_coordinator.service.search.archipelago import Checkpoint
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
+from tests.simulation.bus.network import SimulatedNetwork
 from tests.task_pools import call
 from tests.unit.coordinator.model.shooting.made import DECAY, pools, table
 from tests.unit.coordinator.service.background import strange_tasks as strange

@@ -14,7 +14,7 @@ from atoll.wire.messages.workers import (
     SliceCounters,
     States,
 )
-from atoll.wire.state_transfer import State, cut
+from atoll.wire.state_transfer import State, split_states
 from atoll_coordinator.service.search.archipelago import PLAN_COMMITS, Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoints import FIRST_INTERVAL
 from atoll_coordinator.service.search.collector import Limits
@@ -64,7 +64,9 @@ def hold(made: Archipelago, *snapshots: int, term: int = 1) -> None:
 
 def answer(made: Archipelago) -> None:
     for worker, pull in made.next_pulls(9):
-        made.add_states(worker, pull, States(pieces=cut(pull.islands, 0, lambda k, at=pull.epoch: state(k, at))))  # type: ignore[misc]
+        made.add_states(
+            worker, pull, States(pieces=split_states(pull.islands, 0, lambda k, at=pull.epoch: state(k, at)))
+        )  # type: ignore[misc]
 
 
 def commit(made: Archipelago, epoch: int, now: float, term: int = 1) -> tuple[Checkpoint, Commit]:
@@ -148,7 +150,7 @@ def test_answers_of_a_former_term_are_dropped() -> None:
     asks = made.next_pulls(9)
     place(made, 2)
     for worker, pull in asks:
-        made.add_states(worker, pull, States(pieces=cut(pull.islands, 0, lambda island: state(island, 8))))
+        made.add_states(worker, pull, States(pieces=split_states(pull.islands, 0, lambda island: state(island, 8))))
     report(made, 0, 8, term=2)
     assert made.take_complete_checkpoint() is None
 

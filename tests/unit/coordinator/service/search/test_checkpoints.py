@@ -12,7 +12,7 @@ from atoll.search.commit_order import CommitOrder
 from atoll.search.pareto import FrontEntry
 from atoll.wire.codec import decode, encode
 from atoll.wire.messages.workers import Placement, Schedule, States
-from atoll.wire.state_transfer import State, cut
+from atoll.wire.state_transfer import State, split_states
 from atoll_coordinator.service.search.checkpoints import (
     COST_S,
     COST_S_PER_BYTE,
@@ -88,7 +88,7 @@ def test_the_latest_epoch_is_taken_of_which_all_have_snapshots() -> None:
 
 
 def answered(islands: tuple[int, ...], offset: int = 0, room: int = 1000) -> States:
-    return States(pieces=cut(islands, offset, STATES.__getitem__, room))
+    return States(pieces=split_states(islands, offset, STATES.__getitem__, room))
 
 
 def test_every_worker_is_asked_one_question_at_a_time_until_all_states_are_there() -> None:

@@ -14,7 +14,7 @@ from atoll.expression.operators import COS, SIN
 from atoll.search.pareto import FrontEntry
 from atoll_island_worker.evolution.kernels.rows import gather, padded_rows
 from atoll_island_worker.evolution.migration import operator_codes
-from atoll_island_worker.evolution.narrowing import narrowed, widened
+from atoll_island_worker.evolution.narrowing import narrow, widen
 from atoll_island_worker.evolution.structures import (
     Coevolution,
     Coevolving,
@@ -36,7 +36,7 @@ UNREACHABLE_TARGET = -1.0
 """Stands for a target that nothing meets."""
 
 
-class Setting:
+class IslandSetup:
     """Everything about one island that follows from problem and configuration, as kernels want it."""
 
     def __init__(self, problem: Problem, config: JobConfig, island: int) -> None:
@@ -45,7 +45,7 @@ class Setting:
         self.columns = config.space.columns_for(self.variable, problem.names)
         self.is_narrowed = len(self.columns) < len(problem.names)
         if self.is_narrowed:
-            problem = narrowed(problem, self.columns)
+            problem = narrow(problem, self.columns)
         self.names = problem.names
         self.island = island
         self.deviation = problem.target.standard_deviation
@@ -80,7 +80,7 @@ class Setting:
 
     def outward(self, entry: FrontEntry) -> FrontEntry:
         """Return a front member as all others know it: its program over all variables, not over those allowed here."""
-        return widened(entry, self.columns) if self.is_narrowed else entry
+        return widen(entry, self.columns) if self.is_narrowed else entry
 
     def gather(self, coevolution: Coevolution) -> None:
         """Fill `rows` with those of the best predictor; nothing to do while predictors are off."""

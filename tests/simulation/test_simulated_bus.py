@@ -3,9 +3,10 @@
 import pytest
 
 from atoll.errors import LocalProtocolError
-from atoll.wire.bus.faults import Crash, Partition, Plan
 from atoll.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
-from atoll.wire.bus.simulated_bus import SimulatedBus, SimulatedNetwork
+from tests.simulation.bus.faults import Crash, Partition, Plan
+from tests.simulation.bus.network import SimulatedNetwork
+from tests.simulation.bus.participant import SimulatedBus
 
 
 def everything(bus: SimulatedBus, until_s: float = 60.0) -> list[Event]:
@@ -166,7 +167,7 @@ def test_run_stops_when_done() -> None:
 
 
 def test_participants_that_never_come_to_rest_are_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("atoll.wire.bus.simulated_bus._MOST_AT_ONE_INSTANT", 100)
+    monkeypatch.setattr("tests.simulation.bus.network._MOST_AT_ONE_INSTANT", 100)
     network, one, _ = pair(Plan())
     one.handle_with(lambda event: one.post("again"))
     one.post("begin")

@@ -4,7 +4,7 @@ import pytest
 
 from atoll.config import BudgetConfig, JobConfig
 from atoll.data.dataset import EXACT_ERROR, Target
-from atoll_island_worker.evolution.setting import UNREACHABLE_TARGET, island_share, target_error
+from atoll_island_worker.evolution.setup import UNREACHABLE_TARGET, island_share, target_error
 
 
 def target(floor=0.0, noise=0.0):

@@ -12,7 +12,7 @@ from atoll.wire.bus.interface import Event, Posted, Presence, Query, Reply, Time
 from atoll.wire.bus.keys import check_expression, check_key, check_payload, matches
 
 if TYPE_CHECKING:
-    from atoll.wire.bus.simulated_bus import SimulatedNetwork
+    from tests.simulation.bus.network import SimulatedNetwork
 
 
 @dataclass(eq=False)

@@ -1,4 +1,4 @@
-"""What goes wrong in a simulated network: a plan of faults, carried out by `atoll.wire.bus.simulated_bus`."""
+"""What goes wrong in a simulated network: a plan of faults, carried out by `tests.simulation.bus.network`."""
 
 from dataclasses import dataclass
 

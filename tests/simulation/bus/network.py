@@ -16,9 +16,9 @@ from typing import Final
 
 from atoll.errors import LocalProtocolError
 from atoll.search.seeding import Stream, stream_key
-from atoll.wire.bus.faults import Plan
 from atoll.wire.bus.interface import Link, Message, Query
-from atoll.wire.bus.simulated_participant import Question, SimulatedBus
+from tests.simulation.bus.faults import Plan
+from tests.simulation.bus.participant import Question, SimulatedBus
 
 _MOST_AT_ONE_INSTANT: Final = 1_000_000
 
