@@ -17,6 +17,7 @@ from atoll.expression.operators import (
     COS,
     DIVIDE,
     EXP,
+    FUNCTIONS,
     INVERSE,
     MULTIPLY,
     NEGATE,
@@ -27,7 +28,6 @@ from atoll.expression.operators import (
     VARIABLE,
 )
 from atoll.expression.program import Program
-from atoll.expression.text.infix import FUNCTIONS
 from atoll.expression.text.parsing import from_infix
 from benchmarks.judging.angles import LARGEST_MULTIPLE, NEGLIGIBLE, Key, SharedAtoms, Side
 from benchmarks.judging.evaluation import OPERATIONS

@@ -11,89 +11,42 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.operators import (
-    ABS,
-    ADD,
+    ARITY,
     CONSTANT,
-    COS,
-    DIVIDE,
-    EXP,
-    INVERSE,
-    LOG,
-    MULTIPLY,
-    NEGATE,
-    POW,
-    SIN,
-    SQRT,
-    SQUARE,
-    SUBTRACT,
-    TANH,
     TRIGONOMETRIC_LIMIT,
     VARIABLE,
+    Functions,
+    Slope,
+    definitions,
 )
 from atoll.expression.program import Program
 
 
-def _periodic(function: Callable[[FloatArray], FloatArray]) -> Callable[[FloatArray, FloatArray], FloatArray]:
+def _periodic(function: Callable[[FloatArray], FloatArray]) -> Callable[[FloatArray], FloatArray]:
     """Return sine or cosine as programs have it: not a number where the argument is too large to be reduced well."""
 
-    def limited(a: FloatArray, _: FloatArray) -> FloatArray:
+    def limited(a: FloatArray) -> FloatArray:
         values = function(a)
         return np.where(np.abs(a) > TRIGONOMETRIC_LIMIT, np.nan, values)
 
     return limited
 
 
-_FORWARD: Final[dict[int, Callable[[FloatArray, FloatArray], FloatArray]]] = {
-    ADD: np.add,
-    SUBTRACT: np.subtract,
-    MULTIPLY: np.multiply,
-    DIVIDE: np.divide,
-    SIN: _periodic(np.sin),
-    COS: _periodic(np.cos),
-    EXP: lambda a, _: np.exp(a),
-    LOG: lambda a, _: np.log(a),
-    SQRT: lambda a, _: np.sqrt(a),
-    ABS: lambda a, _: np.abs(a),
-    TANH: lambda a, _: np.tanh(a),
-    POW: np.power,
-    INVERSE: lambda a, _: 1.0 / a,
-    SQUARE: lambda a, _: a * a,
-    NEGATE: lambda a, _: -a,
-}
+def _base_log(x: FloatArray, v: FloatArray) -> FloatArray:
+    return np.log(x)
 
-_LEFT: Final[dict[int, Callable[[FloatArray, FloatArray, FloatArray], FloatArray | float]]] = {
-    ADD: lambda a, b, v: 1.0,
-    SUBTRACT: lambda a, b, v: 1.0,
-    MULTIPLY: lambda a, b, v: b,
-    DIVIDE: lambda a, b, v: 1.0 / b,
-    SIN: lambda a, b, v: np.cos(a),
-    COS: lambda a, b, v: -np.sin(a),
-    EXP: lambda a, b, v: v,
-    LOG: lambda a, b, v: 1.0 / a,
-    SQRT: lambda a, b, v: 0.5 / v,
-    ABS: lambda a, b, v: np.sign(a),
-    TANH: lambda a, b, v: 1.0 - v * v,
-    POW: lambda a, b, v: b * np.power(a, b - 1.0),
-    INVERSE: lambda a, b, v: -v * v,
-    SQUARE: lambda a, b, v: 2.0 * a,
-    NEGATE: lambda a, b, v: -1.0,
-}
-"""Derivative with respect to the left argument, from both arguments and the value."""
 
-_RIGHT: Final[dict[int, Callable[[FloatArray, FloatArray, FloatArray], FloatArray | float]]] = {
-    ADD: lambda a, b, v: 1.0,
-    SUBTRACT: lambda a, b, v: -1.0,
-    MULTIPLY: lambda a, b, v: a,
-    DIVIDE: lambda a, b, v: -v / b,
-    POW: lambda a, b, v: v * np.log(a),
-}
-"""Derivative with respect to the right argument."""
+_OPERATORS: Final = definitions(
+    Functions(
+        _periodic(np.sin), _periodic(np.cos), np.exp, np.log, np.sqrt, np.abs, np.tanh, np.power, np.sign, _base_log
+    )
+)
 
 
 def value_of(code: int, left: float, right: float) -> float:
     """Return the value of one operator; not finite where it has none."""
     with np.errstate(all="ignore"):
-        return float(_FORWARD[code](np.array([left]), np.array([right]))[0])
+        return float(_OPERATORS[code].value(np.array([left]), np.array([right]))[0])
 
 
 def values_of(program: Program, inputs: FloatArray) -> FloatArray:
@@ -112,7 +65,7 @@ def node_values(program: Program, inputs: FloatArray) -> list[FloatArray]:
             elif code == CONSTANT:
                 values.append(np.full(rows, constant))
             else:
-                values.append(_FORWARD[code](values[left], values[right]))
+                values.append(_OPERATORS[code].value(values[left], values[right]))
     return values
 
 
@@ -130,14 +83,22 @@ def gradient_of(program: Program, values: list[FloatArray], places: Sequence[int
             code, mine = codes[i], adjoint[i]
             if mine is None or code <= CONSTANT:
                 continue
-            a, b = values[lefts[i]], values[rights[i]]
+            at = values[lefts[i]], values[rights[i]], values[i]
             if depends[lefts[i]]:
-                _gather(adjoint, lefts[i], mine * _LEFT[code](a, b, values[i]))
-            if code in _RIGHT and depends[rights[i]]:
-                _gather(adjoint, rights[i], mine * _RIGHT[code](a, b, values[i]))
+                _gather(adjoint, lefts[i], mine * _slope(_OPERATORS[code].left, *at))
+            if ARITY[code] == 2 and depends[rights[i]]:
+                _gather(adjoint, rights[i], mine * _slope(_OPERATORS[code].right, *at))
     found = [adjoint[place] for place in places]
     zero = np.zeros_like(values[-1])
     return np.array([zero if each is None else each for each in found]).reshape(len(found), len(zero))
+
+
+def _slope(slope: Slope, a: FloatArray, b: FloatArray, v: FloatArray) -> FloatArray | float:
+    """Return the derivative by an argument, from both arguments and the value."""
+    amount: FloatArray | float = float(slope.sign)
+    for factor in slope.factors:
+        amount = amount * factor(a, b, v)
+    return amount if slope.divisor is None else amount / slope.divisor(a, b, v)
 
 
 def _dependent(codes: list[int], lefts: list[int], rights: list[int], places: Sequence[int]) -> list[bool]:
@@ -147,7 +108,7 @@ def _dependent(codes: list[int], lefts: list[int], rights: list[int], places: Se
         if code <= CONSTANT:
             depends.append(index in places)
         else:
-            depends.append(depends[left] or (code in _RIGHT and depends[right]))
+            depends.append(depends[left] or (ARITY[code] == 2 and depends[right]))
     return depends
 
 

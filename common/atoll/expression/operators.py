@@ -1,11 +1,12 @@
-"""The one table of operators: code, arity, text. Kernels and printers are indexed by these codes.
+"""The one table of operators: code, arity, text, value and derivatives. Whatever treats operators derives from it.
 
 No operator is protected: where the mathematics has no finite value, neither has the program. What is printed is what
 was computed.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 VARIABLE: Final = 0
 CONSTANT: Final = 1
@@ -31,34 +32,124 @@ TRIGONOMETRIC_LIMIT: Final = 1e5
 
 @dataclass(frozen=True)
 class Operator:
-    """One operator: its `code` in programs, its `name` in options, its number of arguments."""
+    """One operator: its `code` in programs, its `name` in options, its number of arguments.
+
+    `text` is how expressions write it, a sign between two arguments or the name of a function of one; empty where they
+    use other operators.
+    """
 
     code: int
     name: str
     arity: int
+    text: str = ""
 
 
 OPERATORS: Final = (
     Operator(VARIABLE, "variable", 0),
     Operator(CONSTANT, "constant", 0),
-    Operator(ADD, "+", 2),
-    Operator(SUBTRACT, "-", 2),
-    Operator(MULTIPLY, "*", 2),
-    Operator(DIVIDE, "/", 2),
-    Operator(SIN, "sin", 1),
-    Operator(COS, "cos", 1),
-    Operator(EXP, "exp", 1),
-    Operator(LOG, "log", 1),
-    Operator(SQRT, "sqrt", 1),
-    Operator(ABS, "abs", 1),
-    Operator(TANH, "tanh", 1),
-    Operator(POW, "pow", 2),
+    Operator(ADD, "+", 2, "+"),
+    Operator(SUBTRACT, "-", 2, "-"),
+    Operator(MULTIPLY, "*", 2, "*"),
+    Operator(DIVIDE, "/", 2, "/"),
+    Operator(SIN, "sin", 1, "sin"),
+    Operator(COS, "cos", 1, "cos"),
+    Operator(EXP, "exp", 1, "exp"),
+    Operator(LOG, "log", 1, "log"),
+    Operator(SQRT, "sqrt", 1, "sqrt"),
+    Operator(ABS, "abs", 1, "abs"),
+    Operator(TANH, "tanh", 1, "tanh"),
+    Operator(POW, "pow", 2, "**"),
     Operator(INVERSE, "inverse", 1),
     Operator(SQUARE, "square", 1),
     Operator(NEGATE, "neg", 1),
 )
-"""Indexed by code. pow(x, y): x > 0, or x = 0 <= y, or x < 0 with integer y; elsewhere NaN."""
+"""Indexed by code."""
 
 ARITY: Final = tuple(operator.arity for operator in OPERATORS)
 BY_NAME: Final = {operator.name: operator for operator in OPERATORS if operator.arity > 0}
 """The operators a user can select with ``--operators``."""
+FUNCTIONS: Final = {operator.code: operator.text for operator in OPERATORS if operator.arity == 1 and operator.text}
+"""Operators that are written as a call, and the name that our parser, sympy and Python read alike."""
+
+
+class Functions(NamedTuple):
+    """What operators are made of besides + - * /: the functions of one number, or of arrays, of some library.
+
+    ``sin(x)`` and ``cos(x)`` are NaN where |x| is above `TRIGONOMETRIC_LIMIT`; ``power(x, y)`` is defined for
+    x > 0, x = 0 <= y, and x < 0 with integer y; ``sign(x)`` is -1, 0 or 1; ``base_log(x, v)`` is log x where v = x**y,
+    whose derivative by y is v times this.
+    """
+
+    sin: Callable[[Any], Any]
+    cos: Callable[[Any], Any]
+    exp: Callable[[Any], Any]
+    log: Callable[[Any], Any]
+    sqrt: Callable[[Any], Any]
+    magnitude: Callable[[Any], Any]
+    tanh: Callable[[Any], Any]
+    power: Callable[[Any, Any], Any]
+    sign: Callable[[Any], Any]
+    base_log: Callable[[Any, Any], Any]
+
+
+SlopePart = Callable[[Any, Any, Any], Any]
+"""A number made of an operator's arguments and its value."""
+
+
+class Slope(NamedTuple):
+    """The derivative of an operator's value by one argument: ``sign * factors[0] * ... / divisor``."""
+
+    sign: int = 1
+    factors: tuple[SlopePart, ...] = ()
+    divisor: SlopePart | None = None
+
+
+class Definition(NamedTuple):
+    """What an operator computes from its arguments (the second means nothing when it has one), and its slopes."""
+
+    value: Callable[[Any, Any], Any]
+    left: Slope
+    right: Slope = Slope()
+
+
+def definitions(functions: Functions) -> dict[int, Definition]:
+    """Return the definition of every operator, by code, made of these `functions`.
+
+    This is the one place where an operator gets its meaning. The kernels of the search, numpy's evaluation, the
+    trajectory fits and the folding of constants differ in the functions they use, and in the order in which they
+    multiply a slope with what they carry.
+    """
+    sin, cos, exp, log, sqrt, magnitude, tanh, power, sign, base_log = functions
+    return {
+        ADD: Definition(lambda a, b: a + b, Slope(), Slope()),
+        SUBTRACT: Definition(lambda a, b: a - b, Slope(), Slope(-1)),
+        MULTIPLY: Definition(lambda a, b: a * b, Slope(1, (_b,)), Slope(1, (_a,))),
+        DIVIDE: Definition(lambda a, b: a / b, Slope(1, (), _b), Slope(-1, (_v,), _b)),
+        SIN: Definition(lambda a, b: sin(a), Slope(1, (lambda a, b, v: cos(a),))),
+        COS: Definition(lambda a, b: cos(a), Slope(-1, (lambda a, b, v: sin(a),))),
+        EXP: Definition(lambda a, b: exp(a), Slope(1, (_v,))),
+        LOG: Definition(lambda a, b: log(a), Slope(1, (), _a)),
+        SQRT: Definition(lambda a, b: sqrt(a), Slope(1, (), lambda a, b, v: v + v)),
+        ABS: Definition(lambda a, b: magnitude(a), Slope(1, (lambda a, b, v: sign(a),))),
+        TANH: Definition(lambda a, b: tanh(a), Slope(1, (lambda a, b, v: 1.0 - v * v,))),
+        POW: Definition(
+            lambda a, b: power(a, b),
+            Slope(1, (_b, lambda a, b, v: power(a, b - 1.0))),
+            Slope(1, (_v, lambda a, b, v: base_log(a, v))),
+        ),
+        INVERSE: Definition(lambda a, b: 1.0 / a, Slope(-1, (_v, _v))),
+        SQUARE: Definition(lambda a, b: a * a, Slope(1, (lambda a, b, v: a + a,))),
+        NEGATE: Definition(lambda a, b: -a, Slope(-1)),
+    }
+
+
+def _a(a: Any, b: Any, v: Any) -> Any:
+    return a
+
+
+def _b(a: Any, b: Any, v: Any) -> Any:
+    return b
+
+
+def _v(a: Any, b: Any, v: Any) -> Any:
+    return v

@@ -5,34 +5,33 @@ the canonical program: nodes in the order in which a reader meets them, left ope
 """
 
 from collections.abc import Callable, Iterable
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from atoll.expression.operators import (
-    ABS,
-    ADD,
-    ARITY,
-    CONSTANT,
-    COS,
-    DIVIDE,
-    EXP,
-    INVERSE,
-    LOG,
-    MULTIPLY,
-    NEGATE,
-    POW,
-    SIN,
-    SQRT,
-    SQUARE,
-    SUBTRACT,
-    TANH,
-    VARIABLE,
-)
+from atoll.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, SQUARE, VARIABLE, Functions, definitions
 from atoll.expression.program import Node, Program
 
 _COMMUTATIVE: Final = frozenset({ADD, MULTIPLY})
-_ELEMENTARY: Final = {SIN: "sin", COS: "cos", EXP: "exp", LOG: "log", TANH: "tanh", POW: "pow"}
+
+
+def _strict(name: str) -> Callable[..., Any]:
+    """Return the kernels' elementary function of that name."""
+
+    def function(*arguments: Any) -> Any:
+        # Imported here: it loads the compiler, which programs that only print expressions do not need.
+        from atoll.expression.kernels import elementary
+
+        return getattr(elementary, f"strict_{name}")(*arguments)
+
+    return function
+
+
+_SIN, _COS, _EXP, _LOG, _TANH, _POW = map(_strict, ("sin", "cos", "exp", "log", "tanh", "pow"))
+_OPERATORS: Final = definitions(
+    Functions(_SIN, _COS, _EXP, _LOG, np.sqrt, np.abs, _TANH, _POW, np.sign, lambda x, _: _LOG(x))
+)
+"""The operators as the kernels compute them, for single numbers; slopes are not needed."""
 
 
 def simplify_program(program: Program, *, merges_constants: bool = True) -> Program:
@@ -105,33 +104,8 @@ def _folded(node: Node, nodes: list[Node]) -> Node:
 
 def _value(code: int, a: float, b: float) -> float:
     """Return the value of one operator, computed as the kernels do."""
-    if code in _ELEMENTARY:
-        return _elementary(code, a, b)
-    x, y = np.float64(a), np.float64(b)
     with np.errstate(all="ignore"):
-        return float(_ARITHMETIC[code](x, y))
-
-
-_ARITHMETIC: Final[dict[int, Callable[[np.float64, np.float64], np.float64]]] = {
-    ADD: lambda x, y: x + y,
-    SUBTRACT: lambda x, y: x - y,
-    MULTIPLY: lambda x, y: x * y,
-    DIVIDE: lambda x, y: x / y,
-    SQRT: lambda x, _: np.sqrt(x),
-    ABS: lambda x, _: np.abs(x),
-    INVERSE: lambda x, _: np.float64(1.0) / x,
-    SQUARE: lambda x, _: x * x,
-    NEGATE: lambda x, _: -x,
-}
-
-
-def _elementary(code: int, a: float, b: float) -> float:
-    # Imported here: it loads the compiler, which programs that only print expressions do not need.
-    from atoll.expression.kernels import elementary as kernels_elementary
-
-    function = getattr(kernels_elementary, f"strict_{_ELEMENTARY[code]}")
-    with np.errstate(all="ignore"):
-        return float(function(np.float64(a), np.float64(b)) if code == POW else function(np.float64(a)))
+        return float(_OPERATORS[code].value(np.float64(a), np.float64(b)))
 
 
 def _reading_order(nodes: list[Node], output: int) -> list[int]:

@@ -3,23 +3,108 @@
 They are long, and a compiler that works through all callees anew in every caller would spend its minute on them.
 """
 
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
 
 from atoll.compilation.jit import IS_COMPILED, callback, inlined
+from atoll.expression.kernels.choice import choose, nothing
 from atoll.expression.kernels.elementary import strict_cos, strict_exp, strict_log, strict_pow, strict_sin, strict_tanh
-from atoll.expression.kernels.lanes import LANES, get, put
-from atoll.expression.operators import COS, EXP, LOG, POW, SIN, TANH
+from atoll.expression.kernels.lanes import LANES, get, put, square_root
+from atoll.expression.operators import ABS, COS, EXP, LOG, POW, SIN, TANH, Functions, SlopePart, definitions
 
 Int = int | np.int64
 
 _LANES: Final = np.int64(LANES)
-SIGN: Final = 32
-"""-1, 0 or 1: the slope of the absolute value."""
+LEFT: Final = 32
+"""Added to an operator's code: its slope by the left argument."""
+RIGHT: Final = 64
+"""Added to an operator's code: its slope by the right argument; takes the value in the place of that argument."""
 
-POWER_SLOPE: Final = 33
-"""b * a**(b - 1)."""
+
+@inlined
+def _sign(x: float) -> float:
+    return 1.0 if x > 0.0 else (-1.0 if x < 0.0 else 0.0)
+
+
+@inlined
+def _base_log(x: float, v: float) -> float:
+    return strict_log(x)
+
+
+STRICT: Final = definitions(
+    Functions(
+        strict_sin, strict_cos, strict_exp, strict_log, square_root, abs, strict_tanh, strict_pow, _sign, _base_log
+    )
+)
+"""The operators of the search: the same bits on every machine."""
+
+
+_CODES: Final = definitions(
+    Functions(
+        lambda a: SIN, lambda a: COS, lambda a: EXP, lambda a: LOG, square_root, abs, lambda a: TANH, lambda a, b: POW,
+        lambda a: LEFT + ABS, lambda a, v: RIGHT + POW,
+    )
+)  # fmt: skip
+
+
+def left_slope_code(code: int) -> int:
+    """Return the code of the function of a block that gives an operator's slope by its left argument."""
+    factors = _CODES[code].left.factors
+    return LEFT + code if len(factors) > 1 else int(factors[0](0.0, 0.0, 0.0))
+
+
+def product(factors: Sequence[SlopePart], compiled: Callable[[SlopePart], SlopePart] = lambda part: part) -> SlopePart:
+    """Return the function that multiplies one or two factors of a slope, each `compiled` if it is called by another."""
+    if len(factors) == 1:
+        return factors[0]
+    first, second = map(compiled, factors)
+    return lambda a, b, v: first(a, b, v) * second(a, b, v)
+
+
+def _value(code: int) -> Any:
+    """Return the loop of an operator over a block."""
+    function = inlined(STRICT[code].value)
+
+    @inlined
+    def loop(count: Int, out: Any, a: Any, b: Any) -> None:
+        for k in range(count):
+            put(out, k, function(get(a, k), get(b, k)))
+
+    return loop
+
+
+def _left(code: int) -> Any:
+    """Return the loop of its slope by the left argument."""
+    factor = inlined(product(STRICT[code].left.factors, inlined))
+
+    @inlined
+    def loop(count: Int, out: Any, a: Any, b: Any) -> None:
+        for k in range(count):
+            put(out, k, factor(get(a, k), get(b, k), 0.0))
+
+    return loop
+
+
+def _right(code: int) -> Any:
+    """Return the loop of its slope by the right argument, see `RIGHT`."""
+    factor = inlined(product(STRICT[code].right.factors, inlined))
+
+    @inlined
+    def loop(count: Int, out: Any, a: Any, v: Any) -> None:
+        for k in range(count):
+            put(out, k, factor(get(a, k), 0.0, get(v, k)))
+
+    return loop
+
+
+_choice: Final = choose(
+    {code: _value(code) for code in (SIN, COS, EXP, LOG, TANH, POW)}
+    | {LEFT + code: _left(code) for code in (ABS, POW)}
+    | {RIGHT + POW: _right(POW)},
+    nothing,
+)
 
 
 def _apply(operator: Int, count: Int, out: Any, a: Any, b: Any) -> None:
@@ -27,31 +112,7 @@ def _apply(operator: Int, count: Int, out: Any, a: Any, b: Any) -> None:
 
     `count` is always LANES, which the compiler must not know: it would write the loops out one number at a time.
     """
-    if operator == SIN:
-        for k in range(count):
-            put(out, k, strict_sin(get(a, k)))
-    elif operator == COS:
-        for k in range(count):
-            put(out, k, strict_cos(get(a, k)))
-    elif operator == EXP:
-        for k in range(count):
-            put(out, k, strict_exp(get(a, k)))
-    elif operator == LOG:
-        for k in range(count):
-            put(out, k, strict_log(get(a, k)))
-    elif operator == TANH:
-        for k in range(count):
-            put(out, k, strict_tanh(get(a, k)))
-    elif operator == POW:
-        for k in range(count):
-            put(out, k, strict_pow(get(a, k), get(b, k)))
-    elif operator == SIGN:
-        for k in range(count):
-            x = get(a, k)
-            put(out, k, 1.0 if x > 0.0 else (-1.0 if x < 0.0 else 0.0))
-    elif operator == POWER_SLOPE:
-        for k in range(count):
-            put(out, k, get(b, k) * strict_pow(get(a, k), get(b, k) - 1.0))
+    _choice(operator, count, out, a, b)
 
 
 if IS_COMPILED:

@@ -17,6 +17,28 @@ LANES: Final = 16
 """Rows in a block."""
 
 
+def square_root(x: Any) -> Any:
+    """Return the square roots of a block in `lane_operation`."""
+    return np.sqrt(x) if isinstance(x, np.ndarray) else x.root()
+
+
+def _lane_operation(function: Callable[..., Any], *, onto: bool = False, ignored: int = 0) -> Any:
+    """Return the operation ``out = function(a, ...)`` on places.
+
+    Args:
+        function: computes with + - * /, `abs`, `square_root` and literal numbers.
+        onto: whether the first argument of `function` is what `out` holds.
+        ignored: the number of further arguments, so that operations can be called alike.
+    """
+    count = function.__code__.co_argcount
+
+    def apply(out: Any, *arguments: Any) -> None:
+        blocks = (out, *arguments) if onto else arguments
+        out[...] = function(*blocks[:count])
+
+    return apply
+
+
 def _place(array: Any, row: int, start: int) -> Any:
     """Return the place of the LANES numbers of `array`[row] from `start` on; `array` is C-contiguous."""
     return array[row, start : start + LANES]
@@ -35,56 +57,8 @@ def _copy(out: Any, a: Any) -> None:
     out[...] = a
 
 
-def _add(out: Any, a: Any, b: Any) -> None:
-    np.add(a, b, out=out)
-
-
-def _subtract(out: Any, a: Any, b: Any) -> None:
-    np.subtract(a, b, out=out)
-
-
-def _multiply(out: Any, a: Any, b: Any) -> None:
-    np.multiply(a, b, out=out)
-
-
-def _divide(out: Any, a: Any, b: Any) -> None:
-    np.divide(a, b, out=out)
-
-
-def _negate(out: Any, a: Any) -> None:
-    np.negative(a, out=out)
-
-
-def _invert(out: Any, a: Any) -> None:
-    np.divide(1.0, a, out=out)
-
-
-def _root(out: Any, a: Any) -> None:
-    np.sqrt(a, out=out)
-
-
-def _magnitude(out: Any, a: Any) -> None:
-    np.abs(a, out=out)
-
-
 def _add_scaled(out: Any, factor: float, a: Any) -> None:
     out[...] = out + factor * a
-
-
-def _add_product(out: Any, a: Any, b: Any) -> None:
-    out[...] = out + a * b
-
-
-def _subtract_product(out: Any, a: Any, b: Any) -> None:
-    out[...] = out - a * b
-
-
-def _add_quotient(out: Any, a: Any, b: Any) -> None:
-    out[...] = out + a / b
-
-
-def _subtract_quotient(out: Any, g: Any, a: Any, b: Any) -> None:
-    out[...] = out - g * a / b
 
 
 def _centre(out: Any, a: Any, mean: float, mask: Any) -> None:
@@ -161,6 +135,53 @@ if IS_COMPILED:
             function = ir.Function(builder.module, ir.FunctionType(x.type, [x.type]), full_name)
         return builder.call(function, [x])
 
+    def _constant(number: float) -> Any:
+        return ir.Constant(_VECTOR, [ir.Constant(_DOUBLE, number)] * LANES)
+
+    class _Registers:
+        """A block in vector registers, on which arithmetic writes instructions."""
+
+        def __init__(self, builder: Any, value: Any) -> None:
+            self._builder = builder
+            self.value = value
+
+        def _made(self, name: str, *values: Any) -> "_Registers":
+            return _Registers(self._builder, getattr(self._builder, name)(*values))
+
+        def __add__(self, other: "_Registers") -> "_Registers":
+            return self._made("fadd", self.value, other.value)
+
+        def __sub__(self, other: "_Registers") -> "_Registers":
+            return self._made("fsub", self.value, other.value)
+
+        def __mul__(self, other: "_Registers") -> "_Registers":
+            return self._made("fmul", self.value, other.value)
+
+        def __truediv__(self, other: "_Registers") -> "_Registers":
+            return self._made("fdiv", self.value, other.value)
+
+        def __rtruediv__(self, number: float) -> "_Registers":
+            return self._made("fdiv", _constant(number), self.value)
+
+        def __neg__(self) -> "_Registers":
+            return self._made("fneg", self.value)
+
+        def __abs__(self) -> "_Registers":
+            return _Registers(self._builder, _library(self._builder, "fabs", self.value))
+
+        def root(self) -> "_Registers":
+            return _Registers(self._builder, _library(self._builder, "sqrt", self.value))
+
+    def lane_operation(function: Callable[..., Any], *, onto: bool = False, ignored: int = 0) -> Any:
+        count = function.__code__.co_argcount  # see `_lane_operation`
+
+        def emit(builder: Any, arguments: tuple[Any, ...]) -> None:
+            blocks = arguments if onto else arguments[1:]
+            value = function(*(_Registers(builder, _load(builder, place)) for place in blocks[:count])).value
+            _store(builder, value, arguments[0])
+
+        return _operation("p" * (count + ignored + (not onto)), types.void, emit)
+
     def _signature(kinds: str, result: Any) -> Any:
         return result(*(_NUMBERS[kind] for kind in kinds))
 
@@ -181,17 +202,11 @@ if IS_COMPILED:
         def typed_4(typing: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
             return signature, generate
 
-        typed: dict[int, Callable[..., Any]] = {2: typed_2, 3: typed_3, 4: typed_4}
+        def typed_7(typing: Any, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any) -> Any:
+            return signature, generate
+
+        typed: dict[int, Callable[..., Any]] = {2: typed_2, 3: typed_3, 4: typed_4, 7: typed_7}
         return intrinsic(typed[len(kinds)])
-
-    def _binary(name: str) -> Any:
-        """Return out = a `name` b."""
-
-        def emit(builder: Any, arguments: tuple[Any, ...]) -> None:
-            out, a, b = arguments
-            _store(builder, getattr(builder, name)(_load(builder, a), _load(builder, b)), out)
-
-        return _operation("ppp", types.void, emit)
 
     def _unary(function: Callable[[Any, Any], Any]) -> Any:
         """Return out = function(a)."""
@@ -202,16 +217,6 @@ if IS_COMPILED:
 
         return _operation("pp", types.void, emit)
 
-    def _onto(name: str, inner: str) -> Any:
-        """Return out = out `name` (a `inner` b)."""
-
-        def emit(builder: Any, arguments: tuple[Any, ...]) -> None:
-            out, a, b = arguments
-            value = getattr(builder, inner)(_load(builder, a), _load(builder, b))
-            _store(builder, getattr(builder, name)(_load(builder, out), value), out)
-
-        return _operation("ppp", types.void, emit)
-
     def _emit_fill(builder: Any, arguments: tuple[Any, ...]) -> None:
         _store(builder, _splat(builder, arguments[1]), arguments[0])
 
@@ -219,11 +224,6 @@ if IS_COMPILED:
         out, factor, a = arguments
         value = builder.fmul(_splat(builder, factor), _load(builder, a))
         _store(builder, builder.fadd(_load(builder, out), value), out)
-
-    def _emit_subtract_quotient(builder: Any, arguments: tuple[Any, ...]) -> None:
-        out, g, a, b = arguments
-        value = builder.fdiv(builder.fmul(_load(builder, g), _load(builder, a)), _load(builder, b))
-        _store(builder, builder.fsub(_load(builder, out), value), out)
 
     def _emit_centre(builder: Any, arguments: tuple[Any, ...]) -> None:
         out, a, mean, mask = arguments
@@ -245,9 +245,6 @@ if IS_COMPILED:
 
     def _emit_put(builder: Any, arguments: tuple[Any, ...]) -> None:
         builder.store(arguments[2], _pointer(builder, *arguments[:2]))
-
-    def _one() -> Any:
-        return ir.Constant(_VECTOR, [ir.Constant(_DOUBLE, 1.0)] * LANES)
 
     def _address(context: Any, builder: Any, kind: Any, array: Any, offsets: list[tuple[Any, Any]]) -> Any:
         """Return the address of the number at `offsets`: pairs of index and bytes from one index to the next."""
@@ -324,28 +321,13 @@ if IS_COMPILED:
     get = _operation("pi", types.float64, _emit_get)
     put = _operation("pix", types.void, _emit_put)
     copy = _unary(lambda builder, a: a)
-    add = _binary("fadd")
-    subtract = _binary("fsub")
-    multiply = _binary("fmul")
-    divide = _binary("fdiv")
-    negate = _unary(lambda builder, a: builder.fneg(a))
-    invert = _unary(lambda builder, a: builder.fdiv(_one(), a))
-    root = _unary(lambda builder, a: _library(builder, "sqrt", a))
-    magnitude = _unary(lambda builder, a: _library(builder, "fabs", a))
     add_scaled = _operation("pxp", types.void, _emit_add_scaled)
-    add_product = _onto("fadd", "fmul")
-    subtract_product = _onto("fsub", "fmul")
-    add_quotient = _onto("fadd", "fdiv")
-    subtract_quotient = _operation("pppp", types.void, _emit_subtract_quotient)
     centre = _operation("ppxp", types.void, _emit_centre)
     total = _operation("pp", types.float64, _emit_total)
     total_magnitude = _operation("pp", types.float64, _emit_total_magnitude)
 else:
     place, place_in = _place, _place_in
+    lane_operation = _lane_operation
     fill, copy, get, put, move = _fill, _copy, _get, _put, _move
-    add, subtract, multiply, divide = _add, _subtract, _multiply, _divide
-    negate, invert, root, magnitude = _negate, _invert, _root, _magnitude
-    add_scaled, add_product, subtract_product = _add_scaled, _add_product, _subtract_product
-    add_quotient, subtract_quotient = _add_quotient, _subtract_quotient
-    centre, total, total_magnitude = _centre, _total, _total_magnitude
+    add_scaled, centre, total, total_magnitude = _add_scaled, _centre, _total, _total_magnitude
     lowest_bit, highest_bit = _lowest_bit, _highest_bit

@@ -11,25 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.compilation.jit import inlined
-from atoll.expression.kernels.functions import POWER_SLOPE, SIGN, apply_function, functions_address
-from atoll.expression.kernels.lanes import (
-    LANES,
-    add,
-    add_product,
-    add_quotient,
-    copy,
-    divide,
-    fill,
-    invert,
-    magnitude,
-    multiply,
-    negate,
-    place,
-    root,
-    subtract,
-    subtract_product,
-    subtract_quotient,
+from atoll.expression.kernels.choice import choose, nothing
+from atoll.expression.kernels.functions import (
+    RIGHT,
+    STRICT,
+    apply_function,
+    functions_address,
+    left_slope_code,
+    product,
 )
+from atoll.expression.kernels.lanes import LANES, copy, fill, lane_operation, place
 from atoll.expression.operators import (
     ABS,
     ADD,
@@ -48,6 +39,7 @@ from atoll.expression.operators import (
     SUBTRACT,
     TANH,
     VARIABLE,
+    Slope,
 )
 
 Floats = npt.NDArray[np.float64]
@@ -65,28 +57,18 @@ def padded(rows: int) -> int:
 
 
 @inlined
-def apply_operator(op: Int, out: Any, a: Any, b: Any, functions: Int) -> None:
-    """Write operator `op` of the numbers at places `a` and `b` to place `out`."""
-    if op == ADD:
-        add(out, a, b)
-    elif op == SUBTRACT:
-        subtract(out, a, b)
-    elif op == MULTIPLY:
-        multiply(out, a, b)
-    elif op == DIVIDE:
-        divide(out, a, b)
-    elif op == SQUARE:
-        multiply(out, a, a)
-    elif op == INVERSE:
-        invert(out, a)
-    elif op == NEGATE:
-        negate(out, a)
-    elif op == SQRT:
-        root(out, a)
-    elif op == ABS:
-        magnitude(out, a)
-    else:
-        apply_function(functions, op, out, a, b)
+def _function_value(op: Int, out: Any, a: Any, b: Any, functions: Int) -> None:
+    apply_function(functions, op, out, a, b)
+
+
+apply_operator: Final = choose(
+    {
+        op: lane_operation(STRICT[op].value, ignored=1)
+        for op in (ADD, SUBTRACT, MULTIPLY, DIVIDE, SQUARE, INVERSE, NEGATE, SQRT, ABS)
+    },
+    _function_value,
+)
+"""Write operator `op` of the numbers at places `a` and `b` to place `out`: ``(op, out, a, b, functions)``."""
 
 
 @inlined
@@ -144,6 +126,53 @@ def forward(
         forward_block(count, code, left, right, constants, wanted, inputs, waves, start, values, functions)
 
 
+def _pulled(slope: Slope) -> Any:
+    """Return what a slope adds to an adjoint, as an operation on places: see `_pull_left`."""
+    factor, divisor = product(slope.factors) if slope.factors else None, slope.divisor
+
+    def pulled(target: Any, g: Any, a: Any, b: Any, v: Any) -> Any:
+        amount = g if factor is None else g * factor(a, b, v)
+        amount = amount if divisor is None else amount / divisor(a, b, v)
+        return target + amount if slope.sign > 0 else target - amount
+
+    return _pull_by(pulled)
+
+
+def _pull_by(function: Any) -> Any:
+    return lane_operation(function, onto=True, ignored=2)
+
+
+def _pulled_by_function(sign: int, code: int, *, takes_value: bool = False) -> Any:
+    """Return the same for a slope that is one factor, the function of this code."""
+    operation = lane_operation(lambda t, g, s: t + g * s if sign > 0 else t - g * s, onto=True)
+
+    @inlined
+    def pull(target: Any, g: Any, a: Any, b: Any, v: Any, scratch: Any, functions: Int) -> None:
+        apply_function(functions, code, scratch, a, v if takes_value else b)
+        operation(target, g, scratch)
+
+    return pull
+
+
+_pull_left: Final = choose(
+    {op: _pulled(STRICT[op].left)
+     for op in (ADD, SUBTRACT, MULTIPLY, DIVIDE, SQUARE, INVERSE, NEGATE, EXP, LOG, SQRT)}
+    # g (1 - v v) without the number 1
+    | {TANH: _pull_by(lambda t, g, a, b, v: (t + g) - (g * v) * v)}
+    | {op: _pulled_by_function(STRICT[op].left.sign, left_slope_code(op)) for op in (SIN, COS, ABS, POW)},
+    nothing,
+)  # fmt: skip
+"""Add to `target` the adjoint `g` times an operator's slope by its left argument, where it has the value `v`:
+``(op, target, g, a, b, v, scratch, functions)``."""
+
+_pull_right: Final = choose(
+    {op: _pulled(STRICT[op].right) for op in (ADD, SUBTRACT, MULTIPLY, DIVIDE)}
+    | {POW: _pulled_by_function(STRICT[POW].right.sign, RIGHT + POW, takes_value=True)},
+    nothing,
+)
+"""The same for the right argument."""
+
+
 @inlined
 def reverse_block(
     count: Int,
@@ -172,55 +201,9 @@ def reverse_block(
         a = place(values, left[i], start)
         b = place(values, right[i], start)
         if depends[left[i]]:
-            target = place(adjoints, left[i], _ZERO)
-            if op == ADD or op == SUBTRACT:
-                add(target, target, g)
-            elif op == MULTIPLY:
-                add_product(target, g, b)
-            elif op == DIVIDE:
-                add_quotient(target, g, b)
-            elif op == SIN:
-                apply_function(functions, COS, scratch, a, a)
-                add_product(target, g, scratch)
-            elif op == COS:
-                apply_function(functions, SIN, scratch, a, a)
-                subtract_product(target, g, scratch)
-            elif op == SQUARE:
-                add(scratch, a, a)
-                add_product(target, g, scratch)
-            elif op == INVERSE:
-                multiply(scratch, value, value)
-                subtract_product(target, g, scratch)
-            elif op == NEGATE:
-                subtract(target, target, g)
-            elif op == EXP:
-                add_product(target, g, value)
-            elif op == LOG:
-                add_quotient(target, g, a)
-            elif op == SQRT:
-                add(scratch, value, value)
-                add_quotient(target, g, scratch)
-            elif op == TANH:
-                multiply(scratch, g, value)
-                add(target, target, g)
-                subtract_product(target, scratch, value)
-            else:
-                apply_function(functions, SIGN if op == ABS else POWER_SLOPE, scratch, a, b)
-                add_product(target, g, scratch)
+            _pull_left(op, place(adjoints, left[i], _ZERO), g, a, b, value, scratch, functions)
         if (op <= DIVIDE or op == POW) and depends[right[i]]:
-            target = place(adjoints, right[i], _ZERO)
-            if op == ADD:
-                add(target, target, g)
-            elif op == SUBTRACT:
-                subtract(target, target, g)
-            elif op == MULTIPLY:
-                add_product(target, g, a)
-            elif op == DIVIDE:
-                subtract_quotient(target, g, value, b)
-            else:  # d(a**b)/db = a**b log(a): NaN for a base that is not positive, as it must be
-                apply_function(functions, LOG, scratch, a, a)
-                multiply(scratch, scratch, value)
-                add_product(target, g, scratch)
+            _pull_right(op, place(adjoints, right[i], _ZERO), g, a, b, value, scratch, functions)
 
 
 __all__ = ["LANES", "Booleans", "Floats", "Int", "Ints", "forward", "forward_block", "functions_address", "padded",

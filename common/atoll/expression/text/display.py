@@ -11,6 +11,7 @@ from atoll.expression.operators import (
     ADD,
     ARITY,
     CONSTANT,
+    FUNCTIONS,
     INVERSE,
     MULTIPLY,
     NEGATE,
@@ -20,7 +21,6 @@ from atoll.expression.operators import (
     VARIABLE,
 )
 from atoll.expression.program import Program
-from atoll.expression.text.infix import FUNCTIONS
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,33 +11,22 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from atoll.expression.operators import (
-    ABS,
     ADD,
+    ARITY,
     CONSTANT,
-    COS,
     DIVIDE,
-    EXP,
+    FUNCTIONS,
     INVERSE,
-    LOG,
     MULTIPLY,
     NEGATE,
-    POW,
-    SIN,
-    SQRT,
     SQUARE,
     SUBTRACT,
-    TANH,
     VARIABLE,
 )
 from atoll.expression.program import Program
 
-FUNCTIONS: Final = {SIN: "sin", COS: "cos", EXP: "exp", LOG: "log", SQRT: "sqrt", ABS: "abs", TANH: "tanh"}
-"""Operators that are printed as a call, and the name that our parser, sympy and Python read alike."""
-
 PRINTABLE_SIZE: Final = 5_000
 """Largest tree that is printed. Shared nodes are printed once per use, so a short list can be a huge text."""
-
-_BINARY: Final = frozenset({ADD, SUBTRACT, MULTIPLY, DIVIDE, POW})
 
 
 def to_infix(program: Program, names: Sequence[str], *, digits: int | None = None) -> str:
@@ -69,7 +58,7 @@ def tree_size(program: Program) -> int:
         size = 1
         if code > CONSTANT:
             size += sizes[left]
-        if code in _BINARY and (left != right or code not in (ADD, MULTIPLY)):
+        if ARITY[code] == 2 and (left != right or code not in (ADD, MULTIPLY)):
             size += sizes[right]
         sizes.append(size)
     return sizes[-1]
@@ -103,7 +92,7 @@ def _exact(program: Program, names: Sequence[str]) -> str:
             pieces.append(_Piece(_ATOM, names[left]))
         elif code == CONSTANT:
             pieces.append(_Piece(_CONSTANT, repr(abs(value)), negative=math.copysign(1.0, value) < 0.0))
-        elif code in _BINARY:
+        elif ARITY[code] == 2:
             pieces.append(_binary(code, pieces[left], pieces[right]))
         else:
             pieces.append(_unary(code, pieces[left]))

@@ -21,8 +21,10 @@ from atoll.expression.operators import (
     CONSTANT,
     COS,
     DIVIDE,
+    FUNCTIONS,
     MULTIPLY,
     NEGATE,
+    OPERATORS,
     POW,
     SIN,
     SQUARE,
@@ -30,7 +32,6 @@ from atoll.expression.operators import (
     VARIABLE,
 )
 from atoll.expression.program import MAX_NODES, Program
-from atoll.expression.text.infix import FUNCTIONS
 
 LARGEST_POWER: Final = 64
 """Largest natural exponent that is written as multiplications."""
@@ -46,7 +47,8 @@ _TOKEN: Final = re.compile(
 _BLANKS: Final = re.compile(r"\s*")
 _OPENING: Final = re.compile(r"\s*\(")
 _CALLS: Final = {**{name: code for code, name in FUNCTIONS.items()}, "Abs": ABS}
-_BINARY: Final = {"+": (1, ADD), "-": (1, SUBTRACT), "*": (2, MULTIPLY), "/": (2, DIVIDE), "**": (4, POW)}
+_LEVELS: Final = {ADD: 1, SUBTRACT: 1, MULTIPLY: 2, DIVIDE: 2, POW: 4}
+_BINARY: Final = {OPERATORS[code].text: (level, code) for code, level in _LEVELS.items()}
 _UNARY_LEVEL: Final = 3
 _Kind = Literal["number", "call", "name", "natural", "operator", "foreign", "end"]
 _MINUS: Final = "unary minus"

@@ -5,30 +5,22 @@ constants, R rows.
 """
 
 import math
-from typing import Final
+from typing import Any, Final
 
 from atoll.compilation.jit import inlined
 from atoll.data.dataset import FloatArray
+from atoll.expression.kernels.choice import choose
 from atoll.expression.kernels.tape import Ints
 from atoll.expression.operators import (
-    ABS,
-    ADD,
+    ARITY,
     CONSTANT,
-    COS,
     DIVIDE,
-    EXP,
-    INVERSE,
-    LOG,
-    MULTIPLY,
-    NEGATE,
     POW,
-    SIN,
-    SQRT,
-    SQUARE,
-    SUBTRACT,
-    TANH,
     TRIGONOMETRIC_LIMIT,
     VARIABLE,
+    Functions,
+    Slope,
+    definitions,
 )
 
 LARGEST_EXPONENT: Final = 709.0
@@ -57,6 +49,82 @@ BLOWN_UP: Final = -2
 
 
 @inlined
+def _sin(a: float) -> float:
+    return math.sin(a) if abs(a) <= TRIGONOMETRIC_LIMIT else math.nan
+
+
+@inlined
+def _cos(a: float) -> float:
+    return math.cos(a) if abs(a) <= TRIGONOMETRIC_LIMIT else math.nan
+
+
+@inlined
+def _exp(a: float) -> float:
+    return math.exp(a) if a < LARGEST_EXPONENT else math.inf
+
+
+@inlined
+def _log(a: float) -> float:
+    return math.log(a) if a > 0.0 else math.nan
+
+
+@inlined
+def _sqrt(a: float) -> float:
+    return math.sqrt(a) if a >= 0.0 else math.nan
+
+
+@inlined
+def _tanh(a: float) -> float:
+    return math.tanh(a)
+
+
+@inlined
+def _power(a: float, b: float) -> float:
+    return float(a**b)
+
+
+@inlined
+def _sign(a: float) -> float:
+    return 1.0 if a >= 0.0 else -1.0
+
+
+@inlined
+def _base_log(a: float, v: float) -> float:
+    return math.log(a) if a > 0.0 else 0.0
+
+
+_OPERATORS: Final = definitions(Functions(_sin, _cos, _exp, _log, _sqrt, abs, _tanh, _power, _sign, _base_log))
+"""The operators by the C library's functions, which take less time than those of the search."""
+
+
+def _pulled(slope: Slope) -> Any:
+    """Return what an adjoint `g` adds to that of an argument: a function of g, both arguments and the value."""
+    sign = slope.sign
+    carried = inlined(lambda g, a, b, v: sign * g)
+    for factor in slope.factors:
+        carried = inlined(_times(carried, inlined(factor)))
+    return carried if slope.divisor is None else inlined(_over(carried, inlined(slope.divisor)))
+
+
+def _times(carried: Any, factor: Any) -> Any:
+    return lambda g, a, b, v: carried(g, a, b, v) * factor(a, b, v)
+
+
+def _over(carried: Any, divisor: Any) -> Any:
+    return lambda g, a, b, v: carried(g, a, b, v) / divisor(a, b, v)
+
+
+@inlined
+def _undefined(op: int, *_: float) -> float:
+    return math.nan
+
+
+_value: Final = choose({op: inlined(each.value) for op, each in _OPERATORS.items()}, _undefined)
+_pull_left: Final = choose({op: _pulled(each.left) for op, each in _OPERATORS.items()}, _undefined)
+_pull_right: Final = choose({op: _pulled(each.right) for op, each in _OPERATORS.items() if ARITY[op] == 2}, _undefined)
+
+
+@inlined
 def rates(tape: Tape, z: FloatArray, values: FloatArray, stage: int, rate: FloatArray) -> None:
     """Write the value of every node at the point `z` (Z,) into `values` (N,), the equations' into ``rate[stage]``."""
     code, left, right, constants, outputs, _ = tape
@@ -68,37 +136,7 @@ def rates(tape: Tape, z: FloatArray, values: FloatArray, stage: int, rate: Float
         if op == CONSTANT:
             values[i] = constants[i]
             continue
-        a, b = values[left[i]], values[right[i]]
-        if op == ADD:
-            values[i] = a + b
-        elif op == SUBTRACT:
-            values[i] = a - b
-        elif op == MULTIPLY:
-            values[i] = a * b
-        elif op == DIVIDE:
-            values[i] = a / b
-        elif op == SIN:
-            values[i] = math.sin(a) if abs(a) <= TRIGONOMETRIC_LIMIT else math.nan
-        elif op == COS:
-            values[i] = math.cos(a) if abs(a) <= TRIGONOMETRIC_LIMIT else math.nan
-        elif op == SQUARE:
-            values[i] = a * a
-        elif op == INVERSE:
-            values[i] = 1.0 / a
-        elif op == NEGATE:
-            values[i] = -a
-        elif op == EXP:
-            values[i] = math.exp(a) if a < LARGEST_EXPONENT else math.inf
-        elif op == LOG:
-            values[i] = math.log(a) if a > 0.0 else math.nan
-        elif op == SQRT:
-            values[i] = math.sqrt(a) if a >= 0.0 else math.nan
-        elif op == ABS:
-            values[i] = abs(a)
-        elif op == TANH:
-            values[i] = math.tanh(a)
-        else:
-            values[i] = a**b
+        values[i] = _value(op, values[left[i]], values[right[i]])
     for d in range(outputs.shape[0]):
         rate[stage, d] = values[outputs[d]]
 
@@ -131,42 +169,9 @@ def slopes(tape: Tape, values: FloatArray, adjoints: FloatArray, jacobian: Float
                     direct[parameters[i]] += g
                 continue
             a, b, v = values[p], values[q], values[i]
-            if op == ADD:
-                adjoints[p] += g
-                adjoints[q] += g
-            elif op == SUBTRACT:
-                adjoints[p] += g
-                adjoints[q] -= g
-            elif op == MULTIPLY:
-                adjoints[p] += g * b
-                adjoints[q] += g * a
-            elif op == DIVIDE:
-                adjoints[p] += g / b
-                adjoints[q] -= g * v / b
-            elif op == SIN:
-                adjoints[p] += g * math.cos(a)
-            elif op == COS:
-                adjoints[p] -= g * math.sin(a)
-            elif op == SQUARE:
-                adjoints[p] += 2.0 * g * a
-            elif op == INVERSE:
-                adjoints[p] -= g * v * v
-            elif op == NEGATE:
-                adjoints[p] -= g
-            elif op == EXP:
-                adjoints[p] += g * v
-            elif op == LOG:
-                adjoints[p] += g / a
-            elif op == SQRT:
-                adjoints[p] += 0.5 * g / v
-            elif op == ABS:
-                adjoints[p] += g if a >= 0.0 else -g
-            elif op == TANH:
-                adjoints[p] += g * (1.0 - v * v)
-            elif op == POW:
-                adjoints[p] += g * b * a ** (b - 1.0)
-                if a > 0.0:
-                    adjoints[q] += g * v * math.log(a)
+            adjoints[p] += _pull_left(op, g, a, b, v)
+            if op <= DIVIDE or op == POW:
+                adjoints[q] += _pull_right(op, g, a, b, v)
         first = last + 1
 
 

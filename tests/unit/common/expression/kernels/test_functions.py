@@ -7,9 +7,9 @@ import pytest
 
 from atoll.compilation.jit import IS_COMPILED, kernel
 from atoll.expression.kernels.elementary import strict_cos, strict_exp, strict_log, strict_pow, strict_sin, strict_tanh
-from atoll.expression.kernels.functions import POWER_SLOPE, SIGN, apply_function, functions_address
+from atoll.expression.kernels.functions import LEFT, RIGHT, apply_function, functions_address, left_slope_code
 from atoll.expression.kernels.lanes import LANES, place
-from atoll.expression.operators import COS, EXP, LOG, OPERATORS, POW, SIN, TANH
+from atoll.expression.operators import ABS, COS, EXP, LOG, OPERATORS, POW, SIN, TANH
 
 AWKWARD = [0.0, -0.0, 1.0, -1.0, 0.5, 3.0, -2.0, 1e-300, 5e-324, 1e200, 1e5, -1.1e5, math.inf, -math.inf, math.nan]
 FUNCTIONS = {
@@ -19,8 +19,9 @@ FUNCTIONS = {
     LOG: lambda a, b: strict_log(a),
     TANH: lambda a, b: strict_tanh(a),
     POW: strict_pow,
-    SIGN: lambda a, b: float((a > 0.0) - (a < 0.0)),
-    POWER_SLOPE: lambda a, b: b * strict_pow(a, b - 1.0),
+    LEFT + ABS: lambda a, b: float((a > 0.0) - (a < 0.0)),
+    LEFT + POW: lambda a, b: b * strict_pow(a, b - 1.0),
+    RIGHT + POW: lambda a, v: v * strict_log(a),
 }
 
 
@@ -63,7 +64,12 @@ def test_awkward_numbers_have_no_influence_on_their_neighbours(operator):
 
 
 def test_slopes_have_codes_of_their_own():
-    assert not {SIGN, POWER_SLOPE} & {operator.code for operator in OPERATORS}
+    codes = [start + operator.code for start in (0, LEFT, RIGHT) for operator in OPERATORS]
+    assert len(set(codes)) == len(codes)
+
+
+def test_the_slope_of_a_function_may_be_another_one():
+    assert [left_slope_code(code) for code in (SIN, COS, ABS, POW)] == [COS, SIN, LEFT + ABS, LEFT + POW]
 
 
 def test_compiled_functions_have_an_address_and_interpreted_ones_have_none():

@@ -11,33 +11,42 @@ from atoll.compilation.jit import kernel
 from atoll.expression.kernels import lanes as kernels_lanes
 from atoll.expression.kernels.lanes import (
     LANES,
-    add,
-    add_product,
-    add_quotient,
     add_scaled,
     centre,
     copy,
-    divide,
     fill,
     get,
     highest_bit,
-    invert,
+    lane_operation,
     lowest_bit,
-    magnitude,
     move,
-    multiply,
-    negate,
     place,
     place_in,
     put,
-    root,
-    subtract,
-    subtract_product,
-    subtract_quotient,
+    square_root,
     total,
     total_magnitude,
 )
 
+FORMULAS = {
+    "add": lambda a, b: a + b,
+    "subtract": lambda a, b: a - b,
+    "multiply": lambda a, b: a * b,
+    "divide": lambda a, b: a / b,
+    "negate": lambda a: -a,
+    "invert": lambda a: 1.0 / a,
+    "root": lambda a: square_root(a),
+    "magnitude": lambda a: abs(a),
+    "add_product": lambda t, a, b: t + a * b,
+    "subtract_product": lambda t, a, b: t - a * b,
+    "add_quotient": lambda t, a, b: t + a / b,
+    "subtract_quotient": lambda t, a, b, c: t - a * b / c,
+}
+add, subtract, multiply, divide, negate, invert, root, magnitude = map(lane_operation, [*FORMULAS.values()][:8])
+add_product, subtract_product, add_quotient, subtract_quotient = (
+    lane_operation(FORMULAS[name], onto=True)
+    for name in ("add_product", "subtract_product", "add_quotient", "subtract_quotient")
+)
 QUICK = settings(max_examples=100, deadline=None, derandomize=True, database=None)
 AWKWARD = np.array([0.0, -0.0, 1.0, -1.0, 0.1, -3.7, 5e-324, -1e-310, 1e-200, 1e200, -1e200, 1e308])
 AWKWARD = np.append(AWKWARD, [np.inf, -np.inf, np.nan, 2.0**53])
@@ -45,8 +54,8 @@ ROW, START, X = 1, 16, 0.3
 
 BINARY = ("add", "subtract", "multiply", "divide")
 UNARY = ("negate", "invert", "root", "magnitude", "copy")
-ONTO = ("add_product", "subtract_product", "add_quotient")
-OTHERS = ("fill", "add_scaled", "subtract_quotient", "centre")
+ONTO = ("add_product", "subtract_product", "add_quotient", "subtract_quotient")
+OTHERS = ("fill", "add_scaled", "centre")
 OPERATIONS = (*BINARY, *UNARY, *ONTO, *OTHERS)
 
 EXPECTED = {
@@ -106,11 +115,11 @@ def operate(which: int, arrays, row: int, start: int, x: float) -> None:
     elif which == 11:
         add_quotient(out, a, b)
     elif which == 12:
-        fill(out, x)
-    elif which == 13:
-        add_scaled(out, x, a)
-    elif which == 14:
         subtract_quotient(out, a, b, c)
+    elif which == 13:
+        fill(out, x)
+    elif which == 14:
+        add_scaled(out, x, a)
     elif which == 15:
         centre(out, a, x, b)
 
@@ -152,8 +161,9 @@ def interpreted(name, out, a, b, c):
     """Return what the interpreted operation `name` leaves in `out`."""
     out = out.copy()
     values = {"out": out, "g": a, "a": a, "b": b, "factor": X, "mean": X, "x": X, "mask": b}
-    if name == "subtract_quotient":
-        values |= {"a": b, "b": c}
+    if name in FORMULAS:
+        kernels_lanes._lane_operation(FORMULAS[name], onto=name in ONTO, ignored=2)(out, a, b, c)
+        return out
     function = getattr(kernels_lanes, f"_{name}")
     function(*(values[parameter] for parameter in inspect.signature(function).parameters))
     return out

@@ -1,0 +1,39 @@
+"""Rates of a system's states and their slopes, against evaluation by numpy."""
+
+import numpy as np
+import pytest
+
+from atoll.compilation.jit import kernel
+from atoll.expression.evaluation import gradient_of, node_values
+from atoll.expression.operators import BY_NAME
+from atoll.expression.program import constant_places
+from atoll_coordinator.model.shooting.kernels.rates import rates, slopes
+from atoll_coordinator.model.shooting.system import system_of
+from tests.oracles.programs import program_of
+
+
+@kernel
+def evaluated(tape, values, adjoints, rate, jacobian, direct) -> None:
+    rates(tape, rate[0], values, 0, rate)
+    slopes(tape, values, adjoints, jacobian, direct)
+
+
+def rate_and_slopes(name: str, a: float, b: float) -> tuple[float, list[float]]:
+    """Return the value of an operator on two fitted constants, and its slopes by those it takes."""
+    operator = BY_NAME[name]
+    system = system_of([program_of([a, b, (operator.code, *range(operator.arity))])], ("x",), ("x",))
+    rate, direct = np.zeros((1, 1)), np.zeros(2)
+    evaluated(system.tape, np.zeros(3), np.zeros(3), rate, np.zeros((1, 1)), direct)
+    return rate[0, 0], direct[: operator.arity].tolist()
+
+
+@pytest.mark.parametrize(("a", "b"), [(0.7, 1.9), (2.5, -0.4)])
+@pytest.mark.parametrize("name", BY_NAME)
+def test_every_operator_has_the_value_and_the_slopes_of_its_definition(name, a, b):
+    operator = BY_NAME[name]
+    program = program_of([a, b, (operator.code, *range(operator.arity))])
+    values = node_values(program, np.zeros((1, 1)))
+    expected = gradient_of(program, values, constant_places(program))[: operator.arity, 0]
+    rate, found = rate_and_slopes(name, a, b)
+    assert rate == pytest.approx(values[-1][0], rel=1e-14)
+    assert found == pytest.approx(expected.tolist(), rel=1e-14)
