@@ -55,13 +55,13 @@ def renew_trainer(
     lists: Lists, coevolution: Coevolution, every: Rows, options: Fit, scratch: Scratch, counters: Ints
 ) -> bool:
     """Replace the oldest trainer by the most disputed individual; return True if the measuring rows changed."""
-    chosen = int(most_disputed(lists, coevolution, every, scratch.spare, options, scratch, counters))
-    if chosen < 0:
+    disputed = int(most_disputed(lists, coevolution, every, scratch.spare, options, scratch, counters))
+    if disputed < 0:
         return False
     oldest = int(np.argmin(coevolution.born))
     solutions = lists._asdict().values()
     for column, values in zip(coevolution.trainers._asdict().values(), solutions, strict=True):
-        column[oldest] = values[chosen]
+        column[oldest] = values[disputed]
     coevolution.born[oldest] = coevolution.clock[0]
     train(coevolution, oldest, every, options, scratch.tape, scratch.work, counters)
     return bool(judge_all(coevolution))

@@ -138,13 +138,13 @@ class FrontUpdater:
             lists, self._chosen, number, setup.every, setup.fit, REFIT_STEPS if setup.fit.steps else 0,
             setup.scratch, least, _SLACK if looks_beside else math.inf, self._book, counters,
         )  # fmt: skip
-        before, found = self._front.entries(), list[FrontEntry]()
+        before, additions = self._front.entries(), list[FrontEntry]()
         for k in range(count):
-            found += self._offer_one(k, counters, tag)
+            additions += self._offer_one(k, counters, tag)
         if not self._candidates:
-            return found, []
+            return additions, []
         candidates, self._candidates = self._candidates, []
-        return found, self._runners_up.take(self._front.entries(), (*before, *candidates), (*before, *found))
+        return additions, self._runners_up.take(self._front.entries(), (*before, *candidates), (*before, *additions))
 
     def _choose(
         self, lists: Lists, fitness: npt.NDArray[np.float64], looks_beside: bool

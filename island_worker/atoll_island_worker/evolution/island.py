@@ -147,8 +147,8 @@ class Island:
         config = self._setup.config
         every, last = LOOKS_BESIDE * config.evolution.refit_interval, config.migration.generations
         looks_beside = self._generation % every == 0 or self._generation == last
-        found, near = self._updater.offer(self._lists, self._fitness, self._counters, self._tag(), looks_beside)
-        self._additions += found
+        additions, near = self._updater.offer(self._lists, self._fitness, self._counters, self._tag(), looks_beside)
+        self._additions += additions
         self._near += near
         least = self._front.least_error()
         target = self._setup.target
@@ -253,15 +253,15 @@ class Island:
 
     def _check(self) -> None:
         """Raise RemoteProtocolError unless all nodes and rows that kernels will follow exist; at epoch 0 none are."""
-        setup, its = self._setup, self._coevolution
+        setup, coevolution = self._setup, self._coevolution
         if self.epoch == 0:
             return
         migration.check_nodes(self._lists, setup.space, setup.allowed)
         if not setup.coevolving.enabled:
             return
-        migration.check_nodes(its.trainers, setup.space, setup.allowed)
-        rows_exist = ((its.predictors >= 0) & (its.predictors < setup.every.length)).all()
-        if not (rows_exist and 0 <= its.best[0] < len(its.quality)):
+        migration.check_nodes(coevolution.trainers, setup.space, setup.allowed)
+        rows_exist = ((coevolution.predictors >= 0) & (coevolution.predictors < setup.every.length)).all()
+        if not (rows_exist and 0 <= coevolution.best[0] < len(coevolution.quality)):
             raise RemoteProtocolError("the predictors in the state of an island name rows that do not exist")
 
     def _retrain(self) -> None:

@@ -94,9 +94,9 @@ def _parsed(block: bytes, space: Space, allowed: frozenset[int]) -> tuple[Slots,
     count = arrays["slots"].size if "slots" in arrays else 0
     shapes = {"slots": (count,), "scale": (count, 1 + MOST_TERMS)}
     expected = {name: (kind, shapes.get(name, (count, space.nodes))) for name, kind in _KINDS.items()}
-    found = {name: (array.dtype.str[1:], array.shape) for name, array in arrays.items()}
-    if found != expected:
-        raise RemoteProtocolError(f"a block of migrants holds {found}, expected {expected}")
+    actual = {name: (array.dtype.str[1:], array.shape) for name, array in arrays.items()}
+    if actual != expected:
+        raise RemoteProtocolError(f"a block of migrants holds {actual}, expected {expected}")
     slots, lists = arrays["slots"].astype(np.int64), Lists(*(arrays[name] for name in Lists._fields))
     check_nodes(lists, space, allowed)
     return slots, lists

@@ -1,8 +1,8 @@
 """A worker's session: what it computes next, what it sends, keeps, asks and answers. A pure state machine.
 
 Events in (`atoll_island_worker.session.events`), actions out (`atoll_island_worker.session.actions`); no clock, no I/O,
-no thread. `Session.handle` is called by the runtime, by the simulation and by tests alike. The rules it keeps are those
-of docs/protocol.md.
+no thread. `Session.handle` is called by the worker's loop, by the simulation and by tests alike. The rules it keeps are
+those of docs/protocol.md.
 """
 
 from collections.abc import Mapping
@@ -77,7 +77,7 @@ ArchipelagoKey = tuple[str, str]
 
 
 class Session:
-    """All shares of one worker. Not thread-safe; owned by the runtime's loop."""
+    """All shares of one worker. Not thread-safe; owned by the worker's loop."""
 
     def __init__(self, worker: str) -> None:
         self.worker = worker

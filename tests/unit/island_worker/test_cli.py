@@ -13,7 +13,7 @@ from atoll.errors import RefusedError, UnreachableError
 from atoll.wire.addresses import destination
 from atoll.wire.security.credentials import load
 from atoll_island_worker import cli
-from atoll_island_worker import worker as runtime
+from atoll_island_worker import worker as worker_module
 from atoll_island_worker.processes import fork_server as forking
 from atoll_island_worker.processes import signals as processes
 from atoll_island_worker.processes import supervisor as supervision
@@ -29,7 +29,7 @@ def _no_environment(monkeypatch: pytest.MonkeyPatch) -> None:
 def worked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, float]]:
     """What the one process was told to do."""
     calls: list[tuple[str, str, float]] = []
-    monkeypatch.setattr(runtime, "run_worker", lambda to, *others: calls.append((str(to), *others[:2])) or 0)
+    monkeypatch.setattr(worker_module, "run_worker", lambda to, *others: calls.append((str(to), *others[:2])) or 0)
     return calls
 
 
@@ -86,7 +86,7 @@ def test_a_worker_leaves_after_its_lifetime_and_has_some_grace(
     words: list[str], lifetime_s: float | None, grace_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given: list[tuple[float | None, float]] = []
-    monkeypatch.setattr(runtime, "run_worker", lambda *arguments: given.append(arguments[3:5]) or 0)
+    monkeypatch.setattr(worker_module, "run_worker", lambda *arguments: given.append(arguments[3:5]) or 0)
     assert cli.main(["--connect", "tcp/a:1", "--processes", "1", *words]) == 0
     assert given == [(lifetime_s, grace_s)]
 
@@ -173,7 +173,7 @@ def test_the_way_the_work_ends_is_the_exit_code(
     def fail(*_: object) -> int:
         raise error
 
-    monkeypatch.setattr(runtime, "run_worker", fail)
+    monkeypatch.setattr(worker_module, "run_worker", fail)
     assert cli.main(["--connect", "tcp/a:1", "--processes", "1"]) == code
     assert "Traceback" not in capsys.readouterr().err
 

@@ -132,7 +132,7 @@ def test_a_job_of_twice_the_weight_gets_twice_the_time() -> None:
     assert (turns.count("a"), turns.count("b")) == (10, 20)
 
 
-def test_the_agenda_knows_what_it_was_at_last() -> None:
+def test_the_queue_knows_which_task_had_the_last_turn() -> None:
     bench = Bench()
     queue = queue_of(bench, key(0))
     assert queue.current is None
