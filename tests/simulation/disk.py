@@ -11,7 +11,7 @@ from atoll_coordinator.service.store.schema import _prepare
 from atoll_coordinator.service.store.store import Store
 
 READS: Final = frozenset({
-    "job", "jobs", "result", "placements", "cuts", "has_blob", "blob_size", "get_blob", "get_chunk", "missing_chunks",
+    "job", "jobs", "result", "cuts", "has_blob", "blob_size", "get_blob", "get_chunk", "missing_chunks",
     "blob_bytes", "deaths", "oldest_ended_job", "used_bytes",
 })  # fmt: skip
 

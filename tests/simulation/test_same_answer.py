@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
+from tests.placements import placements_in
 from tests.simulation.bus.faults import Partition, Plan
 from tests.simulation.world import World, comparable
 
@@ -47,7 +48,7 @@ def test_waiting_for_the_expected_workers_does_not_change_the_answer() -> None:
     for seed in SEEDS:
         world = World(workers=3, seed=seed, expected=3)
         assert answer(world, seed) == undisturbed(seed)
-        assert {term for term, _ in world.store.placements("job").values()} == {1}
+        assert {term for term, _ in placements_in(world.store, "job").values()} == {1}
 
 
 def test_late_messages_do_not_change_the_answer() -> None:

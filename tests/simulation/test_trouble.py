@@ -25,6 +25,7 @@ from atoll.wire.messages.workers import (
     WorkerStatus,
 )
 from atoll_coordinator.service.store.store import Store
+from tests.placements import placements_in
 from tests.simulation.bus.faults import Plan
 from tests.simulation.world import World, bus_of, comparable
 
@@ -172,7 +173,7 @@ def test_a_coordinator_that_dies_and_returns_gives_the_same_answer(tmp_path: Pat
     world.at(world.network.now + 1.0, restart)
     assert world.finish().state == "done"
     assert comparable(world.result()) == undisturbed()
-    terms = {term for term, _ in world.store.placements("job").values()}
+    terms = {term for term, _ in placements_in(world.store, "job").values()}
     assert min(terms) >= 2
     world.close()
 

@@ -47,7 +47,7 @@ class LocalRun:
     def _follow_job(self, client: Client) -> int:
         with open_display("") as display:
             follower = Follower(client, self._request.job, display, self._check_processes)
-            view = self._follow_to_the_end(follower, client, display)
+            view = self._follow(follower, client, display)
         self._workers.dismiss()
         result = self._request.result(client, view)
         if result is not None:
@@ -56,15 +56,15 @@ class LocalRun:
             self._print_times(result, follower.timeline.phases, path)
         return self._request.finish(view) if self._forced is None else self._forced
 
-    def _follow_to_the_end(self, follower: Follower, client: Client, display: Display) -> JobView:
+    def _follow(self, follower: Follower, client: Client, display: Display) -> JobView:
         """Follow the job; an interrupt, or the loss of all workers, cancels it and keeps its best equations."""
         try:
-            return follower.to_the_end()
+            return follower.follow()
         except KeyboardInterrupt:
-            display.say("interrupted: keeping the best equations so far; Ctrl-C again ends at once")
+            display.print_note("interrupted: keeping the best equations so far; Ctrl-C again ends at once")
             self._forced = INTERRUPTED
         except NoWorkerLeftError as error:
-            display.say(f"coordinator: {error}")
+            display.print_note(f"coordinator: {error}")
             self._forced = FAILED
         return _cancelled(client, self._request.job)
 

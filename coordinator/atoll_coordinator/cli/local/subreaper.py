@@ -17,7 +17,7 @@ from typing import IO, Final
 from atoll.command_line import TLS_OPTIONS
 
 _PR_SET_CHILD_SUBREAPER: Final = 36
-_LOOK_S: Final = 0.01
+_POLL_S: Final = 0.01
 _MOST: Final = 65_536
 
 
@@ -59,7 +59,7 @@ class AdoptedProcess:
         while (code := self.poll()) is None:
             if time.monotonic() > end:
                 raise subprocess.TimeoutExpired(f"process {self.pid}", timeout or 0.0)
-            time.sleep(_LOOK_S)
+            time.sleep(_POLL_S)
         return code
 
     def terminate(self) -> None:
@@ -125,4 +125,4 @@ class ForkServer:
             self._process.wait(limit_s)
         end = time.monotonic() + limit_s
         while not self.poll() and time.monotonic() < end:
-            time.sleep(_LOOK_S)
+            time.sleep(_POLL_S)

@@ -35,18 +35,18 @@ class Timeline:
 
 
 class Follower:
-    """Follows one job through a client. `watch` is called at every look; it returns sentences to show, or raises."""
+    """Follows one job through a client. Before every question `check` returns sentences to show, or raises."""
 
-    def __init__(self, client: Client, job: str, display: Display, watch: Callable[[], Sequence[str]] = tuple) -> None:
+    def __init__(self, client: Client, job: str, display: Display, check: Callable[[], Sequence[str]] = tuple) -> None:
         self.timeline = Timeline()
         self._client = client
         self._job = job
         self._display = display
-        self._watch = watch
+        self._check = check
         self._silent_since: float | None = None
         self._warned: set[str] = set()
 
-    def to_the_end(self) -> JobView:
+    def follow(self) -> JobView:
         """Return the final state of the job.
 
         Raises:
@@ -54,19 +54,19 @@ class Follower:
         """
         interval = _FIRST_INTERVAL_S
         while True:
-            for sentence in self._watch():
-                self._display.say(sentence)
-            view = self._look()
+            for sentence in self._check():
+                self._display.print_note(sentence)
+            view = self._ask()
             if view is not None and view.state in FINAL_STATES:
                 return view
             self._client.pause(interval)
             interval = min(_LAST_INTERVAL_S, interval * 1.05)
 
-    def _look(self) -> JobView | None:
+    def _ask(self) -> JobView | None:
         try:
             view, workers = self._client.status(self._job), self._client.workers()
         except UnreachableError as error:
-            self._bear(error)
+            self._tolerate_silence(error)
             return None
         self._silent_since = None
         self._warn(view)
@@ -75,12 +75,12 @@ class Follower:
         self._display.show(view, workers, now)
         return view
 
-    def _bear(self, error: UnreachableError) -> None:
-        """Wait on for a coordinator that is silent, within limits."""
+    def _tolerate_silence(self, error: UnreachableError) -> None:
+        """Take in that the coordinator is silent; raise UnreachableError when it is so for too long."""
         now = self._client.now()
         if self._silent_since is None:
             self._silent_since = now
-            self._display.say(f"the coordinator does not answer; waiting another {PATIENCE_S:.0f} s for it")
+            self._display.print_note(f"the coordinator does not answer; waiting another {PATIENCE_S:.0f} s for it")
         elif now - self._silent_since > PATIENCE_S:
             raise UnreachableError(f"{error}; the job may go on there: coordinator status {self._job}") from error
 
@@ -88,7 +88,7 @@ class Follower:
         for warning in view.warnings:
             if warning not in self._warned:
                 self._warned.add(warning)
-                self._display.say(f"note: {warning}")
+                self._display.print_note(f"note: {warning}")
 
 
 def phase(view: JobView, workers: Sequence[WorkerView]) -> str:

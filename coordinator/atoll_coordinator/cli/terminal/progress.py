@@ -29,7 +29,7 @@ class Display(Protocol):
     def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
         """Take notice of the latest state, seen at monotonic second `now`."""
 
-    def say(self, sentence: str) -> None:
+    def print_note(self, sentence: str) -> None:
         """Show a sentence that stays."""
 
 
@@ -134,7 +134,7 @@ class PlainDisplay:
         for line in plain_lines(view, workers, self._hint):
             self._write(line)
 
-    def say(self, sentence: str) -> None:
+    def print_note(self, sentence: str) -> None:
         """Write the sentence."""
         self._write(sentence)
 
@@ -160,7 +160,7 @@ class JsonDisplay:
             self._shown = timeless
             self._write(json.dumps(view.model_dump(mode="json"), ensure_ascii=False))
 
-    def say(self, sentence: str) -> None:
+    def print_note(self, sentence: str) -> None:
         """Write the sentence on stderr."""
         note(sentence)
 
@@ -186,7 +186,7 @@ class LiveDisplay:
         """Redraw the table."""
         self._live.update(self._table(view, workers), refresh=True)
 
-    def say(self, sentence: str) -> None:
+    def print_note(self, sentence: str) -> None:
         """Print the sentence above the table."""
         self._live.console.print(sentence, markup=False, highlight=False)
 

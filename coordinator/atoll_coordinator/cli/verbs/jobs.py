@@ -53,7 +53,7 @@ def _follow(options: argparse.Namespace, address: Destination) -> int:
     with raising_interrupts(), connected(address, CONNECT_LIMIT_S) as client:
         job = _only_open_job(client) if options.job is None else client.resolve(options.job)
         with _display(options, f"island-worker --connect {address}") as display:
-            view = Follower(client, job, display).to_the_end()
+            view = Follower(client, job, display).follow()
     sentence = ending(view, view.target_error)
     if sentence:
         note(f"coordinator: {sentence}")

@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 
-LOOK_S: Final = 5.0
+CHECK_INTERVAL_S: Final = 5.0
 """How often a coordinator is looked for until it is found, and after it was lost."""
 
-LOOK_LIMIT_S: Final = 1.0
+CHECK_LIMIT_S: Final = 1.0
 _REMIND_S: Final = 60.0
 
 
@@ -50,7 +50,7 @@ def router(options: argparse.Namespace) -> int:
         here = Destination(parse_address(bus.endpoint), credentials)
         with announced(options.connect_file and Path(options.connect_file), addresses_of(here)):
             say(greeting(here, upstream, roster))
-            _Watch(bus, credentials.name if credentials is not None else "client").run(stop)
+            _CoordinatorCheck(bus, credentials.name if credentials is not None else "client").run(stop)
     note("coordinator router: stopped")
     return DONE
 
@@ -72,28 +72,28 @@ def greeting(here: Destination, upstream: list[str], roster: Roster | None = Non
     return "\n".join([*lines, *warnings_of(here, roster)])
 
 
-class _Watch:
+class _CoordinatorCheck:
     """Logs when a coordinator is there, and when it is not: a router without one is of no use."""
 
     def __init__(self, bus: "ZenohBus", bearer: str) -> None:
         self._bus = bus
         self._bearer = bearer
         self._realm: str | None = None
-        self._said_at = -_REMIND_S
+        self._reminded_at = -_REMIND_S
 
     def run(self, stop: threading.Event) -> None:
         while not stop.is_set():
-            self._look()
-            stop.wait(LOOK_S)
+            self._check()
+            stop.wait(CHECK_INTERVAL_S)
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         realm = coordinator_behind(self._bus, self._bearer)
         now = time.monotonic()
         if realm is not None and realm != self._realm:
             _LOG.info("coordinator found", extra=fields(realm=realm))
-        elif realm is None and (self._realm is not None or now - self._said_at >= _REMIND_S):
+        elif realm is None and (self._realm is not None or now - self._reminded_at >= _REMIND_S):
             _LOG.warning("no coordinator answers behind this router yet")
-            self._said_at = now
+            self._reminded_at = now
         self._realm = realm
 
 
@@ -102,6 +102,6 @@ def coordinator_behind(bus: Any, bearer: str = "client") -> str | None:
     from atoll_coordinator.client import Client
 
     try:
-        return Client(bus, "this router", bearer).greet(LOOK_LIMIT_S)
+        return Client(bus, "this router", bearer).greet(CHECK_LIMIT_S)
     except (UnreachableError, RefusedError):
         return None

@@ -29,7 +29,7 @@ def submit(options: argparse.Namespace) -> int:
             _say_what_it_waits_for(view, client, address)
             say(request.job)
             return DONE
-        return _see_through(request, client, address, folder)
+        return _follow_to_result(request, client, address, folder)
 
 
 def _say_what_it_waits_for(view: JobView, client: Client, address: Destination) -> None:
@@ -40,7 +40,7 @@ def _say_what_it_waits_for(view: JobView, client: Client, address: Destination) 
         note(f"job {view.job} {view.state}; {waits}")
 
 
-def _see_through(request: Request, client: Client, address: Destination, folder: Path | None) -> int:
+def _follow_to_result(request: Request, client: Client, address: Destination, folder: Path | None) -> int:
     try:
         view = _follow(request, client, address)
     except KeyboardInterrupt:
@@ -56,5 +56,5 @@ def _see_through(request: Request, client: Client, address: Destination, folder:
 
 def _follow(request: Request, client: Client, address: Destination) -> JobView:
     with open_display(f"island-worker --connect {address}") as display:
-        display.say(f"job {request.job} submitted; Ctrl-C detaches and leaves it running")
-        return Follower(client, request.job, display).to_the_end()
+        display.print_note(f"job {request.job} submitted; Ctrl-C detaches and leaves it running")
+        return Follower(client, request.job, display).follow()

@@ -31,12 +31,6 @@ def place(sql: sqlite3.Connection, job: str, variable: str, placement: bytes) ->
     sql.execute("UPDATE archipelagos SET placement = ? WHERE job = ? AND variable = ?", (placement, job, variable))
 
 
-def placements(sql: sqlite3.Connection, job: str) -> dict[str, tuple[int, bytes | None]]:
-    """Return term and placement by variable."""
-    rows = sql.execute("SELECT variable, term, placement FROM archipelagos WHERE job = ?", (job,)).fetchall()
-    return {variable: (term, placement) for variable, term, placement in rows}
-
-
 def cut(sql: sqlite3.Connection, job: str, variable: str, contents: bytes) -> bool:
     """Keep the end of an archipelago; return False, changing nothing, when it had one before."""
     ensure(sql, job, variable)

@@ -195,11 +195,6 @@ class Store:
                 term = archipelago_table.raise_term(sql, job, variable)
                 archipelago_table.place(sql, job, variable, place(index, term))
 
-    def placements(self, job: str) -> dict[str, tuple[int, bytes | None]]:
-        """Return term and placement by variable."""
-        with self._transaction() as sql:
-            return archipelago_table.placements(sql, job)
-
     def commit_cuts(self, job: str, cuts: Mapping[str, bytes]) -> bool:
         """Make the ends of archipelagos durable, by variable, in one transaction.
 

@@ -69,14 +69,14 @@ class Recorder:
     def show(self, view: JobView, workers: Sequence[WorkerView], now: float) -> None:
         self.states.append(view.state)
 
-    def say(self, sentence: str) -> None:
+    def print_note(self, sentence: str) -> None:
         self.sentences.append(sentence)
 
 
 def follow(*views: JobView | Exception) -> tuple[JobView, Recorder]:
     display = Recorder()
     follower = Follower(ScriptedClient(*views), "j1", display)  # type: ignore[arg-type]
-    return follower.to_the_end(), display
+    return follower.follow(), display
 
 
 def test_a_job_is_shown_until_it_ends() -> None:
@@ -103,17 +103,17 @@ def test_a_long_silence_is_an_error_that_says_the_job_may_go_on() -> None:
     assert PATIENCE_S > 0
 
 
-def test_what_the_watch_returns_is_said_and_what_it_raises_ends_the_following() -> None:
+def test_what_the_check_returns_is_printed_and_what_it_raises_ends_the_following() -> None:
     display = Recorder()
     sayings = [["worker w1 ended"], []]
 
-    def watch() -> list[str]:
+    def check() -> list[str]:
         if not sayings:
             raise RuntimeError("gone")
         return sayings.pop(0)
 
     with pytest.raises(RuntimeError, match="gone"):
-        Follower(ScriptedClient(view_of()), "j1", display, watch).to_the_end()  # type: ignore[arg-type]
+        Follower(ScriptedClient(view_of()), "j1", display, check).follow()  # type: ignore[arg-type]
     assert display.sentences == ["worker w1 ended"]
 
 

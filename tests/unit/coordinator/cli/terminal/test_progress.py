@@ -109,7 +109,7 @@ def test_the_live_display_shows_the_same_contents(monkeypatch: pytest.MonkeyPatc
     odd = Y.model_copy(update={"lhs": "d[y]/dt"})
     with LiveDisplay(HINT) as display:
         display.show(job(variables=(X, odd)), [worker()], 0.0)
-        display.say("worker [w1] ended")
+        display.print_note("worker [w1] ended")
     text = screen.getvalue()
     for words in ("job a1b2c3d4 running", "3*x - x**2 - 2*x*y", "d[y]/dt", "worker [w1] ended", "converged"):
         assert words in text
