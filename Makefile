@@ -8,11 +8,12 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/atoll-installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick kernels generic-kernels check soak bench lock release-rehearsal deploy-rehearsal clean
+.PHONY: help demo test test-wheel quick kernels generic-kernels check soak bench lock release-rehearsal deploy-rehearsal clean
 
 help:
 	@echo "make demo    find the two equations of a Lotka-Volterra system, on two workers"
 	@echo "make test    all tests"
+	@echo "make test-wheel  all tests against the wheel, in an environment of its own"
 	@echo "make quick   the tests that take less than about ten seconds each"
 	@echo "make check   style, formatting, types, import contracts"
 	@echo "make soak    schedules of faults, simulated, on all cores: make soak SCHEDULES=10000"
@@ -42,6 +43,10 @@ PYTEST = $(BIN)/pytest -n $(AT_A_TIME) --dist loadfile
 test: $(STAMP)
 	@$(MAKE) --no-print-directory -j 2 kernels generic-kernels
 	@$(PYTEST)
+
+# Against the wheel in an environment of its own, beside a foreign package `common`; also with options of pytest in WORDS.
+test-wheel: $(STAMP) kernels
+	@$(BIN)/python -m tests.wheel -n $(AT_A_TIME) --dist loadfile $(WORDS)
 
 quick: $(STAMP) kernels
 	@$(PYTEST) -m "not slow"
