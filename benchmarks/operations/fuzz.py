@@ -31,7 +31,7 @@ from atoll.wire.messages.handshake import Greeting, GreetingAnswer
 from atoll.wire.messages.limits import MAX_MESSAGE
 from atoll.wire.messages.workers import Control, EpochReport, Mail, Pull, PullAnswer, WorkerStatus
 from tests.simulation.bus.faults import Plan
-from tests.simulation.world import World, bus_of, comparable
+from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
 
 CONFIG = JobConfig(seed=3, evolution=EvolutionConfig(islands=4), budget=BudgetConfig(max_epochs=14))
 SESSION_SHARE = 5

@@ -11,9 +11,9 @@ from atoll_coordinator.service.background.ports import Ports
 from atoll_coordinator.service.service import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_island_worker.worker import Worker
-from tests.simulation.stub import StubCompute
-from tests.simulation.test_trouble import nonsense
-from tests.simulation.world import World, comparable, prepare
+from tests.simulation.harness.simulated_cluster import World, comparable, prepare
+from tests.simulation.harness.stub_islands import StubCompute
+from tests.simulation.test_failures import nonsense
 from tests.task_pools import LocalPool, start_thread
 
 LIMIT_S = 60.0

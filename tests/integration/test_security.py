@@ -31,8 +31,8 @@ from atoll_coordinator.service.store.store import Store
 from atoll_island_worker.worker import Worker
 from tests.certificates import Lab
 from tests.integration.test_foreign_messages import AtOnce, wait_until
-from tests.simulation.stub import StubCompute
-from tests.simulation.world import World, comparable, prepare
+from tests.simulation.harness.simulated_cluster import World, comparable, prepare
+from tests.simulation.harness.stub_islands import StubCompute
 from tests.task_pools import LocalPool, start_thread
 
 LIMIT_S = 60.0

@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from atoll_coordinator.cli.terminal.output import note, say
-from tests.simulation.schedule import Schedule, schedule_of
-from tests.simulation.shrink import shrunk
-from tests.simulation.stage import Outcome, Stage
-from tests.simulation.troupe import STUBS, Cast
+from tests.simulation.harness.participants import STUBS, Cast
+from tests.simulation.harness.schedule import Schedule, schedule_of
+from tests.simulation.harness.schedule_run import Outcome, ScheduleRun
+from tests.simulation.harness.shrink import shrunk
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 CHUNK: Final = 200
@@ -111,7 +111,7 @@ def cast_of(seed: int) -> Cast:
 
 def play(schedule: Schedule) -> Outcome:
     """Play one schedule."""
-    return Stage(schedule, cast_of(schedule.seed)).play()
+    return ScheduleRun(schedule, cast_of(schedule.seed)).play()
 
 
 def tally_of(seeds: Sequence[int]) -> Tally:

@@ -5,9 +5,9 @@ import pytest
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_coordinator.service.search import checkpoint_coordinator
 from tests.simulation.bus.faults import Plan
-from tests.simulation.schedule import schedule_of
+from tests.simulation.harness.schedule import schedule_of
+from tests.simulation.harness.simulated_cluster import World, comparable
 from tests.simulation.soak import play
-from tests.simulation.world import World, comparable
 
 ISLANDS = 3
 STATE_BYTES = 40
@@ -25,7 +25,7 @@ def config(seed: int) -> JobConfig:
 
 def run(monkeypatch: pytest.MonkeyPatch) -> tuple[list[str], list[int]]:
     """Have jobs of three variables searched; return their answers, and the bytes held at each look."""
-    monkeypatch.setattr("tests.simulation.stub.HIT_EPOCHS", 10**9)
+    monkeypatch.setattr("tests.simulation.harness.stub_islands.HIT_EPOCHS", 10**9)
     world = World(workers=2, plan=Plan(delay_s=(0.02, 0.06)), slowness=5.0)
     checkpoints, held = world.service.controller.checkpoints, []
     add_states = checkpoints.add_states

@@ -14,8 +14,8 @@ from atoll.wire.codec import decode, encode
 from atoll.wire.messages.workers import Close, Control, Placements, WorkerStatus
 from atoll_coordinator.service.store.store import Store
 from tests.simulation.bus.faults import Partition, Plan
-from tests.simulation.stub import StubIsland
-from tests.simulation.world import World, bus_of, comparable
+from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
+from tests.simulation.harness.stub_islands import StubIsland
 
 EPOCHS = 40
 ISLANDS = 3
@@ -28,7 +28,7 @@ HELD = 2 * ISLANDS
 
 @pytest.fixture(autouse=True)
 def no_hits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tests.simulation.stub.HIT_EPOCHS", 10**9)
+    monkeypatch.setattr("tests.simulation.harness.stub_islands.HIT_EPOCHS", 10**9)
 
 
 def config(seed: int = 1, **budget: object) -> JobConfig:

@@ -13,7 +13,7 @@ from atoll.wire.codec import decode, encode
 from atoll.wire.messages.workers import Pull, PullAnswer, PullStates, States
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.crash_loops import FAIL_AFTER
-from tests.simulation.world import World, bus_of
+from tests.simulation.harness.simulated_cluster import World, bus_of
 
 POISON = ("job", "x", 12)
 """After the first checkpoint."""
@@ -21,7 +21,7 @@ POISON = ("job", "x", 12)
 
 @pytest.fixture(autouse=True)
 def no_hits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tests.simulation.stub.HIT_EPOCHS", 10**9)
+    monkeypatch.setattr("tests.simulation.harness.stub_islands.HIT_EPOCHS", 10**9)
 
 
 def config(epochs: int = 40) -> JobConfig:

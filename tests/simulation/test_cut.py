@@ -13,8 +13,8 @@ from atoll.wire.messages.workers import IslandReport
 from atoll_coordinator.service.jobs.job import commit_order_of
 from atoll_island_worker.session.tasks import Task, TaskKey
 from tests.simulation.bus.faults import Plan
-from tests.simulation.stub import Shuffle, StubIsland, StubWork, hits_of, parse_slots
-from tests.simulation.world import World
+from tests.simulation.harness.simulated_cluster import World
+from tests.simulation.harness.stub_islands import Shuffle, StubIsland, StubWork, hits_of, parse_slots
 
 SEEDS = range(10)
 EPOCHS = 4
@@ -23,7 +23,7 @@ RUNNERS_UP = 2
 
 @pytest.fixture(autouse=True)
 def early_hits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tests.simulation.stub.HIT_EPOCHS", EPOCHS - 1)
+    monkeypatch.setattr("tests.simulation.harness.stub_islands.HIT_EPOCHS", EPOCHS - 1)
 
 
 def config(seed: int, joining: int | None, islands: int = 5) -> JobConfig:

@@ -13,8 +13,8 @@ from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.compute.run_queue import Work
 from atoll_island_worker.session.tasks import ShareKey, Task
 from tests.simulation.bus.faults import Plan
-from tests.simulation.stub import StubCompute
-from tests.simulation.world import World, comparable
+from tests.simulation.harness.simulated_cluster import World, comparable
+from tests.simulation.harness.stub_islands import StubCompute
 
 CONFIG = JobConfig(
     seed=5,

@@ -5,7 +5,7 @@ from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Constant, Pools, Refined, Refinement
 from atoll_coordinator.service.monitoring.views import ended_view
-from tests.simulation.world import World
+from tests.simulation.harness.simulated_cluster import World
 
 CONFIG = JobConfig(budget=BudgetConfig(max_epochs=2))
 

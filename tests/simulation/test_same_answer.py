@@ -11,7 +11,7 @@ import pytest
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
 from tests.placements import placements_in
 from tests.simulation.bus.faults import Partition, Plan
-from tests.simulation.world import World, comparable
+from tests.simulation.harness.simulated_cluster import World, comparable
 
 ROOT = Path(__file__).resolve().parents[2]
 SEEDS = range(8)

@@ -11,13 +11,13 @@ import pytest
 
 from atoll_coordinator.service.store.jobs import JobRecord
 from tests.simulation.bus.faults import Plan
-from tests.simulation.disk import CoordinatorDied, Disk
-from tests.simulation.schedule import Fault, JobPlan, Kind, Schedule, job_config, schedule_of
-from tests.simulation.shrink import shrunk
+from tests.simulation.harness.participants import Cast
+from tests.simulation.harness.schedule import Fault, JobPlan, Kind, Schedule, job_config, schedule_of
+from tests.simulation.harness.schedule_run import Outcome, ScheduleRun, calm_schedule
+from tests.simulation.harness.shrink import shrunk
+from tests.simulation.harness.simulated_disk import CoordinatorDied, Disk
+from tests.simulation.harness.stub_islands import StubCompute
 from tests.simulation.soak import ROOT, Tally, chunks, is_real, play
-from tests.simulation.stage import Outcome, Stage, calm_schedule
-from tests.simulation.stub import StubCompute
-from tests.simulation.troupe import Cast
 
 SEEDS = 60
 """The first ones of those that ``make soak`` plays."""
@@ -77,7 +77,7 @@ def test_another_answer_is_found() -> None:
             super().__post_init__()
             self.corrupt = self.worker == "w1"
 
-    outcome = Stage(disturbed(), Cast(compute=Wrong)).play()
+    outcome = ScheduleRun(disturbed(), Cast(compute=Wrong)).play()
     assert any("another answer" in each for each in outcome.wrong), told(outcome)
 
 
@@ -94,9 +94,9 @@ def test_what_is_left_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_island_that_is_evolved_twice_under_a_term_is_found() -> None:
-    stage = Stage(disturbed())
-    stage.troupe.made |= {("job-0", "x", term, 0, 1): [77] for term in range(1, 9)}
-    assert any("was evolved by [77" in each for each in stage.play().wrong)
+    run = ScheduleRun(disturbed())
+    run.participants.made |= {("job-0", "x", term, 0, 1): [77] for term in range(1, 9)}
+    assert any("was evolved by [77" in each for each in run.play().wrong)
 
 
 def test_what_breaks_a_rule_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,10 +20,10 @@ from atoll_island_worker.session.events import Computed
 from atoll_island_worker.worker import Worker
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.bus.participant import SimulatedBus
-from tests.simulation.disk import CoordinatorDied, Disk, DiskStore
-from tests.simulation.schedule import Schedule, job_config
-from tests.simulation.stub import StubCompute
-from tests.simulation.world import prepare
+from tests.simulation.harness.schedule import Schedule, job_config
+from tests.simulation.harness.simulated_cluster import prepare
+from tests.simulation.harness.simulated_disk import CoordinatorDied, Disk, DiskStore
+from tests.simulation.harness.stub_islands import StubCompute
 from tests.task_pools import LocalPool
 
 WAIT_S: Final = 60.0
@@ -49,7 +49,7 @@ STUBS: Final = Cast()
 
 
 @dataclass
-class Troupe:
+class Participants:
     """All participants but the client.
 
     `wrong` is what must not happen and did, `story` what happened; `is_over`: nobody is struck any more, and somebody

@@ -26,7 +26,7 @@ from atoll_island_worker.worker import Worker
 from tests.simulation.bus.faults import Plan
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.bus.participant import SimulatedBus
-from tests.simulation.stub import StubCompute
+from tests.simulation.harness.stub_islands import StubCompute
 from tests.task_pools import LocalPool, call
 
 LIMIT_S = 600.0

@@ -18,10 +18,10 @@ from atoll_coordinator.client import Client
 from atoll_coordinator.service.search import archipelago
 from atoll_coordinator.service.search import checkpoints as checkpoint
 from tests.simulation.bus.faults import Plan
-from tests.simulation.hand import Hand
-from tests.simulation.schedule import JobPlan, Schedule
-from tests.simulation.troupe import STUBS, Cast, Troupe
-from tests.simulation.world import comparable
+from tests.simulation.harness.fault_injector import FaultInjector
+from tests.simulation.harness.participants import STUBS, Cast, Participants
+from tests.simulation.harness.schedule import JobPlan, Schedule
+from tests.simulation.harness.simulated_cluster import comparable
 
 LIMIT_S: Final = 300.0
 """A job that has not ended so long after the last fault is stuck."""
@@ -54,31 +54,31 @@ class Outcome:
     history: str
 
 
-class Stage:
-    """One schedule, its troupe, and the client that submits its jobs."""
+class ScheduleRun:
+    """One schedule, its participants, and the client that submits its jobs."""
 
     def __init__(self, schedule: Schedule, cast: Cast = STUBS) -> None:
-        self.troupe = Troupe(schedule, cast)
-        self._hand = Hand(self.troupe)
-        self.client = Client(self.troupe.network.bus("client"), "simulated")
+        self.participants = Participants(schedule, cast)
+        self._injector = FaultInjector(self.participants)
+        self.client = Client(self.participants.network.bus("client"), "simulated")
 
     def play(self) -> Outcome:
         """Let everything happen; return what came of it."""
         try:
-            with hurried() if self.troupe.schedule.is_hurried else nullcontext():
+            with hurried() if self.participants.schedule.is_hurried else nullcontext():
                 self._play()
         except (AssertionError, AtollError) as error:
-            self.troupe.wrong.append("".join(traceback.format_exception_only(error)).strip())
-            self.troupe.story.append("".join(traceback.format_exception(error)))
+            self.participants.wrong.append("".join(traceback.format_exception_only(error)).strip())
+            self.participants.story.append("".join(traceback.format_exception(error)))
         finally:
-            self.troupe.disk.close()
-        history = self.troupe.history.hexdigest()
+            self.participants.disk.close()
+        history = self.participants.history.hexdigest()
         return Outcome(
-            self.troupe.schedule,
-            self.troupe.wrong,
-            self.troupe.story,
-            self._hand.struck,
-            self.troupe.network.now,
+            self.participants.schedule,
+            self.participants.wrong,
+            self.participants.story,
+            self._injector.struck,
+            self.participants.network.now,
             history,
         )
 
@@ -88,35 +88,36 @@ class Stage:
         (view,) = self._finish()
         assert view.state == "done", view
         result: dict[str, Any] = self._patiently(lambda: self.client.result(view.job))
-        self.troupe.disk.close()
+        self.participants.disk.close()
         return result
 
     def _play(self) -> None:
-        jobs = dict(enumerate(self.troupe.schedule.jobs))
+        jobs = dict(enumerate(self.participants.schedule.jobs))
         moments = [(job.submit_s, partial(self._submit, number, job)) for number, job in jobs.items()]
         moments += [
             (job.cancel_s, partial(self._cancel, number)) for number, job in jobs.items() if job.cancel_s is not None
         ]
         for at_s, act in sorted(moments, key=lambda each: each[0]):
-            self.client.pause(max(0.0, at_s - self.troupe.network.now))
+            self.client.pause(max(0.0, at_s - self.participants.network.now))
             act()
         views = self._finish()
-        self.troupe.note(f"all jobs have ended: {', '.join(view.state for view in views)}")
+        self.participants.note(f"all jobs have ended: {', '.join(view.state for view in views)}")
         for number, view in enumerate(views):
             self._check_result(jobs[number], view)
-        self._hand.end_faults()
-        self.troupe.network.run(self.troupe.network.now + SETTLE_S, lambda: not self._is_busy() and not self._remains())
-        self.troupe.wrong += self._remains()
+        self._injector.end_faults()
+        network = self.participants.network
+        network.run(network.now + SETTLE_S, lambda: not self._is_busy() and not self._remains())
+        self.participants.wrong += self._remains()
 
     def _submit(self, number: int, job: JobPlan) -> None:
-        config, variables = self.troupe.cast.job(job.seed)
+        config, variables = self.participants.cast.job(job.seed)
         table = self._patiently(lambda: self.client.upload(variables.encode()))
         self._patiently(lambda: self.client.submit(f"job-{number}", "a simulated job", config, table, job.priority))
-        self.troupe.note(f"job-{number} is submitted")
+        self.participants.note(f"job-{number} is submitted")
 
     def _cancel(self, number: int) -> None:
         view = self._patiently(lambda: self.client.cancel(f"job-{number}"))
-        self.troupe.note(f"job-{number} is cancelled ({view.state})")
+        self.participants.note(f"job-{number} is cancelled ({view.state})")
 
     def _finish(self) -> list[JobView]:
         """Follow all jobs to their ends."""
@@ -124,13 +125,13 @@ class Stage:
             views = self._patiently(self.client.jobs)
             if all(view.state in FINAL_STATES for view in views):
                 return sorted(views, key=lambda view: view.job)
-            if self.troupe.network.now > self.troupe.schedule.horizon_s + LIMIT_S:
+            if self.participants.network.now > self.participants.schedule.horizon_s + LIMIT_S:
                 raise StuckError(f"jobs do not end: {[(view.job, view.state, view.reason) for view in views]}")
             self.client.pause(POLL_S)
 
     def _patiently(self, ask: Callable[[], Any]) -> Any:
         """Ask until there is an answer."""
-        while self.troupe.network.now < self.troupe.schedule.horizon_s + LIMIT_S + 2 * POLL_S:
+        while self.participants.network.now < self.participants.schedule.horizon_s + LIMIT_S + 2 * POLL_S:
             with suppress(UnreachableError):
                 return ask()
         raise StuckError("the coordinator does not answer")
@@ -138,14 +139,14 @@ class Stage:
     def _check_result(self, job: JobPlan, view: JobView) -> None:
         is_cancelled = job.cancel_s is not None and view.state == "cancelled"
         if view.state != "done" and not is_cancelled:
-            self.troupe.wrong.append(f"{view.job} is {view.state}: {view.reason}")
+            self.participants.wrong.append(f"{view.job} is {view.state}: {view.reason}")
             return
         try:
             result = self._patiently(lambda: self.client.result(view.job))
         except RefusedError as error:
             if not is_cancelled:
                 raise
-            self.troupe.note(f"{view.job} has no result: {error}")
+            self.participants.note(f"{view.job} has no result: {error}")
             return
         self._check_digest(job, result, is_cancelled)
 
@@ -153,12 +154,12 @@ class Stage:
         """Compare with the calm run, or, for a cancelled job, with the calm run of as many epochs."""
         epochs = {each["variable"]: each["epoch"] for each in result["equations"]}
         if not is_cancelled:
-            if comparable(result) != calm(job.seed, self.troupe.cast):
-                self.troupe.wrong.append(f"{result['job']} has another answer than the calm run")
+            if comparable(result) != calm(job.seed, self.participants.cast):
+                self.participants.wrong.append(f"{result['job']} has another answer than the calm run")
         elif min(epochs.values()) > 0 and result["digest"] != calm_digest(
-            job.seed, self.troupe.cast, tuple(epochs.items())
+            job.seed, self.participants.cast, tuple(epochs.items())
         ):
-            self.troupe.wrong.append(
+            self.participants.wrong.append(
                 f"{result['job']}, cancelled after {epochs}, has another digest than that many epochs"
             )
 
@@ -166,30 +167,30 @@ class Stage:
 
     def _is_busy(self) -> bool:
         """Tell whether somebody still waits for an answer."""
-        return self.troupe.service is None or any(bus.asking for bus in self.troupe.buses.values())
+        return self.participants.service is None or any(bus.asking for bus in self.participants.buses.values())
 
     def _remains(self) -> list[str]:
         """Return what is still held of jobs that have all ended."""
-        found = [f"{name} still holds {what}" for name in self.troupe.workers for what in self._held_by(name)]
-        service = self.troupe.service
+        found = [f"{name} still holds {what}" for name in self.participants.workers for what in self._held_by(name)]
+        service = self.participants.service
         if service is None:
             return [*found, "there is no coordinator"]
         if service.controller.jobs:
             found.append(f"the coordinator still has jobs {list(service.controller.jobs)}")
-        if self.troupe.disk.rows("checkpoints") or self.troupe.disk.rows("states"):
+        if self.participants.disk.rows("checkpoints") or self.participants.disk.rows("states"):
             found.append("the store still holds checkpoints")
         expected = {
             "coordinator",
             "client",
-            *self.troupe.workers,
-            *(["router"] if self.troupe.schedule.has_own_router else []),
+            *self.participants.workers,
+            *(["router"] if self.participants.schedule.has_own_router else []),
         }
-        if expected != set(self.troupe.network.participants):
-            found.append(f"there are {self.troupe.network.participants}, expected were {sorted(expected)}")
+        if expected != set(self.participants.network.participants):
+            found.append(f"there are {self.participants.network.participants}, expected were {sorted(expected)}")
         return found
 
     def _held_by(self, name: str) -> list[str]:
-        worker, compute = self.troupe.workers[name], self.troupe.computes[name]
+        worker, compute = self.participants.workers[name], self.participants.computes[name]
         session, queue = worker.session, compute._queue
         held = {
             "shares": session.holdings(),
@@ -244,4 +245,4 @@ def calm_digest(seed: int, cast: Cast, epochs: tuple[tuple[str, int], ...]) -> s
 
 
 def _calm_result(seed: int, cast: Cast) -> dict[str, Any]:
-    return Stage(calm_schedule(seed), cast).result_of(JobPlan(seed))
+    return ScheduleRun(calm_schedule(seed), cast).result_of(JobPlan(seed))

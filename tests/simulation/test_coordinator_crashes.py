@@ -15,10 +15,10 @@ from atoll.wire.security.access_control import Roster
 from atoll_coordinator.service.jobs.job import Job, JobAction
 from atoll_coordinator.service.service import Service
 from tests.simulation.bus.network import SimulatedNetwork
-from tests.simulation.disk import CoordinatorDied, Disk
-from tests.simulation.schedule import JobPlan
-from tests.simulation.stage import Stage, calm_schedule
-from tests.simulation.troupe import Cast
+from tests.simulation.harness.participants import Cast
+from tests.simulation.harness.schedule import JobPlan
+from tests.simulation.harness.schedule_run import ScheduleRun, calm_schedule
+from tests.simulation.harness.simulated_disk import CoordinatorDied, Disk
 
 TABLE = b"x,y"
 
@@ -58,21 +58,21 @@ TIMED = JobConfig(
 @pytest.mark.parametrize("kind", ["die-before-commit", "die-after-commit"])
 @pytest.mark.parametrize("commits", range(1, 4))
 def test_time_ends_all_variables_or_none(kind: str, commits: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tests.simulation.stub.HIT_EPOCHS", 10**9)
+    monkeypatch.setattr("tests.simulation.harness.stub_islands.HIT_EPOCHS", 10**9)
     cast = Cast(job=lambda seed: (TIMED, "x,y,z"))
-    stage = Stage(replace(calm_schedule(0), workers=2, slowness=10.0), cast)
-    troupe, tick, cuts = stage.troupe, Job.tick, []
+    stage = ScheduleRun(replace(calm_schedule(0), workers=2, slowness=10.0), cast)
+    participants, tick, cuts = stage.participants, Job.tick, []
 
     def deadly(job: Job, now: float) -> list[JobAction]:
         actions = tick(job, now)
         if actions and not cuts:
-            troupe.down_s = 1.0
-            troupe.disk.die_at(commits, before=kind == "die-before-commit")
-            troupe.at(troupe.network.now + 0.5, lambda: cuts.append(troupe.disk.cuts()))
+            participants.down_s = 1.0
+            participants.disk.die_at(commits, before=kind == "die-before-commit")
+            participants.at(participants.network.now + 0.5, lambda: cuts.append(participants.disk.cuts()))
         return actions
 
     monkeypatch.setattr(Job, "tick", deadly)
     result = stage.result_of(JobPlan(0))
     assert cuts[0] in (0, 3)
     assert {each["why"] for each in result["equations"]} == {"max-time"}
-    assert any("dies at commit" in line for line in troupe.story)
+    assert any("dies at commit" in line for line in participants.story)

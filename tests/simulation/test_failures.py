@@ -27,7 +27,7 @@ from atoll.wire.messages.workers import (
 from atoll_coordinator.service.store.store import Store
 from tests.placements import placements_in
 from tests.simulation.bus.faults import Plan
-from tests.simulation.world import World, bus_of, comparable
+from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
 
 BLOB = "0" * 64
 
@@ -110,7 +110,7 @@ def test_a_second_worker_of_the_same_name_is_refused_and_told_which_option_to_us
     first = world.workers["w0"]
     bus = world.network.bus("impostor")
     from atoll_island_worker.worker import Worker
-    from tests.simulation.stub import StubCompute
+    from tests.simulation.harness.stub_islands import StubCompute
 
     second = Worker(bus, StubCompute(world.network, "impostor", 0), "w0", wait_s=10.0)
     bus.handle_with(second.step)

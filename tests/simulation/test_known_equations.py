@@ -3,7 +3,7 @@
 import pytest
 
 from atoll.config import BudgetConfig, JobConfig, PriorConfig
-from tests.simulation.world import World
+from tests.simulation.harness.simulated_cluster import World
 
 
 def config_of(*known: str, **budget: object) -> JobConfig:

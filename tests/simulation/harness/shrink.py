@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Final
 
-from tests.simulation.schedule import Schedule
-from tests.simulation.stage import Outcome
+from tests.simulation.harness.schedule import Schedule
+from tests.simulation.harness.schedule_run import Outcome
 
 Play = Callable[[Schedule], Outcome]
 

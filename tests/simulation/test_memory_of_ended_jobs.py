@@ -10,7 +10,7 @@ import pytest
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_coordinator.data.recording import Preparation
 from atoll_island_worker.session import session
-from tests.simulation.world import World, prepare
+from tests.simulation.harness.simulated_cluster import World, prepare
 
 
 def config(seed: int, **budget: object) -> JobConfig:
@@ -26,7 +26,7 @@ class Watched:
     """A world that knows what its jobs are made of, without holding it."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("tests.simulation.stub.HIT_EPOCHS", 10**9)
+        monkeypatch.setattr("tests.simulation.harness.stub_islands.HIT_EPOCHS", 10**9)
         self.parts: list[weakref.ref[Any]] = []
         self.world = World(workers=2, prepare=self._prepare, slowness=5.0)
 

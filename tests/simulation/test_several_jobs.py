@@ -6,8 +6,8 @@ from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConf
 from atoll.wire.messages.views import EventView
 from atoll.wire.messages.workers import Holding, WorkerStatus
 from atoll_coordinator.service.workers.membership import STANDING_S
-from tests.simulation.stub import hits_of
-from tests.simulation.world import World, comparable
+from tests.simulation.harness.simulated_cluster import World, comparable
+from tests.simulation.harness.stub_islands import hits_of
 
 
 def config(seed: int, **budget: object) -> JobConfig:
