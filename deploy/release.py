@@ -2,9 +2,11 @@
 
 Builds the source distribution and from it the wheel, checks both, installs the wheel into a fresh environment beside a
 foreign package named ``common``, runs both programs and a search there, and signs the files with a key that is thrown
-away. Needs the package index; prints one line for each step and ends with 1 at the first that fails.
+away. ``--tests tests`` also runs the checkout's tests, or some of them, against the installed wheel. Needs the package
+index; prints one line for each step and ends with 1 at the first that fails.
 """
 
+import argparse
 import hashlib
 import json
 import os
@@ -25,18 +27,21 @@ class FailedError(Exception):
     """Something is not fit for a release; the text says what."""
 
 
-def main() -> int:
+def main(arguments: list[str]) -> int:
     """Run every step; return 1 if one failed."""
+    parser = argparse.ArgumentParser(prog="python -m deploy.release", description=__doc__)
+    parser.add_argument("--tests", nargs="+", metavar="PATH", help="run these tests against the wheel, such as: tests")
+    tests = parser.parse_args(arguments).tests or []
     with tempfile.TemporaryDirectory(prefix="atoll-release-") as folder:
         try:
-            _rehearse(Path(folder))
+            _rehearse(Path(folder), tests)
         except FailedError as problem:
             print(f"failed: {problem}", file=sys.stderr)
             return 1
     return 0
 
 
-def _rehearse(work: Path) -> None:
+def _rehearse(work: Path, tests: list[str]) -> None:
     _say("version", _check_version())
     tools = _make_environment(work / "tools")
     _run(tools / "pip", "install", "--quiet", *TOOLS)
@@ -49,6 +54,8 @@ def _rehearse(work: Path) -> None:
     python = _install(work, wheel)
     _say("install", "beside a foreign package `common`; pip check finds nothing, all three packages are imported")
     _say("search", _search(work, python))
+    if tests:
+        _say("tests", _run_tests(python, tests))
     _say("signature", _sign(work / "gnupg", files))
 
 
@@ -121,6 +128,13 @@ def _search(work: Path, python: Path) -> str:
     return f"{', '.join(versions)}; {'; '.join(equations)}"
 
 
+def _run_tests(python: Path, tests: list[str]) -> str:
+    """Run the checkout's tests in the environment of the wheel; return what pytest says at its end."""
+    _run(python.with_name("pip"), "install", "--quiet", "--require-hashes", "-r", ROOT / "requirements-dev.txt")
+    said = _run(python.with_name("pytest"), *tests, cwd=ROOT)
+    return f"{said.strip().splitlines()[-1]}, against the wheel"
+
+
 def _sign(home: Path, files: list[Path]) -> str:
     """Sign the files' hashes with a key of no account and verify that; a changed file has to be noticed."""
     if not shutil.which("gpg"):
@@ -165,4 +179,4 @@ def _say(step: str, text: str) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))
