@@ -16,5 +16,5 @@ VERSION: Final = "0.1.0"
 PROTOCOL_VERSION: Final = 5
 """Raised whenever a message on the wire changes its shape or meaning."""
 
-ENGINE_REVISION: Final = 3
+ENGINE_REVISION: Final = 4
 """Raised whenever the same seed may give other bits: a change of kernels, of variation or of seeding."""

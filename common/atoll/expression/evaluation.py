@@ -33,7 +33,7 @@ def _periodic(function: Callable[[FloatArray], FloatArray]) -> Callable[[FloatAr
 
 
 def _base_log(x: FloatArray, v: FloatArray) -> FloatArray:
-    return np.log(x)
+    return np.where((x == 0.0) & (v == 0.0), 0.0, np.log(x))
 
 
 _OPERATORS: Final = definitions(

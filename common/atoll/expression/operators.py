@@ -76,8 +76,8 @@ class Functions(NamedTuple):
     """What operators are made of besides + - * /: the functions of one number, or of arrays, of some library.
 
     ``sin(x)`` and ``cos(x)`` are NaN where |x| is above `TRIGONOMETRIC_LIMIT`; ``power(x, y)`` is defined for
-    x > 0, x = 0 <= y, and x < 0 with integer y; ``sign(x)`` is -1, 0 or 1; ``base_log(x, v)`` is log x where v = x**y,
-    whose derivative by y is v times this.
+    x > 0, x = 0 <= y, and x < 0 with integer y; ``sign(x)`` is -1, 0 or 1; ``base_log(x, v)`` is log x, and 0
+    where x and v = x**y are 0: the derivative by y is v times this, and 0**y is 0 for all y > 0.
     """
 
     sin: Callable[[Any], Any]

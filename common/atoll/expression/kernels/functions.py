@@ -30,7 +30,7 @@ def _sign(x: float) -> float:
 
 @inlined
 def _base_log(x: float, v: float) -> float:
-    return strict_log(x)
+    return 0.0 if x == 0.0 and v == 0.0 else strict_log(x)
 
 
 STRICT: Final = definitions(

@@ -85,12 +85,12 @@ def _power(a: float, b: float) -> float:
 
 @inlined
 def _sign(a: float) -> float:
-    return 1.0 if a >= 0.0 else -1.0
+    return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else 0.0)
 
 
 @inlined
 def _base_log(a: float, v: float) -> float:
-    return math.log(a) if a > 0.0 else 0.0
+    return 0.0 if a == 0.0 and v == 0.0 else _log(a)
 
 
 _OPERATORS: Final = definitions(Functions(_sin, _cos, _exp, _log, _sqrt, abs, _tanh, _power, _sign, _base_log))

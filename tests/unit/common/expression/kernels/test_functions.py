@@ -21,7 +21,7 @@ FUNCTIONS = {
     POW: strict_pow,
     LEFT + ABS: lambda a, b: float((a > 0.0) - (a < 0.0)),
     LEFT + POW: lambda a, b: b * strict_pow(a, b - 1.0),
-    RIGHT + POW: lambda a, v: v * strict_log(a),
+    RIGHT + POW: lambda a, v: v * (0.0 if a == 0.0 == v else strict_log(a)),
 }
 
 

@@ -10,6 +10,7 @@ from atoll.expression.program import constant_places
 from atoll_coordinator.model.shooting.kernels.rates import rates, slopes
 from atoll_coordinator.model.shooting.system import system_of
 from tests.oracles.programs import program_of
+from tests.unit.common.expression.kernels.test_tape import gradient as kernel_gradient
 
 
 @kernel
@@ -37,3 +38,33 @@ def test_every_operator_has_the_value_and_the_slopes_of_its_definition(name, a, 
     rate, found = rate_and_slopes(name, a, b)
     assert rate == pytest.approx(values[-1][0], rel=1e-14)
     assert found == pytest.approx(expected.tolist(), rel=1e-14)
+
+
+def numpy_slopes(name: str, a: float, b: float) -> list[float]:
+    """Return the slopes of an operator by numpy."""
+    arity = BY_NAME[name].arity
+    program = program_of([a, b, (BY_NAME[name].code, *range(arity))])
+    slopes_of = gradient_of(program, node_values(program, np.zeros((1, 1))), constant_places(program))
+    return [float(each) for each in slopes_of[:arity, 0]]
+
+
+def search_slopes(name: str, a: float, b: float) -> list[float]:
+    """Return the same by the kernels of the search."""
+    operator = BY_NAME[name]
+    program = program_of([a, b, (operator.code, *range(operator.arity))])
+    return [float(each) for each in kernel_gradient(program, [[0.0]])[: operator.arity, 0]]
+
+
+@pytest.mark.parametrize(
+    ("name", "a", "b", "expected"),
+    [
+        ("abs", 0.0, 1.0, [0.0]),
+        ("pow", 0.0, 1.5, [0.0, 0.0]),
+        ("pow", -2.0, 2.0, [-4.0, np.nan]),
+    ],
+)
+def test_slopes_at_singular_points_are_the_same_everywhere(name, a, b, expected):
+    """0**b is 0 for all b > 0; a negative base has no real power beside a whole one, hence no slope by it."""
+    with np.errstate(all="ignore"):
+        for slopes_of in (rate_and_slopes(name, a, b)[1], numpy_slopes(name, a, b), search_slopes(name, a, b)):
+            np.testing.assert_array_equal(slopes_of, expected)
