@@ -2,11 +2,9 @@
 
 Builds the source distribution and from it the wheel, checks both, installs the wheel into a fresh environment beside a
 foreign package named ``common``, runs both programs and a search there, and signs the files with a key that is thrown
-away. ``--tests tests`` also runs the checkout's tests, or some of them, against the installed wheel. Needs the package
-index; prints one line for each step and ends with 1 at the first that fails.
+away. Needs the package index; prints one line for each step and ends with 1 at the first that fails.
 """
 
-import argparse
 import hashlib
 import json
 import os
@@ -27,35 +25,30 @@ class FailedError(Exception):
     """Something is not fit for a release; the text says what."""
 
 
-def main(arguments: list[str]) -> int:
+def main() -> int:
     """Run every step; return 1 if one failed."""
-    parser = argparse.ArgumentParser(prog="python -m deploy.release", description=__doc__)
-    parser.add_argument("--tests", nargs="+", metavar="PATH", help="run these tests against the wheel, such as: tests")
-    tests = parser.parse_args(arguments).tests or []
     with tempfile.TemporaryDirectory(prefix="atoll-release-") as folder:
         try:
-            _rehearse(Path(folder), tests)
+            _rehearse(Path(folder))
         except FailedError as problem:
             print(f"failed: {problem}", file=sys.stderr)
             return 1
     return 0
 
 
-def _rehearse(work: Path, tests: list[str]) -> None:
+def _rehearse(work: Path) -> None:
     _say("version", _check_version())
-    tools = _make_environment(work / "tools")
-    _run(tools / "pip", "install", "--quiet", *TOOLS)
-    files = _build(tools, work / "dist")
+    tools = make_environment(work / "tools")
+    run(tools / "pip", "install", "--quiet", *TOOLS)
+    files = build_distributions(tools, work / "dist")
     _say("build", " and ".join(file.name for file in files))
-    _run(tools / "twine", "check", "--strict", *files)
+    run(tools / "twine", "check", "--strict", *files)
     _say("metadata", "twine check --strict finds nothing")
     (wheel,) = (file for file in files if file.suffix == ".whl")
     _say("names", f"the wheel installs {', '.join(_check_names(wheel))}")
-    python = _install(work, wheel)
+    python = install_wheel(work, wheel)
     _say("install", "beside a foreign package `common`; pip check finds nothing, all three packages are imported")
     _say("search", _search(work, python))
-    if tests:
-        _say("tests", _run_tests(python, tests))
     _say("signature", _sign(work / "gnupg", files))
 
 
@@ -75,9 +68,9 @@ def _check_version() -> str:
     return f"{version} in pyproject.toml, in atoll.VERSION and in CHANGELOG.md{note}"
 
 
-def _build(tools: Path, folder: Path) -> list[Path]:
+def build_distributions(tools: Path, folder: Path) -> list[Path]:
     """Return the source distribution, and the wheel that is built from it."""
-    _run(tools / "python", "-m", "build", "--outdir", folder, ROOT)
+    run(tools / "python", "-m", "build", "--outdir", folder, ROOT)
     return sorted(folder.iterdir())
 
 
@@ -91,7 +84,7 @@ def _check_names(wheel: Path) -> list[str]:
     return [name for name in names if not name.endswith(".dist-info")]
 
 
-def _install(work: Path, wheel: Path) -> Path:
+def install_wheel(work: Path, wheel: Path) -> Path:
     """Return the Python of a fresh environment with the wheel and a package of a name that we once had."""
     foreign = work / "foreign"
     (foreign / "common").mkdir(parents=True)
@@ -101,13 +94,13 @@ def _install(work: Path, wheel: Path) -> Path:
         '[project]\nname = "foreign-common"\nversion = "1"\n'
         '[tool.hatch.build.targets.wheel]\npackages = ["common"]\n'
     )
-    programs = _make_environment(work / "fresh")
-    _run(programs / "pip", "install", "--quiet", foreign, wheel)
-    _run(programs / "pip", "check")
+    programs = make_environment(work / "fresh")
+    run(programs / "pip", "install", "--quiet", foreign, wheel)
+    run(programs / "pip", "check")
     script = (
         "import common, atoll, atoll_coordinator, atoll_island_worker; assert common.MINE == 1; print(atoll.__file__)"
     )
-    place = _run(programs / "python", "-c", script, cwd=work).strip()
+    place = run(programs / "python", "-c", script, cwd=work).strip()
     if not place.startswith(str(work)):
         raise FailedError(f"atoll was imported from {place}, not from the wheel")
     return programs / "python"
@@ -115,24 +108,15 @@ def _install(work: Path, wheel: Path) -> Path:
 
 def _search(work: Path, python: Path) -> str:
     """Return what both programs and a search from the wheel said."""
-    versions = [
-        _run(python.with_name(name), "--version", cwd=work).strip() for name in ("coordinator", "island-worker")
-    ]
+    versions = [run(python.with_name(name), "--version", cwd=work).strip() for name in ("coordinator", "island-worker")]
     data = ROOT / "examples" / "lotka_volterra.csv"
-    _run(python.with_name("coordinator"), "run", data, "--workers", "1", "--out", work / "out", cwd=work)
+    run(python.with_name("coordinator"), "run", data, "--workers", "1", "--out", work / "out", cwd=work)
     result = json.loads((work / "out" / "result.json").read_text("utf-8"))
     equations = [f"{each['lhs']} = {each['expression']}" for each in result["equations"]]
     verdicts = {each["verdict"] for each in result["equations"]}
     if verdicts != {"exact"}:
         raise FailedError(f"{'; '.join(equations)} have verdicts {verdicts}, but exact was expected")
     return f"{', '.join(versions)}; {'; '.join(equations)}"
-
-
-def _run_tests(python: Path, tests: list[str]) -> str:
-    """Run the checkout's tests in the environment of the wheel; return what pytest says at its end."""
-    _run(python.with_name("pip"), "install", "--quiet", "--require-hashes", "-r", ROOT / "requirements-dev.txt")
-    said = _run(python.with_name("pytest"), *tests, cwd=ROOT)
-    return f"{said.strip().splitlines()[-1]}, against the wheel"
 
 
 def _sign(home: Path, files: list[Path]) -> str:
@@ -144,9 +128,9 @@ def _sign(home: Path, files: list[Path]) -> str:
     home.mkdir(mode=0o700)
     gpg = ("gpg", "--homedir", home, "--batch", "--quiet", "--pinentry-mode", "loopback", "--passphrase", "")
     try:
-        _run(*gpg, "--quick-generate-key", "rehearsal@example.invalid", "ed25519", "sign", "1d")
-        _run(*gpg, "--armor", "--detach-sign", sums)
-        _run(*gpg, "--verify", f"{sums}.asc", sums)
+        run(*gpg, "--quick-generate-key", "rehearsal@example.invalid", "ed25519", "sign", "1d")
+        run(*gpg, "--armor", "--detach-sign", sums)
+        run(*gpg, "--verify", f"{sums}.asc", sums)
         sums.write_text(sums.read_text().replace("a", "b"))
         if subprocess.run([*gpg, "--verify", f"{sums}.asc", sums], capture_output=True, check=False).returncode == 0:
             raise FailedError("gpg did not notice that SHA256SUMS was changed")
@@ -155,13 +139,13 @@ def _sign(home: Path, files: list[Path]) -> str:
     return "SHA256SUMS signed with gpg and a key for this rehearsal, verified; a change is noticed"
 
 
-def _make_environment(folder: Path) -> Path:
+def make_environment(folder: Path) -> Path:
     """Make a virtual environment and return the folder of its programs."""
-    _run(sys.executable, "-m", "venv", folder)
+    run(sys.executable, "-m", "venv", folder)
     return folder / "bin"
 
 
-def _run(*words: str | Path, cwd: Path | None = None) -> str:
+def run(*words: str | Path, cwd: Path | None = None) -> str:
     """Return what a program prints; raises FailedError when it ends with another code than 0."""
     outside = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV")}
     done = subprocess.run(
@@ -179,4 +163,4 @@ def _say(step: str, text: str) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

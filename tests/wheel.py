@@ -10,7 +10,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from deploy.release import FailedError, _build, _install, _make_environment, _run
+from deploy.release import FailedError, build_distributions, install_wheel, make_environment, run
 
 ROOT = Path(__file__).resolve().parents[1]
 WHERE = "import atoll, atoll_coordinator, atoll_island_worker as worker; print(*atoll.__path__, *worker.__path__)"
@@ -32,12 +32,12 @@ def main(words: list[str]) -> int:
 
 def _installed(work: Path) -> Path:
     """Return the Python of an environment with the wheel and what its tests need."""
-    tools = _make_environment(work / "tools")
-    _run(tools / "pip", "install", "--quiet", "build")
-    (wheel,) = (file for file in _build(tools, work / "dist") if file.suffix == ".whl")
-    python = _install(work, wheel)
-    _run(python, "-m", "pip", "install", "--quiet", f"{wheel}[dev]")
-    places = _run(python, "-c", WHERE, cwd=ROOT).split()
+    tools = make_environment(work / "tools")
+    run(tools / "pip", "install", "--quiet", "build")
+    (wheel,) = (file for file in build_distributions(tools, work / "dist") if file.suffix == ".whl")
+    python = install_wheel(work, wheel)
+    run(python, "-m", "pip", "install", "--quiet", f"{wheel}[dev]")
+    places = run(python, "-c", WHERE, cwd=ROOT).split()
     if not all(place.startswith(str(work)) for place in places):
         raise FailedError(f"tests in {ROOT} import {', '.join(places)}, not the wheel")
     return python
