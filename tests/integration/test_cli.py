@@ -65,7 +65,7 @@ def workers_of(run: Path) -> list[int]:
     for entry in Path("/proc").iterdir():
         with contextlib.suppress(OSError):
             words = (entry / "cmdline").read_bytes().decode().split("\0")
-            if "island_worker" in words and str(run) == str((entry / "cwd").readlink()):
+            if "atoll_island_worker" in words and str(run) == str((entry / "cwd").readlink()):
                 found.append(int(entry.name))
     return found
 
