@@ -3,7 +3,7 @@
 import pytest
 
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from atoll_coordinator.service.search import checkpoint_coordinator
+from atoll_coordinator.service.search import pull_budget
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.schedule import schedule_of
 from tests.simulation.harness.simulated_cluster import World, comparable
@@ -46,14 +46,14 @@ def test_without_any_memory_one_checkpoint_goes_through_at_a_time(monkeypatch: p
     answers, held = run(monkeypatch)
     assert max(held) > ISLANDS * STATE_BYTES
     with monkeypatch.context() as crowded:
-        crowded.setattr(checkpoint_coordinator, "MAX_BYTES", 0)
+        crowded.setattr(pull_budget, "MAX_BYTES", 0)
         crowded_answers, crowded_held = run(crowded)
     assert crowded_answers == answers
     assert 0 < max(crowded_held) <= ISLANDS * STATE_BYTES
 
 
 def test_nor_do_faults_make_anybody_wait_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checkpoint_coordinator, "MAX_BYTES", 0)
+    monkeypatch.setattr(pull_budget, "MAX_BYTES", 0)
     for seed in range(300, 308):
         outcome = play(schedule_of(seed))
         assert not outcome.wrong, outcome.wrong

@@ -8,8 +8,8 @@ A job: `requests.clients` -> `controller.submit` -> `jobs.queue` -> `background.
 `controller.start_search` -> `workers.scheduling` -> `search.collector` (cut) -> `background.runner` (refine) ->
 `controller.finish_job` -> `store`.
 A report: `service` -> `controller.add_report` -> `jobs.job` -> `search.archipelago` -> `search.collector`.
-A worker's death: `workers.controller` -> `workers.membership` (expire) -> `workers.leases`, `workers.crash_loops` ->
-`workers.quarantine`, `workers.scheduling` -> a placement under a new term.
-A commit: heartbeat with snapshots -> `search.checkpoint_coordinator` (pulls) -> `search.checkpoints` ->
+A worker's death: `workers.controller` -> `workers.membership` (expire) -> `workers.lease_backoff`,
+`workers.crash_loops` -> `workers.quarantine`, `workers.scheduling` -> a placement under a new term.
+A commit: heartbeat with snapshots -> `search.pull_budget` (pulls) -> `search.checkpoints` ->
 `background.runner` (write) -> `controller.commit_checkpoint` -> `workers.channel`.
 """

@@ -40,9 +40,9 @@ from atoll_coordinator.service.jobs.queue import next_job
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.views import ended_view, job_result, job_view, result_text
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
-from atoll_coordinator.service.search.checkpoint_coordinator import CheckpointCoordinator
 from atoll_coordinator.service.search.checkpoints import StoredSearchState
 from atoll_coordinator.service.search.cut import Cut
+from atoll_coordinator.service.search.pull_budget import PullBudget
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
@@ -63,7 +63,7 @@ class Controller:
         self.events: Final = EventLog(store, clock)
         self.workers: Final = WorkerController(self.jobs, store, channel, self.events, self.fail_job, expected_workers)
         self.counters: Final = self.workers.counters
-        self.checkpoints: Final = CheckpointCoordinator()
+        self.checkpoints: Final = PullBudget()
         self._store = store
         self._channel = channel
         self._tasks = tasks

@@ -20,14 +20,13 @@ from atoll.wire.messages.workers import (
     States,
 )
 from atoll.wire.state_transfer import State
-from atoll_coordinator.service.search.checkpoints import (
+from atoll_coordinator.service.search.checkpoint_schedule import (
     FIRST_INTERVAL,
-    Gathering,
-    StoredSearchState,
     common_epoch,
     interval_of,
     schedule_after,
 )
+from atoll_coordinator.service.search.checkpoints import Gathering, StoredSearchState
 from atoll_coordinator.service.search.collector import Collector, Limits, Measure, SearchState
 from atoll_coordinator.service.search.cut import Cut
 

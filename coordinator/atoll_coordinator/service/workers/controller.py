@@ -25,7 +25,7 @@ from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.crash_loops import CrashLoops
-from atoll_coordinator.service.workers.leases import LeaseBackoff
+from atoll_coordinator.service.workers.lease_backoff import LeaseBackoff
 from atoll_coordinator.service.workers.membership import Member, Membership
 from atoll_coordinator.service.workers.quarantine import Quarantine
 from atoll_coordinator.service.workers.reconciliation import corrections

@@ -16,7 +16,7 @@ from atoll.wire.messages.workers import (
 )
 from atoll.wire.state_transfer import State, split_states
 from atoll_coordinator.service.search.archipelago import PLAN_COMMITS, Archipelago, Checkpoint
-from atoll_coordinator.service.search.checkpoints import FIRST_INTERVAL
+from atoll_coordinator.service.search.checkpoint_schedule import FIRST_INTERVAL
 from atoll_coordinator.service.search.collector import Limits
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=2)

@@ -13,19 +13,18 @@ from atoll.search.pareto import FrontEntry
 from atoll.wire.codec import decode, encode
 from atoll.wire.messages.workers import Placement, Schedule, States
 from atoll.wire.state_transfer import State, split_states
-from atoll_coordinator.service.search.checkpoints import (
+from atoll_coordinator.service.search.checkpoint_schedule import (
     COST_S,
     COST_S_PER_BYTE,
     LEAST_INTERVAL,
     MOST_GROWTH,
     PAUSE_S,
     SHARE,
-    Gathering,
-    StoredSearchState,
     common_epoch,
     interval_of,
     schedule_after,
 )
+from atoll_coordinator.service.search.checkpoints import Gathering, StoredSearchState
 from atoll_coordinator.service.search.collector import SearchState
 
 STATES = {island: State.of(bytes([island]) * 30) for island in range(4)}

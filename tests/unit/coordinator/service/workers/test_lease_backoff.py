@@ -4,7 +4,7 @@ from atoll.search.commit_order import CommitOrder
 from atoll.wire.messages.workers import Placement
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.collector import Limits
-from atoll_coordinator.service.workers.leases import MAX_FACTOR, LeaseBackoff
+from atoll_coordinator.service.workers.lease_backoff import MAX_FACTOR, LeaseBackoff
 
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 

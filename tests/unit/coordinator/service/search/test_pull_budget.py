@@ -6,11 +6,11 @@ from atoll.search.commit_order import CommitOrder
 from atoll.wire.messages.limits import CHUNK_SIZE
 from atoll.wire.messages.workers import Holding, Placement, PullStates, States
 from atoll.wire.state_transfer import State, cut
-from atoll_coordinator.service.search import checkpoint_coordinator as module
+from atoll_coordinator.service.search import pull_budget as module
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
-from atoll_coordinator.service.search.checkpoint_coordinator import MAX_PULLS, CheckpointCoordinator
-from atoll_coordinator.service.search.checkpoints import FIRST_INTERVAL
+from atoll_coordinator.service.search.checkpoint_schedule import FIRST_INTERVAL
 from atoll_coordinator.service.search.collector import Limits, SearchState
+from atoll_coordinator.service.search.pull_budget import MAX_PULLS, PullBudget
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=8)
 STATE = b"a state of an island"
@@ -35,12 +35,12 @@ def archipelago(variable: str, workers: int) -> Archipelago:
     return made
 
 
-def reply(coordinator: CheckpointCoordinator, made: Archipelago, worker: str, pull: PullStates) -> None:
+def reply(coordinator: PullBudget, made: Archipelago, worker: str, pull: PullStates) -> None:
     pieces = cut(pull.islands, pull.offset, lambda island: State.of(STATE))
     coordinator.add_states(made, worker, pull, States(pieces=pieces))
 
 
-def complete(coordinator: CheckpointCoordinator, made: Archipelago) -> Checkpoint:
+def complete(coordinator: PullBudget, made: Archipelago) -> Checkpoint:
     """Pull all states of an archipelago and return its checkpoint."""
     while pulls := coordinator.next_pulls(made):
         for worker, pull in pulls:
@@ -51,7 +51,7 @@ def complete(coordinator: CheckpointCoordinator, made: Archipelago) -> Checkpoin
 
 
 def test_few_pulls_are_under_way_at_a_time() -> None:
-    coordinator, x, y = CheckpointCoordinator(), archipelago("x", MAX_PULLS + 2), archipelago("y", 1)
+    coordinator, x, y = PullBudget(), archipelago("x", MAX_PULLS + 2), archipelago("y", 1)
     first = coordinator.next_pulls(x)
     assert len(first) == MAX_PULLS
     assert coordinator.next_pulls(x) == coordinator.next_pulls(y) == []
@@ -61,7 +61,7 @@ def test_few_pulls_are_under_way_at_a_time() -> None:
 
 
 def test_states_count_from_their_arrival_until_they_are_written() -> None:
-    coordinator, made = CheckpointCoordinator(), archipelago("x", 3)
+    coordinator, made = PullBudget(), archipelago("x", 3)
     checkpoint = complete(coordinator, made)
     assert coordinator.held_bytes == checkpoint.size == 3 * len(STATE)
     assert coordinator.take_complete_checkpoint(made) is None
@@ -71,7 +71,7 @@ def test_states_count_from_their_arrival_until_they_are_written() -> None:
 
 def test_without_memory_the_checkpoint_that_was_begun_first_goes_on_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_BYTES", CHUNK_SIZE)
-    coordinator, x, y = CheckpointCoordinator(), archipelago("x", 2), archipelago("y", 2)
+    coordinator, x, y = PullBudget(), archipelago("x", 2), archipelago("y", 2)
     pulls = coordinator.next_pulls(x)
     assert len(pulls) == 2
     assert not coordinator.is_short
@@ -88,7 +88,7 @@ def test_without_memory_the_checkpoint_that_was_begun_first_goes_on_alone(monkey
 
 
 def test_states_of_an_archipelago_that_lost_its_placement_count_no_more() -> None:
-    coordinator, made = CheckpointCoordinator(), archipelago("x", 2)
+    coordinator, made = PullBudget(), archipelago("x", 2)
     (worker, pull), late = coordinator.next_pulls(made)
     reply(coordinator, made, worker, pull)
     assert coordinator.held_bytes == len(STATE)
@@ -100,7 +100,7 @@ def test_states_of_an_archipelago_that_lost_its_placement_count_no_more() -> Non
 
 
 def test_a_pull_without_an_answer_is_made_again() -> None:
-    coordinator, made = CheckpointCoordinator(), archipelago("x", 1)
+    coordinator, made = PullBudget(), archipelago("x", 1)
     ((worker, pull),) = coordinator.next_pulls(made)
     coordinator.add_states(made, worker, pull, None)
     assert coordinator.next_pulls(made) == [(worker, pull)]

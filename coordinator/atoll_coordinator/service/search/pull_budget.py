@@ -18,7 +18,7 @@ MAX_BYTES: Final = 256 * 1024**2
 """Of states held at the same time: gathered, asked for, or being written; and beyond that of one checkpoint."""
 
 
-class CheckpointCoordinator:
+class PullBudget:
     """All checkpoints that are being gathered or written."""
 
     def __init__(self) -> None:
