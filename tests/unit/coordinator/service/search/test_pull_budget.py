@@ -5,7 +5,7 @@ import pytest
 from atoll.search.commit_order import CommitOrder
 from atoll.wire.messages.limits import CHUNK_SIZE
 from atoll.wire.messages.workers import Holding, Placement, PullStates, States
-from atoll.wire.state_transfer import State, cut
+from atoll.wire.state_transfer import State, split_states
 from atoll_coordinator.service.search import pull_budget as module
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoint_schedule import FIRST_INTERVAL
@@ -36,7 +36,7 @@ def archipelago(variable: str, workers: int) -> Archipelago:
 
 
 def reply(coordinator: PullBudget, made: Archipelago, worker: str, pull: PullStates) -> None:
-    pieces = cut(pull.islands, pull.offset, lambda island: State.of(STATE))
+    pieces = split_states(pull.islands, pull.offset, lambda island: State.of(STATE))
     coordinator.add_states(made, worker, pull, States(pieces=pieces))
 
 
