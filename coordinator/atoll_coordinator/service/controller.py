@@ -103,6 +103,8 @@ class Controller:
             if (known.spec, known.table_digest, known.priority) != (spec, body.table, body.priority):
                 raise RefusedError(f"job {body.job} exists already with other contents; submit under another id")
             return
+        if self.checkpoints.is_writing(body.job):  # else it could be taken for one of this job
+            raise RefusedError(f"a checkpoint of the deleted job {body.job} is still being written; submit again")
         if not self._store.has_blob(body.table):
             raise RefusedError(f"the table of job {body.job} has not been uploaded; upload it, then submit again")
         submitted = self._clock()

@@ -252,10 +252,10 @@ class Store:
         """Make a checkpoint of an archipelago durable, and `elapsed` of its job; keep the one before, but no older one.
 
         Deaths that counted until now count no more. Return False, changing nothing, when the archipelago or its job has
-        ended.
+        ended, or the job has been deleted meanwhile.
         """
         with self._transaction() as sql:
-            if archipelago_table.has_ended(sql, job, variable):
+            if job_table.find(sql, job) is None or archipelago_table.has_ended(sql, job, variable):
                 return False
             checkpoint_table.add(sql, job, variable, epoch, progress, states)
             death_table.forget(sql, job, variable)

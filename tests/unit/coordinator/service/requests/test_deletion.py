@@ -6,11 +6,13 @@ import pytest
 
 from atoll.config import JobConfig
 from atoll.errors import RefusedError
-from atoll.wire.messages.clients import Ask, Cancel, Delete
+from atoll.wire.messages.clients import Ask, Cancel, Delete, Submit
 from atoll.wire.security.access_control import Roster
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import CHECK_INTERVAL_S, JobDeletion
+from atoll_coordinator.service.search.archipelago import Checkpoint
+from atoll_coordinator.service.search.collector import SearchState
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.retention import Retention
 from atoll_coordinator.service.store.store import Store
@@ -70,6 +72,20 @@ def test_a_live_job_is_not_deleted(store: Store) -> None:
     deletes.delete_expired(0.0)
     assert "a" in controller.jobs
     assert store.job("a") is not None
+
+
+def test_the_id_of_a_deleted_job_is_free_once_its_last_checkpoint_has_been_written(store: Store) -> None:
+    add(store, "a", "10")
+    deletes, controller = deletion(store)
+    checkpoint = Checkpoint("a", "x", 1, 8, SearchState(), {})
+    controller.checkpoints._written[checkpoint.key] = 0  # its search was cancelled meanwhile
+    deletes.delete("a", "a client asked for it")
+    again = Submit(job="a", name="a", config=JobConfig(), table=store.put_blob(b"table"))
+    with pytest.raises(RefusedError, match="a checkpoint of the deleted job a is still being written; submit again"):
+        controller.submit(again, 1.0)
+    controller.commit_checkpoint(checkpoint, 2.0)
+    controller.submit(again, 3.0)
+    assert "a" in controller.jobs
 
 
 def test_jobs_beyond_an_age_are_deleted_oldest_first(store: Store) -> None:

@@ -522,6 +522,14 @@ def test_terms_of_a_deleted_job_are_not_given_again(store: Store) -> None:
     assert begin_term(store, "j1", "x") == 4
 
 
+def test_a_checkpoint_of_a_job_that_was_deleted_while_it_waited_to_be_written_is_dropped(store: Store) -> None:
+    store.add_job(JOB)
+    store.commit_result("j1", "cancelled", "{}")
+    store.delete_job("j1")
+    assert not checkpoint(store, 8)
+    assert store.checkpoints("j1") == {}
+
+
 def test_the_oldest_ended_job_is_the_one_that_ended_first(store: Store) -> None:
     assert store.oldest_ended_job() is None
     ended(store, "late", "2026-01-05", b"1", b"2")
