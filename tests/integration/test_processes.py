@@ -51,8 +51,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def command(program: str, *words: str) -> list[str]:
-    return [sys.executable, "-m", f"atoll_{program}", *words]
+def command(program: str, *arguments: str) -> list[str]:
+    return [sys.executable, "-m", f"atoll_{program}", *arguments]
 
 
 def environment() -> dict[str, str]:
@@ -60,18 +60,18 @@ def environment() -> dict[str, str]:
     return kept | {"PYTHONPATH": str(ROOT)}
 
 
-def done(place: Path, program: str, *words: str) -> subprocess.CompletedProcess[str]:
+def done(place: Path, program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        command(program, *words),
+        command(program, *arguments),
         cwd=place, env=environment(), capture_output=True, text=True, timeout=LIMIT_S, check=False,
     )  # fmt: skip
 
 
 @contextlib.contextmanager
-def started(place: Path, program: str, *words: str) -> Iterator[subprocess.Popen[str]]:
+def started(place: Path, program: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     with (place / f"{program}.log").open("ab") as log:
         process = subprocess.Popen(
-            command(program, *words), cwd=place, env=environment(), stdout=subprocess.PIPE, stderr=log, text=True
+            command(program, *arguments), cwd=place, env=environment(), stdout=subprocess.PIPE, stderr=log, text=True
         )
     try:
         yield process
@@ -84,7 +84,7 @@ def started(place: Path, program: str, *words: str) -> Iterator[subprocess.Popen
 
 @contextlib.contextmanager
 def serving(place: Path, state: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """Serve on a free port; yield the address that a worker is told to connect to."""
+    """Serve on a free port; yield the address that workers connect to."""
     with started(place, "coordinator", "serve", "--listen", "tcp/127.0.0.1:0", "--state", state) as process:
         assert process.stdout is not None
         for line in process.stdout:
@@ -221,11 +221,11 @@ def test_a_process_that_is_killed_is_started_again_under_its_name(place: Path) -
 
 @pytest.mark.slow
 def test_a_coordinator_that_is_killed_while_it_refines_refines_again(place: Path, digest: str) -> None:
-    words = ["coordinator", "submit", "data.csv", *SEARCH, "--id", "j", "--no-wait", "--connect"]
+    submission = ["coordinator", "submit", "data.csv", *SEARCH, "--id", "j", "--no-wait", "--connect"]
     with serving(place, "seven") as (address, process), connected(address) as coordinator:
         worker = started(place, "island_worker", "--connect", address, "--processes", "1")
         with worker:
-            assert done(place, *words, address).returncode == 0
+            assert done(place, *submission, address).returncode == 0
             until(lambda: coordinator.status("j").state == "refining")
             process.kill()
             process.wait(LIMIT_S)

@@ -3,23 +3,9 @@
 from atoll.wire import topics
 from atoll.wire.bus.interface import Bus
 from atoll.wire.codec import encode
-from atoll.wire.messages.workers import (
-    Close,
-    CloseJob,
-    Commit,
-    Control,
-    Introduce,
-    JobAnnouncement,
-    Placements,
-    Pull,
-    PullReports,
-    PullStates,
-    Shutdown,
-)
+from atoll.wire.messages.workers import Control, ControlBody, Pull, PullReports, PullStates
 
 PULL_TIMEOUT_S = 5.0
-
-ControlBody = JobAnnouncement | Placements | Commit | Close | CloseJob | Introduce | Shutdown
 
 
 class WorkerChannel:

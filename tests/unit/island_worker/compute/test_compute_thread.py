@@ -1,4 +1,4 @@
-"""The compute thread, over islands that do as they are told."""
+"""The compute thread, over islands that behave as each test wants."""
 
 import queue
 import sys
@@ -50,7 +50,7 @@ class FakeIsland:
 
     def advance(self, generations: int) -> bool:
         if self.island == 8:
-            raise ZeroDivisionError("as it was told")
+            raise ZeroDivisionError("no such epoch")
         self.slices += 1
         return self.island != 7 and self.slices % 10 == 0
 
@@ -70,7 +70,7 @@ class FakeIsland:
 
 
 @pytest.fixture
-def words(monkeypatch: pytest.MonkeyPatch) -> "queue.Queue[object]":
+def results(monkeypatch: pytest.MonkeyPatch) -> "queue.Queue[object]":
     module = ModuleType("atoll_island_worker.evolution.island")
     module.Island = FakeIsland  # type: ignore[attr-defined]
     module.senders = lambda config, variable, epoch, island: frozenset({1, 2})  # type: ignore[attr-defined]
@@ -82,13 +82,13 @@ def words(monkeypatch: pytest.MonkeyPatch) -> "queue.Queue[object]":
 
 
 @pytest.fixture
-def compute(words: "queue.Queue[object]") -> Iterator[ComputeThread]:
+def compute(results: "queue.Queue[object]") -> Iterator[ComputeThread]:
     made = ComputeThread()
-    made.attach(words.put)
+    made.attach(results.put)
     values = np.linspace(0.0, 1.0, 5)
     dataset = Dataset(("x",), values[None, :].copy(), (Target("x", "dx/dt", values, 0.0, 1.0),), {"x": "x"})
     made.load("job", JobConfig(), dataset_to_bytes(dataset))
-    assert words.get(timeout=LIMIT_S) == JobReady("job")
+    assert results.get(timeout=LIMIT_S) == JobReady("job")
     yield made
     made.close()
 
@@ -101,104 +101,104 @@ def task(of: TaskKey, blocks: Mapping[int, bytes] | None = None, is_last: bool =
     return Task(of, blocks, is_last, commit_order=COMMIT_ORDER)
 
 
-def test_an_epoch_is_computed_and_reported(compute: ComputeThread, words: "queue.Queue[object]") -> None:
+def test_an_epoch_is_computed_and_reported(compute: ComputeThread, results: "queue.Queue[object]") -> None:
     before = compute.progress
     compute.run(task(key(0)))
-    word = words.get(timeout=LIMIT_S)
-    assert isinstance(word, Computed)
-    assert (word.key, word.emigrants, word.senders) == (key(0), {0: b"own", 1: b"other"}, frozenset({1, 2}))
-    assert word.report.counters == (SliceCounters(generation=100, evaluations={"offspring": 10}),)
+    result = results.get(timeout=LIMIT_S)
+    assert isinstance(result, Computed)
+    assert (result.key, result.emigrants, result.senders) == (key(0), {0: b"own", 1: b"other"}, frozenset({1, 2}))
+    assert result.report.counters == (SliceCounters(generation=100, evaluations={"offspring": 10}),)
     assert compute.progress > before
 
 
-def test_the_next_epoch_begins_with_the_immigrants(compute: ComputeThread, words: "queue.Queue[object]") -> None:
+def test_the_next_epoch_begins_with_the_immigrants(compute: ComputeThread, results: "queue.Queue[object]") -> None:
     compute.run(task(key(0)))
-    words.get(timeout=LIMIT_S)
+    results.get(timeout=LIMIT_S)
     compute.run(task(key(0, 1), {1: b"one"}, is_last=True))
-    word = words.get(timeout=LIMIT_S)
-    assert isinstance(word, Computed)
-    assert word.report.counters[-1].evaluations == {"offspring": 20}
-    assert word.emigrants == {}
+    result = results.get(timeout=LIMIT_S)
+    assert isinstance(result, Computed)
+    assert result.report.counters[-1].evaluations == {"offspring": 20}
+    assert result.emigrants == {}
 
 
-def test_refused_immigrants_are_said(compute: ComputeThread, words: "queue.Queue[object]") -> None:
+def test_refused_immigrants_are_said(compute: ComputeThread, results: "queue.Queue[object]") -> None:
     compute.run(task(key(0)))
-    words.get(timeout=LIMIT_S)
+    results.get(timeout=LIMIT_S)
     compute.run(task(key(0, 1), {1: b"bad"}))
-    assert words.get(timeout=LIMIT_S) == Rejected(key(0, 1), "a block is malformed")
+    assert results.get(timeout=LIMIT_S) == Rejected(key(0, 1), "a block is malformed")
 
 
-def test_what_breaks_is_said_and_the_thread_goes_on(compute: ComputeThread, words: "queue.Queue[object]") -> None:
+def test_what_breaks_is_said_and_the_thread_goes_on(compute: ComputeThread, results: "queue.Queue[object]") -> None:
     compute.run(task(key(8)))
-    word = words.get(timeout=LIMIT_S)
-    assert isinstance(word, Broken)
-    assert "island 8 of x broke in epoch 0" in word.sentence
-    assert "as it was told" in word.sentence
+    result = results.get(timeout=LIMIT_S)
+    assert isinstance(result, Broken)
+    assert "island 8 of x broke in epoch 0" in result.sentence
+    assert "no such epoch" in result.sentence
     compute.run(task(key(0)))
-    assert isinstance(words.get(timeout=LIMIT_S), Computed)
+    assert isinstance(results.get(timeout=LIMIT_S), Computed)
 
 
-def test_what_is_discarded_is_given_up_without_a_word(compute: ComputeThread, words: "queue.Queue[object]") -> None:
+def test_what_is_discarded_is_given_up_without_a_word(compute: ComputeThread, results: "queue.Queue[object]") -> None:
     compute.run(task(key(7)))
     compute.discard(key(7).share)
     compute.run(task(key(0, term=2)))
-    word = words.get(timeout=LIMIT_S)
-    assert isinstance(word, Computed)
-    assert word.key == key(0, term=2)
+    result = results.get(timeout=LIMIT_S)
+    assert isinstance(result, Computed)
+    assert result.key == key(0, term=2)
 
 
-def test_an_island_stops_where_the_target_was_met(compute: ComputeThread, words: "queue.Queue[object]") -> None:
+def test_an_island_stops_where_the_target_was_met(compute: ComputeThread, results: "queue.Queue[object]") -> None:
     compute.run(task(key(7)))
     compute.stop_at(key(7).share, Position(0, 500, 7), COMMIT_ORDER)
-    word = words.get(timeout=LIMIT_S)
-    assert isinstance(word, Computed)
-    assert (word.report.generations, word.emigrants) == (500, {})
+    result = results.get(timeout=LIMIT_S)
+    assert isinstance(result, Computed)
+    assert (result.report.generations, result.emigrants) == (500, {})
     compute.run(task(key(0, 1), {1: b"one"}))
-    assert words.get(timeout=LIMIT_S) == Abandoned(key(0, 1))
+    assert results.get(timeout=LIMIT_S) == Abandoned(key(0, 1))
 
 
-def test_an_unreadable_dataset_is_said(compute: ComputeThread, words: "queue.Queue[object]") -> None:
+def test_an_unreadable_dataset_is_said(compute: ComputeThread, results: "queue.Queue[object]") -> None:
     compute.load("other", JobConfig(), b"no dataset")
-    word = words.get(timeout=LIMIT_S)
-    assert isinstance(word, LoadFailed)
-    assert word.job == "other"
+    result = results.get(timeout=LIMIT_S)
+    assert isinstance(result, LoadFailed)
+    assert result.job == "other"
 
 
-def test_a_warm_up_says_what_it_does_also_before_anybody_listens(words: "queue.Queue[object]") -> None:
+def test_a_warm_up_says_what_it_does_also_before_anybody_listens(results: "queue.Queue[object]") -> None:
     compute = ComputeThread()
     compute.warm_up()
-    compute.attach(words.put)
-    assert words.get(timeout=LIMIT_S) == WarmUpNote("compiling")
-    word = words.get(timeout=LIMIT_S)
-    assert isinstance(word, WarmedUp)
-    assert word.fingerprint
+    compute.attach(results.put)
+    assert results.get(timeout=LIMIT_S) == WarmUpNote("compiling")
+    result = results.get(timeout=LIMIT_S)
+    assert isinstance(result, WarmedUp)
+    assert result.fingerprint
     compute.close()
 
 
-def test_a_warm_up_that_fails_says_why(words: "queue.Queue[object]", monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_warm_up_that_fails_says_why(results: "queue.Queue[object]", monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(report: object) -> None:
         raise OSError("the disk is full")
 
     monkeypatch.setattr(sys.modules["atoll_island_worker.compute.warmup"], "warm_up", fail)
     compute = ComputeThread()
-    compute.attach(words.put)
+    compute.attach(results.put)
     compute.warm_up()
-    word = words.get(timeout=LIMIT_S)
-    assert isinstance(word, ComputeFailed)
-    assert "the disk is full" in word.sentence
+    result = results.get(timeout=LIMIT_S)
+    assert isinstance(result, ComputeFailed)
+    assert "the disk is full" in result.sentence
     compute.close()
 
 
 def test_an_error_outside_of_an_epoch_is_reported_when_it_ends_the_thread(
-    compute: ComputeThread, words: "queue.Queue[object]", monkeypatch: pytest.MonkeyPatch
+    compute: ComputeThread, results: "queue.Queue[object]", monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
         raise MemoryError("no room for the dataset")
 
     monkeypatch.setattr(Engine, "load", fail)
     compute.load("large", JobConfig(), b"")
-    word = words.get(timeout=LIMIT_S)
-    assert word == ComputeFailed("the compute thread failed: MemoryError: no room for the dataset")
+    result = results.get(timeout=LIMIT_S)
+    assert result == ComputeFailed("the compute thread failed: MemoryError: no room for the dataset")
 
 
 def test_closing_ends_the_thread_even_under_way(compute: ComputeThread) -> None:

@@ -1,4 +1,4 @@
-"""Children are told, then killed, and never left behind."""
+"""Children get a signal, are killed after a limit, and never outlive their parent."""
 
 import os
 import signal
@@ -55,10 +55,10 @@ with exit_on_signals():
 LEAVING = r"""
 import os, signal, sys, time
 from atoll_island_worker.processes.signals import exit_on_signals, drain_on_signals
-told = []
-with exit_on_signals(), drain_on_signals(None, lambda: told.append(1)):
+drained = []
+with exit_on_signals(), drain_on_signals(None, lambda: drained.append(1)):
     os.kill(os.getpid(), signal.SIGTERM)
-    print("told", len(told), flush=True)
+    print("drained", len(drained), flush=True)
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(60)
 """
@@ -131,7 +131,7 @@ def family_of(request: pytest.FixtureRequest) -> Iterator[FamilyOf]:
 
 def test_the_first_signal_asks_to_be_let_go_and_the_second_ends_at_once() -> None:
     done = subprocess.run([sys.executable, "-c", LEAVING], capture_output=True, text=True, timeout=LIMIT_S, check=False)
-    assert (done.stdout, done.returncode) == ("told 1\n", 0)
+    assert (done.stdout, done.returncode) == ("drained 1\n", 0)
 
 
 def test_a_signal_of_a_parent_that_has_died_ends_at_once() -> None:
@@ -243,8 +243,8 @@ def test_a_child_that_is_killed_is_started_again(tmp_path: Path, monkeypatch: py
 
 def test_what_processes_say_of_their_ends_is_said_once(capfd: pytest.CaptureFixture[str]) -> None:
     with ExitReasons() as exit_reasons:
-        told = f"os.write({exit_reasons.writing_end}, b'no coordinator answers\\n'); sys.exit(3)"
-        command = [sys.executable, "-c", f"import os, sys; {told}"]
+        code = f"os.write({exit_reasons.writing_end}, b'no coordinator answers\\n'); sys.exit(3)"
+        command = [sys.executable, "-c", f"import os, sys; {code}"]
         starts = {f"w-{number}": partial(start_process, command, exit_reasons) for number in range(3)}
         assert supervise(starts, exit_reasons) == 3
     assert capfd.readouterr().err == "island-worker: no coordinator answers\n"
