@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
-from atoll.errors import StoreError
+from atoll.errors import RemoteProtocolError, StoreError
 from atoll.wire import topics
 from atoll.wire.bus.interface import Event, Message
 from atoll.wire.codec import decode, encode
@@ -256,6 +256,22 @@ def test_a_full_disk_ends_the_coordinator_with_a_sentence(
     restart(lasting, tmp_path)
     assert lasting.finish().state == "done"
     assert comparable(lasting.result()) == undisturbed()
+
+
+@pytest.mark.parametrize("error", [RemoteProtocolError("a state is too long"), ZeroDivisionError("a mistake")])
+def test_any_other_error_while_a_checkpoint_is_written_ends_the_coordinator(
+    lasting: World, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    """Also one that would be a peer's mistake if a message had caused it."""
+
+    def fail(*_: object) -> bool:
+        raise error
+
+    lasting.submit(config())
+    monkeypatch.setattr(lasting.store, "commit_checkpoint", fail)
+    with pytest.raises(RuntimeError, match="a checkpoint could not be written") as caught:
+        lasting.finish()
+    assert caught.value.__cause__ is error
 
 
 def test_a_coordinator_whose_worker_heard_of_a_later_one_asks_its_store(lasting: World) -> None:

@@ -10,7 +10,7 @@ from functools import singledispatchmethod
 from typing import Final
 
 from atoll import VERSION
-from atoll.errors import RemoteProtocolError
+from atoll.errors import RemoteProtocolError, StoreError
 from atoll.logs import fields
 from atoll.machine import usage
 from atoll.wire import topics
@@ -184,8 +184,10 @@ class Service:
             case JobRefined():
                 self.controller.finish_job(item.job, item.refinement, now)
             case CheckpointWritten():
-                if item.error is not None:
+                if isinstance(item.error, StoreError):
                     raise item.error
+                if item.error is not None:  # whatever its class, it is no mistake of a peer's, and nothing goes on
+                    raise RuntimeError("a checkpoint could not be written") from item.error
                 self.controller.commit_checkpoint(item.checkpoint, now)
 
     def _check_time(self, now: float) -> None:

@@ -39,7 +39,7 @@ class TaskRunner:
         key = checkpoint.job, checkpoint.variable, checkpoint.epoch
         try:
             self._store.commit_checkpoint(*key, progress, checkpoint.states, elapsed)
-        except Exception as error:  # raised again by the service's loop
+        except Exception as error:  # ends the service's loop
             return CheckpointWritten(checkpoint, error)
         return CheckpointWritten(checkpoint)
 
