@@ -35,9 +35,9 @@ def can_fork() -> bool:
 
 
 def load_ahead() -> None:
-    """Load libraries, and kernels if they have been compiled; a trouble is not told, since every worker meets it too.
+    """Load libraries, and kernels if they have been compiled; errors are ignored: every worker reports them.
 
-    Compiling is left to the workers: it takes a minute, in which they show the coordinator what they are at.
+    Compiling is left to the workers, which tell the coordinator that they are compiling.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # else numpy's library starts threads, though we never use it
     with contextlib.suppress(Exception):
