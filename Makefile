@@ -37,7 +37,8 @@ demo: $(STAMP)
 	@$(BIN)/python -m examples.demo
 
 # Many tests wait for processes, so there are two at a time for each core; the tests of one file run one after the other.
-AT_A_TIME = $(shell $(BIN)/python -c 'from atoll.machine.cores import usable_cores; print(2 * usable_cores())')
+AT_A_TIME = $(shell $(BIN)/python -c 'import os; from atoll.machine.cores import usable_cores as cores; \
+  print(2 * cores(os.environ)[0])')
 PYTEST = $(BIN)/pytest -n $(AT_A_TIME) --dist loadfile
 
 test: $(STAMP)

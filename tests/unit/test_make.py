@@ -3,9 +3,12 @@
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+
+from atoll.machine.cores import usable_cores
 
 ROOT = Path(__file__).resolve().parents[2]
 needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
@@ -23,6 +26,13 @@ def test_every_target_is_explained_and_prepares_the_environment(target: str) -> 
     assert plan.returncode == 0, plan.stderr
     assert "pip install" in plan.stdout
     assert ".venv/bin/" in plan.stdout
+
+
+@needs_make
+@pytest.mark.parametrize("target", ["test", "quick", "test-wheel"])
+def test_tests_run_two_files_at_a_time_for_each_core(target: str) -> None:
+    number = 2 * usable_cores(os.environ)[0]
+    assert f" -n {number} --dist loadfile" in make("--dry-run", target, f"BIN={Path(sys.executable).parent}").stdout
 
 
 @needs_make
