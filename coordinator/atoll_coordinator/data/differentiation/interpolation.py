@@ -6,6 +6,7 @@ steps). That difference between two orders is the row's uncertainty.
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -18,11 +19,15 @@ from atoll_coordinator.data.differentiation.kernels.stencils import (
     moments,
 )
 from atoll_coordinator.data.differentiation.smoothing import Signal, SmoothedSignal
+from atoll_coordinator.data.differentiation.standard_deviation import NORMAL_DEVIATION
 from atoll_coordinator.data.settings import SETTINGS
 
 LIMITS = SETTINGS.interpolation
 END_ROWS = LIMITS.end_rows
 STENCIL_ROWS = 2 * HALF_WIDTHS + 1
+MEDIAN_ERROR: Final = 1.1664
+"""Relative standard error of the median size of R normal errors, times sqrt(R): 1 / (2 m f(m)) with the median
+m = 0.6745 and the density f of the size."""
 
 
 def mark_ends(lengths: Sequence[int]) -> FloatArray:
@@ -49,9 +54,22 @@ def predict_left_out(signals: Sequence[Signal]) -> tuple[FloatArray, FloatArray]
 
 
 def estimate_value_noise(errors: FloatArray, gains: FloatArray) -> float:
-    """Return an upper estimate of the values' noise: the median left-out error over its gain, at the best width."""
-    noises = np.sort(np.abs(errors) / gains, axis=0)[len(errors) // 2]
-    return min(float(noise) for noise in noises if not math.isnan(float(noise)))
+    """Return an estimate of the standard deviation of the values' errors that is not biased low.
+
+    The left-out errors of one width over their gains have the standard deviation sought where the width follows the
+    signal, a larger one elsewhere. Each width gives an estimate, the median size times `NORMAL_DEVIATION`, whose
+    relative standard error is `MEDIAN_ERROR` / sqrt(R). The least of several such estimates is biased low, so the
+    largest one of those is returned that sampling alone may have made larger than the least.
+
+    Args:
+        errors: of rows predicted from their neighbours, (R, H); NaN where a stencil does not fit.
+        gains: their standard deviations for errors of deviation one, (R, H).
+    """
+    rows = len(errors)
+    medians = np.sort(np.abs(errors) / gains, axis=0)[rows // 2]
+    noises = NORMAL_DEVIATION * medians[~np.isnan(medians)]
+    agreement = 1.0 + LIMITS.agreement * MEDIAN_ERROR * math.sqrt(2.0 / rows)
+    return float(np.max(noises[noises <= agreement * np.min(noises)]))
 
 
 def is_interpolation_better(signals: Sequence[Signal], errors: FloatArray, smoothed: Sequence[SmoothedSignal]) -> bool:

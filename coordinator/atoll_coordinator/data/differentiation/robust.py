@@ -6,7 +6,6 @@ Medians are taken by sorting.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -19,10 +18,9 @@ from atoll_coordinator.data.differentiation.smoothing import (
     select_smoother,
     smooth,
 )
+from atoll_coordinator.data.differentiation.standard_deviation import NORMAL_DEVIATION
 from atoll_coordinator.data.settings import SETTINGS
 
-NORMAL_DEVIATION: Final = 1.4826
-"""Standard deviation of normal residuals over the median of their size."""
 LIMITS = SETTINGS.robustness
 
 

@@ -1,11 +1,15 @@
 """The standard deviation by which values are judged, for values of any size. Pure."""
 
+from typing import Final
+
 from atoll.data.dataset import FloatArray
 from atoll.errors import DataError
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.settings import SETTINGS
 
 LIMITS = SETTINGS.scale
+NORMAL_DEVIATION: Final = 1.4826
+"""Standard deviation of normal errors over the median of their size: 1 / 0.6745."""
 
 
 def bounded_standard_deviation(values: FloatArray, least: float = LIMITS.rounding) -> float:

@@ -1,0 +1,35 @@
+"""Interpolation: the noise of the values is estimated from rows that are predicted by their neighbours."""
+
+import numpy as np
+import pytest
+
+from atoll_coordinator.data.differentiation.interpolation import estimate_value_noise, predict_left_out
+from atoll_coordinator.data.differentiation.smoothing import Signal
+
+NOISE = 0.01
+
+
+def estimated(rows, seed, uneven, amplitude=0.0):
+    """Return the estimated over the true standard deviation of the errors of a wave."""
+    rng = np.random.default_rng(seed)
+    times = 0.05 * np.cumsum(rng.uniform(0.5, 1.5, rows) if uneven else np.ones(rows))
+    values = amplitude * np.sin(times) + NOISE * rng.standard_normal(rows)
+    return estimate_value_noise(*predict_left_out([Signal(times, values)])) / NOISE
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 1.0])
+@pytest.mark.parametrize("uneven", [False, True])
+@pytest.mark.parametrize("rows", [50, 200, 1000])
+def test_the_noise_of_values_is_not_underestimated(rows, uneven, amplitude):
+    """On average over draws; the standard error of each mean is at most 0.05."""
+    ratios = [estimated(rows, seed, uneven, amplitude) for seed in range(100)]
+    assert 0.95 < np.mean(ratios) < 1.2
+
+
+def test_the_noise_of_a_single_long_signal_is_near_the_truth():
+    assert all(0.85 < estimated(4000, seed, uneven=False) < 1.15 for seed in range(5))
+
+
+def test_values_without_noise_have_that_of_their_rounding():
+    times = 0.02 * np.arange(500)
+    assert 1e-17 < estimate_value_noise(*predict_left_out([Signal(times, np.sin(times))])) < 3e-16
