@@ -18,7 +18,7 @@ from atoll.machine.cores import usable_cores
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.inference.conclusion import summarize
 from atoll_coordinator.model.refinement import Pools, Refined, Refinement
-from atoll_coordinator.model.regression.equation import fit_equation, with_intervals
+from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.joint_search import ModellingTask
 from atoll_coordinator.model.selection.piece_lengths import select_model
@@ -38,9 +38,7 @@ def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Ref
     """
     candidates = collect_candidates(preparation.dataset, config, pools)
     if preparation.recording is None:
-        # errors of given left-hand sides are independent, those of smoothed ones are not: only here there are intervals
-        equations = _by_regression(preparation, config, candidates)
-        return Refinement({name: with_intervals(equation) for name, equation in equations.items()})
+        return Refinement(_by_regression(preparation, config, candidates))
     is_noisy = {target.variable: target.is_noisy for target in preparation.dataset.targets}
     settled = _by_regression(
         preparation, config, {name: those for name, those in candidates.items() if not is_noisy[name]}
@@ -58,10 +56,15 @@ def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Ref
 def _by_regression(
     preparation: Preparation, config: JobConfig, candidates: Mapping[str, CandidateSet]
 ) -> dict[str, Refined]:
-    """Return the equations that are fitted to their targets, of the variables that were searched."""
-    weights = preparation.weights if preparation.recording is None else None
+    """Return the equations that are fitted to their targets, of the variables that were searched.
+
+    Errors of left-hand sides that were given are independent, those of smoothed ones are not: only the former give
+    intervals.
+    """
+    is_given = preparation.recording is None
+    weights = preparation.weights if is_given else None
     equations = {
-        name: fit_equation(preparation.dataset.problem(name), config, each.front, weights)
+        name: fit_equation(preparation.dataset.problem(name), config, each.front, weights, has_intervals=is_given)
         for name, each in candidates.items()
         if each.known is None
     }

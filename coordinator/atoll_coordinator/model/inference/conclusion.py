@@ -9,7 +9,6 @@ from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, structure
 from atoll_coordinator.model.inference.uncertainty import (
     Errors,
-    Known,
     bands,
     describe_constants,
     estimate_errors,
@@ -23,6 +22,7 @@ from atoll_coordinator.model.inference.uncertainty import (
 from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import Alternative, Origin, Refined, Refinement, Simulated, Simulation
 from atoll_coordinator.model.regression.errors import errors_on
+from atoll_coordinator.model.regression.standard_errors import Known
 from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel

@@ -3,7 +3,6 @@
 Letters: P fitted constants, D states, N rows, G pieces that were simulated at a stretch.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,21 +10,14 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places
-from atoll_coordinator.model.refinement import Constant, Correlation, Simulated, UnitCoefficient
+from atoll_coordinator.model.refinement import Constant, Correlation, Simulated
+from atoll_coordinator.model.regression.standard_errors import Known, describe, student_95
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
-from atoll_coordinator.model.structure.unit_coefficients import ONE, ExplicitCoefficients
-
-
-@dataclass(frozen=True)
-class Known:
-    """What is known of the constants of one equation: those that are written, and factors of one that are not."""
-
-    written: tuple[Constant, ...]
-    unit_coefficients: tuple[UnitCoefficient, ...]
+from atoll_coordinator.model.structure.unit_coefficients import ExplicitCoefficients
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,34 +49,19 @@ def describe_constants(
         shown: the same programs as they are written.
         errors: of all constants of `explicit`, one program after the other.
     """
-    from scipy import special
-
-    reach = float(special.stdtrit(errors.freedom, 0.975))
+    quantile = student_95(errors.freedom)
     spreads = np.sqrt(np.maximum(np.diag(errors.covariance), 0.0)).tolist()
+    fitted = errors.values.tolist()
     found: list[Known] = []
-    index = 0
-    for equation, (explicit_program, program) in enumerate(zip(explicit, shown, strict=True)):
-        values = program.constants[constant_places(program)].tolist()
+    for equation, (each, program) in enumerate(zip(explicit, shown, strict=True)):
         if equation in comparison.fixed:
+            values = program.constants[constant_places(program)].tolist()
             found.append(Known(tuple(map(Constant, values)), ()))
             continue
-        written: dict[int, Constant] = {}
-        unit_coefficients: list[UnitCoefficient] = []
-        for origin in explicit_program.origins:
-            value = ONE if origin is None else values[origin]
-            its = _constant(value, float(errors.values[index]), spreads[index], reach)
-            if origin is None:
-                unit_coefficients.append(UnitCoefficient(explicit_program.terms[len(unit_coefficients)], its))
-            else:
-                written[origin] = its
-            index += 1
-        found.append(Known(tuple(written[number] for number in range(len(values))), tuple(unit_coefficients)))
+        count = len(each.origins)
+        found.append(describe(each, program, fitted[:count], spreads[:count], quantile))
+        fitted, spreads = fitted[count:], spreads[count:]
     return found
-
-
-def _constant(value: float, fitted: float, error: float, reach: float) -> Constant:
-    bounds = (fitted - reach * error, fitted + reach * error) if math.isfinite(error) else None
-    return Constant(value, fitted, error, bounds, error <= SETTINGS.inference.loose * abs(fitted))
 
 
 def find_correlations(

@@ -14,25 +14,27 @@ import numpy.typing as npt
 from atoll.config import JobConfig
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.operators import BY_NAME
-from atoll.expression.program import Program, constant_places, structure
+from atoll.expression.program import structure
 from atoll_coordinator.model.criteria import RegressionCriterion
-from atoll_coordinator.model.refinement import NORMAL_95, Constant, Member, Refined, may_be_shown
+from atoll_coordinator.model.refinement import Member, Refined, may_be_shown
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import round_constants
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
-from atoll_coordinator.model.regression.standard_errors import standard_errors
+from atoll_coordinator.model.regression.standard_errors import estimate_constants
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.like_terms import gathered
 
 
 def fit_equation(
-    problem: Problem, config: JobConfig, front: Sequence[Member], weights: FloatArray | None = None
-) -> Refined | None:
+    problem: Problem, config: JobConfig, front: Sequence[Member], weights: FloatArray | None = None,
+    *, has_intervals: bool = False,
+) -> Refined | None:  # fmt: skip
     """Return the shortest model that can be made of `front`; None when that must stay as it is.
 
-    `weights` (R,) of the rows, 1 on average, decide the constants; errors are those of all rows alike.
+    `weights` (R,) of the rows, 1 on average, decide the constants; errors are those of all rows alike. With
+    `has_intervals` the errors of the rows are independent, and constants have 95 % intervals.
     That is so when the front is empty, and when a member meets the error at which the equation counts as found, but
     nothing shorter does. Pure. Takes about a second for a few hundred noisy rows, less for exact ones.
     """
@@ -54,7 +56,7 @@ def fit_equation(
     candidates = shortening.candidates([front[index].program for index in kept], looks_around=not has_converged)
     for candidate in candidates[: SETTINGS.regression.attempts]:
         member = kept[candidate.member]
-        refined = _finished(problem, candidate, member, config, weights)
+        refined = _finished(problem, candidate, member, config, weights, has_intervals=has_intervals)
         is_member = structure(tidied(front[member].program)) == structure(tidied(candidate.fitted.program))
         refined = replace(refined, origin="front" if is_member else "descent")
         if refined.error <= limit and may_be_shown(refined.program, config.space.max_size):
@@ -62,22 +64,10 @@ def fit_equation(
     return None
 
 
-def with_intervals(refined: Refined) -> Refined:
-    """Return the equation with 95 % intervals, and with constants marked that the data do not determine."""
-    return replace(refined, constants=tuple(map(_with_interval, refined.constants)))
-
-
-def _with_interval(constant: Constant) -> Constant:
-    fitted, error = constant.fitted, constant.std_error
-    if fitted is None or error is None:
-        return constant
-    bounds = (fitted - NORMAL_95 * error, fitted + NORMAL_95 * error)
-    return replace(constant, interval=bounds, identifiable=error <= SETTINGS.inference.loose * abs(fitted))
-
-
 def _finished(
-    problem: Problem, candidate: Candidate, member: int, config: JobConfig, weights: FloatArray | None
-) -> Refined:
+    problem: Problem, candidate: Candidate, member: int, config: JobConfig, weights: FloatArray | None,
+    *, has_intervals: bool,
+) -> Refined:  # fmt: skip
     """Decide the constants on more rows where there are more; measure errors and standard errors."""
     program = candidate.model.program
     decisive = _spread(problem, SETTINGS.regression.deciding_rows)
@@ -90,15 +80,8 @@ def _finished(
     if may_be_shown(gathered(program), config.space.max_size):
         program = gathered(program)
     error, mse = errors_on(problem, program, config.evolution.loss)
-    fitted = least_squares.fit(program).program
-    std_errors = standard_errors(least_squares.fit(program, steps=0), criterion)
-    return Refined(member, program, error, mse, _constants(program, fitted, std_errors))
-
-
-def _constants(program: Program, fitted: Program, std_errors: Sequence[float]) -> tuple[Constant, ...]:
-    places = constant_places(program)
-    values, before = program.constants[places].tolist(), fitted.constants[places].tolist()
-    return tuple(map(Constant, values, before, std_errors))
+    known = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals)
+    return Refined(member, program, error, mse, known.written, known.unit_coefficients)
 
 
 def _as_found(refined: Refined, front: Sequence[Member]) -> Refined:

@@ -1,18 +1,39 @@
-"""Standard errors of fitted constants from the normal equations, and what a fitted equation costs by them. Pure."""
+"""Standard errors of fitted constants from the normal equations, and what a fitted equation costs by them. Pure.
+
+Letters: n rows, K constants that are fitted.
+"""
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from atoll.data.dataset import FloatArray
-from atoll.expression.program import constant_places
+from atoll.expression.program import Program, constant_places
 from atoll_coordinator.model.criteria import RegressionCriterion
-from atoll_coordinator.model.regression.fit import Fitted
+from atoll_coordinator.model.refinement import Constant, UnitCoefficient
+from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.simple_numbers import fitted_length
+from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.model.structure.unit_coefficients import (
+    ONE,
+    ExplicitCoefficients,
+    as_written,
+    make_coefficients_explicit,
+)
 
 _RIDGE: Final = 1e-14
 _FLAT: Final = 1e-100
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of the constants of one equation: those that are written, and factors of one that are not."""
+
+    written: tuple[Constant, ...]
+    unit_coefficients: tuple[UnitCoefficient, ...]
 
 
 def covariance_of(fitted: Fitted, criterion: RegressionCriterion) -> FloatArray:
@@ -37,3 +58,75 @@ def description_length(fitted: Fitted, criterion: RegressionCriterion) -> float:
     values = fitted.program.constants[constant_places(fitted.program)].tolist()
     numbers = sum(map(fitted_length, values, standard_errors(fitted, criterion)))
     return criterion.length(fitted.mse, fitted.program, numbers)
+
+
+def estimate_constants(
+    program: Program, least_squares: LeastSquares, criterion: RegressionCriterion, *, has_intervals: bool
+) -> Known:
+    """Return the constants of `program` as they are fitted, with standard errors.
+
+    Factors of one that are not written are fitted as well. The variance of the errors is the sum of squared residuals
+    over n - K, or the square of the target's uncertainty if that is larger. Where n <= K it is not known: standard
+    errors are infinite and there are no intervals.
+
+    Args:
+        program: the equation as it is shown.
+        least_squares: fits it to the rows that decide its constants.
+        criterion: has the number of these rows and the least variance of their errors.
+        has_intervals: whether the errors are independent, so that there are 95 % intervals (Student's t with n - K
+            degrees of freedom) and constants that the data do not determine can be told.
+    """
+    explicit = make_coefficients_explicit(program)
+    fitted = least_squares.fit(explicit.program)
+    if not math.isfinite(fitted.mse):
+        explicit = as_written(program)
+        fitted = least_squares.fit(program)
+    values = fitted.program.constants[constant_places(fitted.program)].tolist()
+    freedom = criterion.rows - len(values)
+    errors = [math.inf] * len(values)
+    if freedom > 0 and math.isfinite(fitted.mse):
+        unbiased = Fitted(fitted.program, fitted.mse * criterion.rows / freedom, fitted.normal)
+        errors = standard_errors(unbiased, criterion)
+    return describe(explicit, program, values, errors, student_95(freedom) if has_intervals else None)
+
+
+def student_95(freedom: float) -> float:
+    """Return how many standard errors lie on either side of a 95 % interval (Student's t); infinite without freedom."""
+    from scipy import special
+
+    return float(special.stdtrit(freedom, 0.975)) if freedom > 0.0 else math.inf
+
+
+def describe(
+    explicit: ExplicitCoefficients,
+    program: Program,
+    fitted: Sequence[float],
+    errors: Sequence[float],
+    quantile: float | None,
+) -> Known:
+    """Return the constants of `program`, and its factors of one that are not written.
+
+    Args:
+        explicit: `program` with these factors as constants.
+        program: as it is written.
+        fitted: the K constants of `explicit`, fitted.
+        errors: their standard errors, infinite where the data do not determine them.
+        quantile: standard errors on either side of a 95 % interval; None: there are no intervals.
+    """
+    values = program.constants[constant_places(program)].tolist()
+    written: dict[int, Constant] = {}
+    unit_coefficients: list[UnitCoefficient] = []
+    for origin, value, error in zip(explicit.origins, fitted, errors, strict=True):
+        if origin is None:
+            term = explicit.terms[len(unit_coefficients)]
+            unit_coefficients.append(UnitCoefficient(term, _constant(ONE, value, error, quantile)))
+        else:
+            written[origin] = _constant(values[origin], value, error, quantile)
+    return Known(tuple(written[number] for number in range(len(values))), tuple(unit_coefficients))
+
+
+def _constant(value: float, fitted: float, error: float, quantile: float | None) -> Constant:
+    if quantile is None:
+        return Constant(value, fitted, error)
+    bounds = (fitted - quantile * error, fitted + quantile * error) if math.isfinite(error) else None
+    return Constant(value, fitted, error, bounds, error <= SETTINGS.inference.loose * abs(fitted))

@@ -17,7 +17,7 @@ from atoll_coordinator.model.regression import shortening as shorten
 from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import round_constants
-from atoll_coordinator.model.regression.standard_errors import description_length
+from atoll_coordinator.model.regression.standard_errors import description_length, student_95
 from tests.unit.coordinator.model.fitting import CONFIG, dataset, entry, parsed, problem, settings, shown
 
 
@@ -105,9 +105,9 @@ def test_standard_errors_are_those_of_the_fit_and_the_fitted_values_stay_known()
     its = problem(lambda x, y: 3.0 * x - 0.7 * y, noise=0.01)
     refined = refine(its, CONFIG, [entry("2.8*x - 0.9*y", its)])
     assert refined is not None
-    expected, *_ = np.linalg.lstsq(its.inputs.T, its.target.values, rcond=None)
+    expected, (squares,), *_ = np.linalg.lstsq(its.inputs.T, its.target.values, rcond=None)
     assert sorted(abs(each.fitted) for each in refined.constants) == pytest.approx(sorted(np.abs(expected)), rel=1e-6)
-    covariance = np.linalg.inv(its.inputs @ its.inputs.T) * refined.mse
+    covariance = np.linalg.inv(its.inputs @ its.inputs.T) * squares / (len(its.target.values) - 2)
     errors = sorted(each.std_error for each in refined.constants)
     assert errors == pytest.approx(sorted(np.sqrt(np.diag(covariance))), rel=1e-6)
     assert sorted(np.abs(refined.program.constants))[-2:] == [0.7, 3.0]
@@ -155,7 +155,17 @@ def test_constants_fitted_to_given_left_hand_sides_have_intervals():
     for each in constants:
         low, high = each.interval
         assert (low + high) / 2.0 == pytest.approx(each.fitted)
-        assert high - low == pytest.approx(3.92 * each.std_error, rel=1e-3)
+        assert high - low == pytest.approx(2.0 * student_95(200 - 1) * each.std_error, rel=1e-6)
+
+
+def test_factors_of_one_have_intervals_where_left_hand_sides_are_given():
+    data = dataset(lambda x, y: 3.0 * x + y, noise=0.1)
+    front = (entry("2.9*x + y", data.problem("label")),)
+    equation = refine_all(Preparation(data), CONFIG, {"label": Pool(front)}).equations["label"]
+    (unit,) = equation.unit_coefficients
+    assert (shown(unit.of), unit.constant.value) == ("y", 1.0)
+    low, high = unit.constant.interval
+    assert low < 1.0 < high
 
 
 def test_an_empty_front_stays_empty_and_all_variables_are_refined():
