@@ -6,7 +6,7 @@ Letters: K constants of one program, T trajectories, R rows of one trajectory, S
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Literal
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program
@@ -17,9 +17,6 @@ Grade = Literal["exact", "good", "doubtful", "no model"]
 Origin = Literal["front", "runner-up", "guess", "library", "descent", "known"]
 """Where an equation comes from: the front or the runners-up of the search, a guess, a library of terms, what was given,
 or a descent from any of these to a shorter description. Constants may have been fitted and made simple since."""
-
-NORMAL_95: Final = 1.959963984540054
-"""Standard errors on either side of a 95 % interval."""
 
 
 @dataclass(frozen=True)
@@ -145,10 +142,14 @@ class Simulated:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """The model's simulations of all trajectories; `states` are the column names in the order of their rows."""
+    """The model's simulations of all trajectories; `states` are the column names in the order of their rows.
+
+    A 95 % band lies `quantile` standard errors on either side (Student's t, as of the constants).
+    """
 
     states: tuple[str, ...]
     trajectories: tuple[Simulated, ...]
+    quantile: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from atoll_coordinator.model.inference.uncertainty import (
 from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import Alternative, Origin, Refined, Refinement, Simulated, Simulation
 from atoll_coordinator.model.regression.errors import errors_on
-from atoll_coordinator.model.regression.standard_errors import Known
+from atoll_coordinator.model.regression.standard_errors import Known, student_95
 from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel
@@ -92,7 +92,11 @@ def summarize(selection: SelectedModel) -> Refinement | None:
     trajectories = simulated(measurements, final.shown_fit.fit, spread, task.variables, held_out=False)
     return Refinement(
         equations,
-        Simulation(task.variables, (*trajectories, *(out.trajectories if out is not None else ()))),
+        Simulation(
+            task.variables,
+            (*trajectories, *(out.trajectories if out is not None else ())),
+            student_95(errors.freedom),
+        ),
         find_correlations(final.comparison, task.variables, final.explicit, errors),
         tuple(remarks(task)),
     )

@@ -15,7 +15,6 @@ from atoll.wire.messages.views import FINAL_STATES, JobState
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import (
-    NORMAL_95,
     Alternative,
     Correlation,
     Refined,
@@ -99,20 +98,20 @@ def simulation(its: Simulation | None, recording: Recording | None) -> dict[str,
     offset = recording.offset if recording is not None else 0.0
     numbers = len(its.trajectories) * (1 + 3 * len(its.states))
     most = max(LEAST_POINTS, min(MOST_POINTS, MOST_NUMBERS // max(numbers, 1)))
-    return {"trajectories": [_trajectory(each, its.states, offset, most) for each in its.trajectories]}
+    return {"trajectories": [_trajectory(each, its, offset, most) for each in its.trajectories]}
 
 
-def _trajectory(its: Simulated, states: Sequence[str], offset: float, most: int) -> dict[str, Any]:
+def _trajectory(its: Simulated, of: Simulation, offset: float, most: int) -> dict[str, Any]:
     rows = thinned(len(its.times), most)
     return {
         "name": its.name,
         "held_out": its.held_out,
-        "r2": dict(zip(states, map(finite, its.r2), strict=True)),
+        "r2": dict(zip(of.states, map(finite, its.r2), strict=True)),
         "offsets": {state: finite(value) for state, value in its.offsets.items()},
         "times": curve(its.times[rows] + offset, digits=12),
-        "values": _curves(its.values, states, rows),
-        "lower": _curves(_beside(its, -NORMAL_95), states, rows),
-        "upper": _curves(_beside(its, NORMAL_95), states, rows),
+        "values": _curves(its.values, of.states, rows),
+        "lower": _curves(_beside(its, -of.quantile), of.states, rows),
+        "upper": _curves(_beside(its, of.quantile), of.states, rows),
     }
 
 

@@ -143,6 +143,17 @@ def test_simulations_have_bands_that_hold_the_true_curve(noisy):
         assert (np.abs(its.values - truth) <= 4.5 * its.errors).mean() > 0.95
 
 
+def test_bands_and_intervals_have_the_same_quantile(noisy):
+    quantiles = [
+        (each.interval[1] - each.fitted) / each.std_error
+        for its in noisy.equations.values()
+        for each in its.constants
+        if each.interval is not None
+    ]
+    assert quantiles == pytest.approx([noisy.simulation.quantile] * len(quantiles), rel=1e-6)
+    assert 1.97 < noisy.simulation.quantile < 1.98  # 240 numbers less 10
+
+
 def test_two_refinements_are_the_same_to_the_bit():
     def programs():
         pool = {"x": ("y",), "y": ("-x", "-1.9*x - 0.35*y")}

@@ -186,7 +186,7 @@ def refined_result() -> dict:
     constants = (Constant(3.0, 2.981, 0.018, (2.945, 3.016)), Constant(2.0, 2.04, 0.05))
     shown = Refined(2, from_infix(TRUTH, NAMES), 0.1, 0.02, constants, grade="doubtful", reason="It may be another.")
     curve = Simulated("1", False, np.arange(3.0), np.ones((1, 3)), None, (0.99,))
-    model = Refinement({"x": shown}, Simulation(("x",), (curve,)), (Correlation(("x", 0), ("x", 1), 0.99),))
+    model = Refinement({"x": shown}, Simulation(("x",), (curve,), 2.0), (Correlation(("x", 0), ("x", 1), 0.99),))
     outcome = replace(outcomes()[0], refined=shown)
     return build_result("job-1", JobConfig(), PREPARATION, [outcome], Account("done", 1.0, 1.0), model)
 

@@ -36,7 +36,7 @@ def simulated(rows: int, **changes: object) -> Simulated:
 
 
 def test_a_curve_is_at_the_times_of_the_file_with_its_band() -> None:
-    found = simulation(Simulation(("x",), (simulated(5, held_out=True),)), RECORDING)
+    found = simulation(Simulation(("x",), (simulated(5, held_out=True),), 2.5), RECORDING)
     assert found is not None
     (curve,) = found["trajectories"]
     assert curve["times"] == [95.0, 97.5, 100.0, 102.5, 105.0]
@@ -44,12 +44,12 @@ def test_a_curve_is_at_the_times_of_the_file_with_its_band() -> None:
     assert curve["r2"] == {"x": 0.99}
     assert curve["values"]["x"] == pytest.approx(np.sin(np.linspace(-5, 5, 5)), rel=1e-6)
     widths = np.subtract(curve["upper"]["x"], curve["lower"]["x"])
-    assert widths == pytest.approx(0.2 * 1.96 * np.ones(5), rel=1e-4)
+    assert widths == pytest.approx(0.2 * 2.5 * np.ones(5), rel=1e-4)
 
 
 @pytest.mark.parametrize(("count", "points"), [(1, MOST_POINTS), (1000, 25)])
 def test_long_curves_are_thinned_from_end_to_end(count: int, points: int) -> None:
-    found = simulation(Simulation(("x",), (simulated(5001),) * count), RECORDING)
+    found = simulation(Simulation(("x",), (simulated(5001),) * count, 2.0), RECORDING)
     assert found is not None
     times = found["trajectories"][0]["times"]
     assert len(times) == points
@@ -63,7 +63,7 @@ def test_a_simulation_that_ends_early_and_numbers_that_are_not_finite_are_null()
         simulated(3, values=None, errors=None, r2=(None,)),
         simulated(3, values=wild, errors=None, r2=(math.nan,)),
     )
-    found = simulation(Simulation(("x",), parts), RECORDING)
+    found = simulation(Simulation(("x",), parts, 2.0), RECORDING)
     assert found is not None
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     first, second = found["trajectories"]
