@@ -289,7 +289,7 @@ def numbers():
 def small_fit(precision):
     times = 0.1 * np.arange(12.0)
     its = MultipleShooting(measurements(DECAY, [[2.0]], times, noise=0.01), precision)
-    fit = its.integrated(system_of([DECAY.parsed("-0.4*x")], DECAY.names, DECAY.names), 6, 5)
+    fit = its.fit(system_of([DECAY.parsed("-0.4*x")], DECAY.names, DECAY.names), 6, 5)
     return fit.system.values, fit.starts, fit.normal, fit.simulated
 
 
