@@ -32,13 +32,17 @@ def _periodic(function: Callable[[FloatArray], FloatArray]) -> Callable[[FloatAr
     return limited
 
 
+def _power(x: FloatArray, y: FloatArray) -> FloatArray:
+    return np.where((x == 0.0) & (y < 0.0), np.nan, np.power(x, y))
+
+
 def _base_log(x: FloatArray, v: FloatArray) -> FloatArray:
     return np.where((x == 0.0) & (v == 0.0), 0.0, np.log(x))
 
 
 _OPERATORS: Final = definitions(
     Functions(
-        _periodic(np.sin), _periodic(np.cos), np.exp, np.log, np.sqrt, np.abs, np.tanh, np.power, np.sign, _base_log
+        _periodic(np.sin), _periodic(np.cos), np.exp, np.log, np.sqrt, np.abs, np.tanh, _power, np.sign, _base_log
     )
 )
 

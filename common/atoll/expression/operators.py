@@ -75,9 +75,10 @@ FUNCTIONS: Final = {operator.code: operator.text for operator in OPERATORS if op
 class Functions(NamedTuple):
     """What operators are made of besides + - * /: the functions of one number, or of arrays, of some library.
 
-    ``sin(x)`` and ``cos(x)`` are NaN where |x| is above `TRIGONOMETRIC_LIMIT`; ``power(x, y)`` is defined for
-    x > 0, x = 0 <= y, and x < 0 with integer y; ``sign(x)`` is -1, 0 or 1; ``base_log(x, v)`` is log x, and 0
-    where x and v = x**y are 0: the derivative by y is v times this, and 0**y is 0 for all y > 0.
+    ``sin(x)`` and ``cos(x)`` are NaN where |x| is above `TRIGONOMETRIC_LIMIT`; ``log(0)`` is minus infinity;
+    ``power(x, y)`` is defined for x > 0, x = 0 <= y, and x < 0 with integer y, and NaN elsewhere; ``sign(x)`` is -1, 0
+    or 1; ``base_log(x, v)`` is log x, and 0 where x and v = x**y are 0: the derivative by y is v times this, and 0**y
+    is 0 for all y > 0.
     """
 
     sin: Callable[[Any], Any]

@@ -65,7 +65,7 @@ def _exp(a: float) -> float:
 
 @inlined
 def _log(a: float) -> float:
-    return math.log(a) if a > 0.0 else math.nan
+    return math.log(a) if a > 0.0 else (-math.inf if a == 0.0 else math.nan)
 
 
 @inlined
@@ -80,7 +80,7 @@ def _tanh(a: float) -> float:
 
 @inlined
 def _power(a: float, b: float) -> float:
-    return float(a**b)
+    return math.nan if a == 0.0 and b < 0.0 else float(a**b)
 
 
 @inlined

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from atoll.compilation.jit import kernel
-from atoll.expression.evaluation import gradient_of, node_values
+from atoll.expression.evaluation import gradient_of, node_values, value_of
+from atoll.expression.kernels.functions import STRICT
 from atoll.expression.operators import BY_NAME
 from atoll.expression.program import constant_places
 from atoll_coordinator.model.shooting.kernels.rates import rates, slopes
@@ -60,7 +61,14 @@ def search_slopes(name: str, a: float, b: float) -> list[float]:
     [
         ("abs", 0.0, 1.0, [0.0]),
         ("pow", 0.0, 1.5, [0.0, 0.0]),
+        ("pow", 0.0, 0.5, [np.nan, 0.0]),
+        ("pow", 0.0, 0.0, [np.nan, -np.inf]),
+        ("pow", 0.0, -1.0, [np.nan, np.nan]),
         ("pow", -2.0, 2.0, [-4.0, np.nan]),
+        ("pow", -2.0, 0.5, [np.nan, np.nan]),
+        ("log", 0.0, 1.0, [np.inf]),
+        ("sqrt", 0.0, 1.0, [np.inf]),
+        ("inverse", 0.0, 1.0, [-np.inf]),
     ],
 )
 def test_slopes_at_singular_points_are_the_same_everywhere(name, a, b, expected):
@@ -68,3 +76,23 @@ def test_slopes_at_singular_points_are_the_same_everywhere(name, a, b, expected)
     with np.errstate(all="ignore"):
         for slopes_of in (rate_and_slopes(name, a, b)[1], numpy_slopes(name, a, b), search_slopes(name, a, b)):
             np.testing.assert_array_equal(slopes_of, expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "a", "b", "expected"),
+    [
+        ("log", 0.0, 1.0, -np.inf),
+        ("log", -1.0, 1.0, np.nan),
+        ("pow", 0.0, 0.0, 1.0),
+        ("pow", 0.0, -1.0, np.nan),
+        ("pow", -2.0, 3.0, -8.0),
+        ("pow", -2.0, 0.5, np.nan),
+        ("inverse", 0.0, 1.0, np.inf),
+    ],
+)
+def test_values_at_singular_points_are_the_same_everywhere(name, a, b, expected):
+    """What is infinite in one place and not a number in another may become finite: exp(log(0)) is 0."""
+    code = BY_NAME[name].code
+    with np.errstate(all="ignore"):
+        found = [rate_and_slopes(name, a, b)[0], value_of(code, a, b), STRICT[code].value(np.float64(a), np.float64(b))]
+    np.testing.assert_array_equal(found, [expected] * 3)
