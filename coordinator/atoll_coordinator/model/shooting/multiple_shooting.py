@@ -172,7 +172,10 @@ class MultipleShooting:
         return np.concatenate([starts, np.zeros((len(starts), missing))], axis=1)
 
     def _squares(self, residuals: FloatArray) -> FloatArray:
-        return np.asarray((self.measurements.weights * residuals * residuals).sum(axis=1) / self._totals)
+        """Return the mean squares (O,) of residuals, those of normal errors whatever the robustness weights."""
+        squares = (self.measurements.weights * residuals * residuals).sum(axis=1) / self._totals
+        consistency = self.measurements.consistency
+        return np.asarray(squares if consistency is None else squares / consistency)
 
     def _reweighted(self, here: _Equations, segments: Ints, sigmas: FloatArray) -> tuple[FloatArray, _Equations]:
         """Return new variances and the equations under them; the states' errors may be of very different size."""
