@@ -57,7 +57,8 @@ class Smoothing:
     standard deviation; `span` (rows) and `degree` are those of loess, None where it was interpolated. `uncertain_rows`
     counts the rows whose derivative is too uncertain to be used, `outliers` those of robustness weight 0.
     `excluded_rows` are the rows, in order, of trajectories that are not held out which are not used because of this
-    state.
+    state. `narrower_noise` is the noise by loess of the same degree with the `narrower_span` (rows): `span` is the one
+    of small residuals, which makes `noise` a little too small.
     """
 
     state: str
@@ -69,6 +70,8 @@ class Smoothing:
     uncertain_rows: int = 0
     outliers: int = 0
     excluded_rows: tuple[ExcludedRow, ...] = ()
+    narrower_noise: float = 0.0
+    narrower_span: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -279,6 +279,12 @@ class InferenceSettings:
     """Residuals this many times as large as the noise are too large, unless they may be so by chance."""
     patterned: float = 0.1
     """Share of the residuals' variance that may follow a pattern: constants that were made simple leave a little."""
+    represented_lengths: int = 8
+    """Lengths by which those of many trajectories are represented when the variance of residuals is judged."""
+    bins_in_span: int = 40
+    """Bins in a span of loess, at most, when the variance of residuals is judged: more tell nothing more."""
+    most_bins: int = 240
+    """Bins of a trajectory for which the variance of residuals is judged; of more a stretch is taken."""
     distinct_nats: float = 3.0
     """Another equation that is not this much longer as a description may be the right one (odds of 20)."""
     least_r2: float = 0.5

@@ -91,7 +91,10 @@ def _describe_smoothing(
         return Smoothing(state, "interpolation", noise, relative, uncertain_rows=uncertain, excluded_rows=excluded)
     method: Method = "loess" if estimate.outliers is None else "robust loess"
     outliers = estimate.outliers or 0
-    return Smoothing(state, method, noise, relative, smoother.rows, smoother.degree, uncertain, outliers, excluded)
+    return Smoothing(
+        state, method, noise, relative, smoother.rows, smoother.degree, uncertain, outliers, excluded,
+        estimate.narrower_noise, estimate.narrower_span,
+    )  # fmt: skip
 
 
 def _stack(parts: Sequence[FloatArray], rows: int) -> FloatArray:

@@ -44,7 +44,8 @@ class StateEstimate:
     estimated bias (where the state was interpolated, the same as `uncertainty`). `noise` is the estimated standard
     deviation of the measurement errors and `standard_deviation` that of the measurements; `smoother` is None where the
     state was interpolated. `outliers`, how many rows have no weight, and `robustness_weights` are None unless loess was
-    robust; `has_heavy_tails` advises that it should be.
+    robust; `has_heavy_tails` advises that it should be. `narrower_noise` is the noise by loess with the narrower span,
+    `narrower_span` (rows), by which the bias is estimated.
     """
 
     values: FloatArray
@@ -58,6 +59,8 @@ class StateEstimate:
     outliers: int | None = None
     robustness_weights: FloatArray | None = None
     has_heavy_tails: bool = False
+    narrower_noise: float = 0.0
+    narrower_span: int = 0
 
     @property
     def is_interpolated(self) -> bool:
@@ -145,7 +148,7 @@ def _rescale(estimate: StateEstimate, exponent: int) -> StateEstimate:
     arrays = ("values", "velocity", "derivative", "uncertainty", "total_uncertainty")
     with np.errstate(over="ignore", under="ignore"):
         scaled: dict[str, Any] = {name: np.ldexp(getattr(estimate, name), exponent) for name in arrays}
-        for name in ("noise", "standard_deviation"):
+        for name in ("noise", "standard_deviation", "narrower_noise"):
             scaled[name] = float(np.ldexp(getattr(estimate, name), exponent))
     return replace(estimate, **scaled)
 
@@ -180,13 +183,16 @@ def _by_loess(signals: Sequence[Signal], smoother: Smoother, order: int, searche
     noise = estimate_noise(searched, [smooth(signal, smoother) for signal in searched])
     fits, gains = _joined([smooth(signal, smoother) for signal in signals])
     span = max(int(SETTINGS.smoothing.narrower * smoother.span), smoother.degree + 2)
-    narrower_fits, _ = _joined([smooth(signal, replace(smoother, span=span)) for signal in signals])
+    narrower = replace(smoother, span=span)
+    narrower_noise = estimate_noise(searched, [smooth(signal, narrower) for signal in searched])
+    narrower_fits, _ = _joined([smooth(signal, narrower) for signal in signals])
     bias = fits[order] - narrower_fits[order]
     uncertainty = noise * gains[order]
     total = np.sqrt(uncertainty * uncertainty + bias * bias)
     return StateEstimate(
-        fits[0], fits[1], fits[order], uncertainty, total, noise, _standard_deviation(searched), smoother
-    )
+        fits[0], fits[1], fits[order], uncertainty, total, noise, _standard_deviation(searched), smoother,
+        narrower_noise=narrower_noise, narrower_span=narrower.rows,
+    )  # fmt: skip
 
 
 def _joined(smoothed: Sequence[SmoothedSignal]) -> tuple[FloatArray, FloatArray]:

@@ -3,6 +3,7 @@
 - `conclusion`: the model fitted to all rows, rounded, simulated and judged: `summarize`
 - `uncertainty`: standard errors, intervals and correlations of constants, bands of simulations
 - `residuals`: whether what a simulation leaves is as large as the noise, and without a pattern
+- `quadratic_forms`: how large it may be by chance
 - `verdict`: the grade of an equation, and the reason in one sentence
 
 A `SelectedModel` goes in, a `Refinement` comes out.

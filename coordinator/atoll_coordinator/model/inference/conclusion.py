@@ -7,6 +7,8 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, structure
+from atoll_coordinator.data.recording import Smoothing
+from atoll_coordinator.model.inference.residuals import ReferenceSmoother
 from atoll_coordinator.model.inference.uncertainty import (
     Errors,
     bands,
@@ -199,6 +201,7 @@ def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None)
         parameters=(len(final.free.fit.system.places) + final.free.fit.starts.size) / len(measurements.observed),
         noise=0.0 if smoothing.method == "interpolation" else smoothing.noise,
         standard_deviation=_standard_deviation(measurements, index),
+        reference=_reference_smoother(smoothing),
         has_outliers=smoothing.outliers > 0,
         held_out_r2=held_out_r2,
         is_cross_validated=final.unseen is None,
@@ -211,6 +214,13 @@ def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None)
     return Refined(
         member, program, error, mse, known.written, known.unit_coefficients, alternatives, grade, reason, origin
     )
+
+
+def _reference_smoother(smoothing: Smoothing) -> ReferenceSmoother | None:
+    """Return the smoother with a narrower span than the selected one; None where the state was interpolated."""
+    if smoothing.degree is None or not smoothing.narrower_span:
+        return None
+    return ReferenceSmoother(smoothing.narrower_span, smoothing.degree, smoothing.narrower_noise)
 
 
 def _no_elaborations(program: Program, alternatives: Sequence[Alternative]) -> list[Alternative]:

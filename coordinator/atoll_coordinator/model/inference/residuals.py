@@ -13,10 +13,20 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray
+from atoll_coordinator.model.inference.quadratic_forms import variance_ratio_tail
 from atoll_coordinator.model.settings import SETTINGS
 
 _NORMAL_MAD: Final = 0.6744897501960817
 """Median of the absolute value of a standard normal number."""
+
+
+@dataclass(frozen=True)
+class ReferenceSmoother:
+    """Loess of the same measurements, by which residuals are judged: its `span` (rows), its `degree`, its `noise`."""
+
+    span: int
+    degree: int
+    noise: float
 
 
 @dataclass(frozen=True)
@@ -36,15 +46,18 @@ class Check:
     patterned: float
 
 
-def check(residuals: Sequence[FloatArray], noise: float, parameters: float = 0.0, *, is_robust: bool = False) -> Check:
+def check(
+    residuals: Sequence[FloatArray], noise: float, parameters: float = 0.0, reference: ReferenceSmoother | None = None,
+    *, is_robust: bool = False,
+) -> Check:  # fmt: skip
     """Return the checks of one state's residuals.
 
     Args:
         residuals: (R,) for each trajectory, measured minus simulated, finite.
-        noise: estimated standard deviation of the measurement errors, in the same unit; that estimate is taken to rest
-            on n - p rows as well. 0 gives an infinite ratio.
+        noise: standard deviation of the measurement errors, in the same unit. 0 gives an infinite ratio.
         parameters: p, how many numbers were fitted to these residuals: constants and initial values, by share where
             other states decide as well.
+        reference: what estimates the noise from the same errors, for `too_large`; None: `noise` is known.
         is_robust: whether there are outliers, which must not decide.
     """
     from scipy import special
@@ -62,10 +75,25 @@ def check(residuals: Sequence[FloatArray], noise: float, parameters: float = 0.0
     return Check(
         standard_deviation,
         ratio,
-        float(special.fdtrc(free, free, ratio * ratio)) if math.isfinite(ratio) else 0.0,
+        _too_large(errors, square / free, noise, parameters, reference),
         correlations[0] if correlations else 0.0,
         float(special.ndtr(-score)),
     )
+
+
+def _too_large(
+    errors: Sequence[FloatArray], variance: float, noise: float, parameters: float, reference: ReferenceSmoother | None
+) -> float:
+    """Return the probability of at least this variance if the residuals were noise."""
+    from scipy import special
+
+    if reference is None:
+        free = max(sum(map(len, errors)) - parameters, 1.0)
+        return float(special.chdtrc(free, free * variance / noise**2)) if noise > 0.0 else 0.0
+    if not reference.noise > 0.0:
+        return 0.0
+    lengths = [len(each) for each in errors]
+    return variance_ratio_tail(variance / reference.noise**2, lengths, parameters, reference.span, reference.degree)
 
 
 def _correlations(errors: Sequence[FloatArray], square: float, parameters: float) -> tuple[list[float], list[float]]:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from atoll.data.dataset import EXACT_ERROR, FloatArray
-from atoll_coordinator.model.inference.residuals import Check, check
+from atoll_coordinator.model.inference.residuals import Check, ReferenceSmoother, check
 from atoll_coordinator.model.refinement import Constant, Grade
 from atoll_coordinator.model.settings import SETTINGS
 
@@ -27,7 +27,8 @@ class Evidence:
     end, measured minus simulated values of this state; `failed` counts the others. `parameters` is how many numbers
     were fitted to them: constants and initial values, each shared by as many states as it was fitted to. `noise` is
     the smoother's estimate of the measurement errors (0 for a state that was interpolated) and `standard_deviation`
-    that of what was measured, both in the state's unit; `has_outliers` makes the checks robust. `held_out_r2` is the
+    that of what was measured, both in the state's unit; `reference` judges the variance of the residuals, None where
+    the noise is known; `has_outliers` makes the checks robust. `held_out_r2` is the
     R2 of the simulations of held-out trajectories; with `is_cross_validated`, of those left out one at a time.
 
     Of the model: `constants`, as they are reported; `alternative` is how many nats longer the description is with
@@ -43,6 +44,7 @@ class Evidence:
     parameters: float = 0.0
     noise: float = 0.0
     standard_deviation: float = 1.0
+    reference: ReferenceSmoother | None = None
     has_outliers: bool = False
     held_out_r2: float | None = None
     is_cross_validated: bool = False
@@ -68,7 +70,9 @@ def _by_simulation(evidence: Evidence) -> tuple[Grade, str]:
     trajectories = len(evidence.residuals) + evidence.failed
     if evidence.failed * 2 >= trajectories:
         return "no model", f"It cannot be simulated to the end of {evidence.failed} of {trajectories} trajectories."
-    residuals = check(evidence.residuals, evidence.noise, evidence.parameters, is_robust=evidence.has_outliers)
+    residuals = check(
+        evidence.residuals, evidence.noise, evidence.parameters, evidence.reference, is_robust=evidence.has_outliers
+    )
     left = residuals.standard_deviation / evidence.standard_deviation
     r2 = 1.0 - left * left
     if not r2 >= SETTINGS.inference.least_r2:  # NaN explains nothing

@@ -26,7 +26,7 @@ def without_polynomial(errors: FloatArray, parameters: int) -> FloatArray:
 def test_noise_is_seldom_taken_for_anything_else() -> None:
     found = [check(noise(seed), 1.0) for seed in range(300)]
     assert sum(each.patterned < 0.05 for each in found) in range(5, 27)
-    assert sum(each.too_large < 0.05 for each in found) < 15
+    assert sum(each.too_large < 0.05 for each in found) in range(5, 27)
     assert np.mean([each.standard_deviation for each in found]) == pytest.approx(1.0, abs=0.01)
     assert np.mean([each.correlation for each in found]) == pytest.approx(0.0, abs=0.01)
 

@@ -1,0 +1,126 @@
+"""Sums of squares of the same normal errors compared: quadratic forms, their eigenvalues and tail probabilities. Pure.
+
+Letters: n rows, p fitted parameters, S the matrix (n, n) by which loess makes smoothed values of measured ones, B the
+matrix (I - S)'(I - S) of its sum of squared residuals.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll_coordinator.model.settings import SETTINGS
+
+
+def variance_ratio_tail(ratio: float, lengths: Sequence[int], parameters: float, span: int, degree: int) -> float:
+    """Return the probability of at least this ratio of two variances of the same errors if the model is right.
+
+    The numerator is what a model with p parameters leaves, e'(I - H)e/(n - p) with the projection H on what parameters
+    can do; the denominator what loess leaves, e'Be/tr B. What parameters can do is smooth, so H takes the p smallest
+    eigenvalues of B, and the ratio exceeds r where a sum of squares weighted by 1/(n - p) - r b/tr B, over the other
+    eigenvalues b, is positive. Compare Cleveland & Devlin (1988), section 4, who match two moments.
+
+    Args:
+        ratio: r, of variances, each over its degrees of freedom.
+        lengths: rows of each trajectory.
+        parameters: p.
+        span: rows that loess looks at together.
+        degree: that of its polynomials.
+    """
+    values, counts = _residual_eigenvalues(tuple(sorted(lengths)), span, degree)
+    trace = float(values @ counts)
+    free = max(float(counts.sum()) - parameters, 1.0)
+    left = np.clip(np.cumsum(counts) - parameters, 0.0, counts)
+    return positive_tail(1.0 / free - ratio * values / trace, left) if trace > 0.0 else 0.0
+
+
+def positive_tail(weights: FloatArray, counts: FloatArray) -> float:
+    """Return the probability that the sum of w z^2, with z normal and each weight w taken so many times, is positive.
+
+    By the saddlepoint approximation of Lugannani & Rice (1980), as Kuonen (1999) uses it: the relative error is a few
+    hundredths at most, also far out in the tail.
+    """
+    from scipy import special
+
+    kept = (counts > 0.0) & (weights != 0.0)
+    weights, counts = weights[kept] / max(float(np.abs(weights[kept]).max(initial=0.0)), 1e-300), counts[kept]
+    if not (weights > 0.0).any():
+        return 0.0
+    if not (weights < 0.0).any():
+        return 1.0
+    point = _saddlepoint(weights, counts)
+    rest = 1.0 - 2.0 * point * weights
+    second = float((counts * 2.0 * (weights / rest) ** 2).sum())
+    if abs(point) * math.sqrt(second) < 1e-4:
+        third = float((counts * 8.0 * (weights / rest) ** 3).sum())
+        return 0.5 - third / (6.0 * math.sqrt(2.0 * math.pi * second**3))
+    depth = math.copysign(math.sqrt(max(float((counts * np.log(rest)).sum()), 1e-300)), point)
+    height = point * math.sqrt(second)
+    return float(special.ndtr(-depth - math.log(height / depth) / depth))
+
+
+def _saddlepoint(weights: FloatArray, counts: FloatArray) -> float:
+    """Return where the derivative of the cumulant generating function is zero, by bisection."""
+    low, high = 0.5 / float(weights.min()), 0.5 / float(weights.max())
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        if float((counts * weights / (1.0 - 2.0 * middle * weights)).sum()) > 0.0:
+            high = middle
+        else:
+            low = middle
+    return 0.5 * (low + high)
+
+
+@lru_cache(maxsize=64)
+def _residual_eigenvalues(lengths: tuple[int, ...], span: int, degree: int) -> tuple[FloatArray, FloatArray]:
+    """Return the eigenvalues of B, rising, of all trajectories together, and how often each counts.
+
+    Many trajectories are represented by some of their lengths, long ones by a stretch.
+    """
+    values, counts = [], []
+    for group in np.array_split(np.array(lengths), min(len(lengths), SETTINGS.inference.represented_lengths)):
+        rows = int(group[len(group) // 2])
+        one, times = _eigenvalues(rows, span, degree)
+        values.append(one)
+        counts.append(times * (float(group.sum()) / rows))
+    joined, numbers = np.concatenate(values), np.concatenate(counts)
+    order = np.argsort(joined, kind="stable")
+    return joined[order], numbers[order]
+
+
+def _eigenvalues(rows: int, span: int, degree: int) -> tuple[FloatArray, FloatArray]:
+    """Return the eigenvalues of B for one trajectory of evenly spaced rows, and how often each counts.
+
+    Where the span is wide, bins of several rows are smoothed: within bins nothing is smoothed away, so that all other
+    eigenvalues are one. Of more bins than there is room for, a stretch is taken.
+    """
+    degree = min(degree, rows - 2)
+    if degree < 0:
+        return np.ones(1), np.array([float(rows)])
+    thinning = max(1, min(span, rows) // SETTINGS.inference.bins_in_span)
+    bins = rows // thinning
+    taken = min(bins, max(SETTINGS.inference.most_bins, 2 * (span // thinning)))
+    rest = np.eye(taken) - _loess_matrix(taken, max(span // thinning, degree + 2), degree)
+    values = np.maximum(np.linalg.eigvalsh(rest.T @ rest), 0.0)
+    return np.append(values, 1.0), np.append(np.full(taken, bins / taken), float(rows - bins))
+
+
+def _loess_matrix(rows: int, span: int, degree: int) -> FloatArray:
+    """Return S (n, n) for evenly spaced rows: tricube weights over the nearest rows (Cleveland 1979)."""
+    window = min(span, rows)
+    places = np.arange(rows)
+    starts = np.clip(places - window // 2, 0, rows - window)
+    columns = starts[:, None] + np.arange(window)
+    offsets = (columns - places[:, None]).astype(np.float64)
+    reach = np.abs(offsets).max(axis=1, keepdims=True) * (1.0 + 1.0 / window) * max(1.0, span / window)
+    offsets /= reach
+    roots = np.sqrt((1.0 - np.abs(offsets) ** 3) ** 3)
+    orthogonal, triangle = np.linalg.qr(roots[:, :, None] * offsets[:, :, None] ** np.arange(degree + 1))
+    first = np.zeros((rows, degree + 1, 1))
+    first[:, 0] = 1.0
+    at_zero = np.linalg.solve(np.swapaxes(triangle, 1, 2), first)
+    matrix = np.zeros((rows, rows))
+    np.put_along_axis(matrix, columns, roots * (orthogonal @ at_zero)[:, :, 0], axis=1)
+    return matrix
