@@ -55,10 +55,10 @@ def value_of(code: int, left: float, right: float) -> float:
 
 def values_of(program: Program, inputs: FloatArray) -> FloatArray:
     """Return the values of `program` at all rows of `inputs` (V, R), shape (R,); not finite where there is none."""
-    return node_values(program, inputs)[-1]
+    return _node_values(program, inputs)[-1]
 
 
-def node_values(program: Program, inputs: FloatArray) -> list[FloatArray]:
+def _node_values(program: Program, inputs: FloatArray) -> list[FloatArray]:
     """Return the values of every node of `program` at all rows of `inputs` (V, R), each of shape (R,)."""
     rows = inputs.shape[1]
     values: list[FloatArray] = []
@@ -73,11 +73,12 @@ def node_values(program: Program, inputs: FloatArray) -> list[FloatArray]:
     return values
 
 
-def gradient_of(program: Program, values: list[FloatArray], places: Sequence[int]) -> FloatArray:
-    """Return d(output)/d(constant) for the K constants at the indices `places`, (K, R), by one reverse sweep.
+def values_and_gradient(program: Program, inputs: FloatArray, places: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+    """Return what `values_of` does, and d(output)/d(constant), (K, R), for the K constants at the indices `places`.
 
-    `values` are those of `node_values`.
+    The derivatives are found by one reverse sweep; not finite where there is none.
     """
+    values = _node_values(program, inputs)
     codes, lefts, rights = program.operators.tolist(), program.left.tolist(), program.right.tolist()
     depends = _dependent(codes, lefts, rights, places)
     adjoint: list[FloatArray | None] = [None] * len(codes)
@@ -94,7 +95,7 @@ def gradient_of(program: Program, values: list[FloatArray], places: Sequence[int
                 _gather(adjoint, rights[i], mine * _slope(_OPERATORS[code].right, *at))
     found = [adjoint[place] for place in places]
     zero = np.zeros_like(values[-1])
-    return np.array([zero if each is None else each for each in found]).reshape(len(found), len(zero))
+    return values[-1], np.array([zero if each is None else each for each in found]).reshape(len(found), len(zero))
 
 
 def _slope(slope: Slope, a: FloatArray, b: FloatArray, v: FloatArray) -> FloatArray | float:

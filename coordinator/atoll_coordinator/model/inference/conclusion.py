@@ -118,7 +118,7 @@ def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> _
         explicit, free = _freed(comparison, best, shown)
         fit = fit_starts(comparison, shown, best.fit)
         if free is not None and fit is not None:
-            final = comparison.measure(shown, fit)
+            final = comparison.measure(fit)
             return _Final(whole.task, ranking, origins, _unseen(whole.task), comparison, shown, explicit, free, final)
     return None
 

@@ -6,13 +6,13 @@ constants that are fitted.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from atoll.data.dataset import FloatArray, Problem
-from atoll.expression.evaluation import gradient_of, node_values, values_of
-from atoll.expression.program import Program, constant_places, with_constants
+from atoll.expression.evaluation import values_and_gradient, values_of
+from atoll.expression.program import Program, constant_places
 from atoll_coordinator.model.settings import SETTINGS
 
 
@@ -69,8 +69,9 @@ class LeastSquares:
             return Fitted(program, mse, normal)
         damping = SETTINGS.regression.first_damping
         for step in range(steps):
-            change = _solved(normal, gradient, damping)
-            moved = _moved(program, places, change)
+            constants = program.constants.copy()
+            constants[places] += _solved(normal, gradient, damping)
+            moved = replace(program, constants=constants)
             new_mse, new_gradient, new_normal = self._equations(moved, places, mse)
             if not new_mse <= mse:
                 damping *= 10.0
@@ -90,14 +91,13 @@ class LeastSquares:
 
     def _equations(self, program: Program, places: list[int], limit: float) -> tuple[float, FloatArray, FloatArray]:
         """Return mean squared error, gradient (K,) and normal matrix (K, K); the latter two empty beyond `limit`."""
-        values = node_values(program, self._inputs)
+        values, slopes = values_and_gradient(program, self._inputs, places)
         with np.errstate(all="ignore"):
-            errors = self._weighed(values[-1] - self._target)
+            errors = self._weighed(values - self._target)
         self.evaluations += len(errors) + SETTINGS.regression.overhead_rows
         mse = _mse(errors)
         if not mse <= limit or math.isinf(mse):
             return mse, np.zeros(0), np.zeros((0, 0))
-        slopes = gradient_of(program, values, places)
         self.evaluations += 2 * len(errors)
         with np.errstate(all="ignore"):
             slopes = self._weighed(slopes)
@@ -110,12 +110,6 @@ def _mse(errors: FloatArray) -> float:
     with np.errstate(all="ignore"):
         mse = float(errors @ errors) / len(errors)
     return mse if math.isfinite(mse) else math.inf
-
-
-def _moved(program: Program, places: list[int], change: FloatArray) -> Program:
-    return with_constants(
-        program, {place: float(program.constants[place] + by) for place, by in zip(places, change, strict=True)}
-    )
 
 
 def _projected(before: float, after: float, steps: int) -> float:

@@ -17,7 +17,7 @@ from atoll.expression.program import Program, constant_places, structure
 from atoll_coordinator.model.criteria import constant_nats_of, system_length, trajectory_misfit
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
-from atoll_coordinator.model.shooting.system import System, split, system_of
+from atoll_coordinator.model.shooting.system import System, system_of
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 
 Item = TypeVar("Item")
@@ -95,13 +95,13 @@ class ModelComparison:
     ) -> FittedModel | None:
         """Return the fitted system of `programs`, None when it cannot be simulated."""
         fit = fit_in_stages(self.estimator, self.system(programs), lengths, steps)
-        return None if fit is None else self.measure(programs, fit)
+        return None if fit is None else self.measure(fit)
 
     def fit_beside(self, near: FittedModel, programs: Sequence[Program], steps: int = 20) -> FittedModel | None:
         """Return the fitted system of `programs`, begun with the initial states of `near`."""
         its = near.fit
         fit = self.estimator.fit(self.system(programs), None, steps, its.starts, its.sigmas, is_stiff=its.is_stiff)
-        return None if fit is None else self.measure(programs, fit)
+        return None if fit is None else self.measure(fit)
 
     def fit_exchanged(self, near: FittedModel, equation: int, program: Program, steps: int) -> FittedModel | None:
         """Return `near` with another program for one equation."""
@@ -130,12 +130,12 @@ class ModelComparison:
             self._remember(equation, its)
         return found
 
-    def measure(self, programs: Sequence[Program], fit: TrajectoryFit) -> FittedModel:
-        """Return the model of a fit of `programs`."""
+    def measure(self, fit: TrajectoryFit) -> FittedModel:
+        """Return the model that a fit of one of this comparison's systems gives."""
+        programs = fit.system.programs[len(self.leading) :]
         its = trajectory_misfit(fit.squares, self.least_errors, self.counts / self.correlation_length)
         nats = system_length(its, programs, len(fit.system.places), self.constant_nats)
-        fitted = split(fit.system, [*self.leading, *programs])[len(self.leading) :]
-        return FittedModel(tuple(fitted), fit, its, nats)
+        return FittedModel(programs, fit, its, nats)
 
     def is_exact(self, model: FittedModel) -> bool:
         """Tell whether all errors are those of the integration."""

@@ -16,7 +16,6 @@ from atoll_coordinator.model.selection.comparison import FittedModel, ModelCompa
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
-from atoll_coordinator.model.shooting.system import split
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +73,7 @@ class Validation:
         )
         if fitted is None:
             return None
-        programs = split(fitted.system, [*comparison.leading, *model.programs])[len(comparison.leading) :]
+        programs = fitted.system.programs[len(comparison.leading) :]
         fixed = comparison.system(programs, [constant_places(program) for program in programs])
         rest = self._shooter(measurements.part(left_out))
         predicted = rest.fit(fixed, None, SETTINGS.selection.validation_steps, fit.starts[is_out], fit.sigmas)

@@ -42,7 +42,7 @@ def _measured(
     fit = comparison.estimator.fit(system, None, SETTINGS.selection.rounding_steps, model.fit.starts, model.fit.sigmas)
     if fit is None:
         return None
-    after = comparison.measure(programs, fit)
+    after = comparison.measure(fit)
     open_errors = [
         float(variance) ** 0.5
         for variance in (comparison.correlation_length * bounded_covariance(fit)).diagonal().clip(0.0)

@@ -4,7 +4,7 @@ Letters: D equations, N nodes of all of them, P fitted constants.
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,11 +17,12 @@ from atoll_coordinator.model.shooting.kernels.rates import Tape
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """D equations on one tape, see `kernels_rates.Tape`.
+    """D equations on one tape, see `kernels.rates.Tape`; `equations` are the programs that it was made of.
 
     `parameters` (N,) numbers the fitted constants; `places` are their nodes, `owners` (P,) their equations.
     """
 
+    equations: tuple[Program, ...]
     code: Ints
     left: Ints
     right: Ints
@@ -45,9 +46,14 @@ class System:
         """Return the system with other values of the fitted constants."""
         constants = self.constants.copy()
         constants[self.places] = values
-        return System(
-            self.code, self.left, self.right, constants, self.outputs, self.parameters, self.owners, self.places
-        )
+        return replace(self, constants=constants)
+
+    @property
+    def programs(self) -> tuple[Program, ...]:
+        """The equations with the constants of the system."""
+        ends = self.outputs + 1
+        parts = np.split(self.constants, ends[:-1])
+        return tuple(replace(each, constants=part) for each, part in zip(self.equations, parts, strict=True))
 
 
 def system_of(
@@ -88,19 +94,9 @@ def system_of(
         outputs.append(start - 1)
     constants = np.concatenate([program.constants for program in programs])
     ints = [np.array(each, dtype=np.int64) for each in (code, left, right, outputs, parameters, owners, places)]
-    return System(ints[0], ints[1], ints[2], constants, *ints[3:])
+    return System(tuple(programs), ints[0], ints[1], ints[2], constants, *ints[3:])
 
 
 def variable_program(index: int) -> Program:
     """Return the program that is the variable of this index."""
     return Program(np.array([VARIABLE], np.int8), np.array([index], np.int16), np.zeros(1, np.int16), np.zeros(1))
-
-
-def split(system: System, programs: Sequence[Program]) -> list[Program]:
-    """Return `programs` with the constants of `system`, which was made of them."""
-    found, start = [], 0
-    for program in programs:
-        constants = system.constants[start : start + len(program)].copy()
-        found.append(Program(program.operators, program.left, program.right, constants))
-        start += len(program)
-    return found

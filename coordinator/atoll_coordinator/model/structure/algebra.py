@@ -5,21 +5,21 @@ again: ``1*x`` is ``x`` here, ``x - (-y)`` is ``x + y``, and ``x/4`` is ``0.25*x
 """
 
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable
 
 import numpy as np
 
 from atoll.expression.builder import ProgramBuilder
 from atoll.expression.evaluation import value_of
 from atoll.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SUBTRACT
-from atoll.expression.program import Program, with_constants
+from atoll.expression.program import Program
 from atoll.expression.simplification import simplified
 
 
-def tidied(program: Program, values: Mapping[int, float] | None = None) -> Program:
-    """Return `program`, with `values` at these constants, without neutral elements and needless signs."""
+def tidied(program: Program) -> Program:
+    """Return `program` without neutral elements and needless signs."""
     builder = AlgebraicBuilder()
-    return builder.program(builder.copy(with_constants(program, values or {}).nodes())[-1])
+    return builder.program(builder.copy(program.nodes())[-1])
 
 
 class AlgebraicBuilder(ProgramBuilder):

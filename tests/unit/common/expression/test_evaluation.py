@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll.expression.evaluation import gradient_of, node_values, value_of, values_of
+from atoll.expression.evaluation import value_of, values_and_gradient, values_of
 from atoll.expression.operators import CONSTANT, OPERATORS
 from atoll.expression.program import Program, constant_places, with_constants
 from atoll.expression.text.parsing import from_infix
@@ -29,7 +29,8 @@ def test_values_are_those_of_the_slow_obvious_version():
 def test_derivatives_with_respect_to_constants_are_differences():
     program = from_infix(EVERY_OPERATOR, ("x", "y"))
     places = constant_places(program)
-    gradient = gradient_of(program, node_values(program, inputs()), places)
+    values, gradient = values_and_gradient(program, inputs(), places)
+    assert values.tolist() == values_of(program, inputs()).tolist()
     for row, place in zip(gradient, places, strict=True):
         step = 1e-6
         above, below = (
@@ -41,12 +42,12 @@ def test_derivatives_with_respect_to_constants_are_differences():
 def test_only_the_constants_asked_for_are_differentiated():
     program = from_infix("2.0*x + 3.0*y", ("x", "y"))
     second = constant_places(program)[1]
-    assert gradient_of(program, node_values(program, inputs()), [second]).tolist() == [inputs()[1].tolist()]
+    assert values_and_gradient(program, inputs(), [second])[1].tolist() == [inputs()[1].tolist()]
 
 
 def test_a_constant_that_is_not_used_has_no_influence():
     columns = (np.array([1, 0], np.int8), np.zeros(2, np.int16), np.zeros(2, np.int16), np.array([4.0, 0.0]))
-    assert gradient_of(Program(*columns), node_values(Program(*columns), inputs()), [0]).tolist() == [[0.0] * 40]
+    assert values_and_gradient(Program(*columns), inputs(), [0])[1].tolist() == [[0.0] * 40]
 
 
 def test_the_sine_of_a_large_number_is_no_number():

@@ -9,7 +9,7 @@ from atoll.expression.operators import CONSTANT, VARIABLE
 from atoll.expression.program import constant_places
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.shooting.kernels.rates import rates
-from atoll_coordinator.model.shooting.system import split, system_of, variable_program
+from atoll_coordinator.model.shooting.system import system_of, variable_program
 from tests.oracles.evaluate import evaluate
 
 NAMES = ("x", "y", "u")
@@ -53,7 +53,7 @@ def test_fixed_constants_are_no_parameters_and_stay():
     held = [constant_places(programs[0]), ()]
     system = system_of(programs, NAMES, NAMES, held)
     assert (system.values.tolist(), system.owners.tolist()) == ([4.0], [1])
-    changed = split(system.with_values(np.array([9.0])), programs)
+    changed = system.with_values(np.array([9.0])).programs
     assert changed[0] == programs[0]
     assert values(system_of(changed, NAMES, NAMES), [1.0, 1.0, 0.0]) == [1.0, 9.0]
 
@@ -67,9 +67,9 @@ def test_other_values_make_another_system_and_leave_the_first():
     assert values(other, [1.0, 1.0, 0.0]) == [1.0, 5.0]
 
 
-def test_split_gives_back_the_programs():
+def test_a_system_gives_back_its_programs():
     programs = parsed(*TEXTS)
-    assert split(system_of(programs, NAMES, NAMES), programs) == programs
+    assert system_of(programs, NAMES, NAMES).programs == tuple(programs)
 
 
 def test_the_program_of_a_variable_is_that_variable():

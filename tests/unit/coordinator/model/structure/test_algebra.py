@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from atoll.expression.evaluation import values_of
-from atoll.expression.program import constant_places, structure
+from atoll.expression.program import constant_places, structure, with_constants
 from atoll_coordinator.model.structure.algebra import tidied
 from tests.unit.coordinator.model.fitting import parsed, shown
 
@@ -38,4 +38,4 @@ def test_neutral_elements_and_needless_signs_go(text, expected):
 def test_constants_are_put_in_before_tidying():
     program = parsed("2.5*x + 0.1*y")
     first, second = constant_places(program)
-    assert shown(tidied(program, {first: 1.0, second: 0.0})) == "x"
+    assert shown(tidied(with_constants(program, {first: 1.0, second: 0.0}))) == "x"
