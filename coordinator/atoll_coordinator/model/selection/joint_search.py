@@ -143,7 +143,7 @@ def search_jointly(
     if not comparison.is_exact(best) and not is_hopeless(SelectedModel(task, comparison, best)):
         best = _search_locally(task, comparison, best, lists)
     best = comparison.fit_beside(best, best.programs, 40) or best
-    return SelectedModel(task, comparison, best)
+    return SelectedModel(task, comparison, best, lists)
 
 
 def _candidates(task: ModellingTask, name: str) -> list[Program]:

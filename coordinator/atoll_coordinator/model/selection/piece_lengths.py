@@ -33,11 +33,8 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
         found.append(selection)
         if _excess(selection.comparison, selection.model) <= SETTINGS.selection.noise_excess:
             work = sum(each.comparison.estimator.work for each in found)
-            return replace(
-                selection if work >= SETTINGS.selection.pieces_work else _lengthened(task, selection, lists),
-                lists=lists,
-            )
-    return replace(found[0], lists=lists) if found else None
+            return selection if work >= SETTINGS.selection.pieces_work else _lengthened(task, selection, lists)
+    return found[0] if found else None
 
 
 def on_all_rows(selection: SelectedModel) -> SelectedModel | None:
