@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/atoll-installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-wheel quick kernels generic-kernels check soak bench lock release-rehearsal deploy-rehearsal clean
+.PHONY: help demo test test-wheel quick kernels check soak bench lock release-rehearsal deploy-rehearsal clean
 
 help:
 	@echo "make demo    find the two equations of a Lotka-Volterra system, on two workers"
@@ -42,7 +42,7 @@ AT_A_TIME = $(shell $(BIN)/python -c 'import os; from atoll.machine.cores import
 PYTEST = $(BIN)/pytest -n $(AT_A_TIME) --dist loadfile
 
 test: $(STAMP)
-	@$(MAKE) --no-print-directory -j 2 kernels generic-kernels
+	@$(BIN)/python -m tests.kernels --generic
 	@$(PYTEST)
 
 # Against the wheel in an environment of its own, beside a foreign package `common`; also with options of pytest in WORDS.
@@ -54,12 +54,7 @@ quick: $(STAMP) kernels
 
 # Compiled before the first test, whose time is limited.
 kernels: $(STAMP)
-	@$(BIN)/python -c "from atoll_coordinator.warmup import warm_up; warm_up()" & coordinator=$$!; \
-	  $(BIN)/python -c "from atoll_island_worker.compute.warmup import warm_up; warm_up(print)" && wait $$coordinator
-
-# For the test that compares the bits of different processors; two compilers at a time take no longer than one.
-generic-kernels: $(STAMP)
-	@$(BIN)/python -m tests.generic
+	@$(BIN)/python -m tests.kernels
 
 check: $(STAMP)
 	@$(BIN)/ruff check .

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
+from atoll.compilation.progress import WarmUpDisplay
 from atoll.errors import AtollError, UsageError
-from atoll_coordinator.cli.terminal.output import note
 from atoll_island_worker.compute.warmup import warm_up
 from atoll_island_worker.processes.signals import end_with_parent
 
@@ -31,7 +31,7 @@ def in_parallel(function: Callable[[Task], Run], tasks: Sequence[Task], workers:
     Raises:
         AtollError: a process was lost.
     """
-    warm_up(note)
+    warm_up(WarmUpDisplay())
     context = multiprocessing.get_context("spawn")
     with context.Pool(min(workers, len(tasks)) or 1, _begin, (os.getpid(),)) as pool:
         ended = pool.imap_unordered(function, tasks)

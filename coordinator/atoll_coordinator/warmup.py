@@ -1,10 +1,20 @@
 """Making all kernels of the coordinator ready before work comes: compiled once per machine, else loaded."""
 
+from typing import Final
+
+from atoll.compilation.warmup import Report, compile_or_load
 from atoll_coordinator.data.differentiation.warmup import warm_up as warm_up_data
 from atoll_coordinator.model.shooting.warmup import warm_up as warm_up_trajectories
 
+KERNELS: Final = 12
+"""How many kernels are compiled apart."""
 
-def warm_up() -> None:
-    """Compile or load every kernel of data preparation and of trajectory fits; some 15 seconds the first time."""
+
+def warm_up(report: Report) -> None:
+    """Compile or load every kernel of data preparation and of trajectory fits; see `compile_or_load`."""
+    compile_or_load("atoll_coordinator", _run_all, KERNELS, report)
+
+
+def _run_all() -> None:
     warm_up_data()
     warm_up_trajectories()

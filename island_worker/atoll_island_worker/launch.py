@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
@@ -84,7 +85,9 @@ def work(connect: "Destination", name: str, options: argparse.Namespace, parent:
         if parent is not None:
             end_with_parent(parent)
         configure(options.log_format, options.log_level, worker=name)
+        from atoll.compilation.progress import WarmUpDisplay
         from atoll_island_worker.worker import run_worker
 
         on_signal = partial(drain_on_signals, parent) if options.grace > 0.0 else lambda leave: nullcontext()
-        return run_worker(connect, name, options.wait, options.lifetime, options.grace, on_signal)
+        show = WarmUpDisplay() if sys.stderr.isatty() and options.parent is None else None  # else it is in the log
+        return run_worker(connect, name, options.wait, options.lifetime, options.grace, on_signal, show)

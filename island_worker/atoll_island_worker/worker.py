@@ -10,6 +10,7 @@ from contextlib import AbstractContextManager
 from functools import singledispatchmethod
 from typing import Final
 
+from atoll.compilation.progress import count_of
 from atoll.errors import AtollError, RemoteProtocolError
 from atoll.logs import fields
 from atoll.wire import topics
@@ -114,7 +115,9 @@ class Worker:
         match item:
             case WarmUpNote():
                 self._detail = item.sentence
-                _LOG.info("warm-up", extra=fields(detail=item.sentence))
+                done, kernels = count_of(item.sentence) or (0, 0)
+                level = logging.INFO if done in (0, kernels) else logging.DEBUG
+                _LOG.log(level, "warm-up", extra=fields(detail=item.sentence))
                 self._send_heartbeat()
             case WarmedUp():
                 self._detail = ""
@@ -294,13 +297,15 @@ class Worker:
 OnSignal = Callable[[Callable[[], None]], AbstractContextManager[None]]
 
 
-def run_worker(
-    connect: str | Destination, name: str, wait_s: float, lifetime_s: float | None, grace_s: float, on_signal: OnSignal
-) -> int:
+def run_worker(  # noqa: PLR0913  # one caller, which hands on the options of the command line
+    connect: str | Destination, name: str, wait_s: float, lifetime_s: float | None, grace_s: float, on_signal: OnSignal,
+    show: Callable[[str], None] | None = None,
+) -> int:  # fmt: skip
     """Connect to the coordinator at `connect` as worker `name` and work until it ends or lets us go.
 
     Kernels are made ready while the connection is still being sought. `wait_s` limits both the first connection and
-    any later absence of the coordinator. `on_signal` has a function called when this process is told to end.
+    any later absence of the coordinator. `on_signal` has a function called when this process is told to end,
+    `show` is called with each sentence of the warm-up.
 
     Returns:
         The exit code.
@@ -312,7 +317,7 @@ def run_worker(
     """
     from atoll.wire.bus.zenoh_bus import open_client
 
-    compute = ComputeThread()
+    compute = ComputeThread(show)
     compute.warm_up()
     try:
         with open_client(connect, wait_s=wait_s) as bus:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests import generic
+from tests import kernels
 
 ROOT = Path(__file__).resolve().parents[2]
 Answer = dict[str, Any]
@@ -73,4 +73,4 @@ def test_numpy_without_its_optional_processor_features_gives_the_same_bits(measu
 @pytest.mark.timeout(1200)
 def test_kernels_compiled_for_any_processor_give_the_same_bits(measurements: Path, native: Answer) -> None:
     """They are compiled once per machine, a minute, by ``make test`` before any test."""
-    assert answer(measurements, **generic.environment()) == native
+    assert answer(measurements, **kernels.environment()) == native

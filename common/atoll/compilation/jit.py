@@ -31,6 +31,9 @@ types = numba.types
 cgutils = numba.core.cgutils
 intrinsic: Callable[[Callable[..., Any]], Any] = numba.extending.intrinsic
 
+on_ready: Final[list[Callable[[], None]]] = []
+"""Functions that are called whenever a kernel has been compiled, or loaded from the cache."""
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 _STRICT: Final = {"nogil": True, "error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
@@ -142,3 +145,18 @@ class _Results(numba.core.caching.CompileResultCacheImpl):  # type: ignore[misc]
 
 class _Cache(numba.core.caching.FunctionCache):  # type: ignore[misc]
     _impl_class = _Results
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        result = super().load_overload(signature, target)
+        if result is not None:
+            _announce()
+        return result
+
+    def save_overload(self, signature: Any, data: Any) -> None:
+        super().save_overload(signature, data)
+        _announce()
+
+
+def _announce() -> None:
+    for function in on_ready:
+        function()

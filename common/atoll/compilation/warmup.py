@@ -9,18 +9,20 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from atoll.compilation.cache import cache_directory, is_compiled, marker
+from atoll.compilation.progress import sentence_of
 from atoll.errors import AtollError
 
 Report = Callable[[str], None]
 
 
-def compile_or_load(package: str, exercise: Callable[[], None], report: Report) -> None:
+def compile_or_load(package: str, exercise: Callable[[], None], kernels: int, report: Report) -> None:
     """Compile or load all kernels of `package`, which `exercise` runs. Does nothing with ``NUMBA_DISABLE_JIT``.
 
     Args:
         package: the package whose kernels these are.
         exercise: runs every kernel with the types that it is used with.
-        report: told in one sentence when it is going to take long, and why.
+        kernels: how many kernels `exercise` compiles or loads.
+        report: called with a sentence before the first compilation and after each kernel, or when this process waits.
 
     Raises:
         AtollError: the cache of compiled kernels cannot be written.
@@ -31,8 +33,8 @@ def compile_or_load(package: str, exercise: Callable[[], None], report: Report) 
     if not is_compiled(package):
         with _locked(directory / "lock", report):
             if not is_compiled(package):
-                report("compiling kernels, first time on this machine, about half a minute")
-                exercise()
+                with _counted(kernels, report):
+                    exercise()
                 marker(package).touch()
                 return
     exercise()
@@ -49,6 +51,28 @@ def _make(directory: Path) -> Path:
             "set ATOLL_KERNEL_CACHE to one that can"
         ) from error
     return directory
+
+
+@contextlib.contextmanager
+def _counted(kernels: int, report: Report) -> Iterator[None]:
+    """Report how many kernels are compiled, at the beginning, after each, and at the end."""
+    from atoll.compilation.jit import on_ready
+
+    done = 0
+
+    def count() -> None:
+        nonlocal done
+        done += 1
+        if done < kernels:  # the last is reported below, since some may have been ready before
+            report(sentence_of(done, kernels))
+
+    report(sentence_of(0, kernels))
+    on_ready.append(count)
+    try:
+        yield
+    finally:
+        on_ready.remove(count)
+    report(sentence_of(kernels, kernels))
 
 
 @contextlib.contextmanager

@@ -52,7 +52,9 @@ Result = WarmUpNote | WarmedUp | ComputeFailed | JobReady | LoadFailed | Snapsho
 class ComputeThread:
     """Computes the islands of one worker, one slice at a time. Methods return at once; results are posted later."""
 
-    def __init__(self) -> None:
+    def __init__(self, show: Callable[[str], None] | None = None) -> None:
+        """`show` is called with each sentence of the warm-up, in this thread of computing."""
+        self._show = show
         self._commands: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._unposted: list[Result] = []
         self._post: Callable[[object], None] | None = None
@@ -149,12 +151,17 @@ class ComputeThread:
             from atoll.compilation.sources import WORKER, source_digest
             from atoll_island_worker.compute.warmup import warm_up
 
-            warm_up(lambda sentence: self._post_all([WarmUpNote(sentence)]))
+            warm_up(self._report)
         except Exception as error:  # whatever it was, it is reported, and the worker ends
             _LOG.exception("warm-up failed")
             self._post_all([ComputeFailed(f"the kernels cannot be made ready on this machine: {brief(error)}")])
         else:
             self._post_all([WarmedUp(time.monotonic() - began, source_digest(WORKER))])
+
+    def _report(self, sentence: str) -> None:
+        if self._show is not None:
+            self._show(sentence)
+        self._post_all([WarmUpNote(sentence)])
 
     def _load(self, job: str, config: JobConfig, dataset: bytes, weight: float) -> None:
         self._queue.set_weight(job, weight)

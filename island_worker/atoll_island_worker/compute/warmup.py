@@ -9,18 +9,20 @@ if TYPE_CHECKING:
 
 _PACKAGE: Final = "atoll_island_worker"
 _ROWS: Final = 40
+KERNELS: Final = 13
+"""How many kernels an epoch needs that are compiled apart."""
 
 
 def warm_up(report: Report) -> None:
     """Compile or load every kernel that an epoch needs, by running a very small one for each preset.
 
     Args:
-        report: told in one sentence when it is going to take long, and why.
+        report: see `compile_or_load`.
 
     Raises:
         AtollError: the cache of compiled kernels cannot be written.
     """
-    compile_or_load(_PACKAGE, run_small_epochs, report)
+    compile_or_load(_PACKAGE, run_small_epochs, KERNELS, report)
 
 
 def run_small_epochs() -> None:

@@ -33,7 +33,7 @@ CALLED = {
 READY = """
 import importlib, sys
 from atoll_coordinator.warmup import warm_up
-warm_up()
+warm_up(lambda sentence: None)
 for name in sys.argv[1:]:
     kernels = {name: its for name, its in vars(importlib.import_module(name)).items() if hasattr(its, "signatures")}
     print(*(f"{name}.{kernel}" for kernel, its in kernels.items() if its.signatures))
@@ -43,6 +43,24 @@ for name in sys.argv[1:]:
 def test_every_kernel_is_ready_after_the_warm_up() -> None:
     ready = python(READY, *CALLED)
     assert {f"{module}.{kernel}" for module, kernels in CALLED.items() for kernel in kernels} <= ready
+
+
+COUNTED = """
+import sys, importlib
+from atoll.compilation.jit import on_ready
+ready = []
+on_ready.append(lambda: ready.append(1))
+module = importlib.import_module(sys.argv[1])
+module.warm_up(lambda sentence: None)
+print(f"{len(ready)}={module.KERNELS}")
+"""
+
+
+@pytest.mark.parametrize("module", ["atoll_coordinator.warmup", "atoll_island_worker.compute.warmup"])
+def test_the_count_of_kernels_that_progress_is_told_against_is_true(module: str) -> None:
+    (counts,) = python(COUNTED, module)
+    ready, expected = counts.split("=")
+    assert ready == expected
 
 
 def python(code: str, *words: str) -> set[str]:
@@ -96,17 +114,17 @@ def test_refining_is_made_ready_once_the_search_can_begin() -> None:
 def test_a_warm_up_that_fails_is_logged_and_nothing_else(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail() -> None:
+    def fail(report: object) -> None:
         raise OSError("no space left")
 
-    monkeypatch.setattr("atoll_coordinator.model.shooting.warmup.warm_up", fail)
+    monkeypatch.setattr("atoll_coordinator.warmup.warm_up", fail)
     with caplog.at_level(logging.ERROR):
         load_refinement()
     assert "warm-up failed" in caplog.text
 
 
-def test_a_real_coordinator_warms_up_the_kernels_of_refining(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_real_coordinator_warms_up_its_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     called = []
-    monkeypatch.setattr("atoll_coordinator.model.shooting.warmup.warm_up", lambda: called.append(1))
+    monkeypatch.setattr("atoll_coordinator.warmup.warm_up", lambda report: called.append(1))
     load_refinement()
     assert called == [1]

@@ -11,11 +11,12 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol
 
+from atoll.compilation.progress import count_of
 from atoll.wire.messages.views import FINAL_STATES, JobView, VariableView, WorkerView
 from atoll_coordinator.cli.terminal.output import clipped, count, duration, error_text, note, shortened
 
 PLAIN_INTERVAL_S: Final = 5.0
-_SECONDS: Final = re.compile(r"\b[0-9]+ s\b")
+_PASSING: Final = re.compile(r"\b[0-9]+ (s\b|of [0-9]+ compiled)")
 _HEADS: Final = ("equation", "epoch", "error", "size", "best so far", "")
 
 
@@ -72,6 +73,12 @@ def waiting(view: JobView, workers: Sequence[WorkerView], connect_hint: str) -> 
     return view.reason or (view.stalls[0] if view.stalls else "")
 
 
+def compiling(workers: Sequence[WorkerView]) -> list[tuple[int, int]]:
+    """Return for each worker that compiles the kernels how many of how many are compiled."""
+    counts = [count_of(worker.detail) for worker in workers if worker.state == "compiling"]
+    return [count for count in counts if count is not None]
+
+
 def row(variable: VariableView) -> tuple[str, ...]:
     """Return the cells of one equation, as in the heads of the table."""
     size = "-" if variable.complexity is None else str(variable.complexity)
@@ -105,8 +112,8 @@ def plain_lines(view: JobView, workers: Sequence[WorkerView], connect_hint: str)
 
 
 def unmeasured(sentence: str) -> str:
-    """Return a sentence without its numbers of seconds, so that it is the same a second later."""
-    return _SECONDS.sub("", sentence)
+    """Return a sentence without its numbers of seconds and of kernels, so that it is the same a second later."""
+    return _PASSING.sub("", sentence)
 
 
 class PlainDisplay:
@@ -193,6 +200,7 @@ class LiveDisplay:
     def _table(self, view: JobView, workers: Sequence[WorkerView]) -> Any:
         from rich import box
         from rich.console import Group
+        from rich.progress_bar import ProgressBar
         from rich.table import Table
         from rich.text import Text
 
@@ -203,4 +211,5 @@ class LiveDisplay:
             is_found = variable.verdict in ("exact", "good") if variable.verdict else variable.converged
             style = "green" if is_found else ""
             grid.add_row(*(Text(cell) for cell in row(variable)), style=style)
-        return Group(Text(headline(view, workers, self._hint)), *([grid] if view.variables else []))
+        bar = [ProgressBar(total=each[1], completed=each[0], width=40) for each in compiling(workers)]
+        return Group(Text(headline(view, workers, self._hint)), *bar, *([grid] if view.variables else []))

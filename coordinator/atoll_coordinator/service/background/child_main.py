@@ -43,9 +43,9 @@ def load_refinement() -> None:
         import scipy.special  # noqa: F401
 
         import atoll_coordinator.model.pipeline  # noqa: F401
-        from atoll_coordinator.model.shooting.warmup import warm_up
+        from atoll_coordinator.warmup import warm_up
 
-        warm_up()
+        warm_up(_LOG.debug)
     except Exception:
         _LOG.exception("warm-up failed")
 

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from atoll.compilation import cache as compiled
+from atoll.compilation import jit
+from atoll.compilation.progress import sentence_of
 from atoll.compilation.warmup import Report, compile_or_load
 from atoll.errors import AtollError
 
@@ -15,7 +17,7 @@ PACKAGE = "atoll_island_worker"
 
 
 def warm_up(report: Report, exercise: Callable[[], None]) -> None:
-    compile_or_load(PACKAGE, exercise, report)
+    compile_or_load(PACKAGE, exercise, 2, report)
 
 
 @pytest.fixture(autouse=True)
@@ -37,9 +39,9 @@ def test_the_first_time_is_announced_and_later_ones_are_not() -> None:
     said: list[str] = []
     exercise = Exercise()
     warm_up(said.append, exercise)
-    assert said == ["compiling kernels, first time on this machine, about half a minute"]
+    assert said == [sentence_of(0, 2), sentence_of(2, 2)]
     warm_up(said.append, exercise)
-    assert len(said) == 1
+    assert len(said) == 2
     assert exercise.count == 2
 
 
@@ -51,7 +53,14 @@ def test_a_compilation_that_failed_does_not_count() -> None:
     with pytest.raises(ValueError, match="no compiler"):
         warm_up(said.append, fail)
     warm_up(said.append, Exercise())
-    assert len(said) == 2
+    assert said == [sentence_of(0, 2), sentence_of(0, 2), sentence_of(2, 2)]
+
+
+def test_every_kernel_that_is_ready_is_counted() -> None:
+    said: list[str] = []
+    warm_up(said.append, lambda: jit.on_ready[-1]())
+    assert said == [sentence_of(done, 2) for done in (0, 1, 2)]
+    assert jit.on_ready == []
 
 
 def test_another_processor_is_another_first_time(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -59,7 +68,7 @@ def test_another_processor_is_another_first_time(monkeypatch: pytest.MonkeyPatch
     warm_up(said.append, Exercise())
     monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
     warm_up(said.append, Exercise())
-    assert len(said) == 2
+    assert len(said) == 4
 
 
 def test_kernels_for_a_chosen_processor_are_ready_on_every_machine(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,10 +80,10 @@ def test_kernels_for_a_chosen_processor_are_ready_on_every_machine(monkeypatch: 
     monkeypatch.setattr(compiled.platform, "processor", lambda: "another")
     monkeypatch.setattr(compiled, "_CPU_INFO", Path("/nowhere"))
     warm_up(said.append, Exercise())
-    assert len(said) == 1
+    assert len(said) == 2
     monkeypatch.delenv("NUMBA_CPU_FEATURES")
     warm_up(said.append, Exercise())
-    assert len(said) == 2
+    assert len(said) == 4
 
 
 def test_who_comes_while_another_compiles_waits_and_then_loads(cache: Path) -> None:
