@@ -1,7 +1,8 @@
 """What is said of the selected model.
 
 - `conclusion`: the model fitted to all rows, rounded, simulated and judged: `summarize`
-- `uncertainty`: standard errors, intervals and correlations of constants, bands of simulations
+- `standard_errors`: standard errors, intervals and correlations of constants
+- `simulation`: the model along measured trajectories, with bands
 - `residuals`: whether what a simulation leaves is as large as the noise, and without a pattern
 - `quadratic_forms`: how large it may be by chance
 - `verdict`: the grade of an equation, and the reason in one sentence

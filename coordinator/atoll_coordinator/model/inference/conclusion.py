@@ -9,22 +9,24 @@ from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, structure
 from atoll_coordinator.data.recording import Smoothing
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
-from atoll_coordinator.model.inference.uncertainty import (
-    Errors,
+from atoll_coordinator.model.inference.simulation import (
     bands,
-    describe_constants,
-    estimate_errors,
-    find_correlations,
     fit_starts,
     not_simulated,
     r2_of,
     scaled_covariance,
     simulated,
 )
+from atoll_coordinator.model.inference.standard_errors import (
+    Errors,
+    describe_constants,
+    estimate_errors,
+    find_correlations,
+)
 from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import Alternative, Origin, Refined, Refinement, Simulated, Simulation
+from atoll_coordinator.model.regression.covariance import Known, student_95
 from atoll_coordinator.model.regression.errors import errors_on
-from atoll_coordinator.model.regression.standard_errors import Known, student_95
 from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel

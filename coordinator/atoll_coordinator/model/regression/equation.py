@@ -17,11 +17,11 @@ from atoll.expression.operators import BY_NAME
 from atoll.expression.program import structure
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.refinement import Member, Refined, may_be_shown
+from atoll_coordinator.model.regression.covariance import estimate_constants
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import round_constants
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
-from atoll_coordinator.model.regression.standard_errors import estimate_constants
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.like_terms import gathered

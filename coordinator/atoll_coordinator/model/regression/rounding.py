@@ -14,9 +14,9 @@ import numpy as np
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, with_constants
 from atoll_coordinator.model.criteria import RegressionCriterion
+from atoll_coordinator.model.regression.covariance import covariance_of, description_length, standard_errors
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.simple_numbers import fitted_length, simple_numbers
-from atoll_coordinator.model.regression.standard_errors import covariance_of, description_length, standard_errors
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.algebra import tidied
 

@@ -17,9 +17,9 @@ import numpy as np
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.program import Program, structure
 from atoll_coordinator.model.criteria import RegressionCriterion, program_length
+from atoll_coordinator.model.regression.covariance import description_length
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.rounding import Model, round_constants
-from atoll_coordinator.model.regression.standard_errors import description_length
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.moves.neighbours import neighbours

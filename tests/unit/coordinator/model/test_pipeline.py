@@ -14,10 +14,10 @@ from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Pool, Refined, decode_members
 from atoll_coordinator.model.regression import shortening as shorten
+from atoll_coordinator.model.regression.covariance import description_length, student_95
 from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import round_constants
-from atoll_coordinator.model.regression.standard_errors import description_length, student_95
 from tests.unit.coordinator.model.fitting import CONFIG, dataset, entry, parsed, problem, settings, shown
 
 

@@ -9,8 +9,8 @@ from atoll.data.dataset import Problem, Target
 from atoll.expression.program import constant_places
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.criteria import RegressionCriterion, program_length
+from atoll_coordinator.model.regression.covariance import description_length, standard_errors
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.regression.standard_errors import description_length, standard_errors
 from tests.unit.coordinator.model.fitting import parsed, problem
 
 

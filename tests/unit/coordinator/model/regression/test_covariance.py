@@ -9,8 +9,8 @@ from atoll.data.dataset import Problem, Target
 from atoll.expression.simplification import simplify_program
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.criteria import RegressionCriterion
+from atoll_coordinator.model.regression.covariance import estimate_constants
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.regression.standard_errors import estimate_constants
 
 NAMES = ("x", "y", "z")
 TRUTH = {"x": 1.5, "y": -0.7, "z": 1.0, "": 2.0}

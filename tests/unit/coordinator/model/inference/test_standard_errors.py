@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from atoll.expression.program import constant_places
-from atoll_coordinator.model.inference import uncertainty as assess
-from atoll_coordinator.model.inference.uncertainty import (
+from atoll_coordinator.model.inference import standard_errors
+from atoll_coordinator.model.inference.simulation import (
     bands,
-    estimate_errors,
     fit_starts,
     not_simulated,
     r2_of,
     scaled_covariance,
     simulated,
 )
+from atoll_coordinator.model.inference.standard_errors import estimate_errors
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.structure.unit_coefficients import as_written
@@ -30,11 +30,13 @@ TRUTH = DECAY.parsed("-0.5*x")
 
 def describe_constants(its, shown, errors):
     """Return the written constants of each program, errors being those of the programs as they are written."""
-    return [each.written for each in assess.describe_constants(its, tuple(map(as_written, shown)), shown, errors)]
+    return [
+        each.written for each in standard_errors.describe_constants(its, tuple(map(as_written, shown)), shown, errors)
+    ]
 
 
 def find_correlations(its, variables, shown, errors):
-    return assess.find_correlations(its, variables, tuple(map(as_written, shown)), errors)
+    return standard_errors.find_correlations(its, variables, tuple(map(as_written, shown)), errors)
 
 
 def banded(its, rows, model):
