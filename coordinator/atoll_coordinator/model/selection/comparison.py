@@ -97,10 +97,13 @@ class ModelComparison:
         fit = fit_in_stages(self.estimator, self.system(programs), lengths, steps)
         return None if fit is None else self.measure(fit)
 
-    def fit_beside(self, near: FittedModel, programs: Sequence[Program], steps: int = 20) -> FittedModel | None:
-        """Return the fitted system of `programs`, begun with the initial states of `near`."""
-        its = near.fit
-        fit = self.estimator.fit(self.system(programs), None, steps, its.starts, its.sigmas, is_stiff=its.is_stiff)
+    def fit_beside(
+        self, near: FittedModel, programs: Sequence[Program], steps: int = 20,
+        fixed_nodes: Sequence[Iterable[int]] = (),
+    ) -> FittedModel | None:  # fmt: skip
+        """Return the fitted `system` of `programs` and `fixed_nodes`, begun with the initial states of `near`."""
+        its, system = near.fit, self.system(programs, fixed_nodes)
+        fit = self.estimator.fit(system, None, steps, its.starts, its.sigmas, is_stiff=its.is_stiff)
         return None if fit is None else self.measure(fit)
 
     def fit_exchanged(self, near: FittedModel, equation: int, program: Program, steps: int) -> FittedModel | None:

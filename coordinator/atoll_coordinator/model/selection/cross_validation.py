@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray
-from atoll.expression.program import constant_places
 from atoll_coordinator.model.criteria import trajectory_misfit
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.settings import SETTINGS
@@ -73,9 +72,8 @@ class Validation:
         )
         if fitted is None:
             return None
-        programs = fitted.system.programs[len(comparison.leading) :]
-        fixed = comparison.system(programs, [constant_places(program) for program in programs])
         rest = self._shooter(measurements.part(left_out))
+        fixed = fitted.system.with_fixed_constants()
         predicted = rest.fit(fixed, None, SETTINGS.selection.validation_steps, fit.starts[is_out], fit.sigmas)
         if predicted is None:
             return None

@@ -38,11 +38,10 @@ def _measured(
     """Return the nats and the programs of a decision, its open constants fitted; None when it cannot be simulated."""
     numbers = dict(decision.numbers)
     programs, fixed = _decided(comparison, model.programs, numbers)
-    system = comparison.system(programs, fixed)
-    fit = comparison.estimator.fit(system, None, SETTINGS.selection.rounding_steps, model.fit.starts, model.fit.sigmas)
-    if fit is None:
+    after = comparison.fit_beside(model, programs, SETTINGS.selection.rounding_steps, fixed)
+    if after is None:
         return None
-    after = comparison.measure(fit)
+    fit = after.fit
     open_errors = [
         float(variance) ** 0.5
         for variance in (comparison.correlation_length * bounded_covariance(fit)).diagonal().clip(0.0)

@@ -48,6 +48,11 @@ class System:
         constants[self.places] = values
         return replace(self, constants=constants)
 
+    def with_fixed_constants(self) -> "System":
+        """Return the system with no constant to be fitted, all as they are."""
+        none = np.zeros(0, dtype=np.int64)
+        return replace(self, parameters=np.full_like(self.parameters, -1), owners=none, places=none)
+
     @property
     def programs(self) -> tuple[Program, ...]:
         """The equations with the constants of the system."""
