@@ -133,7 +133,7 @@ class Pacer:
 
 
 class PacedCompute:
-    """A `atoll_island_worker.compute.compute_thread.Compute` whose islands take `period_s` an epoch."""
+    """A `atoll_island_worker.compute.compute_thread.ComputeThread` whose islands take `period_s` an epoch."""
 
     def __init__(self, samples: Samples, period_s: float, pacer: Pacer, books: Books) -> None:
         self.progress = 0
@@ -242,7 +242,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for number in range(options.first, options.first + options.workers):
             bus: Any = CountedBus(stack.enter_context(open_client(options.connect, CONNECT_LIMIT_S)), books)
             compute = PacedCompute(samples, options.period, pacer, books)
-            workers.append(Worker(bus, compute, f"s{number:04}", WAIT_S))
+            workers.append(Worker(bus, compute, f"s{number:04}", WAIT_S, grace_s=0.0))
         threads = [threading.Thread(target=worker.run, name=worker.name, daemon=True) for worker in workers]
         for thread in threads:
             thread.start()
@@ -250,7 +250,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stdout.write(json.dumps(asdict(books.take())) + "\n")
             sys.stdout.flush()
         for worker in workers:
-            worker.exit_code = 0
+            worker.leave()
         for thread in threads:
             thread.join()
     return 0
