@@ -4,13 +4,18 @@ Of several processes that find nothing compiled, one compiles while the others w
 """
 
 import contextlib
+import importlib
 import os
 from collections.abc import Callable, Iterator
+from importlib.metadata import version
 from pathlib import Path
+from typing import Final
 
 from atoll.compilation.cache import cache_directory, is_compiled, marker
 from atoll.compilation.progress import sentence_of
 from atoll.errors import AtollError
+
+_ADVICE: Final = "install a version from 0.63 to 0.68"
 
 Report = Callable[[str], None]
 
@@ -25,10 +30,11 @@ def compile_or_load(package: str, exercise: Callable[[], None], kernels: int, re
         report: called with a sentence before the first compilation and after each kernel, or when this process waits.
 
     Raises:
-        AtollError: the cache of compiled kernels cannot be written.
+        AtollError: the cache of compiled kernels cannot be written, or this numba lacks a part that `jit` builds on.
     """
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return
+    _import_compiler()
     directory = _make(cache_directory(package))
     if not is_compiled(package):
         with _locked(directory / "lock", report):
@@ -38,6 +44,13 @@ def compile_or_load(package: str, exercise: Callable[[], None], kernels: int, re
                 marker(package).touch()
                 return
     exercise()
+
+
+def _import_compiler() -> None:
+    try:
+        importlib.import_module("atoll.compilation.jit")
+    except (AttributeError, ImportError) as error:
+        raise AtollError(f"kernels cannot be compiled with numba {version('numba')} ({error}); {_ADVICE}") from error
 
 
 def _make(directory: Path) -> Path:

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from numba.core import caching, ccallback, dispatcher, registry
 
 from atoll.compilation.cache import cache_directory
 from atoll.compilation.jit import IS_COMPILED
@@ -52,3 +53,21 @@ def test_each_program_has_a_folder_and_shares_what_both_stand_on() -> None:
     assert packages_compiled_into("atoll_coordinator") == ("atoll", "atoll_coordinator")
     folders = {cache_directory(name) for name in ("atoll", "atoll_coordinator", "atoll_island_worker")}
     assert len(folders) == 3
+
+
+@pytest.mark.parametrize(
+    ("owner", "names"),
+    [
+        (registry.CPUDispatcher, ("add_overload", "get_call_template", "get_overload", "compile")),
+        (dispatcher, ("_FunctionCompiler",)),
+        (dispatcher._FunctionCompiler, ("_customize_flags",)),
+        (ccallback, ("CFunc",)),
+        (caching, ("CompileResultCacheImpl", "FunctionCache", "_CacheLocator")),
+        (caching.FunctionCache, ("_impl_class", "load_overload", "save_overload")),
+        (caching.CompileResultCacheImpl, ("_locator_classes",)),
+        (caching._CacheLocator, ("get_cache_path", "get_source_stamp", "get_disambiguator", "from_function")),
+    ],
+)
+def test_numba_has_the_internals_that_kernels_are_compiled_with(owner: object, names: tuple[str, ...]) -> None:
+    """They are no public interface: a version of numba that fails here needs changes in `atoll.compilation.jit`."""
+    assert [name for name in names if not hasattr(owner, name)] == []

@@ -1,10 +1,12 @@
 """Kernels are compiled by one process of a machine, and only the first time."""
 
 import fcntl
+import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
 
+import numba.core.dispatcher
 import pytest
 
 from atoll.compilation import cache as compiled
@@ -119,3 +121,10 @@ def test_without_a_compiler_there_is_nothing_to_do(monkeypatch: pytest.MonkeyPat
     exercise = Exercise()
     warm_up(lambda sentence: None, exercise)
     assert exercise.count == 0
+
+
+def test_a_numba_that_lacks_what_is_built_on_is_said_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "atoll.compilation.jit")
+    monkeypatch.delattr(numba.core.dispatcher, "_FunctionCompiler")
+    with pytest.raises(AtollError, match=r"with numba [0-9.]+ \(.*_FunctionCompiler.*\); install a version"):
+        warm_up(lambda sentence: None, Exercise())
