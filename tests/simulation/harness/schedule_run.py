@@ -15,8 +15,7 @@ from atoll.config import JobConfig
 from atoll.errors import AtollError, RefusedError, UnreachableError
 from atoll.wire.messages.views import FINAL_STATES, JobView
 from atoll_coordinator.client import Client
-from atoll_coordinator.service.search import archipelago
-from atoll_coordinator.service.search import checkpoints as checkpoint
+from atoll_coordinator.service.search import archipelago, checkpoint_schedule
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.fault_injector import FaultInjector
 from tests.simulation.harness.participants import STUBS, Cast, Participants
@@ -34,7 +33,8 @@ SETTLE_S: Final = 60.0
 
 _HURRIED: Final = (
     (archipelago, "FIRST_INTERVAL", 2), (archipelago, "PLAN_COMMITS", 1), (archipelago, "FORGET_EPOCHS", 2),
-    (checkpoint, "LEAST_INTERVAL", 1), (checkpoint, "PAUSE_S", 0.1), (checkpoint, "COST_S", 0.0),
+    (checkpoint_schedule, "LEAST_INTERVAL", 1), (checkpoint_schedule, "PAUSE_S", 0.1),
+    (checkpoint_schedule, "COST_S", 0.0),
 )  # fmt: skip
 
 
