@@ -35,9 +35,8 @@ def compile_or_load(package: str, exercise: Callable[[], None], kernels: int, re
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return
     _import_compiler()
-    directory = _make(cache_directory(package))
-    if not is_compiled(package):
-        with _locked(directory / "lock", report):
+    if not is_compiled(package):  # else a folder that can only be read does
+        with _locked(_make(cache_directory(package)) / "lock", report):
             if not is_compiled(package):
                 with _counted(kernels, report):
                     exercise()

@@ -116,6 +116,17 @@ def test_a_cache_that_cannot_be_written_is_said_with_advice(tmp_path: Path, monk
         warm_up(lambda sentence: None, Exercise())
 
 
+def test_kernels_that_are_compiled_are_loaded_from_a_folder_that_can_only_be_read(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exercise = Exercise()
+    warm_up(lambda said: None, exercise)
+    cache.chmod(0o500)
+    monkeypatch.setattr("os.access", lambda place, mode: False)  # root may write everywhere
+    warm_up(lambda said: pytest.fail(said), exercise)
+    assert exercise.count == 2
+
+
 def test_without_a_compiler_there_is_nothing_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
     exercise = Exercise()
