@@ -210,11 +210,3 @@ def test_a_stranger_who_makes_up_what_it_holds_fills_no_memory() -> None:
         )
         controller.add_heartbeat("w0", status, world.network.now)
     assert len(controller.counters._waited_s) < 5
-
-
-def test_a_job_of_the_id_of_a_deleted_one_is_searched_like_any_other() -> None:
-    world = World(workers=2)
-    first = comparable(world.run(config(3)))
-    world.client.delete("job")
-    assert world.client.jobs() == ()
-    assert comparable(world.run(config(5))) == alone(5) != first

@@ -95,7 +95,7 @@ class Controller:
         """Take in a job. The same id with the same contents again changes nothing, nor does it whose job it is.
 
         Raises:
-            RefusedError: The id belongs to another job, or the table has not been uploaded.
+            RefusedError: The id belongs to another job or to a deleted one, or the table has not been uploaded.
         """
         spec = body.config.model_dump_json()
         known = self._store.job(body.job)
@@ -103,8 +103,8 @@ class Controller:
             if (known.spec, known.table_digest, known.priority) != (spec, body.table, body.priority):
                 raise RefusedError(f"job {body.job} exists already with other contents; submit under another id")
             return
-        if self.checkpoints.is_writing(body.job):  # else it could be taken for one of this job
-            raise RefusedError(f"a checkpoint of the deleted job {body.job} is still being written; submit again")
+        if self._store.is_deleted(body.job):  # workers may still hold its data, and take them for those of this job
+            raise RefusedError(f"job {body.job} was deleted, and its id is not given again; submit under another id")
         if not self._store.has_blob(body.table):
             raise RefusedError(f"the table of job {body.job} has not been uploaded; upload it, then submit again")
         submitted = self._clock()
@@ -236,7 +236,7 @@ class Controller:
         self.checkpoints.mark_written(checkpoint)
         job = self.jobs.get(checkpoint.job)
         archipelago = job.archipelagos.get(checkpoint.variable) if job is not None else None
-        if archipelago is not None and archipelago.is_writing:  # the id of a deleted job may be used again
+        if archipelago is not None:
             commit = archipelago.mark_durable(checkpoint, now)
             self.counters.add(checkpoint.job, commits=1)
             self.workers.add_commit(checkpoint)

@@ -33,10 +33,6 @@ class PullBudget:
         """Bytes of all states that are here."""
         return sum(self._gathered.values()) + sum(self._written.values())
 
-    def is_writing(self, job: str) -> bool:
-        """Tell whether a checkpoint of a job is being written; it may have ended, and been deleted, meanwhile."""
-        return any(key[0] == job for key in self._written)
-
     def begin_round(self, archipelagos: Mapping[ArchipelagoKey, Archipelago]) -> None:
         """Forget checkpoints that were given up: their archipelago is not among the open ones, or lost a worker."""
         for key in list(self._gathered):

@@ -7,14 +7,9 @@ from atoll_coordinator.service.store import jobs as job_table
 
 
 def ensure(sql: sqlite3.Connection, job: str, variable: str) -> None:
-    """Add an archipelago unless it is there; raises LocalProtocolError when its job is not.
-
-    Its terms begin above those of all archipelagos that were deleted: workers may remember one of the same name.
-    """
+    """Add an archipelago unless it is there; raises LocalProtocolError when its job is not."""
     job_table.require(sql, job)
-    sql.execute(
-        "INSERT OR IGNORE INTO archipelagos (job, variable, term) SELECT ?, ?, deleted_term FROM realm", (job, variable)
-    )
+    sql.execute("INSERT OR IGNORE INTO archipelagos (job, variable) VALUES (?, ?)", (job, variable))
 
 
 def raise_term(sql: sqlite3.Connection, job: str, variable: str) -> int:
@@ -58,10 +53,5 @@ def has_ended(sql: sqlite3.Connection, job: str, variable: str) -> bool:
 
 
 def delete(sql: sqlite3.Connection, job: str) -> None:
-    """Delete the archipelagos of a job, but keep in mind up to where their terms have come."""
-    sql.execute(
-        "UPDATE realm SET deleted_term = max(deleted_term, "
-        "(SELECT coalesce(max(term), 0) FROM archipelagos WHERE job = ?))",
-        (job,),
-    )
+    """Delete the archipelagos of a job."""
     sql.execute("DELETE FROM archipelagos WHERE job = ?", (job,))

@@ -111,6 +111,12 @@ def oldest_ended(sql: sqlite3.Connection) -> JobRecord | None:
 
 
 def delete(sql: sqlite3.Connection, job: str) -> None:
-    """Delete a job, whose archipelagos have been deleted, and who submitted it."""
+    """Delete a job and who submitted it; its id is remembered, and given to no other job."""
     sql.execute("DELETE FROM submitters WHERE job = ?", (job,))
     sql.execute("DELETE FROM jobs WHERE id = ?", (job,))
+    sql.execute("INSERT OR IGNORE INTO deleted_jobs (id) VALUES (?)", (job,))
+
+
+def is_deleted(sql: sqlite3.Connection, job: str) -> bool:
+    """Tell whether there was a job of this id that has been deleted."""
+    return sql.execute("SELECT 1 FROM deleted_jobs WHERE id = ?", (job,)).fetchone() is not None

@@ -63,13 +63,13 @@ CREATE TABLE deaths (
 )
 """
 
-_LAYOUT_4_DELETED_TERM: Final = "ALTER TABLE realm ADD COLUMN deleted_term INTEGER NOT NULL DEFAULT 0"
+_LAYOUT_4_DELETED_JOBS: Final = "CREATE TABLE deleted_jobs (id TEXT PRIMARY KEY)"
 
 _LAYOUTS: Final = (
     _LAYOUT_1,
     ";".join((_LAYOUT_2_PRIORITIES, _LAYOUT_2_EVENTS, _LAYOUT_2_CHECKPOINTS, _LAYOUT_2_SUBMITTERS)),
     _LAYOUT_3_DEATHS,
-    _LAYOUT_4_DELETED_TERM,
+    _LAYOUT_4_DELETED_JOBS,
 )
 """What each version of the layout adds to the one before. A new store goes through all of them, an old one through
 those that it lacks."""

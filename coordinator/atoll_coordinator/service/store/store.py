@@ -173,6 +173,11 @@ class Store:
             digests = [each for each in (record.table_digest, record.dataset_digest) if each is not None]
             blob_table.delete_unused(sql, digests)
 
+    def is_deleted(self, job: str) -> bool:
+        """Tell whether there was a job of this id that has been deleted."""
+        with self._transaction() as sql:
+            return job_table.is_deleted(sql, job)
+
     def used_bytes(self) -> int:
         """Return the size of the store's file without its free pages."""
         with self._transaction() as sql:

@@ -11,8 +11,6 @@ from atoll.wire.security.access_control import Roster
 from atoll_coordinator.service.controller import Controller
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import CHECK_INTERVAL_S, JobDeletion
-from atoll_coordinator.service.search.archipelago import Checkpoint
-from atoll_coordinator.service.search.collector import SearchState
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.retention import Retention
 from atoll_coordinator.service.store.store import Store
@@ -74,18 +72,16 @@ def test_a_live_job_is_not_deleted(store: Store) -> None:
     assert store.job("a") is not None
 
 
-def test_the_id_of_a_deleted_job_is_free_once_its_last_checkpoint_has_been_written(store: Store) -> None:
+def test_the_id_of_a_deleted_job_is_not_given_again(store: Store) -> None:
+    """A worker that missed the end of the deleted job would compute the new one on the old data."""
     add(store, "a", "10")
     deletes, controller = deletion(store)
-    checkpoint = Checkpoint("a", "x", 1, 8, SearchState(), {})
-    controller.checkpoints._written[checkpoint.key] = 0  # its search was cancelled meanwhile
     deletes.delete("a", "a client asked for it")
     again = Submit(job="a", name="a", config=JobConfig(), table=store.put_blob(b"table"))
-    with pytest.raises(RefusedError, match="a checkpoint of the deleted job a is still being written; submit again"):
+    with pytest.raises(RefusedError, match="job a was deleted, and its id is not given again; submit under another"):
         controller.submit(again, 1.0)
-    controller.commit_checkpoint(checkpoint, 2.0)
-    controller.submit(again, 3.0)
-    assert "a" in controller.jobs
+    controller.submit(again.model_copy(update={"job": "b"}), 2.0)
+    assert list(controller.jobs) == ["b"]
 
 
 def test_jobs_beyond_an_age_are_deleted_oldest_first(store: Store) -> None:
