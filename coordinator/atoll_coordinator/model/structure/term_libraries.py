@@ -138,7 +138,7 @@ def _expression(factor: Factor) -> Expression:
 
 
 def column_of(term: Term, inputs: FloatArray) -> FloatArray:
-    """Return the values of a term (R,) at `inputs` (V, R)."""
+    """Return the values of a term (R,) at `inputs` (V, R), NaN everywhere if its divisor is zero somewhere."""
     column = np.ones(inputs.shape[1])
     for factor in term:
         values = inputs[factor.variable]
@@ -149,5 +149,7 @@ def column_of(term: Term, inputs: FloatArray) -> FloatArray:
         if factor.divisor is not None:
             with np.errstate(all="ignore"):
                 values = 1.0 / (values**factor.divisor.power + factor.divisor.shift)
+            if not np.isfinite(values).all():
+                return np.full_like(column, np.nan)
         column = column * values
     return column

@@ -94,3 +94,9 @@ def test_terms_with_equal_denominators_have_one_constant_in_common(place):
     columns = np.array([column_of(term, inputs) for term in terms])
     assert values_of(program, inputs) == pytest.approx(coefficients @ columns, rel=1e-9)
     assert len(constant_places(program)) == len(terms) + (place < 8)
+
+
+def test_a_term_whose_divisor_vanishes_has_no_value_and_warns_of_nothing():
+    inputs = np.array([[0.0, 1.0, 2.0], [0.0, 3.0, 4.0]])
+    assert np.isnan(column_of((Factor(1), Factor(0, divisor=Divisor(0))), inputs)).all()
+    assert np.isnan(column_of((Factor(0, divisor=Divisor(0)), Factor(1)), inputs)).all()
