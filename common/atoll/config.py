@@ -70,7 +70,7 @@ class DataConfig(Model):
     )
     weights: str | None = Field(None, description="column of row weights: inverse variances, up to a factor; 0: unused")
     offsets: tuple[str, ...] = Field((), description="states measured up to an offset that each trajectory has its own")
-    missing: Literal["refuse", "drop"] = Field("refuse", description="what to do with rows holding NaN or infinity")
+    missing: Literal["refuse", "drop"] = Field("refuse", description="what to do with NaN and infinity")
 
 
 class SpaceConfig(Model):

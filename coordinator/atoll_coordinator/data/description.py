@@ -46,7 +46,7 @@ def _size(table: Table, measurements: Measurements) -> str:
     files = ", ".join(table.files) if len(table.files) <= 3 else f"{len(table.files)} files"
     count = len(measurements.ranges)
     trajectories = f"{count} trajectories, " if count > 1 else ""
-    used = f" ({measurements.row_count} without missing values)" if measurements.row_count < table.rows else ""
+    used = f" ({measurements.row_count} that can be used)" if measurements.row_count < table.rows else ""
     return f"{files}: {trajectories}{table.rows} rows{used}"
 
 

@@ -7,12 +7,15 @@ were measured. Pure data. Letters: R rows of one trajectory, S states, U inputs.
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+import numpy.typing as npt
+
 from atoll.data.dataset import Dataset, FloatArray
 
 Method = Literal["interpolation", "loess", "robust loess"]
-Reason = Literal["end", "gap", "jump", "outlier"]
+Reason = Literal["end", "gap", "jump", "outlier", "missing"]
 """Why a row is not used: near an end of its trajectory, near a gap in the times, where the state changes too fast for
-the sampling or for the smoother, or as an outlier."""
+the sampling or for the smoother, as an outlier, or because the state is missing and its other rows do not tell it."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,8 @@ class Trajectory:
     strictly, centred over all trajectories; `measured`, `smoothed` and `slopes` are (S, R), angles unwrapped and in
     radians; `slopes` are first derivatives. `inputs` and `input_slopes` are (U, R): an input between rows is the cubic
     with these values and slopes. `held_out` trajectories were kept from the search and from every fit.
+    `measured` is NaN where a value is missing; `is_known` (S, R) tells where `smoothed` is known all the same, None:
+    everywhere.
     `robustness_weights` (S, R), from 0 (an outlier) to 1, reduce the weight of single measurements; None: all are 1.
     `weights` (R,) divide the variance of the errors of each row and are 1 on average over all rows; None: all are 1.
     """
@@ -46,6 +51,7 @@ class Trajectory:
     held_out: bool = False
     robustness_weights: FloatArray | None = None
     weights: FloatArray | None = None
+    is_known: npt.NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)

@@ -198,9 +198,7 @@ def _add_data(group: Any) -> None:
     )
     group.add_argument("--only", metavar="x", help="search these equations only; the other states stay usable")
     group.add_argument("--offsets", metavar="x", help="states measured up to an offset, fitted for each trajectory")
-    group.add_argument(
-        "--missing", metavar="refuse|drop", help="what to do with rows holding NaN or infinity (default: refuse)"
-    )
+    group.add_argument("--missing", metavar="refuse|drop", help="what to do with NaN and infinity (default: refuse)")
     group.add_argument("--robust", action="store_true", help="smooth so that outliers lose their weight")
     group.add_argument(
         "--holdout", metavar="K|run=4", help="keep K last trajectories, or that one, from the search, to judge by them"

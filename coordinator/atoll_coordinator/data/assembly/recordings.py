@@ -46,6 +46,7 @@ def build_recording(
         ones = np.ones(rows)
         given = [estimate.robustness_weights for estimate in estimates]
         robustness_weights = _stack([ones if each is None else each for each in given], rows)
+    is_known = np.array([estimate.is_known for estimate in estimates])
     trajectories = [
         Trajectory(
             name,
@@ -58,6 +59,7 @@ def build_recording(
             held_out,
             None if robustness_weights is None else _part(robustness_weights, place),
             None if weights is None else _part(weights, place),
+            None if is_known.all() else np.ascontiguousarray(is_known[:, slice(*place)]),
         )
         for name, times, place, held_out in zip(
             whole.names, whole.times, measurements.ranges, measurements.held_out, strict=True

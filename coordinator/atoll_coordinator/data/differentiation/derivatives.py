@@ -11,8 +11,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll.data.dataset import FloatArray
+from atoll.errors import DataError
 from atoll_coordinator.data.differentiation.interpolation import (
     STENCIL_ROWS,
     estimate_value_noise,
@@ -21,6 +23,7 @@ from atoll_coordinator.data.differentiation.interpolation import (
     predict_left_out,
 )
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
+from atoll_coordinator.data.differentiation.missing_values import fill, fill_holes, make_signal
 from atoll_coordinator.data.differentiation.robust import fit_robustly, has_heavy_tails, weigh_by
 from atoll_coordinator.data.differentiation.smoothing import (
     Signal,
@@ -41,11 +44,12 @@ class StateEstimate:
 
     `values` are interpolated (as measured) or smoothed; `derivative` is the one sought, `velocity` the first one;
     `uncertainty` is the standard error of `derivative`, and `total_uncertainty` the root of its square and that of the
-    estimated bias (where the state was interpolated, the same as `uncertainty`). `noise` is the estimated standard
-    deviation of the measurement errors and `standard_deviation` that of the measurements; `smoother` is None where the
-    state was interpolated. `outliers`, how many rows have no weight, and `robustness_weights` are None unless loess was
-    robust; `has_heavy_tails` advises that it should be. `narrower_noise` is the noise by loess with the narrower span,
-    `narrower_span` (rows), by which the bias is estimated.
+    estimated bias (where the state was interpolated, the same as `uncertainty`). Where the state is missing and its own
+    rows do not tell it, both are infinite, the derivatives 0, and a value nearby stands in. `noise` is the estimated
+    standard deviation of the measurement errors and `standard_deviation` that of the measurements; `smoother` is None
+    where the state was interpolated. `outliers`, how many rows have no weight, and `robustness_weights` are None unless
+    loess was robust; `has_heavy_tails` advises that it should be. `narrower_noise` is the noise by loess with
+    the narrower span, `narrower_span` (rows), by which the bias is estimated.
     """
 
     values: FloatArray
@@ -61,6 +65,11 @@ class StateEstimate:
     has_heavy_tails: bool = False
     narrower_noise: float = 0.0
     narrower_span: int = 0
+
+    @property
+    def is_known(self) -> npt.NDArray[np.bool_]:
+        """Where the state is known (R,): it was measured, or its own rows tell it."""
+        return np.isfinite(self.total_uncertainty)
 
     @property
     def is_interpolated(self) -> bool:
@@ -113,16 +122,20 @@ def estimate_states(
         options: how.
 
     Raises:
-        DataError: the derivative of a state is zero everywhere, or beyond the range of numbers.
+        DataError: a state has too few values along every trajectory, or its derivative is zero everywhere, or beyond
+            the range of numbers.
     """
     assert measurements.trajectories is not None
     parts = [None if weights is None else weights[first:last] for first, last in measurements.ranges]
     estimates = []
     for state, along in measurements.trajectories.states.items():
         signals = [
-            Signal(times, values, inverse_variances=part)
+            make_signal(times, values, part)
             for times, values, part in zip(measurements.trajectories.times, along, parts, strict=True)
         ]
+        if not any(map(_is_long_enough, _not_held_out(signals, measurements.held_out))):
+            few = SETTINGS.checks.min_rows
+            raise DataError(f"state '{state}' has fewer than {few} values along every trajectory; sample more of them")
         estimates.append(estimate_derivatives(signals, options, measurements.held_out))
         derivative_standard_deviation(state, estimates[-1].derivative)
     return estimates
@@ -134,7 +147,8 @@ def estimate_derivatives(
     """Return values and derivatives of one state, over all rows of all signals.
 
     Args:
-        signals: the state along each trajectory, 5 rows or more each.
+        signals: the state along each trajectory, 5 rows or more each; where fewer of them were measured, the state is
+            not known there.
         options: how.
         held_out: for each signal, whether it takes no part in any choice; empty: all do.
     """
@@ -154,13 +168,13 @@ def _rescale(estimate: StateEstimate, exponent: int) -> StateEstimate:
 
 
 def _estimate(signals: Sequence[Signal], options: Differentiation, held_out: Sequence[bool]) -> StateEstimate:
-    searched = [signal for signal, is_held_out in zip(signals, held_out, strict=True) if not is_held_out]
+    searched = [signal for signal in _not_held_out(signals, held_out) if _is_long_enough(signal)]
     smoother = select_smoother(searched, options.degrees)
     smoothed = [smooth(signal, smoother) for signal in searched]
     is_tailed = has_heavy_tails(searched, smoothed)
     is_weighted = any(signal.inverse_variances is not None for signal in signals)
     if not options.paper and not is_weighted and not (options.robust and is_tailed):
-        errors, gains = predict_left_out(searched)
+        errors, gains = predict_left_out([signal.measured for signal in searched])
         noise, deviation = estimate_value_noise(errors, gains), _standard_deviation(searched)
         is_small = noise <= SETTINGS.interpolation.largest_noise * deviation
         if is_small and is_interpolation_better(searched, errors, smoothed):
@@ -169,7 +183,7 @@ def _estimate(signals: Sequence[Signal], options: Differentiation, held_out: Seq
     if fit is None or not fit.outliers:
         return replace(_by_loess(signals, smoother, options.order, searched), has_heavy_tails=is_tailed)
     rest = iter(fit.signals)
-    weighted = [weigh_by(fit, signal) if out else next(rest) for signal, out in zip(signals, held_out, strict=True)]
+    weighted = [next(rest) if any(signal is each for each in searched) else weigh_by(fit, signal) for signal in signals]
     given = [signal.robustness_weights for signal in weighted]
     weights = [
         np.ones(len(signal.times)) if each is None else each for signal, each in zip(weighted, given, strict=True)
@@ -189,10 +203,47 @@ def _by_loess(signals: Sequence[Signal], smoother: Smoother, order: int, searche
     bias = fits[order] - narrower_fits[order]
     uncertainty = noise * gains[order]
     total = np.sqrt(uncertainty * uncertainty + bias * bias)
-    return StateEstimate(
+    estimate = StateEstimate(
         fits[0], fits[1], fits[order], uncertainty, total, noise, _standard_deviation(searched), smoother,
         narrower_noise=narrower_noise, narrower_span=narrower.rows,
     )  # fmt: skip
+    return _without_unknown(estimate, signals, gains[0])
+
+
+def _without_unknown(estimate: StateEstimate, signals: Sequence[Signal], gains: FloatArray) -> StateEstimate:
+    """Return the estimate with what is not known said to be so.
+
+    A missing value is known where it is as certain, by the others, as one measurement: where its noise gain (R,) is at
+    most 1.
+    """
+    if all(signal.is_measured is None for signal in signals):
+        return estimate
+    is_long = np.concatenate([np.full(len(signal.times), _is_long_enough(signal)) for signal in signals])
+    ones = [np.ones(len(signal.times)) if signal.is_measured is None else signal.is_measured for signal in signals]
+    is_known = is_long & ((np.concatenate(ones) > 0.0) | (gains <= 1.0))
+    held, start = estimate.values.copy(), 0
+    for signal in signals:
+        part = slice(start, start + len(signal.times))
+        rows = is_known[part] if is_known[part].any() else np.concatenate(ones)[part] > 0.0
+        held[part] = fill(signal.times, held[part], rows, 1)[0] if rows.any() else moments(held[is_known])[0]
+        start = part.stop
+    return replace(
+        estimate,
+        values=held,
+        velocity=np.where(is_known, estimate.velocity, 0.0),
+        derivative=np.where(is_known, estimate.derivative, 0.0),
+        uncertainty=np.where(is_known, estimate.uncertainty, math.inf),
+        total_uncertainty=np.where(is_known, estimate.total_uncertainty, math.inf),
+    )
+
+
+def _not_held_out(signals: Sequence[Signal], held_out: Sequence[bool]) -> list[Signal]:
+    return [signal for signal, is_held_out in zip(signals, held_out, strict=True) if not is_held_out]
+
+
+def _is_long_enough(signal: Signal) -> bool:
+    """Say whether enough rows of a signal were measured for it to have a derivative."""
+    return len(signal.measured.times) >= SETTINGS.checks.min_rows
 
 
 def _joined(smoothed: Sequence[SmoothedSignal]) -> tuple[FloatArray, FloatArray]:
@@ -207,9 +258,27 @@ def _standard_deviation(signals: Sequence[Signal]) -> float:
 
 
 def _interpolate(signals: Sequence[Signal], order: int, noise: float, deviation: float) -> StateEstimate:
-    velocity, uncertainty = interpolate_derivative(signals, 1, noise)
+    filled = [fill_holes(signal) for signal in signals]
+    known = [np.flatnonzero(np.isfinite(each.steps)) for each in filled]
+    parts = [slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) else slice(0) for rows in known]
+    whole = [
+        Signal(each.signal.times[part], each.signal.values[part]) for each, part in zip(filled, parts, strict=True)
+    ]
+    errors = [
+        np.maximum(noise, noise * each.gains + each.steps)[part] for each, part in zip(filled, parts, strict=True)
+    ]
+    rows = np.concatenate([np.isfinite(each.steps) for each in filled])
+    velocity, uncertainty = _spread(interpolate_derivative(whole, 1, errors), rows)
     derivative = velocity
     if order == 2:
-        derivative, uncertainty = interpolate_derivative(signals, 2, noise)
-    values = np.concatenate([signal.values for signal in signals])
-    return StateEstimate(values, velocity, derivative, uncertainty, uncertainty, noise, deviation, None)
+        derivative, uncertainty = _spread(interpolate_derivative(whole, 2, errors), rows)
+    values = np.concatenate([each.signal.values for each in filled])
+    estimate = StateEstimate(values, velocity, derivative, uncertainty, uncertainty, noise, deviation, None)
+    return _without_unknown(estimate, signals, np.where(rows, 0.0, math.inf))
+
+
+def _spread(parts: tuple[FloatArray, FloatArray], is_known: npt.NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """Return derivative and uncertainty at all rows, given those at the rows known; elsewhere 0 and infinite."""
+    derivative, uncertainty = np.zeros(len(is_known)), np.full(len(is_known), math.inf)
+    derivative[is_known], uncertainty[is_known] = parts
+    return derivative, uncertainty

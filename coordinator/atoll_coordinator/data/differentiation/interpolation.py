@@ -77,10 +77,10 @@ def is_interpolation_better(signals: Sequence[Signal], errors: FloatArray, smoot
 
     Args:
         signals: one state along each trajectory.
-        errors: by which interpolation misses the rows, from `predict_left_out`.
+        errors: by which interpolation misses the rows that were measured, from `predict_left_out`.
         smoothed: loess of each of `signals`.
     """
-    inner = mark_ends([len(signal.times) for signal in signals]) == 0.0
+    inner = mark_ends([len(signal.measured.times) for signal in signals]) == 0.0
     by_loess = _loess_errors(signals, smoothed)[inner]
     for share in LIMITS.judged_shares:
         by_interpolation = min(_typical_size(errors[inner, width], share) for width in range(HALF_WIDTHS))
@@ -89,25 +89,34 @@ def is_interpolation_better(signals: Sequence[Signal], errors: FloatArray, smoot
     return False
 
 
-def interpolate_derivative(signals: Sequence[Signal], order: int, noise: float) -> tuple[FloatArray, FloatArray]:
-    """Return the derivative of the given order and its uncertainty, both (R,), over the rows of all signals."""
+def interpolate_derivative(
+    signals: Sequence[Signal], order: int, noise: Sequence[FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the derivative of the given order and its uncertainty, both (R,), over the rows of all signals.
+
+    `noise` has the standard errors of the values of each signal.
+    """
     derivatives, uncertainties = [], []
-    for signal in signals:
+    for signal, errors in zip(signals, noise, strict=True):
         rows = len(signal.times)
         slopes, gains = np.empty((rows, HALF_WIDTHS)), np.empty((rows, HALF_WIDTHS))
         differences_into(slopes, gains, signal.times, signal.values, order)
         derivatives.append(np.empty(rows))
         uncertainties.append(np.empty(rows))
-        rounding = np.maximum(noise, 2.0**-53 * np.abs(signal.values))
+        rounding = np.maximum(errors, 2.0**-53 * np.abs(signal.values))
         best_stencil_into(derivatives[-1], uncertainties[-1], slopes, gains, rounding)
     return np.concatenate(derivatives), np.concatenate(uncertainties)
 
 
 def _loess_errors(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> FloatArray:
-    """Return the leave-one-out errors (R,) of loess: residual / (1 - leverage)."""
+    """Return the leave-one-out errors of loess, residual / (1 - leverage), of all rows that were measured."""
     values = np.concatenate([signal.values for signal in signals])
     fits = np.concatenate([each.fits[0] for each in smoothed])
     leverages = np.concatenate([each.gains[3] for each in smoothed])
+    if any(signal.is_measured is not None for signal in signals):
+        ones = [np.ones(len(signal.times)) if signal.is_measured is None else signal.is_measured for signal in signals]
+        rows = np.concatenate(ones) > 0.0
+        values, fits, leverages = values[rows], fits[rows], leverages[rows]
     errors: FloatArray = (values - fits) / np.maximum(1.0 - leverages, LIMITS.least_freedom)
     return errors
 

@@ -34,17 +34,17 @@ class RobustFit:
 
     @property
     def outliers(self) -> int:
-        """How many rows have no weight."""
-        return sum(signal.weights.tolist().count(0.0) for signal in self.signals)
+        """How many measured rows have no weight."""
+        return sum(signal.measured.weights.tolist().count(0.0) for signal in self.signals)
 
 
 def fit_robustly(signals: Sequence[Signal], degrees: Sequence[int]) -> RobustFit:
     """Return `signals` with low robustness weights in rows far from the curve, 0 in outliers."""
     fit = RobustFit(tuple(signals), select_smoother(signals, degrees), 0.0)
-    least = LIMITS.least_residual * moments(np.concatenate([signal.values for signal in signals]))[1]
+    least = LIMITS.least_residual * moments(np.concatenate([signal.measured.values for signal in signals]))[1]
     for _ in range(LIMITS.rounds):
         residuals = _residuals(fit.signals, [smooth(signal, fit.smoother) for signal in fit.signals])
-        median = max(_median(residuals), least)
+        median = max(_median(residuals, signals), least)
         if not median > 0.0:
             break
         weighted = tuple(_weigh(signal, part, median) for signal, part in zip(signals, residuals, strict=True))
@@ -65,7 +65,7 @@ def weigh_by(fit: RobustFit, signal: Signal) -> Signal:
 def has_heavy_tails(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> bool:
     """Say whether some rows lie so far from the curve, and so alone, that they cannot be noise like the others'."""
     residuals = _residuals(signals, smoothed)
-    limit = LIMITS.reach * NORMAL_DEVIATION * _median(residuals)
+    limit = LIMITS.reach * NORMAL_DEVIATION * _median(residuals, signals)
     count = sum(_count_isolated(np.abs(part).tolist(), limit) for part in residuals)
     return limit > 0.0 and count >= max(LIMITS.fewest, sum(len(part) for part in residuals) / LIMITS.rows_per_outlier)
 
@@ -80,17 +80,28 @@ def _count_isolated(sizes: list[float], limit: float) -> int:
 
 
 def _residuals(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> list[FloatArray]:
-    """Return measured minus smoothed values, over the standard deviation that a row of this inverse variance has."""
+    """Return measured minus smoothed values, over the standard deviation that a row of this inverse variance has.
+
+    They are 0 where the value is missing.
+    """
     parts = [signal.values - fit.fits[0] for signal, fit in zip(signals, smoothed, strict=True)]
+    parts = [
+        part if signal.is_measured is None else part * signal.is_measured
+        for part, signal in zip(parts, signals, strict=True)
+    ]
     return [
         part if signal.inverse_variances is None else part * np.sqrt(signal.inverse_variances)
         for part, signal in zip(parts, signals, strict=True)
     ]
 
 
-def _median(residuals: Sequence[FloatArray]) -> float:
-    """Return the median size of the residuals."""
-    ordered = np.sort(np.abs(np.concatenate(residuals)))
+def _median(residuals: Sequence[FloatArray], signals: Sequence[Signal]) -> float:
+    """Return the median size of the residuals of what was measured."""
+    measured = [
+        part if signal.is_measured is None else part[signal.is_measured > 0.0]
+        for part, signal in zip(residuals, signals, strict=True)
+    ]
+    ordered = np.sort(np.abs(np.concatenate(measured)))
     return float(ordered[len(ordered) // 2])
 
 

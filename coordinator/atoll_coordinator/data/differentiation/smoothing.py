@@ -30,13 +30,24 @@ class Signal:
     """One state along one trajectory: strictly ascending `times` and `values`, both (R,).
 
     `robustness_weights` (R,), from 0 to 1, are low where a row is far from the curve of the others; `inverse_variances`
-    (R,), positive, are those of the errors of each row, up to a factor; None: all are 1.
+    (R,), positive, are those of the errors of each row, up to a factor; `is_measured` (R,) is 0 where a value is
+    missing, and some number stands in for it, else 1; None: all are 1.
     """
 
     times: FloatArray
     values: FloatArray
     robustness_weights: FloatArray | None = None
     inverse_variances: FloatArray | None = None
+    is_measured: FloatArray | None = None
+
+    @cached_property
+    def measured(self) -> "Signal":
+        """The rows that were measured; the same object where none is missing."""
+        if self.is_measured is None:
+            return self
+        rows = self.is_measured > 0.0
+        weights = [None if each is None else each[rows] for each in (self.robustness_weights, self.inverse_variances)]
+        return Signal(self.times[rows], self.values[rows], *weights)
 
     @cached_property
     def filled_inverse_variances(self) -> FloatArray:
@@ -45,9 +56,11 @@ class Signal:
 
     @cached_property
     def weights(self) -> FloatArray:
-        """The weight of each row, (R,): its inverse variance times its robustness weight."""
-        inverse_variances = self.filled_inverse_variances
-        return inverse_variances if self.robustness_weights is None else self.robustness_weights * inverse_variances
+        """The weight of each row, (R,): its inverse variance times its robustness weight, 0 where it is missing."""
+        weights = self.filled_inverse_variances
+        for each in (self.robustness_weights, self.is_measured):
+            weights = weights if each is None else each * weights
+        return weights
 
 
 @dataclass(frozen=True)

@@ -30,14 +30,18 @@ def explain_excluded_rows(
     excluded: list[ExcludedRow] = []
     first = 0
     for number, part in enumerate(times):
-        ends, gaps = _near_ends(len(part), estimate), _near_gaps(part)
+        known = np.flatnonzero(estimate.is_known[first : first + len(part)]).tolist()
+        ends, gaps = _near_ends(len(part), known, estimate), _near_gaps(part)
         for row in range(len(part)):
             place = first + row
             is_outlier = weights[place] == 0.0
-            if place not in searched or not (place in uncertain or cut_off[place] or is_outlier):
+            is_missing = not estimate.is_known[place]
+            if place not in searched or not (place in uncertain or cut_off[place] or is_outlier or is_missing):
                 continue
             reason: Reason = "jump"
-            if is_outlier:
+            if is_missing:
+                reason = "missing"
+            elif is_outlier:
                 reason = "outlier"
             elif cut_off[place] or ends[row]:
                 reason = "end"
@@ -48,12 +52,13 @@ def explain_excluded_rows(
     return tuple(excluded)
 
 
-def _near_ends(rows: int, estimate: StateEstimate) -> list[bool]:
-    """Return for each row of a trajectory whether it is near an end of it."""
+def _near_ends(rows: int, known: Sequence[int], estimate: StateEstimate) -> list[bool]:
+    """Return for each row of a trajectory whether it is near the first or the last one where the state is known."""
+    low, high = (known[0], known[-1]) if known else (0, rows - 1)
     reach = END_ROWS
     if estimate.smoother is not None:
         reach = max(END_ROWS, int(LIMITS.end_share * min(estimate.smoother.rows, rows)))
-    return [min(row, rows - 1 - row) < reach for row in range(rows)]
+    return [min(row - low, high - row) < reach for row in range(rows)]
 
 
 def _near_gaps(times: FloatArray) -> list[bool]:

@@ -48,7 +48,9 @@ def select_rows(measurements: Measurements, estimates: Sequence[StateEstimate], 
     """
     assert measurements.trajectories is not None
     times = measurements.trajectories.times
-    searched, held_out = measurements.searched_rows, measurements.held_out_rows
+    is_known = np.all([estimate.is_known for estimate in estimates], axis=0)
+    searched = [row for row in measurements.searched_rows if is_known[row]]
+    held_out = [row for row in measurements.held_out_rows if is_known[row]]
     selected, within, warnings = searched, held_out, []
     uncertain = [frozenset[int]()] * len(estimates)
     if not paper:
@@ -61,11 +63,14 @@ def select_rows(measurements: Measurements, estimates: Sequence[StateEstimate], 
         totals = [estimate.total_uncertainty for estimate in estimates]
         limits = [float(np.max(total[selected], initial=0.0)) for total in totals]
         pairs = list(zip(totals, limits, strict=True))
-        uncertain = [frozenset(row for row in searched if total[row] > limit) for total, limit in pairs]
+        uncertain = [
+            frozenset(row for row in measurements.searched_rows if limit < total[row] < math.inf)
+            for total, limit in pairs
+        ]
         within = [row for row in held_out if ends[row] == 0.0 and all(total[row] <= limit for total, limit in pairs)]
         warnings = _sentences(len(searched), len(inner), len(certain), len(selected))
     excluded = [
-        explain_excluded_rows(times, estimate, rows, frozenset(searched))
+        explain_excluded_rows(times, estimate, rows, frozenset(measurements.searched_rows))
         for estimate, rows in zip(estimates, uncertain, strict=True)
     ]
     return SelectedRows(selected, within, tuple(uncertain), tuple(excluded), tuple(warnings))

@@ -1,7 +1,10 @@
 """Angles: into radians, and full turns taken out. Pure."""
 
 import math
+from itertools import pairwise
 from typing import Final
+
+import numpy as np
 
 from atoll.config import Angle
 from atoll.data.dataset import FloatArray
@@ -15,11 +18,11 @@ def convert_to_radians(values: FloatArray, angle: Angle | None) -> FloatArray:
 
 
 def unwrap(values: FloatArray) -> FloatArray:
-    """Return an angle (radians) of one trajectory with jumps of more than half a turn taken out."""
+    """Return an angle (radians) of one trajectory with jumps of more than half a turn taken out, NaN passed over."""
     turn = 2.0 * math.pi
     result = values.copy()
     turns = 0
-    for index in range(1, len(values)):
-        turns -= round((float(values[index]) - float(values[index - 1])) / turn)
+    for before, index in pairwise(np.flatnonzero(np.isfinite(values)).tolist()):
+        turns -= round((float(values[index]) - float(values[before])) / turn)
         result[index] = float(values[index]) + turns * turn
     return result

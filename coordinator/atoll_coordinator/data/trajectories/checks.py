@@ -21,22 +21,25 @@ MIN_ROWS = SETTINGS.checks.min_rows
 def select_usable_rows(
     table: Table, roles: Roles, columns: Mapping[str, FloatArray], config: DataConfig
 ) -> tuple[list[int], list[str]]:
-    """Return the rows whose used columns are finite and whose weight is not negligible, and sentences for the user.
+    """Return the rows that are used, and sentences for the user.
+
+    Those have a weight that is not negligible; all columns that must be known are finite; and where states are measured
+    in time, at least one of them is: a missing value of a state costs that value.
 
     Args:
         table: what was read.
         roles: of its columns.
         columns: of the table, by name.
-        config: whether rows with missing numbers are dropped, and which choices were left open.
+        config: whether missing numbers are dropped, and which choices were left open.
 
     Raises:
         DataError: there are too few rows, a weight is negative or no number, or a used column is not finite in a row
-            with weight although such rows are not to be dropped.
+            with weight although missing numbers are not to be dropped.
     """
     _check_count(table, table.rows)
     weighted, unused = _weighted_rows(table, roles.weights, columns)
     rows, dropped = _finite_rows(table, roles, weighted, config.missing == "drop")
-    sentences = [sentence for sentence in (unused, dropped) if sentence is not None]
+    sentences = [*([] if unused is None else [unused]), *dropped]
     return rows, sentences + _remarks(table, roles, columns, rows, config)
 
 
@@ -49,8 +52,12 @@ def check_searched_rows(table: Table, roles: Roles, columns: Mapping[str, FloatA
 
 
 def check_varies(table: Table, name: str, values: FloatArray, role: str) -> None:
-    """Raise DataError when a column that is a state, a derivative or the target is constant."""
-    if len(values) and np.all(values == values[0]):
+    """Raise DataError when a column that is a state, a derivative or the target has too few values, or one only."""
+    values = values[np.isfinite(values)]
+    if len(values) < MIN_ROWS:
+        count = f"{len(values)} {'value' if len(values) == 1 else 'values'}"
+        raise DataError(f"{role} '{name}' of {table.files[0]} has {count}; at least {MIN_ROWS} are needed")
+    if np.all(values == values[0]):
         value = f"{float(values[0]) + 0.0:g}"
         advice = "choose states with --states, or make it an input with --inputs" if role == "state" else "name another"
         raise DataError(f"{role} '{name}' of {table.files[0]} is constant ({value} in every row); {advice}")
@@ -90,6 +97,8 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
     A wrapped angle stays within one turn, and where it jumps it moves on smoothly once the turn is taken out.
     """
     limits = SETTINGS.checks
+    parts = [part[np.isfinite(part)] for part in parts]
+    parts = [part for part in parts if len(part)]
     low = min(float(np.min(part)) for part in parts)
     high = max(float(np.max(part)) for part in parts)
     for turn, called, suffix in limits.turns:
@@ -148,22 +157,35 @@ def _weighted_rows(table: Table, name: str | None, columns: Mapping[str, FloatAr
     return rows, f"{count} of {table.rows} rows have no weight and are left out." if count else None
 
 
-def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) -> tuple[list[int], str | None]:
-    """Return those of the rows `weighted` whose used columns are all finite, and a sentence when rows were dropped."""
+def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) -> tuple[list[int], list[str]]:
+    """Return those of the rows `weighted` that hold what is needed, and sentences when rows or values are left out.
+
+    Of states measured in time one is enough; of all other columns in use each is needed.
+    """
     used = [table.names.index(name) for name in roles.used]
     bad = ~np.isfinite(table.columns[used])
     without_weight = np.ones(table.rows, dtype=np.bool_)
     without_weight[weighted] = False
     bad &= ~without_weight
-    kept = [int(row) for row in np.flatnonzero(~(bad.any(axis=0) | without_weight))]
-    if len(kept) == len(weighted):
-        return kept, None
+    if not bad.any():
+        return weighted, []
     if not drop:
         raise DataError(_not_finite(table, used, bad))
+    measured = () if roles.target is not None or roles.derivatives else roles.states
+    is_state = np.array([name in measured for name in roles.used])
+    is_lost = bad[~is_state].any(axis=0) | (bad[is_state].all(axis=0) & is_state.any()) | without_weight
+    kept = [int(row) for row in np.flatnonzero(~is_lost)]
     if not kept:
         raise DataError(f"every row of {table.files[0]} holds NaN or infinity; nothing is left to search")
-    count = len(weighted) - len(kept)
-    return kept, f"{count} of {table.rows} rows hold NaN or infinity and were dropped."
+    sentences = []
+    if len(kept) < len(weighted):
+        sentences.append(f"{len(weighted) - len(kept)} of {table.rows} rows hold NaN or infinity and were dropped.")
+    values = [
+        f"{int(each[kept].sum())} of {name}" for name, each in zip(roles.used, bad, strict=True) if each[kept].any()
+    ]
+    if values:
+        sentences.append(f"Values are missing, {' and '.join(values)}; their rows count for the other states.")
+    return kept, sentences
 
 
 def _not_finite(table: Table, used: Sequence[int], bad: BoolArray) -> str:
@@ -178,7 +200,7 @@ def _not_finite(table: Table, used: Sequence[int], bad: BoolArray) -> str:
     if others:
         total = int(bad.any(axis=0).sum())
         text += f", and so do {', '.join(others)} ({total} rows over all)"
-    return text + "; correct them, or add --missing drop to leave such rows out"
+    return text + "; correct them, or add --missing drop to do without them"
 
 
 def _remarks(
@@ -195,6 +217,7 @@ def _remarks(
     if degrees:
         remarks.append(f"Degrees were converted to radians: {', '.join(degrees)}.")
     variables = [name for name in (*roles.states, *roles.inputs) if name not in roles.equations or roles.derivatives]
-    constant = [name for name in variables if np.all(columns[name][rows] == columns[name][rows[0]])]
+    finite = {name: columns[name][rows][np.isfinite(columns[name][rows])] for name in variables}
+    constant = [name for name, values in finite.items() if len(values) and np.all(values == values[0])]
     remarks += [f"Column '{name}' is constant and of no use to an equation." for name in constant]
     return remarks

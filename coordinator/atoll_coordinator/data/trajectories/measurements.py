@@ -22,9 +22,9 @@ from atoll_coordinator.data.trajectories.trajectories import Range, Trajectories
 class Measurements:
     """What was measured in the R rows of a table that are used.
 
-    `columns[name]` (R,) are the used columns, angles in radians; `ranges` are half-open ranges of rows, one for each
-    trajectory, and `held_out` says of each whether it is kept from the search; `trajectories` is None where the
-    left-hand sides are given; `warnings` are sentences for the user.
+    `columns[name]` (R,) are the used columns, angles in radians, states not finite where they are missing; `ranges` are
+    half-open ranges of rows, one for each trajectory, and `held_out` says of each whether it is kept from the search;
+    `trajectories` is None where the left-hand sides are given; `warnings` are sentences for the user.
     """
 
     roles: Roles

@@ -28,7 +28,7 @@ class Trajectories:
     """States along trajectories.
 
     `names[i]` is what the user knows trajectory i by; `times[i]` are its times less `offset`, the centre of all times,
-    ascending strictly; `states[name][i]` is a state along it, angles unwrapped and in radians.
+    ascending strictly; `states[name][i]` is a state along it, angles unwrapped and in radians, NaN where it is missing.
     """
 
     names: tuple[str, ...]
@@ -75,7 +75,8 @@ def split_trajectories(
     times = raw[roles.time][list(rows)]
     for number, (first, last) in enumerate(ranges, start=1):
         check_trajectory(table, roles.time, times[first:last], rows[first:last], number)
-    states = {name: [columns[name][first:last] for first, last in ranges] for name in roles.states}
+    known = {name: np.where(np.isfinite(columns[name]), columns[name], np.nan) for name in roles.states}
+    states = {name: [values[first:last] for first, last in ranges] for name, values in known.items()}
     angles = {angle.column for angle in roles.angles}
     for name, parts in states.items():
         if name in angles:

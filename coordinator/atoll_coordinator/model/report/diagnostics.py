@@ -50,6 +50,7 @@ def _residuals(recording: Recording, index: int) -> dict[str, Any]:
         for its in recording.trajectories
         if not its.held_out
         for residual, time in zip((its.measured[index] - its.smoothed[index]).tolist(), its.times.tolist(), strict=True)
+        if math.isfinite(residual)
     ]
     value, name, time = max(found, key=lambda each: abs(each[0]), default=(0.0, "", 0.0))
     rms = math.sqrt(sum(residual * residual for residual, *_ in found) / len(found)) if found else 0.0

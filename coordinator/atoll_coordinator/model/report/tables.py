@@ -11,7 +11,13 @@ MOST_LINES: Final = 12
 """Trajectories and pairs of constants listed one by one; of more, the worst are."""
 NEAREST: Final = 2
 """Contenders shown beside the chosen equation where there is room for a few lines only."""
-_PLACES: Final = {"end": "near ends", "gap": "near gaps", "jump": "at jumps", "outlier": "outliers"}
+_PLACES: Final = {
+    "end": "near ends",
+    "gap": "near gaps",
+    "jump": "at jumps",
+    "outlier": "outliers",
+    "missing": "missing",
+}
 
 _EXACT_SHARE: Final = 1e-6
 """Standard errors below this share of their constants are those of rounding, and not worth a line."""

@@ -103,14 +103,14 @@ class Measurements:
         ]
         count = min(max(1, most * len(pieces) // self.rows), len(pieces))
         kept = [pieces[index * len(pieces) // count] for index in range(count)]
-        return self._of(kept)
+        return self.pieces(kept)
 
     def part(self, owners: Collection[int]) -> "Measurements":
         """Return the pieces of these trajectories (indices of `names`)."""
         bounds = zip(self.bounds.tolist(), self.owners.tolist(), strict=True)
-        return self._of([(first, end, owner) for (first, end), owner in bounds if owner in owners])
+        return self.pieces([(first, end, owner) for (first, end), owner in bounds if owner in owners])
 
-    def _of(self, kept: Sequence[tuple[int, int, int]]) -> "Measurements":
+    def pieces(self, kept: Sequence[tuple[int, int, int]]) -> "Measurements":
         """Return the pieces `kept`: first row, end, owner."""
         rows = np.concatenate([np.arange(first, end) for first, end, _ in kept])
         lengths = np.array([end - first for first, end, _ in kept])
@@ -134,9 +134,9 @@ def measurements_of(
 ) -> Measurements:
     """Return the measurements for a system whose equations are those of the `modelled` states (indices).
 
-    The other states, as smoothed, are inputs behind the recording's own. With order 2 the velocities of the modelled
-    states are states, too, behind the positions, and not measured. At most `piece` rows are simulated at
-    a stretch.
+    The other states, as smoothed, are inputs behind the recording's own; rows where they are not known are left out.
+    With order 2 the velocities of the modelled states are states, too, behind the positions, and not measured. At most
+    `piece` rows are simulated at a stretch.
 
     Raises:
         ValueError: there are no such trajectories.
@@ -157,7 +157,7 @@ def measurements_of(
     smoothed = np.concatenate(states)
     noise = np.array([recording.smoothing[index].noise for index in chosen])
     bounds, owners = _pieces([len(part.times) for part in parts], piece)
-    return Measurements(
+    whole = Measurements(
         bounds=bounds,
         owners=owners,
         times=np.concatenate([part.times for part in parts]),
@@ -178,6 +178,25 @@ def measurements_of(
         inverse_variances=_inverse_variances(parts),
         consistency=_consistency(parts, chosen),
     )
+    return _where_inputs_are_known(whole, parts, others)
+
+
+def _where_inputs_are_known(whole: Measurements, parts: Sequence[Trajectory], others: Sequence[int]) -> Measurements:
+    """Return the stretches of all pieces along which the smoothed states that are inputs are known."""
+    if not others or all(part.is_known is None for part in parts):
+        return whole
+    is_known = np.concatenate(
+        [
+            np.ones(len(part.times), np.bool_) if part.is_known is None else part.is_known[others].all(0)
+            for part in parts
+        ]
+    )
+    kept = []
+    for (first, end), owner in zip(whole.bounds.tolist(), whole.owners.tolist(), strict=True):
+        changes = np.flatnonzero(np.diff(np.concatenate([[False], is_known[first:end], [False]]).astype(np.int8)))
+        kept += [(first + start, first + stop, owner) for start, stop in changes.reshape(-1, 2).tolist()]
+    kept = [each for each in kept if each[1] - each[0] > 1]
+    return whole.pieces(kept) if kept else whole
 
 
 def _correlation_length(recording: Recording, others: Sequence[int]) -> float:

@@ -47,7 +47,9 @@ def test_a_target_is_said():
 def test_dropped_rows_are_said():
     columns = oscillator()
     columns["x"][3] = np.nan
-    assert described(columns, missing="drop")[0] == "a.csv: 60 rows (59 without missing values)"
+    assert described(columns, missing="drop")[0] == "a.csv: 60 rows"
+    columns["y"][3] = np.nan
+    assert described(columns, missing="drop")[0] == "a.csv: 60 rows (59 that can be used)"
 
 
 def test_objections_are_met_before_anything_is_uploaded():

@@ -132,10 +132,33 @@ def test_given_derivatives_of_an_angle_are_converted_with_it():
 
 def test_dropped_rows_are_bridged():
     columns = oscillator(100)
-    columns["x"][50] = math.nan
+    columns["x"][50] = columns["y"][50] = math.nan
     dataset = prepared(columns, missing="drop")
     assert dataset.inputs.shape[1] == 99 - 8
     assert dataset.targets[0].values == pytest.approx(dataset.inputs[1], abs=1e-8)
+
+
+def test_a_missing_value_costs_that_value_and_not_its_row():
+    columns = oscillator(100)
+    columns["x"][[30, 31, 50]] = columns["y"][[7, 70]] = math.nan
+    its = prepare(table_of(columns), JobConfig(data=DataConfig(missing="drop")))
+    assert 88 <= its.dataset.inputs.shape[1] <= 100 - 8
+    assert its.dataset.targets[0].values == pytest.approx(its.dataset.inputs[1], abs=1e-8)
+    assert its.dataset.targets[1].values == pytest.approx(-its.dataset.inputs[0], abs=1e-8)
+    assert its.recording.trajectories[0].is_known is None
+    assert np.isnan(its.recording.trajectories[0].measured).sum(axis=1).tolist() == [3, 2]
+
+
+def test_rows_that_lack_an_unknown_state_are_kept_from_the_search_and_in_the_recording():
+    columns = oscillator(100)
+    columns["x"][:20] = math.nan
+    its = prepare(table_of(columns), JobConfig(data=DataConfig(missing="drop")))
+    trajectory = its.recording.trajectories[0]
+    assert 70 <= its.dataset.inputs.shape[1] <= 100 - 20 - 4
+    assert len(trajectory.times) == 100
+    assert trajectory.is_known.tolist() == [[False] * 20 + [True] * 80, [True] * 100]
+    assert {each.reason for each in its.recording.smoothing[0].excluded_rows} == {"missing", "end"}
+    assert "missing" not in {each.reason for each in its.recording.smoothing[1].excluded_rows}
 
 
 def test_noisy_states_are_smoothed_and_nearly_all_rows_kept():

@@ -91,9 +91,9 @@ def test_held_out_trajectories_are_split_too():
 
 
 def test_a_recording_has_the_pieces_as_trajectories():
-    """Dropped rows may leave a gap: x is not measured for a while."""
+    """Dropped rows may leave a gap: nothing is measured for a while."""
     columns = noisy(oscillator(300))
-    columns["x"][100:220] = math.nan
+    columns["x"][100:220] = columns["y"][100:220] = math.nan
     its = prepare(table_of(columns), JobConfig(data=DataConfig(missing="drop"))).recording
     assert its is not None
     assert [(each.name, len(each.times)) for each in its.trajectories] == [("1", 100), ("1b", 80)]

@@ -162,7 +162,7 @@ def test_a_state_that_varies_only_where_it_is_held_out_is_constant():
 
 def test_missing_rows_of_a_held_out_trajectory_are_dropped_too():
     columns = three()
-    columns["x"][125] = math.nan
+    columns["x"][125] = columns["y"][125] = math.nan
     its = prepared(columns, holdout=1, missing="drop")
     assert its.recording is not None
     assert [len(each.times) for each in its.recording.trajectories] == [60, 60, 59]

@@ -27,7 +27,7 @@ def changed(name, rows, value):
 def test_nan_is_refused_with_its_rows():
     assert refusal(changed("x", [11, 39], math.nan)) == (
         "column 'x' holds NaN or an empty cell in rows 12, 40 (lines 13, 41 of a.csv), 2 in all; "
-        "correct them, or add --missing drop to leave such rows out"
+        "correct them, or add --missing drop to do without them"
     )
 
 
@@ -43,17 +43,49 @@ def test_columns_without_a_part_may_hold_anything():
     assert measurements_of(table_of(columns), DataConfig(states=("x",))).row_count == 60
 
 
-def test_missing_rows_are_dropped_when_told():
-    columns = changed("x", [11, 39], math.nan)
+def test_a_missing_value_of_a_state_costs_that_value_when_told():
+    columns = changed("x", [11, 39], math.inf)
     measurements = measurements_of(table_of(columns), DataConfig(missing="drop"))
+    assert measurements.row_count == 60
+    assert np.flatnonzero(np.isnan(measurements.trajectories.states["x"][0])).tolist() == [11, 39]
+    assert measurements.trajectories.states["y"][0].tolist() == columns["y"].tolist()
+    assert measurements.warnings == ("Values are missing, 2 of x; their rows count for the other states.",)
+
+
+def test_rows_without_any_state_are_dropped_when_told():
+    columns = changed("x", [11, 39], math.nan)
+    columns["y"][[11, 20]] = math.nan
+    measurements = measurements_of(table_of(columns), DataConfig(missing="drop"))
+    assert measurements.columns["t"].tolist() == np.delete(columns["t"], [11]).tolist()
+    assert measurements.warnings == (
+        "1 of 60 rows hold NaN or infinity and were dropped.",
+        "Values are missing, 1 of x and 1 of y; their rows count for the other states.",
+    )
+
+
+@pytest.mark.parametrize("options", [{"target": "y"}, {"inputs": ("x",)}])
+def test_rows_without_an_input_are_dropped_when_told(options):
+    columns = changed("x", [11, 39], math.nan)
+    measurements = measurements_of(table_of(columns), DataConfig(missing="drop", **options))
     assert measurements.row_count == 58
-    assert measurements.columns["t"].tolist() == np.delete(columns["t"], [11, 39]).tolist()
-    assert measurements.warnings == ("2 of 60 rows hold NaN or infinity and were dropped.",)
+    assert measurements.warnings[0] == "2 of 60 rows hold NaN or infinity and were dropped."
 
 
 def test_nothing_left_after_dropping_is_refused():
     columns = changed("x", slice(None), math.nan)
+    assert refusal(columns, missing="drop") == "state 'x' of a.csv has 0 values; at least 5 are needed"
+    columns["y"][:] = math.nan
     assert refusal(columns, missing="drop").startswith("every row of a.csv holds NaN or infinity")
+
+
+def test_an_angle_is_unwrapped_over_what_is_missing():
+    columns = oscillator(200)
+    smooth = np.linspace(0.1, 25.0, 200)
+    columns["y"] = smooth % (2 * math.pi)
+    columns["y"][[60, 61, 130]] = math.nan
+    measurements = measurements_of(table_of(columns), DataConfig(angles=(Angle(column="y"),), missing="drop"))
+    known = np.isfinite(columns["y"])
+    assert measurements.trajectories.states["y"][0][known] == pytest.approx(smooth[known])
 
 
 @pytest.mark.parametrize("rows", [1, 4])

@@ -91,6 +91,19 @@ def test_missing_values_have_no_weight():
     assert np.argwhere(weights == 0.0).tolist() == [[0, 33], [0, 34]]
 
 
+def test_rows_where_an_input_is_not_known_are_left_out():
+    its = swinging(noise=0.1)
+    is_known = np.ones((2, 20), np.bool_)
+    is_known[0, :3] = is_known[0, 11:13] = False
+    second = replace(its.trajectories[1], is_known=is_known)
+    its = replace(its, trajectories=(its.trajectories[0], second, its.trajectories[2]))
+    driven = measurements_of(its, [1])
+    assert driven.bounds.tolist() == [[0, 30], [30, 38], [38, 45], [45, 56]]
+    assert driven.owners.tolist() == [0, 1, 1, 2]
+    assert driven.times[30:38].tolist() == second.times[3:11].tolist()
+    assert measurements_of(its, [0]).rows == measurements_of(its, [0, 1]).rows == 61
+
+
 def test_measurements_weigh_what_smoothing_trusted_them_with():
     its = swinging(noise=0.1)
     assert (measurements_of(its, [0, 1]).weights == 1.0).all()

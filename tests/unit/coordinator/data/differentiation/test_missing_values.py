@@ -1,0 +1,108 @@
+"""A value that is missing costs that value: what its own rows tell of it, and where they tell nothing."""
+
+import math
+
+import numpy as np
+import pytest
+
+from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_derivatives
+from atoll_coordinator.data.differentiation.missing_values import fill, fill_holes, make_signal
+from atoll_coordinator.data.differentiation.smoothing import smooth
+
+ROWS = 120
+TIMES = 0.05 * np.arange(ROWS)
+
+
+def signal_without(rows, noise=0.0, seed=0):
+    values = np.sin(TIMES) + noise * np.random.default_rng(seed).standard_normal(ROWS)
+    values[rows] = math.nan
+    return make_signal(TIMES, values)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_polynomial_is_filled_exactly_between_known_rows(seed):
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.uniform(0.5, 1.5, 12))
+    coefficients = rng.normal(size=4)
+    values = np.polyval(coefficients, times)
+    is_known = np.ones(12, np.bool_)
+    is_known[rng.choice(np.arange(3, 9), 2, replace=False)] = False
+    filled, steps, gains = fill(times, np.where(is_known, values, math.nan), is_known, 3)
+    assert filled == pytest.approx(values, rel=1e-9, abs=1e-9)
+    assert steps[is_known].tolist() == gains[is_known].tolist() == [0.0] * 10
+    assert (gains[~is_known] > 0.0).all()
+
+
+def test_the_nearest_value_is_held_beyond_the_known_rows_and_not_known():
+    is_known = np.array([False, True, True, False])
+    filled, steps, _ = fill(np.arange(4.0), np.array([math.nan, 2.0, 5.0, math.nan]), is_known, 2)
+    assert filled.tolist() == [2.0, 2.0, 5.0, 5.0]
+    assert np.isinf(steps).tolist() == [True, False, False, True]
+
+
+def test_a_signal_without_holes_stays_as_it_is():
+    signal = make_signal(TIMES, np.sin(TIMES))
+    assert signal.is_measured is None
+    assert signal.measured is signal
+    assert fill_holes(signal).signal is signal
+
+
+def test_without_noise_a_missing_value_has_a_derivative_from_its_neighbours():
+    its = estimate_derivatives([signal_without([20, 61, 62])], Differentiation())
+    assert its.is_interpolated
+    assert its.is_known.all()
+    assert its.values[[20, 61, 62]] == pytest.approx(np.sin(TIMES[[20, 61, 62]]), abs=1e-9)
+    errors = np.abs(its.derivative - np.cos(TIMES))[5:-5]
+    assert errors.max() < 1e-8
+    assert (errors <= its.uncertainty[5:-5] + 1e-12).mean() > 0.9
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_beyond_its_own_rows_a_state_is_not_known(noise):
+    its = estimate_derivatives([signal_without([*range(10), *range(100, ROWS)], noise)], Differentiation())
+    assert its.is_interpolated is (noise == 0.0)
+    assert not its.is_known[:8].any()
+    assert its.is_known[10:100].all()
+    assert not its.is_known[104:].any()
+    assert np.isfinite(its.values).all()
+    assert its.values[0] == its.values[np.flatnonzero(its.is_known)[0]]
+    assert its.derivative[0] == its.velocity[0] == 0.0
+
+
+def test_with_noise_holes_are_smoothed_over_and_long_ones_are_not_known():
+    missing = [15, 33, 34, *range(50, 85)]
+    its = estimate_derivatives([signal_without(missing, 0.02), signal_without([], 0.02, 1)], Differentiation())
+    truth = np.tile(np.cos(TIMES), 2)
+    assert its.is_known[[15, 33, 34]].all()
+    assert not its.is_known[62:72].any()
+    known = its.is_known & np.tile((TIMES > 0.5) & (TIMES < 5.5), 2)
+    errors = np.abs(its.derivative - truth)[known]
+    assert errors.mean() < 2.0 * its.total_uncertainty[known].mean()
+    assert its.noise == pytest.approx(0.02, rel=0.25)
+
+
+def test_missing_values_change_no_other_number_by_what_stands_in_for_them():
+    signal = signal_without([15, 33, 34], 0.02)
+    its = estimate_derivatives([signal], Differentiation())
+    moved = type(signal)(TIMES, np.where(signal.is_measured > 0.0, signal.values, 7.0), None, None, signal.is_measured)
+    other = estimate_derivatives([moved], Differentiation())
+    assert other.derivative == pytest.approx(its.derivative, abs=1e-9)
+    assert other.noise == pytest.approx(its.noise)
+    assert other.has_heavy_tails == its.has_heavy_tails
+    assert smooth(moved, its.smoother).gains[0] == pytest.approx(smooth(signal, its.smoother).gains[0])
+
+
+def test_missing_values_are_no_outliers():
+    its = estimate_derivatives([signal_without([15, 33, 34], 0.02)], Differentiation(robust=True))
+    assert not its.outliers
+
+
+def test_a_trajectory_with_too_few_values_is_not_known_and_decides_nothing():
+    few = signal_without([*range(3, ROWS)], 0.02)
+    alone = estimate_derivatives([signal_without([], 0.02, 1)], Differentiation())
+    its = estimate_derivatives([few, signal_without([], 0.02, 1)], Differentiation())
+    assert not its.is_known[:ROWS].any()
+    assert np.isfinite(its.values).all()
+    assert its.smoother == alone.smoother
+    assert its.noise == alone.noise
+    assert its.derivative[ROWS:].tolist() == alone.derivative.tolist()
