@@ -43,7 +43,7 @@ class Journal:
 
     def add(self, outcome: Outcome, answer: Mapping[str, Any] | None = None) -> None:
         """Take in a search that has ended, with the contents of its result.json if it has one."""
-        kept = _kept(answer) if answer else None
+        kept = kept_of(answer) if answer else None
         self.outcomes[outcome.key] = outcome
         if kept is not None:
             self.answers[outcome.key] = kept
@@ -84,7 +84,7 @@ class Journal:
             self.answers[outcome.key] = value["answer"]
 
 
-def _kept(answer: Mapping[str, Any]) -> dict[str, Any]:
+def kept_of(answer: Mapping[str, Any]) -> dict[str, Any]:
     """Return the parts of a result that judging and reading need; of simulations R² without the curves."""
     kept = {name: answer[name] for name in KEPT if name in answer}
     if kept.get("simulation"):

@@ -1,0 +1,6 @@
+"""Searches on random systems: ``python -m benchmarks.corpus``.
+
+``families`` are systems of textbooks, ``random_equations`` sums of random terms; ``systems`` draws one of either from
+a seed, ``qualities`` measures it, ``cases`` puts both into what is searched and judged; ``forms`` judges an equation,
+``outcomes`` a job; ``campaign`` runs many jobs and keeps a journal, ``tables`` sums them up.
+"""

@@ -1,0 +1,124 @@
+"""Random systems from seeds at any quality of data: what is found, and how far verdicts can be trusted.
+
+``python -m benchmarks.corpus --seeds 0-19 --out FILE.jsonl`` draws systems (seeds below 1000 are for choosing
+settings, figures come from others), simulates or measures them at each of --qualities, searches them on one coordinator
+and its workers, and prints tables in Markdown. A file that exists is gone on with. ``--named`` searches single systems
+of textbooks instead, one trajectory each; ``--show`` draws systems without searching them.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from atoll.errors import UsageError
+from atoll_coordinator.cli.terminal.output import say
+from benchmarks.corpus.campaign import CorpusJournal, judge_again, run_jobs
+from benchmarks.corpus.cases import SAMPLINGS, Key, make_case
+from benchmarks.corpus.families import NAMED
+from benchmarks.corpus.outcomes import Outcome
+from benchmarks.corpus.qualities import NAMED_QUALITIES, QUALITIES, quality
+from benchmarks.corpus.tables import by_grade, by_quality, equation_rows
+from benchmarks.harness.command_line import plain_errors, positive, seeds, whole
+
+NAMED_STATES: Final = {name: len(family.equations) for name, (family, *_) in NAMED.items()}
+CHAOTIC: Final = ("lorenz",)
+
+
+def keys(options: argparse.Namespace) -> list[Key]:
+    """Return all jobs, seed by seed; with --qualities each, one quality a seed in turn."""
+    qualities = options.qualities or (NAMED_QUALITIES if options.named is not None else QUALITIES)
+    if options.named is not None:
+        names = options.named or [name for name in NAMED if name not in CHAOTIC]
+        return [
+            Key(name, NAMED_STATES[name], 1, "even", each, seed)
+            for seed in options.seeds
+            for name in names
+            for each in qualities
+        ]
+    return [
+        Key("random", states, trajectories, sampling, each, seed)
+        for seed in options.seeds
+        for states in options.states
+        for trajectories in options.trajectories
+        for sampling in options.samplings
+        for each in ([qualities[(seed + states) % len(qualities)]] if options.in_turn else qualities)
+    ]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Do what the options ask for."""
+    words = sys.argv[1:] if arguments is None else arguments
+    options = _parser().parse_args(words)
+    with plain_errors("benchmarks.corpus"):
+        wanted = keys(options)
+        for key in wanted:
+            quality(key.quality)
+        if options.show:
+            _show(wanted)
+            return 0
+        journal = CorpusJournal(options.out, words)
+        if options.judge_again:
+            judge_again(wanted, journal)
+        if options.only_judge:
+            outcomes = [journal.outcomes[key] for key in wanted if key in journal.outcomes]
+        else:
+            changes: dict[str, Any] = {} if options.epochs is None else {"max_epochs": options.epochs}
+            outcomes = run_jobs(wanted, journal, options.workers, options.max_time, changes)
+        _tables(outcomes, all_equations=options.named is not None)
+    return 0
+
+
+def _tables(outcomes: Sequence[Outcome], *, all_equations: bool) -> None:
+    say(by_quality(outcomes))
+    say("\n" + by_grade(outcomes))
+    say("\n" + equation_rows(outcomes, only_wrong=not all_equations))
+
+
+def _show(wanted: Sequence[Key]) -> None:
+    for key in wanted:
+        case = make_case(key)
+        least = {state: f"{value:.2g}" for state, value in case.t.items()}
+        say(f"{key.title} ({case.system.name}): {case.system.truths}; {case.table.rows} rows, t {least}")
+
+
+def _sampling(text: str) -> str:
+    if text not in SAMPLINGS:
+        raise argparse.ArgumentTypeError(f"one of {', '.join(SAMPLINGS)} was expected, but {text!r} was given")
+    return text
+
+
+def _quality(text: str) -> str:
+    try:
+        quality(text)
+    except UsageError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    return text
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.corpus", description=__doc__.split("\n")[0])
+    parser.add_argument(
+        "--named", nargs="*", choices=tuple(NAMED), help="single systems; default: all but chaotic ones"
+    )
+    parser.add_argument("--seeds", type=seeds, default=seeds("0"), help="such as 0-19 (0)")
+    parser.add_argument("--qualities", type=_quality, nargs="+", help=f"of {', '.join(QUALITIES)}; default: all")
+    parser.add_argument("--in-turn", action="store_true", help="one quality a system, in turn, rather than each")
+    parser.add_argument("--states", type=int, choices=range(1, 6), nargs="+", default=[1, 2], help="default: 1 2")
+    parser.add_argument("--trajectories", type=whole, nargs="+", default=[4], help="default: 4")
+    parser.add_argument("--samplings", type=_sampling, nargs="+", default=["even"], help=f"of {', '.join(SAMPLINGS)}")
+    parser.add_argument("--workers", type=whole, default=2, help="worker processes (%(default)s)")
+    parser.add_argument("--max-time", type=positive, metavar="SECONDS", help="end of a search; default: none")
+    parser.add_argument("--epochs", type=whole, help="end of a search in epochs; default: the configuration's")
+    parser.add_argument(
+        "--out", "--resume", type=Path, metavar="FILE", help="file of JSON lines, gone on with if it exists"
+    )
+    parser.add_argument("--judge-again", action="store_true", help="judge what the file holds by the present rules")
+    parser.add_argument("--only-judge", action="store_true", help="search nothing; tables of what the file holds")
+    parser.add_argument("--show", action="store_true", help="draw the systems and print them, nothing else")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

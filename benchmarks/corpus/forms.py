@@ -1,0 +1,248 @@
+"""Has an equation the form of the truth? Decided by fitting: is there a choice of constants that makes them equal?
+
+Every number of the truth and every coefficient of one that is not written gets a factor. An equation has the truth's
+form when some positive factors make the truth equal to it, to a millionth of the derivative's deviation, on the
+measured states without errors and on points of the box around them: whatever the dress, and with constants as errors
+leave them. When the form is not the truth's, the equation is written as a sum of products, and the smallest summands
+are left out one after the other: an equation that has the form then had so many extra terms.
+"""
+
+import ast
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from benchmarks.judging.fractions import FloatArray
+
+NEGLIGIBLE: Final = 1e-6
+"""Largest difference, over the derivative's deviation, between two writings of one function."""
+
+VANISHED: Final = 1e-3
+"""A factor below this: the term is missing."""
+
+MOST_EXTRA: Final = 10
+MOST_SUMMANDS: Final = 60
+POINTS: Final = 150
+"""Rows among the measured ones, and as many in the box."""
+
+LEAST_FINITE: Final = 0.5
+_FAR: Final = 1e150
+_FUNCTIONS: Final[dict[str, Any]] = {
+    "sin": np.sin, "cos": np.cos, "exp": np.exp, "log": np.log, "sqrt": np.sqrt, "abs": np.abs, "tanh": np.tanh,
+    "tan": np.tan, "cot": lambda value: 1.0 / np.tan(value), "inv": lambda value: 1.0 / value,
+    "square": lambda value: value * value, "pow": np.power, "inverse": lambda value: 1.0 / value,
+}  # fmt: skip
+
+Kind = Literal["right", "extra", "missing", "other", "none"]
+
+
+@dataclass(frozen=True)
+class Form:
+    """`kind` says how the form compares; `extra` is how many summands are too many (None unless right or extra)."""
+
+    kind: Kind
+    extra: int | None = None
+
+    @property
+    def is_right(self) -> bool:
+        """Whether the equation has the truth's form and nothing else."""
+        return self.kind == "right"
+
+
+def judge_form(found: str | None, truth: str, columns: Mapping[str, FloatArray], *, with_extra: bool = True) -> Form:
+    """Compare the form of `found` with that of `truth`, both over the names of `columns`, (R,) values without errors.
+
+    Without `with_extra`, extra terms are not looked for.
+    """
+    if found is None:
+        return Form("none")
+    points = _points(columns)
+    with np.errstate(all="ignore"):
+        model = _Model(truth, points)
+        try:
+            values = _evaluated(_parsed(found), points)
+            kind = model.match(values)
+            if kind == "right":
+                return Form("right", 0)
+            extra = None if not with_extra else _extra(model, _parsed(found), points)
+        except (SyntaxError, RecursionError, ValueError, KeyError, TypeError, MemoryError):
+            return Form("other")
+    return Form(kind) if extra is None else Form("extra", extra)
+
+
+def _extra(model: "_Model", tree: ast.expr, points: Mapping[str, FloatArray]) -> int | None:
+    """Return the number of smallest summands without which the form is right; None when there is none."""
+    summands = _merged([_evaluated(each, points) for each in _expanded(tree)][:MOST_SUMMANDS])
+    summands.sort(key=lambda each: -model.size(each))
+    for left_out in range(1, min(MOST_EXTRA, len(summands) - 1) + 1):
+        if model.match(sum(summands[: len(summands) - left_out], np.zeros(1))) == "right":
+            return left_out
+    return None
+
+
+class _Model:
+    """The truth with a factor at every number, and at every summand."""
+
+    def __init__(self, truth: str, points: Mapping[str, FloatArray]) -> None:
+        names: list[str] = []
+        tree = ast.fix_missing_locations(_with_factors(_parsed(truth), names))
+        self._names = names
+        self._run = _compiled(tree)
+        self._points = points
+        target = self._values(np.ones(len(names)))
+        self._kept = np.isfinite(target)
+        self._scale = float(np.std(target[self._kept])) or 1.0
+        self._weight = 1.0 / (self._scale + np.abs(target))
+
+    def size(self, values: FloatArray) -> float:
+        """Return the root mean square of some values, as far as they are finite."""
+        finite = np.broadcast_to(values, self._kept.shape)
+        finite = finite[np.isfinite(finite)]
+        return float(np.sqrt((finite**2).mean())) if len(finite) else np.inf
+
+    def match(self, values: FloatArray) -> Kind:
+        """Say whether factors make the truth equal to `values`: all of them positive, or some zero, or not at all."""
+        values = np.broadcast_to(values, self._kept.shape)
+        kept = self._kept & np.isfinite(values)
+        if not kept.sum() > LEAST_FINITE * self._kept.sum():
+            return "other"
+
+        def residuals(factors: FloatArray) -> FloatArray:
+            left = ((self._values(factors) - values) * self._weight)[kept]
+            return np.nan_to_num(left, nan=_FAR, posinf=_FAR, neginf=-_FAR).clip(-_FAR, _FAR)
+
+        start = np.ones(len(self._names))
+        if not np.abs(residuals(start)).max() < _FAR:
+            return "other"
+        try:
+            fit = least_squares(residuals, start, "3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=200)
+        except (ValueError, np.linalg.LinAlgError):
+            return "other"
+        if not float(np.sqrt((fit.fun**2).mean())) <= NEGLIGIBLE:
+            return "other"
+        return "right" if (fit.x > VANISHED).all() else "missing"
+
+    def _values(self, factors: FloatArray) -> FloatArray:
+        values = self._run({**self._points, **dict(zip(self._names, factors.tolist(), strict=True))})
+        return np.broadcast_to(np.asarray(values, dtype=np.float64), next(iter(self._points.values())).shape)
+
+
+def _points(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return rows of `columns`, evenly chosen, and random points of the box around all."""
+    rng = np.random.default_rng(0)
+    rows = np.linspace(0, len(next(iter(columns.values()))) - 1, POINTS).round().astype(np.int64)
+    return {
+        name: np.concatenate([values[rows], rng.uniform(values.min(), values.max(), POINTS)])
+        for name, values in columns.items()
+    }
+
+
+def _parsed(text: str) -> ast.expr:
+    return ast.parse(text.replace("^", "**"), mode="eval").body
+
+
+def _compiled(tree: ast.expr) -> Callable[[Mapping[str, Any]], Any]:
+    code = compile(ast.Expression(tree), "equation", "eval")
+    space = {"__builtins__": {}, "pi": np.pi, **_FUNCTIONS}
+    return lambda values: eval(code, space, dict(values))  # of numbers, names, operators and the functions above
+
+
+def _evaluated(tree: ast.expr, points: Mapping[str, FloatArray]) -> FloatArray:
+    values = np.asarray(_compiled(ast.fix_missing_locations(tree))(points), dtype=np.float64)
+    return np.broadcast_to(values, next(iter(points.values())).shape)
+
+
+def _with_factors(node: ast.expr, names: list[str], *, is_summand: bool = True) -> ast.expr:
+    """Return `node` with a factor at each number but whole exponents, and at each summand that has no number."""
+    match node:
+        case ast.BinOp(left, ast.Add() | ast.Sub() as operator, right):
+            return ast.BinOp(_with_factors(left, names), operator, _with_factors(right, names))
+        case ast.UnaryOp(operator, operand):
+            return ast.UnaryOp(operator, _with_factors(operand, names, is_summand=is_summand))
+        case ast.Constant():
+            return _times_factor(node, names)
+    inner = _with_factors_inside(node, names)
+    return inner if not is_summand or _has_number(node) else _times_factor(inner, names)
+
+
+def _with_factors_inside(node: ast.expr, names: list[str]) -> ast.expr:
+    match node:
+        case ast.BinOp(left, ast.Pow(), ast.Constant(int())):
+            return ast.BinOp(_with_factors(left, names, is_summand=False), ast.Pow(), node.right)
+        case ast.BinOp(left, operator, right):
+            return ast.BinOp(
+                _with_factors(left, names, is_summand=False), operator, _with_factors(right, names, is_summand=False)
+            )
+        case ast.Call(function, arguments):
+            return ast.Call(function, [_with_factors(each, names) for each in arguments], [])
+    return node
+
+
+def _has_number(node: ast.expr) -> bool:
+    """Tell whether a product has a number among its factors, which then has a factor of its own."""
+    match node:
+        case ast.Constant():
+            return True
+        case ast.UnaryOp(_, operand):
+            return _has_number(operand)
+        case ast.BinOp(left, ast.Mult() | ast.Div(), right):
+            return _has_number(left) or _has_number(right)
+    return False
+
+
+def _times_factor(node: ast.expr, names: list[str]) -> ast.expr:
+    names.append(f"factor_{len(names)}_")
+    return ast.BinOp(ast.Name(names[-1], ast.Load()), ast.Mult(), node)
+
+
+def _expanded(node: ast.expr) -> Iterator[ast.expr]:
+    """Yield the summands of `node`, products and whole powers of sums multiplied out."""
+    match node:
+        case ast.BinOp(left, ast.Add(), right):
+            yield from _expanded(left)
+            yield from _expanded(right)
+        case ast.BinOp(left, ast.Sub(), right):
+            yield from _expanded(left)
+            yield from (ast.UnaryOp(ast.USub(), each) for each in _expanded(right))
+        case ast.UnaryOp(ast.USub(), operand):
+            yield from (ast.UnaryOp(ast.USub(), each) for each in _expanded(operand))
+        case ast.BinOp(left, ast.Mult(), right):
+            yield from _products([*_expanded(left)], [*_expanded(right)])
+        case ast.BinOp(left, ast.Div(), right):
+            yield from (ast.BinOp(each, ast.Div(), right) for each in _expanded(left))
+        case ast.BinOp(left, ast.Pow(), ast.Constant(int(times))) if 1 < times <= 4:
+            parts = [*_expanded(left)]
+            total = parts
+            for _ in range(times - 1):
+                total = [*_products(total, parts)]
+            yield from total
+        case _:
+            yield node
+
+
+def _products(left: Sequence[ast.expr], right: Sequence[ast.expr]) -> Iterator[ast.expr]:
+    for one in left:
+        for other in right:
+            yield ast.BinOp(one, ast.Mult(), other)
+
+
+def _merged(summands: Sequence[FloatArray]) -> list[FloatArray]:
+    """Add up summands that are multiples of one another."""
+    found: list[FloatArray] = []
+    for values in summands:
+        for place, other in enumerate(found):
+            if _is_multiple(values, other):
+                found[place] = other + values
+                break
+        else:
+            found.append(values)
+    return found
+
+
+def _is_multiple(left: FloatArray, right: FloatArray) -> bool:
+    kept = np.isfinite(left) & np.isfinite(right)
+    norms = float(np.linalg.norm(left[kept]) * np.linalg.norm(right[kept]))
+    return norms > 0.0 and abs(float(left[kept] @ right[kept])) >= (1.0 - 1e-12) * norms
