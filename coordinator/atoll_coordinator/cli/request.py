@@ -2,7 +2,7 @@
 
 import argparse
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,6 +19,9 @@ from atoll_coordinator.client import Client
 
 if TYPE_CHECKING:
     from atoll.data.table import Table
+
+_LEAST_SHARE: Final = 0.5
+"""Share of `--max-time` that is left for the job however long this program took to start."""
 
 CONNECT_LIMIT_S: Final = 3.0
 """How long a coordinator is looked for."""
@@ -53,6 +56,16 @@ class Request:
         """Upload `table` and submit the job."""
         digest = client.upload(table.to_bytes())
         return client.submit(self.job, self.name, self.config, digest, self.priority)
+
+    def after(self, seconds: float) -> "Request":
+        """Return the request with so many seconds of `--max-time` gone, but no more than half of them."""
+        budget = self.config.budget
+        if budget.max_time is None:
+            return self
+        left = max(budget.max_time - seconds, _LEAST_SHARE * budget.max_time)
+        return replace(
+            self, config=self.config.model_copy(update={"budget": budget.model_copy(update={"max_time": left})})
+        )
 
     def result(self, client: Client, view: JobView) -> dict[str, Any] | None:
         """Return the result of the ended job; None when it ended before there was any."""

@@ -11,11 +11,13 @@
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Final
 
 from atoll.config import JobConfig
 from atoll.machine.cores import usable_cores
 from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference.conclusion import summarize
 from atoll_coordinator.model.refinement import Pools, Refined, Refinement
 from atoll_coordinator.model.regression.equation import fit_equation
@@ -28,33 +30,54 @@ NOT_SIMULATED: Final = (
 )
 
 
-def refine_all(preparation: Preparation, config: JobConfig, pools: Pools) -> Refinement:
+OUT_OF_TIME: Final = (
+    "The time allowed by --max-time ended the choice of the equations early; those shown are the best by then."
+)
+
+
+def refine_all(
+    preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline | None = None
+) -> Refinement:
     """Return the refined equation of each variable; those are missing of which the front has nothing better.
 
     Args:
         preparation: the dataset of the search, and the recording unless left-hand sides were given.
         config: the resolved configuration of the job.
         pools: what the search handed on, by variable.
+        deadline: when it must end with the best so far; None: never.
     """
+    deadline = deadline or Deadline()
+    made = _refined(preparation, config, pools, deadline)
+    if not deadline.has_cut_short:
+        return made
+    warnings = tuple(each for each in made.warnings if each != NOT_SIMULATED)
+    return replace(made, warnings=(*warnings, OUT_OF_TIME), end="max-time")
+
+
+def _refined(preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline) -> Refinement:
     candidates = collect_candidates(preparation.dataset, config, pools)
     if preparation.recording is None:
-        return Refinement(_by_regression(preparation, config, candidates))
+        return Refinement(_by_regression(preparation, config, candidates, deadline))
     is_noisy = {target.variable: target.is_noisy for target in preparation.dataset.targets}
     settled = _by_regression(
-        preparation, config, {name: those for name, those in candidates.items() if not is_noisy[name]}
+        preparation, config, {name: those for name, those in candidates.items() if not is_noisy[name]}, deadline
     )
     with ThreadPoolExecutor(usable_cores(os.environ)[0]) as executor:
-        task = ModellingTask(preparation.dataset, preparation.recording, config, candidates, settled, executor)
+        task = ModellingTask(
+            preparation.dataset, preparation.recording, config, candidates, settled, executor, deadline=deadline
+        )
         choice = select_model(task)
+        deadline.begin_last_stage()
         model = None if choice is None else summarize(choice)
     if model is not None:
         return model
-    rest = _by_regression(preparation, config, {name: those for name, those in candidates.items() if is_noisy[name]})
+    unsettled = {name: those for name, those in candidates.items() if is_noisy[name]}
+    rest = _by_regression(preparation, config, unsettled, deadline)
     return Refinement({**settled, **rest}, warnings=(NOT_SIMULATED,))
 
 
 def _by_regression(
-    preparation: Preparation, config: JobConfig, candidates: Mapping[str, CandidateSet]
+    preparation: Preparation, config: JobConfig, candidates: Mapping[str, CandidateSet], deadline: Deadline
 ) -> dict[str, Refined]:
     """Return the equations that are fitted to their targets, of the variables that were searched.
 
@@ -64,7 +87,9 @@ def _by_regression(
     is_given = preparation.recording is None
     weights = preparation.weights if is_given else None
     equations = {
-        name: fit_equation(preparation.dataset.problem(name), config, each.front, weights, has_intervals=is_given)
+        name: fit_equation(
+            preparation.dataset.problem(name), config, each.front, weights, deadline, has_intervals=is_given
+        )
         for name, each in candidates.items()
         if each.known is None
     }

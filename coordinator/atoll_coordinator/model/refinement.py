@@ -14,6 +14,9 @@ from atoll.expression.text.infix import PRINTABLE_SIZE, tree_size
 from atoll.search.pareto import FrontEntry
 
 Grade = Literal["exact", "good", "doubtful", "no model"]
+RefiningEnd = Literal["finished", "max-time", "not refined"]
+"""How refining ended: by itself, by ``--max-time`` with the best so far, or without a result of its own."""
+
 Origin = Literal["front", "runner-up", "guess", "library", "descent", "known"]
 """Where an equation comes from: the front or the runners-up of the search, a guess, a library of terms, what was given,
 or a descent from any of these to a shorter description. Constants may have been fitted and made simple since."""
@@ -160,6 +163,7 @@ class Refinement:
     simulation: Simulation | None = None
     correlations: tuple[Correlation, ...] = ()
     warnings: tuple[str, ...] = ()
+    end: RefiningEnd = "finished"
 
 
 def may_be_shown(program: Program, largest: int | None) -> bool:

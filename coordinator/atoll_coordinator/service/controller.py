@@ -136,7 +136,7 @@ class Controller:
         if reason is not None:
             self.fail_job(job_id, "internal", reason, now)
             return
-        actions = job.start(prepared, cuts, resumed)
+        actions = job.start(prepared, cuts, now, resumed)
         self._store.update_job(job_id, state="running", dataset_digest=prepared.blob)
         self.events.record_preparation(job)
         self._channel.publish(job.announcement())
@@ -277,7 +277,7 @@ class Controller:
                 case Refine():
                     if job.prepared is not None:
                         self.events.record_refining(job.id)
-                        self._tasks.refine(job.id, job.prepared, action.pools)
+                        self._tasks.refine(job.id, job.prepared, action.pools, action.seconds)
                 case CommitResult():
                     self._commit_result(job, now)
 
@@ -315,7 +315,7 @@ class Controller:
             self.fail_job(waiting.id, "internal", "its table is not in the store any more; submit it again", now)
             return
         self._store.update_job(waiting.id, state="preparing")
-        waiting.start_preparing()
+        waiting.start_preparing(now)
         self._tasks.prepare(waiting.id, table, waiting.config)
 
     def _live_view(self, job: Job, now: float) -> JobView:

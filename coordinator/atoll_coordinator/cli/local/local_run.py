@@ -41,7 +41,7 @@ class LocalRun:
             table = self._request.read()
             self._coordinator.wait()
             with connected(self._endpoint, _CONNECT_LIMIT_S) as client:
-                self._request.submit(client, table)
+                self._request.after(time.monotonic() - self._started).submit(client, table)
                 return self._follow_job(client)
 
     def _follow_job(self, client: Client) -> int:

@@ -236,7 +236,9 @@ def _add_search(group: Any) -> None:
 
 
 def _add_budget(group: Any) -> None:
-    group.add_argument("--max-time", metavar="60s", help="end after 90, 60s, 10m, 1h (default: never by the clock)")
+    group.add_argument(
+        "--max-time", metavar="60s", help="end the whole job after 90, 60s, 10m, 1h (default: never by the clock)"
+    )
     group.add_argument(
         "--max-epochs", metavar="N", help="end after N epochs, or x=20,y=12 by state variable (default: 1000)"
     )

@@ -16,6 +16,7 @@ from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.operators import BY_NAME
 from atoll.expression.program import structure
 from atoll_coordinator.model.criteria import RegressionCriterion
+from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.refinement import Member, Refined, may_be_shown
 from atoll_coordinator.model.regression.covariance import estimate_constants
 from atoll_coordinator.model.regression.errors import errors_on
@@ -29,14 +30,15 @@ from atoll_coordinator.model.structure.like_terms import gathered
 
 def fit_equation(
     problem: Problem, config: JobConfig, front: Sequence[Member], weights: FloatArray | None = None,
-    *, has_intervals: bool = False,
+    deadline: Deadline | None = None, *, has_intervals: bool = False,
 ) -> Refined | None:  # fmt: skip
     """Return the shortest model that can be made of `front`; None when that must stay as it is.
 
     `weights` (R,) of the rows, 1 on average, decide the constants; errors are those of all rows alike. With
     `has_intervals` the errors of the rows are independent, and constants have 95 % intervals.
     That is so when the front is empty, and when a member meets the error at which the equation counts as found, but
-    nothing shorter does. Pure. Takes about a second for a few hundred noisy rows, less for exact ones.
+    nothing shorter does. Pure without a `deadline`, after which nothing new is tried. Takes about a second for a few
+    hundred noisy rows, less for exact ones.
     """
     limit = problem.target.convergence_error(config.budget.target_error)
     has_converged = any(member.error <= limit for member in front)
@@ -52,6 +54,7 @@ def fit_equation(
         operators,
         allowed,
         _spread_weights(weights, SETTINGS.regression.compared_rows),
+        deadline,
     )
     candidates = shortening.candidates([front[index].program for index in kept], looks_around=not has_converged)
     for candidate in candidates[: SETTINGS.regression.attempts]:

@@ -5,7 +5,7 @@ far from the shortest are left out. The constants of each of the others, and of 
 rounded. Then the programs one step from the smallest of the nearly shortest models are tried (a larger one may have
 begun to describe the noise), and those one step from the shortest as long as that makes it shorter; not when its errors
 are at the limit, where nothing but its size could be better. The work is bounded by a number of point evaluations, not
-by the clock.
+by the clock, unless there is a deadline.
 """
 
 from collections.abc import Collection, Sequence
@@ -17,6 +17,7 @@ import numpy as np
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.program import Program, structure
 from atoll_coordinator.model.criteria import RegressionCriterion, program_length
+from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.regression.covariance import description_length
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.rounding import Model, round_constants
@@ -49,6 +50,7 @@ class Shortening:
         operators: Collection[int],
         variables: Collection[int] | None = None,
         weights: FloatArray | None = None,
+        deadline: Deadline | None = None,
     ) -> None:
         """`operators` (codes) and `variables` (indices, all unless given) are what new programs may bring in.
 
@@ -58,6 +60,7 @@ class Shortening:
         self.least_squares: Final = LeastSquares(problem, weights)
         self._variables = range(len(problem.names)) if variables is None else variables
         self._operators = operators
+        self._deadline = deadline or Deadline()
         self._fits: dict[bytes, tuple[Fitted, float]] = {}
         self._ends: dict[bytes, Fitted] = {}
 
@@ -179,4 +182,4 @@ class Shortening:
         return [fitted for _, one in nearest for fitted in (one, self._reduced(one))]
 
     def _is_exhausted(self) -> bool:
-        return self.least_squares.evaluations > SETTINGS.regression.most_evaluations
+        return self._deadline.is_over or self.least_squares.evaluations > SETTINGS.regression.most_evaluations

@@ -106,6 +106,7 @@ def build_result(
         "correlations": correlations(model.correlations),
         "simulation": simulation(model.simulation, preparation.recording),
         "symbols": dict(dataset.symbols),
+        "refining": model.end if account.state == "done" else None,
         "warnings": [*dataset.warnings, *model.warnings],
         "point_evaluations": sum(_total(outcome) for outcome in outcomes),
         "search_seconds": finite(account.search_seconds),

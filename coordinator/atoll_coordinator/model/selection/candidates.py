@@ -97,8 +97,10 @@ def ranked(
     """
     least_squares = LeastSquares(problem)
     unique = {structure(program): program for program in reversed([tidied(each) for each in programs])}
+    deadline = comparison.estimator.deadline
     polished = [
-        least_squares.fit(program, steps=SETTINGS.selection.regression_steps) for program in reversed(unique.values())
+        least_squares.fit(program, steps=0 if deadline.is_over else SETTINGS.selection.regression_steps)
+        for program in reversed(unique.values())
     ]
     started = [each.program for each in polished if np.isfinite(each.mse)]
     found = comparison.fit_all(

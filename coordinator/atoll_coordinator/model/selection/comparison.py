@@ -62,8 +62,15 @@ class ModelComparison:
         self._map: Final = map if executor is None else executor.map
 
     def fit_all(self, work: Callable[[Item], FittedModel | None], items: Iterable[Item]) -> list[FittedModel]:
-        """Return what `work` makes of the items, the shortest description first; without those that failed."""
-        done = [its for its in self._map(work, items) if its is not None and math.isfinite(its.nats)]
+        """Return what `work` makes of the items, the shortest description first; without those that failed.
+
+        After the deadline no more items are taken.
+        """
+
+        def in_time(item: Item) -> FittedModel | None:
+            return None if self.estimator.deadline.is_over else work(item)
+
+        done = [its for its in self._map(in_time, items) if its is not None and math.isfinite(its.nats)]
         return sorted(done, key=lambda model: model.nats)
 
     def _bounded(

@@ -24,7 +24,7 @@ def eliminated(comparison: ModelComparison, problem: Problem, terms: list[Term],
     Nothing where a term has no value somewhere.
     """
     found: list[FittedModel] = []
-    while terms:
+    while terms and not comparison.estimator.deadline.is_over:
         columns = np.array([column_of(term, problem.inputs) for term in terms])
         if not np.isfinite(columns).all():
             break

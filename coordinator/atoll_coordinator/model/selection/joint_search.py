@@ -18,6 +18,7 @@ from atoll.expression.operators import BY_NAME
 from atoll.expression.program import Program
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.criteria import is_function
+from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.refinement import Refined, may_be_shown
 from atoll_coordinator.model.selection.candidates import CandidateSet, ranked
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
@@ -50,7 +51,8 @@ class ModellingTask:
     """What is modelled: the variables that have `candidates`, in the order of the equations.
 
     `settled` are equations that were fitted to noise-free targets; `executor` has the threads that fit systems, none
-    when they are fitted one after another; `piece` is how many rows are simulated at a stretch, at most.
+    when they are fitted one after another; `piece` is how many rows are simulated at a stretch, at most; after the
+    `deadline` nothing new is tried.
     """
 
     dataset: Dataset
@@ -60,6 +62,7 @@ class ModellingTask:
     settled: Mapping[str, Refined] = field(default_factory=dict)
     executor: Executor | None = None
     piece: int = SETTINGS.shooting.piece
+    deadline: Deadline | None = None
 
     @property
     def variables(self) -> tuple[str, ...]:
@@ -97,8 +100,9 @@ class ModellingTask:
         )
         fixed = [index for index, name in enumerate(variables) if name in self.known]
         return ModelComparison(
-            MultipleShooting(measurements, tolerance), self.dataset.names, fixed, self.leading(variables), self.executor
-        )
+            MultipleShooting(measurements, tolerance, self.deadline), self.dataset.names, fixed,
+            self.leading(variables), self.executor,
+        )  # fmt: skip
 
     def leading(self, variables: Sequence[str]) -> list[Program]:
         """Return the equations of the positions, whose rates are the velocities; none with order 1."""

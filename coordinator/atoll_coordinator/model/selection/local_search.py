@@ -36,7 +36,8 @@ class LocalSearch:
     @property
     def is_exhausted(self) -> bool:
         """Whether nothing more is tried."""
-        return self._comparison.estimator.work > self._budget
+        estimator = self._comparison.estimator
+        return estimator.deadline.is_over or estimator.work > self._budget
 
     def improve(self, model: FittedModel, equations: list[int]) -> FittedModel:
         """Return the end of the descent from `model`, by changes of `equations`."""

@@ -9,12 +9,14 @@ import math
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Final
 
 import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
+from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.fit_cache import FitCache, key_of
 from atoll_coordinator.model.shooting.kernels.implicit import STIFF
@@ -66,8 +68,12 @@ class _Method:
 class MultipleShooting:
     """Fits systems to `measurements`; `work` counts rows times numbers carried along, of all integrations."""
 
-    def __init__(self, measurements: Measurements, tolerance: float) -> None:
-        """`tolerance` is the error of a step over a state's standard deviation."""
+    def __init__(self, measurements: Measurements, tolerance: float, deadline: Deadline | None = None) -> None:
+        """`tolerance` is the error of a step over a state's standard deviation.
+
+        After the `deadline` a fit takes no more steps.
+        """
+        self.deadline: Final = deadline or Deadline()
         self.tolerance: Final = tolerance
         quick, precise, implicit = SETTINGS.shooting.free_steps
         is_quick = tolerance >= SETTINGS.shooting.quick_enough
@@ -116,7 +122,8 @@ class MultipleShooting:
             self._own.work = 0
             fit = self._fitted(system, length, steps, starts, sigmas, is_stiff=is_stiff)
             done = _Done(fit, self._own.work)
-            self._cache.put(key, done)
+            if not self.deadline.is_over:  # one that time has cut short is to be fitted again
+                self._cache.put(key, done)
         with self._lock:
             self.work += done.work
         return done.fit
@@ -140,7 +147,7 @@ class MultipleShooting:
         if here is None:
             return None
         damping = SETTINGS.shooting.first_damping
-        for _ in range(steps):
+        for _ in takewhile(lambda _: not self.deadline.is_over, range(steps)):
             step = _solved(here, damping)
             there = None
             if step is not None:

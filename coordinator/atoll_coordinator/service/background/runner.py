@@ -56,9 +56,12 @@ class TaskRunner:
         task = partial(prepare_job, self._ports.preparer, job, table, config)
         self._ports.pool.submit(job, task, finish, lambda why: self._post(preparation_failed(job, why)))
 
-    def refine(self, job: str, prepared: Prepared, pools: Pools) -> None:
-        """Make the equations of the pools; `JobRefined` is posted unless the job is cancelled."""
-        task = partial(refine_job, self._ports.refiner, job, prepared.preparation, prepared.config, pools)
+    def refine(self, job: str, prepared: Prepared, pools: Pools, seconds: float | None = None) -> None:
+        """Make the equations of the pools, in so many seconds if that is not None.
+
+        `JobRefined` is posted unless the job is cancelled.
+        """
+        task = partial(refine_job, self._ports.refiner, job, prepared.preparation, prepared.config, pools, seconds)
         self._ports.pool.submit(
             job, task, self._post, lambda why: self._post(refinement_failed(job, why)), is_queued=True
         )

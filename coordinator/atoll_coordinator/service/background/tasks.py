@@ -10,6 +10,7 @@ from atoll.errors import DataError, RemoteProtocolError, UsageError
 from atoll.logs import fields
 from atoll.wire.codec import dataset_to_bytes
 from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.refinement import Pools, Refinement
 from atoll_coordinator.model.report.known import known_entries, with_remarks
 from atoll_coordinator.service.jobs.defaults import resolve
@@ -21,7 +22,7 @@ Preparer = Callable[[bytes, JobConfig], Preparation]
 """Turns an uploaded table into regression problems and a recording; raises DataError or UsageError with a sentence for
 the user."""
 
-Refiner = Callable[[Preparation, JobConfig, Pools], Refinement]
+Refiner = Callable[[Preparation, JobConfig, Pools, Deadline], Refinement]
 """Makes the equations that are shown from the search's pools; see `atoll_coordinator.model.pipeline.refine_all`."""
 
 
@@ -65,11 +66,11 @@ def prepare_table(table: bytes, config: JobConfig) -> Preparation:
     return prepare(Table.from_bytes(table), config)
 
 
-def refine(preparation: Preparation, config: JobConfig, pools: Pools) -> Refinement:
+def refine(preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline) -> Refinement:
     """See `atoll_coordinator.model.pipeline.refine_all`, whose kernels are loaded no sooner."""
     from atoll_coordinator.model.pipeline import refine_all
 
-    return refine_all(preparation, config, pools)
+    return refine_all(preparation, config, pools, deadline)
 
 
 def prepare_job(preparer: Preparer, job: str, table: bytes, config: JobConfig) -> JobPrepared | PreparationFailed:
@@ -94,10 +95,12 @@ def preparation_failed(job: str, why: str) -> PreparationFailed:
     return PreparationFailed(job, "internal", f"preparing the data broke ({why})")
 
 
-def refine_job(refiner: Refiner, job: str, preparation: Preparation, config: JobConfig, pools: Pools) -> JobRefined:
-    """Make the equations of a job. When that fails, the selected members stay as they are."""
+def refine_job(
+    refiner: Refiner, job: str, preparation: Preparation, config: JobConfig, pools: Pools, seconds: float | None = None
+) -> JobRefined:
+    """Make the equations of a job, in so many seconds. When that fails, the selected members stay as they are."""
     try:
-        return JobRefined(job, refiner(preparation, config, pools))
+        return JobRefined(job, refiner(preparation, config, pools, Deadline(seconds)))
     except Exception as error:  # the job is done all the same
         _LOG.exception("refining failed", extra=fields(job=job))
         return refinement_failed(job, f"{type(error).__name__}: {error}")
@@ -105,4 +108,5 @@ def refine_job(refiner: Refiner, job: str, preparation: Preparation, config: Job
 
 def refinement_failed(job: str, why: str) -> JobRefined:
     """Return the outcome of a refinement that failed: the selected members stay as they are."""
-    return JobRefined(job, Refinement(warnings=(f"Refining broke ({why}); equations are as found.",)))
+    warning = f"Refining broke ({why}); equations are as found."
+    return JobRefined(job, Refinement(warnings=(warning,), end="not refined"))

@@ -23,6 +23,15 @@ from atoll_coordinator.service.search.collector import DivergedError, Limits, Me
 from atoll_coordinator.service.search.cut import Cut
 from atoll_coordinator.service.store.jobs import JobRecord
 
+SEARCH_SHARE: Final = 0.5
+"""Share of what preparing leaves of `--max-time` that the search may take: refining takes about as long."""
+
+OUT_OF_TIME: Final = (
+    "The time allowed by --max-time was used up before refining had ended: equations are as the search found them, "
+    "their constants fitted to derivatives."
+)
+_NOTHING_PREPARED: Final = "the time allowed by --max-time was used up while the data were being prepared; allow more"
+
 JobStep = Literal["prepare", "prepared", "searched", "refined", "fail", "cancel"]
 Fault = Literal["data", "diverged", "poison", "internal"]
 
@@ -54,9 +63,13 @@ class PublishCommit:
 
 @dataclass(frozen=True, slots=True)
 class Refine:
-    """All is cut: have the equations made of these pools, by variable; `Job.finish` follows."""
+    """All is cut: have the equations made of these pools, by variable; `Job.finish` follows.
+
+    `seconds` is what `--max-time` leaves for that; None: any time.
+    """
 
     pools: dict[str, Pool]
+    seconds: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,8 +121,12 @@ class Job:
         self.fault: Fault | None = None
         self.prepared: Prepared | None = None
         self.archipelagos: dict[str, Archipelago] = {}
+        self.preparing_since: float | None = None
+        self.preparation_seconds = 0.0
         self.started_at: float | None = None
         self.searched_before = 0.0
+        self.refining_since: float | None = None
+        self.spent_before_refining = 0.0
         self.refinement = Refinement()
 
     @property
@@ -143,19 +160,22 @@ class Job:
             priority=self.priority,
         )
 
-    def start_preparing(self) -> None:
+    def start_preparing(self, now: float) -> None:
         """Take in that its data are being prepared."""
         self._step("prepare")
+        self.preparing_since = now
 
     def start(
-        self, prepared: Prepared, cuts: Mapping[str, Cut], resumed: Mapping[str, StoredSearchState] | None = None
-    ) -> list[JobAction]:
+        self, prepared: Prepared, cuts: Mapping[str, Cut], now: float,
+        resumed: Mapping[str, StoredSearchState] | None = None,
+    ) -> list[JobAction]:  # fmt: skip
         """Set up the archipelagos; those of `cuts` have ended before, those of `resumed` go on from a checkpoint.
 
         The search has lasted at least as long as any of them says.
         """
         self._step("prepared")
         self.prepared = prepared
+        self.preparation_seconds = self._preparing_seconds(now)
         self.searched_before = max((cut.seconds for cut in cuts.values()), default=0.0)
         for target in prepared.sought:
             archipelago = self._archipelago(prepared, target)
@@ -165,7 +185,7 @@ class Job:
                 archipelago.resume(resumed[target.variable].search_state())
                 self.searched_before = max(self.searched_before, resumed[target.variable].search_seconds)
             self.archipelagos[target.variable] = archipelago
-        return self._refine_if_cut()
+        return self._refine_if_cut(now)
 
     def start_search(self, now: float) -> None:
         """Take in that islands have been placed: the time of the search begins, once."""
@@ -175,6 +195,20 @@ class Job:
     def search_seconds(self, now: float) -> float:
         """Return how long the search has lasted, under earlier incarnations as well."""
         return self.searched_before + (now - self.started_at if self.started_at is not None else 0.0)
+
+    def spent_seconds(self, now: float) -> float:
+        """Return what has gone by of `--max-time`: preparing, searching and refining.
+
+        Waiting for the job's turn, and for workers until islands are placed, does not count.
+        """
+        if self.state == "preparing":
+            return self._preparing_seconds(now)
+        if self.refining_since is not None:
+            return self.spent_before_refining + now - self.refining_since
+        return self.preparation_seconds + self.search_seconds(now)
+
+    def _preparing_seconds(self, now: float) -> float:
+        return now - self.preparing_since if self.preparing_since is not None else 0.0
 
     def add_report(self, worker: str, report: EpochReport, now: float) -> list[JobAction]:
         """Take in a report; raises RemoteProtocolError when it cannot be."""
@@ -187,18 +221,30 @@ class Job:
             advanced = archipelago.add_report(worker, report, self.search_seconds(now))
         except DivergedError as error:
             return self.fail("diverged", str(error))
-        return self._after_epoch(archipelago) if advanced else self._publish_due_commit(archipelago)
+        return self._after_epoch(archipelago, now) if advanced else self._publish_due_commit(archipelago)
 
     def tick(self, now: float) -> list[JobAction]:
-        """Let time pass: `--max-time` cuts every variable at its last completely reported epoch."""
-        limit = self.config.budget.max_time
-        if self.state != "running" or limit is None or self.search_seconds(now) < limit:
+        """Let time pass: `--max-time` ends preparing, cuts the search and ends refining.
+
+        The search may take its share of what preparing has left, and is cut at each variable's last completely
+        reported epoch. Where refining has not ended in time, equations are as the search found them.
+        """
+        limit, spent = self.config.budget.max_time, self.spent_seconds(now)
+        if limit is None:
             return []
+        if self.state == "preparing" and spent >= limit:
+            return self.fail("data", _NOTHING_PREPARED)
+        if self.state == "refining" and spent >= limit:
+            return self.finish(Refinement(warnings=(OUT_OF_TIME,), end="not refined"))
+        search_end = self.preparation_seconds + SEARCH_SHARE * max(0.0, limit - self.preparation_seconds)
+        return self._cut_search(now) if self.state == "running" and spent >= search_end else []
+
+    def _cut_search(self, now: float) -> list[JobAction]:
         open_ones = self.open_archipelagos
         for archipelago in open_ones:
             archipelago.collector.cut_now("max-time")
         cuts = tuple(each.cut for each in open_ones if each.cut is not None)
-        return [CommitCuts(cuts), *self._refine_if_cut()] if cuts else []
+        return [CommitCuts(cuts), *self._refine_if_cut(now)] if cuts else []
 
     def finish(self, refinement: Refinement) -> list[JobAction]:
         """End with what refining gave; without effect on a job that is not being refined."""
@@ -255,21 +301,23 @@ class Job:
             self.id, target.variable, limits, measure_of(target), lambda data: check_program(data, inputs)
         )
 
-    def _after_epoch(self, archipelago: Archipelago) -> list[JobAction]:
+    def _after_epoch(self, archipelago: Archipelago, now: float) -> list[JobAction]:
         if archipelago.cut is None:
             return self._publish_due_commit(archipelago)
-        return [CommitCuts((archipelago.cut,)), *self._refine_if_cut()]
+        return [CommitCuts((archipelago.cut,)), *self._refine_if_cut(now)]
 
     def _publish_due_commit(self, archipelago: Archipelago) -> list[JobAction]:
         commit = archipelago.due_commit()
         return [PublishCommit(commit)] if commit is not None else []
 
-    def _refine_if_cut(self) -> list[JobAction]:
+    def _refine_if_cut(self, now: float) -> list[JobAction]:
         if self.open_archipelagos:
             return []
+        limit, self.spent_before_refining = self.config.budget.max_time, self.spent_seconds(now)
+        self.refining_since = now
         self._step("searched")
-        cuts = {name: each.cut for name, each in self.archipelagos.items()}
-        return [Refine({name: cut.pool() for name, cut in cuts.items() if cut is not None})]
+        pools = {name: each.cut.pool() for name, each in self.archipelagos.items() if each.cut is not None}
+        return [Refine(pools, None if limit is None else max(0.0, limit - self.spent_before_refining))]
 
 
 def commit_order_of(config: JobConfig) -> CommitOrder:

@@ -13,6 +13,7 @@ from atoll.expression.program import constant_places, structure
 from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference import conclusion
 from atoll_coordinator.model.inference.conclusion import _no_elaborations, _standard_deviation
 from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
@@ -292,3 +293,36 @@ def test_origins_are_told_by_structure():
     assert origins("x", *texts) == ["front", "runner-up", "library", None]
     assert origins("y", "2.0*y*y", "y", "x*y") == ["guess", "front", "library"]
     assert candidates["z"].known == programs("x*z")[0]
+
+
+class _Counted:
+    """A clock that runs by a second each time it is read."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def __call__(self):
+        self.now += 1.0
+        return self.now
+
+
+@pytest.mark.parametrize("seconds", [0.5, 30.0, 300.0])
+def test_when_the_time_is_over_the_best_so_far_is_shown_and_that_is_said(seconds):
+    """From a deadline that is over at once to one that is over amid the search: equations, and a sentence."""
+    config = JobConfig(space=ARITHMETIC)
+    preparation = prepare(table(LOTKA, LOTKA_STARTS, TIMES, 0.02, 0), config)
+    its = refine_all(preparation, config, pools(preparation, **LOTKA_POOL), Deadline(seconds, _Counted()))
+    assert its.end == "max-time"
+    assert any("--max-time" in warning for warning in its.warnings)
+    assert NOT_SIMULATED not in its.warnings
+    assert set(its.equations) == {"x", "y"}
+
+
+def test_a_deadline_that_is_not_reached_changes_nothing():
+    config = JobConfig(space=ARITHMETIC)
+    preparation = prepare(table(LOTKA, LOTKA_STARTS, TIMES, 0.02, 0), config)
+    pool = pools(preparation, **LOTKA_POOL)
+    its, other = refine_all(preparation, config, pool, Deadline(1e9)), refine_all(preparation, config, pool)
+    assert its.end == "finished"
+    assert its.warnings == other.warnings
+    assert [each.program for each in its.equations.values()] == [each.program for each in other.equations.values()]

@@ -18,6 +18,7 @@ from atoll_coordinator.service.jobs.job import (
     CommitCuts,
     CommitResult,
     Job,
+    JobAction,
     Prepared,
     PublishCommit,
     Refine,
@@ -47,8 +48,8 @@ def job_with(**budget: object) -> Job:
 
 def running(**budget: object) -> Job:
     job = job_with(**budget)
-    job.start_preparing()
-    job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {})
+    job.start_preparing(0.0)
+    job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {}, 0.0)
     for archipelago in job.archipelagos.values():
         archipelago.place(
             Placement(
@@ -129,16 +130,63 @@ def test_a_variable_can_have_fewer_epochs_than_the_others() -> None:
 
 
 def test_time_cuts_every_variable() -> None:
-    job = running(max_time=10.0)
+    job = running(max_time=20.0)
     for variable in ("x", "y"):
         for island in (0, 1):
             job.add_report(f"w{island}", report(island, 0, variable), 1.0)
     assert job.tick(9.9) == []
     actions = job.tick(10.0)
     assert [type(action) for action in actions] == [CommitCuts, Refine]
+    assert actions[1].seconds == 10.0  # type: ignore[union-attr]
     assert isinstance(actions[0], CommitCuts)
     assert [cut.variable for cut in actions[0].cuts] == ["x", "y"]
     assert job.state == "refining"
+
+
+def searched(job: Job, now: float) -> list[JobAction]:
+    """Report the only epoch of a job that has one, all at `now`; return what follows."""
+    actions: list[JobAction] = []
+    for variable in ("x", "y"):
+        for island in (0, 1):
+            actions = job.add_report(f"w{island}", report(island, 0, variable), now)
+    return actions
+
+
+def test_preparing_counts_for_the_time_and_waiting_for_workers_does_not() -> None:
+    job = job_with(max_time=20.0)
+    job.start_preparing(100.0)
+    assert job.tick(119.9) == []
+    job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {}, 104.0)
+    assert job.tick(1000.0) == []
+    job.start_search(1000.0)
+    assert (job.spent_seconds(1003.0), job.spent_seconds(1006.0)) == (7.0, 10.0)
+
+
+def test_a_job_whose_time_ends_while_it_is_prepared_fails_and_says_why() -> None:
+    job = job_with(max_time=2.0)
+    job.start_preparing(5.0)
+    assert job.tick(7.0) == [CommitResult()]
+    assert (job.state, job.fault) == ("failed", "data")
+    assert "--max-time" in str(job.reason)
+
+
+def test_refining_gets_what_is_left_of_the_time_and_is_ended_with_it() -> None:
+    job = running(max_time=20.0, max_epochs=1)
+    *_, last = searched(job, 4.0)
+    assert isinstance(last, Refine)
+    assert last.seconds == 16.0
+    assert job.tick(19.9) == []
+    assert job.tick(20.0) == [CommitResult()]
+    assert (job.state, job.refinement.end, job.refinement.equations) == ("done", "not refined", {})
+    assert "--max-time" in job.refinement.warnings[0]
+
+
+def test_refining_takes_any_time_without_a_limit() -> None:
+    job = running(max_epochs=1)
+    *_, last = searched(job, 4.0)
+    assert isinstance(last, Refine)
+    assert last.seconds is None
+    assert job.tick(1e6) == []
 
 
 def test_cancelling_keeps_what_was_found_and_happens_once() -> None:
@@ -220,9 +268,9 @@ def test_under_a_new_term_old_epochs_count_once() -> None:
 
 def test_a_job_goes_on_from_its_checkpoints_and_from_the_time_it_had_taken() -> None:
     job = job_with()
-    job.start_preparing()
+    job.start_preparing(0.0)
     kept = StoredSearchState.of(SearchState(epochs=24, evaluations={"offspring": 7}, improved_at=3), 12.5)
-    assert job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {}, {"x": kept}) == []
+    assert job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {}, 0.0, {"x": kept}) == []
     resumed, new = job.archipelagos["x"], job.archipelagos["y"]
     assert (resumed.durable, resumed.collector.state.epochs, resumed.collector.state.improved_at) == (24, 24, 3)
     assert (new.durable, new.collector.state.epochs) == (0, 0)
@@ -238,8 +286,8 @@ def test_the_time_of_what_has_ended_counts_after_a_restart() -> None:
     cut = before.archipelagos["y"].cut
     assert cut is not None
     job = job_with()
-    job.start_preparing()
-    job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"y": cut})
+    job.start_preparing(0.0)
+    job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"y": cut}, 0.0)
     assert job.search_seconds(5.0) == 3.5
 
 
@@ -257,14 +305,14 @@ def test_reports_that_a_heartbeat_promises_and_that_did_not_come_are_pulled() ->
 
 def test_cuts_that_were_committed_before_a_restart_stand() -> None:
     job = job_with()
-    job.start_preparing()
+    job.start_preparing(0.0)
     cut = Cut(variable="x", epochs=3, generation=None, why="max-time", front=(), evaluations={}, seconds=1.0)
-    assert job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"x": cut}) == []
+    assert job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"x": cut}, 0.0) == []
     assert [each.variable for each in job.open_archipelagos] == ["y"]
     other = job_with()
-    other.start_preparing()
+    other.start_preparing(0.0)
     both = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
-    assert other.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), both) == [
+    assert other.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), both, 0.0) == [
         Refine({"x": Pool(()), "y": Pool(())})
     ]
 
@@ -281,9 +329,9 @@ def test_a_noisy_target_s_search_goes_on_below_its_floor() -> None:
 
 def test_the_number_of_runners_up_and_the_patience_are_those_of_the_configuration() -> None:
     job = job_with(stagnation=7)
-    job.start_preparing()
+    job.start_preparing(0.0)
     config = job.config.model_copy(update={"evolution": job.config.evolution.model_copy(update={"runners_up": 3})})
-    job.start(Prepared(Preparation(DATASET), config, BLOB, 100), {})
+    job.start(Prepared(Preparation(DATASET), config, BLOB, 100), {}, 0.0)
     limits = job.archipelagos["x"].collector.limits
     assert (limits.runners_up, limits.stagnation) == (3, 7)
 
@@ -291,7 +339,7 @@ def test_the_number_of_runners_up_and_the_patience_are_those_of_the_configuratio
 def test_impossible_steps_are_our_bug() -> None:
     job = job_with()
     with pytest.raises(LocalProtocolError, match="queued and cannot prepared"):
-        job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {})
+        job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {}, 0.0)
     with pytest.raises(LocalProtocolError, match="before it is prepared"):
         job.announcement()
 
@@ -304,7 +352,7 @@ def test_programs_are_checked() -> None:
 
 def test_runners_up_are_handed_on_beside_the_front() -> None:
     job = job_with()
-    job.start_preparing()
+    job.start_preparing(0.0)
     best, next_best = (FrontEntry(1, error, error, 0, 5, 0, bytes([1, 0, 0, 0, 0, 0])) for error in (0.5, 0.6))
     cut = Cut(
         variable="x",
@@ -317,5 +365,5 @@ def test_runners_up_are_handed_on_beside_the_front() -> None:
         seconds=1.0,
     )
     cuts = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
-    (refine,) = job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), cuts)
+    (refine,) = job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), cuts, 0.0)
     assert refine == Refine({name: Pool((best,), (next_best,)) for name in ("x", "y")})
