@@ -3,8 +3,9 @@
 Every number of the truth and every coefficient of one that is not written gets a factor. An equation has the truth's
 form when some positive factors make the truth equal to it, to a millionth of the derivative's deviation, on the
 measured states without errors and on points of the box around them: whatever the dress, and with constants as errors
-leave them. When the form is not the truth's, the equation is written as a sum of products, and the smallest summands
-are left out one after the other: an equation that has the form then had so many extra terms.
+leave them. Parts of it that have no effect of that size are extra terms all the same. When the form is not the truth's,
+the equation is written as a sum of products, and the smallest summands are left out one after the other: an equation
+that has the form then had so many extra terms.
 """
 
 import ast
@@ -66,7 +67,8 @@ def judge_form(found: str | None, truth: str, columns: Mapping[str, FloatArray],
             values = _evaluated(_parsed(found), points)
             kind = model.match(values)
             if kind == "right":
-                return Form("right", 0)
+                needless = _needless(model, _parsed(found), points)
+                return Form("extra" if needless else "right", needless)
             extra = None if not with_extra else _extra(model, _parsed(found), points)
         except (SyntaxError, RecursionError, ValueError, KeyError, TypeError, MemoryError):
             return Form("other")
@@ -83,6 +85,42 @@ def _extra(model: "_Model", tree: ast.expr, points: Mapping[str, FloatArray]) ->
     return None
 
 
+def _needless(model: "_Model", tree: ast.expr, points: Mapping[str, FloatArray]) -> int:
+    """Return how many summands and factors can be left out, one after the other, without an effect on the values."""
+    found = 0
+    values = _evaluated(tree, points)
+    while True:
+        for shorter in _shorter(tree):
+            others = _evaluated(shorter, points)
+            if (np.isfinite(others) >= np.isfinite(values)).all() and model.size(others - values) <= model.negligible:
+                tree, found = shorter, found + 1
+                break
+        else:
+            return found
+
+
+def _shorter(node: ast.expr) -> Iterator[ast.expr]:
+    """Yield `node` with one operand of a sum or product left out, the outermost first; numeric factors stay."""
+    match node:
+        case ast.BinOp(left, operator, right):
+            if isinstance(operator, ast.Add | ast.Sub):
+                yield left
+                yield right if isinstance(operator, ast.Add) else ast.UnaryOp(ast.USub(), right)
+            elif isinstance(operator, ast.Mult | ast.Div):
+                yield from [left] if not _is_number(right) else []
+                yield from [right] if isinstance(operator, ast.Mult) and not _is_number(left) else []
+            yield from (ast.BinOp(each, operator, right) for each in _shorter(left))
+            yield from (ast.BinOp(left, operator, each) for each in _shorter(right))
+        case ast.UnaryOp(operator, operand):
+            yield from (ast.UnaryOp(operator, each) for each in _shorter(operand))
+        case ast.Call(function, [argument]):
+            yield from (ast.Call(function, [each], []) for each in _shorter(argument))
+
+
+def _is_number(node: ast.expr) -> bool:
+    return isinstance(node.operand if isinstance(node, ast.UnaryOp) else node, ast.Constant)
+
+
 class _Model:
     """The truth with a factor at every number, and at every summand."""
 
@@ -95,6 +133,7 @@ class _Model:
         target = self._values(np.ones(len(names)))
         self._kept = np.isfinite(target)
         self._scale = float(np.std(target[self._kept])) or 1.0
+        self.negligible = NEGLIGIBLE * self._scale
         self._weight = 1.0 / (self._scale + np.abs(target))
 
     def size(self, values: FloatArray) -> float:
