@@ -1,0 +1,92 @@
+"""What is printed: each search beside the published errors, and how many are below each limit."""
+
+import csv
+import statistics
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from atoll_coordinator.cli.terminal.output import table
+from benchmarks.dysts.judging import EXACT_ERROR, SMALL_ERROR, Outcome
+from benchmarks.dysts.making import POLYNOMIAL
+
+LIMITS: Final = (0.001, 0.01, 0.05, 0.1)
+METHODS: Final = ("weak STLSQ", "STLSQ", "MIOSR")
+
+Published = Mapping[str, Mapping[str, float]]
+
+
+def published(path: Path | None) -> Published:
+    """Return the published errors by flow and column; none without a file."""
+    if path is None:
+        return {}
+    with path.open(newline="") as stream:
+        rows = csv.DictReader(stream)
+        return {row.pop("system"): {key: float(value) for key, value in row.items()} for row in rows}
+
+
+def line(outcome: Outcome) -> str:
+    """Return one search in a line."""
+    return " | ".join([*_cells(outcome), *(each for each in outcome.equations if each and not outcome.is_exact)])
+
+
+def by_system(outcomes: Sequence[Outcome], path: Path | None) -> str:
+    """Return a table with a row for each search."""
+    known = published(path)
+    heads = ("system", "noise %", "error", "form", "rates", "verdicts", "s", *METHODS)
+    return table(heads, [(*_cells(each), *_theirs(known, each)) for each in outcomes])
+
+
+def summary(outcomes: Sequence[Outcome], path: Path | None) -> str:
+    """Return for each noise how many of the polynomial flows err by less than each limit, ours and published."""
+    known = published(path)
+    rows = []
+    for noise in sorted({each.noise for each in outcomes}):
+        here = [each for each in outcomes if each.noise == noise and each.system in POLYNOMIAL]
+        errors = [each.error for each in here]
+        seconds = statistics.median([each.seconds for each in here] or [0.0])
+        exact = sum(each.is_exact for each in here)
+        rows.append(_counted("atoll", noise, errors, f"{exact}", f"{seconds:.0f}"))
+        for method in METHODS if known else ():
+            theirs = [known.get(each.system, {}).get(f"{method} at {noise:.2f} %") for each in here]
+            rows.append(_counted(method, noise, theirs, "", ""))
+        others = [each for each in outcomes if each.noise == noise and each.system not in POLYNOMIAL]
+        if others:
+            right = sum(is_right(each) for each in others)
+            seconds = statistics.median(each.seconds for each in others)
+            rows.append(
+                ("atoll, others", f"{noise:g}", f"{len(others)}", "", "", "", "", f"{right} right", f"{seconds:.0f}")
+            )
+    return table(("method", "noise %", "flows", *(f"< {limit:g}" for limit in LIMITS), "exact form", "median s"), rows)
+
+
+def is_right(outcome: Outcome) -> bool:
+    """Tell whether a flow that is no polynomial counts as found: by its rates on the test trajectories."""
+    limit = EXACT_ERROR if outcome.noise == 0.0 else SMALL_ERROR
+    return outcome.rate_error is not None and outcome.rate_error < limit
+
+
+def _counted(method: str, noise: float, errors: Sequence[float | None], exact: str, seconds: str) -> tuple[str, ...]:
+    counts = (str(sum(each is not None and each < limit for each in errors)) for limit in LIMITS)
+    return (method, f"{noise:g}", str(len(errors)), *counts, exact, seconds)
+
+
+def _cells(outcome: Outcome) -> tuple[str, ...]:
+    return (
+        outcome.system,
+        f"{outcome.noise:g}",
+        _number(outcome.error),
+        f"{sum(outcome.in_form)}/{len(outcome.in_form)}",
+        _number(outcome.rate_error),
+        " ".join(each or "-" for each in outcome.verdicts),
+        f"{outcome.seconds:.1f}",
+    )
+
+
+def _theirs(known: Published, outcome: Outcome) -> tuple[str, ...]:
+    errors = known.get(outcome.system, {})
+    return tuple(_number(errors.get(f"{method} at {outcome.noise:.2f} %")) for method in METHODS)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2g}"
