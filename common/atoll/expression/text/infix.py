@@ -1,12 +1,12 @@
 """Print programs as infix text that our parser (`atoll.expression.text.parsing`) and sympy read alike.
 
 Two manners. *Exact* (the default): parsing the text gives the same bits on every row, because only rewritings are used
-that IEEE 754 keeps: the operands of + and * swapped, signs moved, a*a as a**2, a + a as 2.0*a. *Display* (``digits``),
-in `atoll.expression.text.display`: constants are rounded, sums and products flattened as in the reals.
+that IEEE 754 keeps: the operands of + and * swapped, signs moved, a*a as a**2, a + a as 2.0*a, sin(a)/cos(a) as
+tan(a). *Display* (``digits``): the shortest writing (`atoll.expression.writing`) with rounded constants.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -23,7 +23,7 @@ from atoll.expression.operators import (
     SUBTRACT,
     VARIABLE,
 )
-from atoll.expression.program import Program
+from atoll.expression.program import Program, constant_places, with_constants
 
 PRINTABLE_SIZE: Final = 5_000
 """Largest tree that is printed. Shared nodes are printed once per use, so a short list can be a huge text."""
@@ -43,11 +43,15 @@ def to_infix(program: Program, names: Sequence[str], *, digits: int | None = Non
     size = tree_size(program)
     if size > PRINTABLE_SIZE:
         raise ValueError(f"an expression of {size} operations is too long to print; at most {PRINTABLE_SIZE} are")
-    if digits is not None:
-        from atoll.expression.text.display import display
+    if digits is None:
+        return _exact(program, names, repr)
+    # Imported here: what is printed to the bit needs none of it.
+    from atoll.expression.writing.shortest import shortest
 
-        return display(program, names, digits)
-    return _exact(program, names)
+    found = shortest(program)
+    values = {place: float(f"{found.constants[place]:.{digits}g}") for place in constant_places(found)}
+    rounded = with_constants(found, values)
+    return _exact(shortest(rounded), names, lambda value: f"{value:.{digits}g}")
 
 
 def tree_size(program: Program) -> int:
@@ -85,13 +89,13 @@ _ONE: Final = _Piece(_CONSTANT, "1")
 _TWO: Final = _Piece(_CONSTANT, "2.0")
 
 
-def _exact(program: Program, names: Sequence[str]) -> str:
+def _exact(program: Program, names: Sequence[str], number: Callable[[float], str]) -> str:
     pieces: list[_Piece] = []
     for code, left, right, value in program.nodes():
         if code == VARIABLE:
             pieces.append(_Piece(_ATOM, names[left]))
         elif code == CONSTANT:
-            pieces.append(_Piece(_CONSTANT, repr(abs(value)), negative=math.copysign(1.0, value) < 0.0))
+            pieces.append(_Piece(_CONSTANT, number(abs(value)), negative=math.copysign(1.0, value) < 0.0))
         elif ARITY[code] == 2:
             pieces.append(_binary(code, pieces[left], pieces[right]))
         else:
@@ -145,6 +149,10 @@ def _multiply(left: _Piece, right: _Piece) -> _Piece:
 
 def _divide(left: _Piece, right: _Piece) -> _Piece:
     left, right, negative = _operands(left, right)
+    for above, below, name in (("sin(", "cos(", "tan("), ("cos(", "sin(", "cot(")):
+        argument = left.text.removeprefix(above)
+        if left.kind == right.kind == _ATOM and left.text == above + argument and right.text == below + argument:
+            return _Piece(_ATOM, name + argument, negative)
     return _Piece(_PRODUCT, f"{left.text}/{_factor(right)}", negative)
 
 

@@ -167,7 +167,7 @@ def test_the_digest_does_not_see_times_or_reasons():
 
 def test_text_shows_rounded_equations_and_the_front_on_request():
     plain = render_text(result())
-    assert "dx/dt = 3*x - x**2 - 2*x*S" in plain
+    assert "dx/dt = x*(3 - x - 2*S)" in plain
     assert "dv/dt = ?" in plain
     assert "warning: two rows were dropped" in plain
     assert "pick" not in plain
@@ -209,7 +209,7 @@ def test_text_of_a_result_from_before_verdicts_is_shown_as_it_is():
         for key in ("verdict", "reason", "candidates"):
             del equation[key]
     assert "exact" not in render_text(old, fronts=True)
-    assert "3*x" in render_text(old)
+    assert "x*(3 - x - 2*S)" in render_text(old)
 
 
 def test_csv_has_the_equation_shown_and_one_line_for_each_member():
@@ -233,7 +233,7 @@ def test_latex_writes_fractions_and_rounded_constants():
     text = render(result(), "latex")
     assert r"\frac{d x}{d t} &= " in text
     assert r"\begin{align*}" in text
-    assert "3 x" in text
+    assert r"\left(- 2 S - x + 3\right)" in text
 
 
 def test_latex_of_nothing_found_yet_has_no_blank_line():
