@@ -275,12 +275,16 @@ class MultipleShooting:
 
 
 def _solved(here: _Equations, damping: float) -> tuple[FloatArray, FloatArray] | None:
-    """Return the step of the constants (P,) and of the initial states (G, D); None when there is none."""
+    """Return the step of the constants (P,) and of the initial states (G, D); None when there is none worth a look.
+
+    Were the equations linear, it would lower the cost by twice its product with the gradient at most.
+    """
     change, moves = np.empty_like(here.gradient), np.empty_like(here.own_gradient)
     solved = solve_step(
         here.normal, here.coupling, here.own, here.gradient, here.own_gradient, damping, change, moves
     )  # fmt: skip
-    return (change, moves) if solved and np.isfinite(change).all() and np.isfinite(moves).all() else None
+    promise = 2.0 * float((here.gradient * change).sum() + (here.own_gradient * moves).sum()) if solved else 0.0
+    return (change, moves) if SETTINGS.shooting.settled * here.cost <= promise < math.inf else None
 
 
 def fit_in_stages(

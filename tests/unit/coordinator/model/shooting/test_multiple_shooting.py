@@ -200,6 +200,18 @@ def test_work_counts_rows_and_what_is_carried_along():
     assert large.work == 150 * (10 + 2 * (1 + 6 + 2))
 
 
+@pytest.mark.parametrize("noise", [(0.0, 0.0), (0.01, 0.1)])
+def test_a_fit_begun_at_its_end_integrates_once_or_twice(noise):
+    """A step that promises nothing is not tried, however many could be."""
+    its = lotka(noise=noise)
+    fit = fitted_lotka(its)
+    again = MultipleShooting(its, 1e-8)
+    again.fit(fit.system, None, 0, fit.starts, fit.sigmas)
+    once = again.work
+    again.fit(fit.system, None, 40, fit.starts, fit.sigmas)
+    assert again.work - once <= 2 * once
+
+
 def test_the_misfit_is_the_likelihood_with_fitted_variances_above_the_floor():
     its = lotka(noise=(0.01, 0.1))
     fit = fitted_lotka(its)
