@@ -3,9 +3,9 @@
 Every number of the truth and every coefficient of one that is not written gets a factor. An equation has the truth's
 form when some positive factors make the truth equal to it, to a millionth of the derivative's deviation, on the
 measured states without errors and on points of the box around them: whatever the dress, and with constants as errors
-leave them. Parts of it that have no effect of that size are extra terms all the same. When the form is not the truth's,
-the equation is written as a sum of products, and the smallest summands are left out one after the other: an equation
-that has the form then had so many extra terms.
+leave them. Parts of little effect without which the form is still right are extra terms all the same. When the form is
+not the truth's, the equation is written as a sum of products, and the smallest summands are left out one after the
+other: an equation that has the form then had so many extra terms.
 """
 
 import ast
@@ -20,6 +20,9 @@ from benchmarks.judging.fractions import FloatArray
 
 NEGLIGIBLE: Final = 1e-6
 """Largest difference, over the derivative's deviation, between two writings of one function."""
+
+LITTLE: Final = 1e-3
+"""Largest effect, over the derivative's deviation, of a part that the truth's constants can take over: a crumb."""
 
 VANISHED: Final = 1e-3
 """A factor below this: the term is missing."""
@@ -86,13 +89,12 @@ def _extra(model: "_Model", tree: ast.expr, points: Mapping[str, FloatArray]) ->
 
 
 def _needless(model: "_Model", tree: ast.expr, points: Mapping[str, FloatArray]) -> int:
-    """Return how many summands and factors can be left out, one after the other, without an effect on the values."""
+    """Return how many summands and factors can be left out, one after the other, with little effect."""
     found = 0
     values = _evaluated(tree, points)
     while True:
         for shorter in _shorter(tree):
-            others = _evaluated(shorter, points)
-            if (np.isfinite(others) >= np.isfinite(values)).all() and model.size(others - values) <= model.negligible:
+            if model.has_little_effect(values, _evaluated(shorter, points)):
                 tree, found = shorter, found + 1
                 break
         else:
@@ -133,8 +135,14 @@ class _Model:
         target = self._values(np.ones(len(names)))
         self._kept = np.isfinite(target)
         self._scale = float(np.std(target[self._kept])) or 1.0
-        self.negligible = NEGLIGIBLE * self._scale
         self._weight = 1.0 / (self._scale + np.abs(target))
+
+    def has_little_effect(self, before: FloatArray, after: FloatArray) -> bool:
+        """Tell whether a change of values is small, and leaves the form right."""
+        if not (np.isfinite(after) >= np.isfinite(before)).all():
+            return False
+        change = self.size(after - before) / self._scale
+        return change <= NEGLIGIBLE or (change <= LITTLE and self.match(after) == "right")
 
     def size(self, values: FloatArray) -> float:
         """Return the root mean square of some values, as far as they are finite."""
