@@ -295,6 +295,22 @@ class InferenceSettings:
     """A target that is more uncertain cannot tell a law from nonsense of the same error; trajectories can."""
     least_target_r2: float = 0.1
     """An equation that explains less of its target is no better than a constant."""
+    exact_constant: float = 1e-3
+    """Largest standard error of a constant of an exact equation, over the constant. In the corpus's data without noise
+    it is below 1e-4 in laws, and above 0.03 in terms that follow the errors of solvers."""
+    relied_upon: float = 0.95
+    """Share of the odds that must foretell what the model does: what is called good foretells as often."""
+    foretold_starts: int = 12
+    """Initial states from which the model and its rivals are simulated; the worst of twelve is one in ten or so."""
+    foretold_rows: int = 80
+    """Rows of such a simulation, over the duration of the longest trajectory."""
+    foretold_shift: float = 1e-3
+    """Change of an initial state, over the state's deviation, that must not change the course much: else chaos ends
+    what can be foretold."""
+    foretold_r2: float = 0.99
+    """R2 between courses that such a change has hardly changed."""
+    foretold_draws: int = 8
+    """Draws of the constants from their distribution."""
     loose: float = 0.5
     """A constant whose standard error is a larger share of it than this is not determined by the data."""
 

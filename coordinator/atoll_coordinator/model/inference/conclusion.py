@@ -1,5 +1,6 @@
 """From the chosen system to what is reported: constants with errors, alternatives, verdicts, simulations."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -8,6 +9,7 @@ import numpy as np
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, structure
 from atoll_coordinator.data.recording import Smoothing
+from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
 from atoll_coordinator.model.inference.simulation import (
     bands,
@@ -24,7 +26,15 @@ from atoll_coordinator.model.inference.standard_errors import (
     find_correlations,
 )
 from atoll_coordinator.model.inference.verdict import Evidence, judge
-from atoll_coordinator.model.refinement import Alternative, Origin, Refined, Refinement, Simulated, Simulation
+from atoll_coordinator.model.refinement import (
+    Alternative,
+    Origin,
+    Prediction,
+    Refined,
+    Refinement,
+    Simulated,
+    Simulation,
+)
 from atoll_coordinator.model.regression.covariance import Known, student_95
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
@@ -87,8 +97,15 @@ def summarize(selection: SelectedModel) -> Refinement | None:
     errors = estimate_errors(final.comparison, final.free)
     constants = describe_constants(final.comparison, final.explicit, final.shown, errors)
     out = None if final.unseen is None else _held_out(final, final.unseen, final.shown, errors)
+    predictions = _predictions(final, errors)
     equations = {
-        name: _refined(final, index, constants[index], _prediction_r2(final, out, index))
+        name: _refined(
+            final,
+            index,
+            constants[index],
+            _prediction_r2(final, out, index),
+            None if predictions is None else predictions[index],
+        )
         for index, name in enumerate(task.variables)
     }
     measurements = final.comparison.estimator.measurements
@@ -184,7 +201,24 @@ def _carried_bands(final: _Final, unseen: ModelComparison, fit: TrajectoryFit, e
     )
 
 
-def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None) -> Refined:
+def _predictions(final: _Final, errors: Errors) -> list[Prediction] | None:
+    """Return how far each state can be foretold from other initial states, see `foretell`."""
+    comparison, ranking = final.comparison, final.ranking
+    least = ranking.selection.model.nats
+    rivals = [
+        Rival(each.model.fit.system, equation, math.exp(-max(each.model.nats - least, 0.0)))
+        for equation, alternatives in enumerate(ranking.alternatives)
+        for each in alternatives
+    ]
+    rivals += draws(final.free.fit.system, scaled_covariance(comparison, final.free.fit, errors)[0], len(final.shown))
+    return foretell(
+        comparison.estimator.measurements, final.shown_fit.fit.system, rivals, comparison.estimator.tolerance
+    )
+
+
+def _refined(
+    final: _Final, index: int, known: Known, held_out_r2: float | None, prediction: Prediction | None
+) -> Refined:
     task = final.task
     name, program = task.variables[index], final.shown[index]
     problem = task.dataset.problem(name)
@@ -208,14 +242,17 @@ def _refined(final: _Final, index: int, known: Known, held_out_r2: float | None)
         held_out_r2=held_out_r2,
         is_cross_validated=final.unseen is None,
         constants=known.written,
+        unit_coefficients=[each.constant for each in known.unit_coefficients],
+        prediction=prediction,
         alternative=min((each.nats for each in nearest), default=None),
     )
     grade, reason = judge(evidence)
     member = task.candidates[name].member_of(program)
     origin = final.origin(index, final.ranking.selection.model.programs[index])
     return Refined(
-        member, program, error, mse, known.written, known.unit_coefficients, alternatives, grade, reason, origin
-    )
+        member, program, error, mse, known.written, known.unit_coefficients, alternatives, grade, reason, origin,
+        prediction,
+    )  # fmt: skip
 
 
 def _reference_smoother(smoothing: Smoothing) -> ReferenceSmoother | None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from atoll.data.dataset import EXACT_ERROR, FloatArray
 from atoll_coordinator.model.inference.residuals import Check, ReferenceSmoother, check
-from atoll_coordinator.model.refinement import Constant, Grade
+from atoll_coordinator.model.refinement import Constant, Grade, Prediction
 from atoll_coordinator.model.settings import SETTINGS
 
 
@@ -31,9 +31,10 @@ class Evidence:
     the noise is known; `has_outliers` makes the checks robust. `held_out_r2` is the
     R2 of the simulations of held-out trajectories; with `is_cross_validated`, of those left out one at a time.
 
-    Of the model: `constants`, as they are reported; `alternative` is how many nats longer the description is with
-    the next best equation that is another function and has no more constants; `is_known` tells that the equation was
-    given.
+    Of the model: `constants`, as they are reported, and `unit_coefficients`, factors of one that are not written;
+    `alternative` is how many nats longer the description is with the next best equation that is another function and
+    has no more constants; `prediction` is how far the state can be foretold from other initial states, None where that
+    is not known; `is_known` tells that the equation was given.
     """
 
     error: float = math.inf
@@ -49,7 +50,9 @@ class Evidence:
     held_out_r2: float | None = None
     is_cross_validated: bool = False
     constants: Sequence[Constant] = ()
+    unit_coefficients: Sequence[Constant] = ()
     alternative: float | None = None
+    prediction: Prediction | None = None
     is_known: bool = False
     convergence_threshold: float = EXACT_ERROR
 
@@ -77,14 +80,39 @@ def _by_simulation(evidence: Evidence) -> tuple[Grade, str]:
     r2 = 1.0 - left * left
     if not r2 >= SETTINGS.inference.least_r2:  # NaN explains nothing
         return "no model", f"Its simulation explains too little of the measurements (R2 {_r2(r2)})."
-    objections = [*_objections_to_simulation(evidence, residuals), *_objections_to_model(evidence)]
+    objections = [
+        *_objections_to_simulation(evidence, residuals),
+        *_objections_to_prediction(evidence.prediction),
+        *_objections_to_model(evidence),
+    ]
     if objections:
         return "doubtful", _sentence(objections)
     if evidence.noise <= SETTINGS.inference.clean * evidence.standard_deviation and left <= max(
         SETTINGS.inference.exact, 2.0 * evidence.noise / evidence.standard_deviation
     ):
-        return "exact", f"Without noise, the simulation misses the measurements by {left:.1g} of their deviation."
+        missed = f"without noise, the simulation misses the measurements by {left:.1g} of their deviation"
+        loosest = _loosest(evidence)
+        if loosest is None:
+            return "exact", _sentence([missed])
+        return "good", _sentence([missed, loosest])
     return "good", _sentence([_merit_of_simulation(evidence, residuals)])
+
+
+def _loosest(evidence: Evidence) -> str | None:
+    """Return what is to be said of the constant that is known least, None when all are known as in an exact law.
+
+    Dropping a constant of which the estimate is t standard errors away from zero costs about t^2/2 nats. In data
+    without noise a law stands out by millions of nats, while terms that follow the errors of a simulation do by tens.
+    """
+    known = [
+        (each.std_error / max(abs(each.value if each.fitted is None else each.fitted), 1e-300), each.value)
+        for each in (*evidence.constants, *evidence.unit_coefficients)
+        if each.std_error is not None
+    ]
+    share, value = max(known, default=(0.0, 0.0))
+    if share <= SETTINGS.inference.exact_constant:
+        return None
+    return f"the constant {value:.3g} is known to {_percent(share)} only: its term may follow errors of the data"
 
 
 def _by_target(evidence: Evidence) -> tuple[Grade, str]:
@@ -131,6 +159,22 @@ def _objections_to_simulation(evidence: Evidence, residuals: Check) -> Iterator[
     if residuals.correlation > SETTINGS.inference.patterned and residuals.patterned < SETTINGS.inference.improbable:
         share = _percent(min(residuals.correlation, 1.0))
         yield f"about {share} of what it leaves follows a pattern (p = {residuals.patterned:.1g})"
+
+
+def _objections_to_prediction(prediction: Prediction | None) -> Iterator[str]:
+    """Yield what speaks against relying on the model elsewhere in the measured box, and what to measure."""
+    if prediction is None:
+        return
+    if prediction.followed < prediction.starts:
+        lost = prediction.starts - prediction.followed
+        yield f"from {lost} of {prediction.starts} other initial states within the measured range it runs away"
+    if prediction.unlike is not None and prediction.probability < SETTINGS.inference.relied_upon:
+        where = ", ".join(f"{name} = {value:.3g}" for name, value in prediction.unlike.items())
+        yield (
+            "other equations or constants that describe the data about as well foretell something else from other "
+            f"initial states within the measured range ({_percent(prediction.probability)} of the odds agree); "
+            f"a measurement from {where} would decide"
+        )
 
 
 def _objections_to_target(evidence: Evidence, *, is_at_floor: bool) -> Iterator[str]:

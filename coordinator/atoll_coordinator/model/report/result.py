@@ -28,7 +28,7 @@ from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.report.diagnostics import noise, smoothing
 from atoll_coordinator.model.report.digest import result_digest
 from atoll_coordinator.model.report.numbers import finite
-from atoll_coordinator.model.report.trust import candidates, correlations, simulation, verdict
+from atoll_coordinator.model.report.trust import candidates, correlations, prediction, simulation, verdict
 
 SCHEMA: Final = 1
 KNOWN: Final = "known"
@@ -151,6 +151,7 @@ def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, s
         **_course(None if member is None else outcome.front[member], outcome, config),
         "derivative_floor": finite(target.uncertainty),
         "target_error": target.convergence_threshold(config.budget.target_error),
+        "prediction": prediction(None if shown is None else shown.prediction),
         "candidates": candidates(shown.alternatives if shown is not None else (), dataset),
         "front": [
             {

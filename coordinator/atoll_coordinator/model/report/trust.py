@@ -17,6 +17,7 @@ from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import (
     Alternative,
     Correlation,
+    Prediction,
     Refined,
     Simulated,
     Simulation,
@@ -58,6 +59,19 @@ def _on_target(shown: Refined, target: Target, is_known: bool) -> Evidence:
         is_known=is_known,
         convergence_threshold=target.convergence_threshold(),
     )
+
+
+def prediction(its: Prediction | None) -> dict[str, Any] | None:
+    """Return how far a state can be foretold from other initial states in the measured box; None: not known."""
+    if its is None:
+        return None
+    return {
+        "starts": its.starts,
+        "followed": its.followed,
+        "probability": finite(its.probability),
+        "novelty": finite(its.novelty),
+        "measure_from": None if its.unlike is None else {name: finite(value) for name, value in its.unlike.items()},
+    }
 
 
 def candidates(alternatives: Sequence[Alternative], dataset: Dataset) -> list[dict[str, Any]]:

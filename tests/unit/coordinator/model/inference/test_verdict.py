@@ -7,7 +7,7 @@ import pytest
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.inference.verdict import Evidence, judge
-from atoll_coordinator.model.refinement import Constant
+from atoll_coordinator.model.refinement import Constant, Prediction
 
 KNOWN = (Constant(3.0, 2.98, 0.02, (2.94, 3.02)), Constant(1.0, 1.01, 0.02, (0.97, 1.05)))
 
@@ -22,13 +22,33 @@ def waves(sd: float) -> tuple[FloatArray, ...]:
 
 
 NOISY = Evidence(0.3, 0.2, 0.9, noise(0.1), 0, 3.0, noise=0.1, standard_deviation=2.0, constants=KNOWN, alternative=9.0)
-CLEAN = Evidence(1e-12, 1e-9, 1.0, waves(1e-9), 0, 3.0, noise=0.0, standard_deviation=2.0, constants=KNOWN)
+SHARP = (Constant(3.0, 3.0, 2e-9, (3.0, 3.0)), Constant(1.0, 1.0, 2e-9, (1.0, 1.0)))
+CLEAN = Evidence(1e-12, 1e-9, 1.0, waves(1e-9), 0, 3.0, noise=0.0, standard_deviation=2.0, constants=SHARP)
 
 
 def test_a_simulation_without_noise_and_without_error_is_exact() -> None:
     grade, reason = judge(CLEAN)
     assert grade == "exact"
     assert "misses the measurements by 5e-10 of their deviation" in reason
+
+
+@pytest.mark.parametrize("part", ["constants", "unit_coefficients"])
+def test_a_term_that_may_follow_errors_of_a_solver_is_not_exact(part: str) -> None:
+    crumb = Constant(4.6e-07, 4.6e-07, 4.6e-08, (3.6e-07, 5.6e-07))
+    grade, reason = judge(replace(CLEAN, **{part: (*SHARP, crumb)}))
+    assert grade == "good"
+    assert "the constant 4.6e-07 is known to 10 % only" in reason
+
+
+def test_what_is_good_is_foretold_elsewhere() -> None:
+    sure = Prediction(12, 12, 0.99, 0.1, {"x": 1.0, "y": 2.0})
+    assert judge(replace(NOISY, prediction=sure))[0] == "good"
+    grade, reason = judge(replace(NOISY, prediction=replace(sure, probability=0.7)))
+    assert grade == "doubtful"
+    assert "a measurement from x = 1, y = 2 would decide" in reason
+    grade, reason = judge(replace(NOISY, prediction=replace(sure, followed=10)))
+    assert grade == "doubtful"
+    assert "From 2 of 12 other initial states within the measured range it runs away" in reason
 
 
 def test_residuals_like_the_noise_are_good() -> None:

@@ -1,0 +1,233 @@
+"""What a model foretells from other initial states inside the measured box, and whether its rivals foretell the same.
+
+Data decide between two equations as far as these describe the measurements unequally well. Where they describe them
+about as well and yet foretell something else from initial states that were not measured, the data do not decide what
+happens there. So the model, its alternatives and draws of its constants are simulated from such states; what share of
+the odds foretells what the model does is the probability that it can be relied upon.
+
+Letters: D states, O measured ones, N rows, P fitted constants, G initial states.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll_coordinator.model.refinement import Prediction
+from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+from atoll_coordinator.model.shooting.system import System
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A system that may be right in place of the model: another equation for one variable, or other constants.
+
+    Rivals of one `group` exclude one another; `odds` are those against the model, whose own are one.
+    """
+
+    system: System
+    group: int
+    odds: float
+
+
+def foretell(
+    measurements: Measurements, model: System, rivals: Sequence[Rival], tolerance: float
+) -> list[Prediction] | None:
+    """Return the prediction of each measured state; None where the system has inputs, which are not known elsewhere.
+
+    Args:
+        measurements: the trajectories that were measured.
+        model: the system that is shown.
+        rivals: what else describes the measurements.
+        tolerance: error of an integration step over a state's standard deviation.
+    """
+    if len(measurements.inputs) or measurements.rows < SETTINGS.inference.foretold_rows // 4:
+        return None
+    elsewhere = _Elsewhere(measurements, tolerance)
+    own = elsewhere.courses(model, range(len(elsewhere.starts)))
+    followed = [place for place, course in enumerate(own) if course is not None]
+    states = range(len(measurements.observed))
+    if not followed:
+        return [Prediction(len(own), 0, 0.0, math.inf) for _ in states]
+    horizon = elsewhere.horizon(model, own, followed)
+    courses = [course[:, :horizon] for course in own if course is not None]
+    misses = _Misses(courses, len(states))
+    for rival in rivals:
+        misses.add(
+            rival, [None if its is None else its[:, :horizon] for its in elsewhere.courses(rival.system, followed)]
+        )
+    novelty = elsewhere.novelty(courses)
+    return [
+        Prediction(
+            len(own), len(followed), misses.agreement(state), novelty, elsewhere.named(followed, misses.unlike(state))
+        )
+        for state in states
+    ]
+
+
+class _Elsewhere:
+    """Simulates systems from initial states in the measured box, for as long as the longest trajectory."""
+
+    def __init__(self, measurements: Measurements, tolerance: float) -> None:
+        self._measurements = measurements
+        rows = SETTINGS.inference.foretold_rows
+        low, high = measurements.smoothed.min(axis=1), measurements.smoothed.max(axis=1)
+        self._low, self._width = low, np.maximum(high - low, 1e-300)
+        length = max(
+            float(measurements.times[end - 1] - measurements.times[first]) for first, end in measurements.bounds
+        )
+        count = len(measurements.observed)
+        self._estimator = MultipleShooting(
+            replace(
+                measurements,
+                bounds=np.array([[0, rows]], dtype=np.int64),
+                owners=np.zeros(1, dtype=np.int64),
+                times=np.linspace(0.0, length, rows),
+                measured=np.zeros((count, rows)),
+                weights=np.ones((count, rows)),
+                smoothed=np.ascontiguousarray(np.linspace(low, high, rows).T),
+                offset=np.zeros(0, dtype=np.int64),
+                inputs=np.zeros((0, rows)),
+                input_slopes=np.zeros((0, rows)),
+                inverse_variances=None,
+                consistency=None,
+            ),
+            tolerance,
+        )
+
+    @cached_property
+    def starts(self) -> FloatArray:
+        """Initial states (G, D), evenly spread over the box (Halton 1960)."""
+        count, states = SETTINGS.inference.foretold_starts, len(self._low)
+        unit = np.array([[_radical_inverse(index, base) for base in _primes(states)] for index in range(1, count + 1)])
+        return np.asarray(self._low + unit * self._width)
+
+    def courses(self, system: System, places: Sequence[int]) -> list[FloatArray | None]:
+        """Return the measured states (O, N) from these of the initial states, None where a simulation fails."""
+        return [self._course(system, self.starts[place]) for place in places]
+
+    def horizon(self, model: System, own: Sequence[FloatArray | None], places: Sequence[int]) -> int:
+        """Return for how many rows slightly different initial states lead to about the same course: chaos ends it."""
+        moved = self.starts + SETTINGS.inference.foretold_shift * self._measurements.scales
+        others = [self._course(model, moved[place]) for place in places]
+        pairs = [(own[place], other) for place, other in zip(places, others, strict=True) if other is not None]
+        rows = SETTINGS.inference.foretold_rows
+        least = SETTINGS.inference.foretold_r2
+        while rows > 8 and not all(
+            (_r2([one[:, :rows]], [other[:, :rows]]) > least).all() for one, other in pairs if one is not None
+        ):
+            rows //= 2
+        return rows
+
+    def novelty(self, courses: Sequence[FloatArray]) -> float:
+        """Return the median distance of simulated rows from the nearest measured one, over the widths of the box."""
+        observed = self._measurements.observed
+        width = self._width[observed][:, None]
+        known = (self._measurements.smoothed[observed] / width).T[:: max(1, self._measurements.rows // 500)]
+        rows = (np.concatenate([course[:, ::4] for course in courses], axis=1) / width).T
+        distances = [float(np.abs(known - row).max(axis=1).min()) for row in rows]
+        return float(np.median(distances))
+
+    def named(self, places: Sequence[int], place: int | None) -> dict[str, float] | None:
+        """Return one of the initial states by name."""
+        if place is None:
+            return None
+        names = self._measurements.variables[: len(self._low)]
+        return dict(zip(names, self.starts[places[place]].tolist(), strict=True))
+
+    def _course(self, system: System, start: FloatArray) -> FloatArray | None:
+        fit = self._estimator.fit(system.with_fixed_constants(), None, 0, np.ascontiguousarray(start[None]))
+        if fit is None:
+            return None
+        course = fit.simulated[self._measurements.observed]
+        return course if np.isfinite(course).all() else None
+
+
+class _Misses:
+    """What the rivals of each group foretell otherwise, state by state."""
+
+    def __init__(self, courses: Sequence[FloatArray], states: int) -> None:
+        self._courses = courses
+        self._odds: dict[int, float] = {}
+        self._against: dict[int, FloatArray] = {}
+        self._unlike = [(0.0, -1)] * states
+
+    def add(self, rival: Rival, courses: Sequence[FloatArray | None]) -> None:
+        """Take in what a rival foretells from the same initial states."""
+        states = len(self._unlike)
+        is_whole = all(course is not None for course in courses)
+        agrees = (
+            _r2([course for course in courses if course is not None], self._courses) > SETTINGS.inference.good_r2
+            if is_whole
+            else np.zeros(states, np.bool_)
+        )
+        self._odds[rival.group] = self._odds.get(rival.group, 0.0) + rival.odds
+        against = self._against.setdefault(rival.group, np.zeros(states))
+        against += rival.odds * ~agrees
+        for state in np.flatnonzero(~agrees).tolist():
+            for place, (course, own) in enumerate(zip(courses, self._courses, strict=True)):
+                size = math.inf if course is None else float(np.abs(course[state] - own[state]).max())
+                if rival.odds * size > self._unlike[state][0]:
+                    self._unlike[state] = (rival.odds * size, place)
+
+    def agreement(self, state: int) -> float:
+        """Return the share of the odds that foretells what the model does."""
+        shares = [1.0 - self._against[group][state] / (1.0 + odds) for group, odds in self._odds.items()]
+        return math.prod(float(share) for share in shares)
+
+    def unlike(self, state: int) -> int | None:
+        """Return the place of the initial state from which the course is foretold most differently, None: nowhere."""
+        place = self._unlike[state][1]
+        return place if place >= 0 else None
+
+
+def _r2(found: Sequence[FloatArray], true: Sequence[FloatArray]) -> FloatArray:
+    """Return R2 (O,) of courses (O, N), all together."""
+    found_rows, true_rows = np.concatenate(found, axis=1), np.concatenate(true, axis=1)
+    errors = ((found_rows - true_rows) ** 2).sum(axis=1)
+    spread = ((true_rows - true_rows.mean(axis=1, keepdims=True)) ** 2).sum(axis=1)
+    return np.asarray(1.0 - errors / np.maximum(spread, 1e-300))
+
+
+def draws(system: System, covariance: FloatArray, group: int) -> Iterator[Rival]:
+    """Yield `system` with constants drawn from their distribution, each with an equal part of the odds.
+
+    Args:
+        system: with its constants as fitted.
+        covariance: theirs (P, P), finite.
+        group: of the rivals.
+    """
+    count = SETTINGS.inference.foretold_draws
+    if not len(system.places):
+        return
+    values, vectors = np.linalg.eigh(covariance)
+    scales = vectors * np.sqrt(np.maximum(values, 0.0))
+    rng = np.random.default_rng(0)
+    for _ in range(count):
+        drawn = system.values + scales @ rng.standard_normal(len(values))
+        yield Rival(system.with_values(drawn), group, 1.0)
+
+
+def _radical_inverse(index: int, base: int) -> float:
+    """Return the digits of `index` behind the point, the first digit last."""
+    value, factor = 0.0, 1.0
+    while index:
+        factor /= base
+        index, digit = divmod(index, base)
+        value += factor * digit
+    return value
+
+
+def _primes(count: int) -> list[int]:
+    found: list[int] = []
+    candidate = 2
+    while len(found) < count:
+        if all(candidate % prime for prime in found):
+            found.append(candidate)
+        candidate += 1
+    return found
