@@ -144,7 +144,7 @@ def test_the_documents_have_the_exit_codes_that_the_programs_end_with() -> None:
 
 def test_every_decision_has_its_number_and_stands_in_the_list() -> None:
     names = sorted(Path(name).name for name in DOCUMENTS if name.startswith("docs/adr/0"))
-    assert [int(name[:4]) for name in names] == list(range(1, len(names) + 1))
+    assert len({name[:4] for name in names}) == len(names)
     for name in names:
         text = DOCUMENTS[f"docs/adr/{name}"]
         assert f"({name})" in DOCUMENTS["docs/adr/README.md"]
