@@ -19,6 +19,7 @@ import numba.core.cgutils
 import numba.core.compiler
 import numba.core.dispatcher
 import numba.core.registry
+import numba.core.runtime
 import numba.core.sigutils
 import numba.extending
 
@@ -147,8 +148,17 @@ class _Cache(numba.core.caching.FunctionCache):  # type: ignore[misc]
     _impl_class = _Results
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        result = super().load_overload(signature, target)
-        if result is not None:
+        """Return what has been compiled before, None if it has not been.
+
+        Machine code needs numba's run-time system, but none of what numba knows of Python and numpy, which takes as
+        long to load as all kernels: that is left to compiling.
+        """
+        numba.core.runtime.rtsys.initialize(target)
+        with self._guard_against_spurious_io_errors():
+            result = self._load_overload(signature, target)
+        if result is None:
+            target.refresh()
+        else:
             _announce()
         return result
 

@@ -1,10 +1,10 @@
 """The coordinator of a local run: router and service in a thread of this process, with the store in memory."""
 
-import contextlib
 import threading
 from typing import Final, Self
 
 from atoll.errors import AtollError, UnreachableError
+from atoll_coordinator.service.background.process_pool import ProcessPool
 
 _STOP_LIMIT_S: Final = 5.0
 _OPEN_LIMIT_S: Final = 20.0
@@ -13,10 +13,11 @@ _OPEN_LIMIT_S: Final = 20.0
 class LocalCoordinator:
     """Router and service in a thread of their own, the store in memory; a context manager."""
 
-    def __init__(self, endpoint: str, workers: int) -> None:
-        """`workers` is how many are expected to join."""
+    def __init__(self, endpoint: str, workers: int, pool: ProcessPool) -> None:
+        """`workers` is how many are expected to join; `pool` prepares and refines, and is closed by its owner."""
         self._endpoint = endpoint
         self._workers = workers
+        self._pool = pool
         self._stop = threading.Event()
         self._listening = threading.Event()
         self._error: BaseException | None = None
@@ -52,18 +53,13 @@ class LocalCoordinator:
             self._listening.set()
 
     def _serve(self) -> None:
-        from atoll_coordinator.service.background.child_main import load_preparation
-        from atoll_coordinator.service.background.process_pool import ProcessPool
+        from atoll.wire.bus.zenoh_bus import open_router
+        from atoll_coordinator.service.background.ports import Ports
+        from atoll_coordinator.service.service import Service
+        from atoll_coordinator.service.store.store import Store
 
-        with contextlib.closing(ProcessPool()) as pool:
-            pool.preload(load_preparation)  # loads while the rest of this is loaded
-            from atoll.wire.bus.zenoh_bus import open_router
-            from atoll_coordinator.service.background.ports import Ports
-            from atoll_coordinator.service.service import Service
-            from atoll_coordinator.service.store.store import Store
-
-            with Store.open(None) as store, open_router(self._endpoint) as bus:
-                ports = Ports(pool)
-                service = Service(bus, store, expected_workers=self._workers, dismisses_workers=True, ports=ports)
-                self._listening.set()
-                service.run(self._stop)
+        with Store.open(None) as store, open_router(self._endpoint) as bus:
+            ports = Ports(self._pool)
+            service = Service(bus, store, expected_workers=self._workers, dismisses_workers=True, ports=ports)
+            self._listening.set()
+            service.run(self._stop)

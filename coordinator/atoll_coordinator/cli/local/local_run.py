@@ -14,6 +14,7 @@ from atoll_coordinator.cli.terminal.follow import Follower
 from atoll_coordinator.cli.terminal.output import duration, note, write_result
 from atoll_coordinator.cli.terminal.progress import Display, open_display
 from atoll_coordinator.client import Client, connected
+from atoll_coordinator.service.background.process_pool import ProcessPool
 
 _CONNECT_LIMIT_S: Final = 20.0
 _WORTH_SAYING_S: Final = 0.05
@@ -21,18 +22,19 @@ _CANCEL_LIMIT_S: Final = 10.0
 
 
 class LocalRun:
-    """One run, whose workers have been started already and are ended by the caller."""
+    """One run, whose workers and pool have been started already and are ended by the caller."""
 
     def __init__(
-        self, options: argparse.Namespace, folder: Path, endpoint: str, workers: LocalWorkers, started: float
-    ) -> None:
+        self, options: argparse.Namespace, folder: Path, endpoint: str, workers: LocalWorkers, pool: ProcessPool,
+        started: float,
+    ) -> None:  # fmt: skip
         """`started` is the monotonic second at which the command began; raises UsageError or DataError."""
         self._request = request_of(options)
         self._folder = folder
         self._endpoint = endpoint
         self._workers = workers
         self._started = started
-        self._coordinator = LocalCoordinator(endpoint, workers.number)
+        self._coordinator = LocalCoordinator(endpoint, workers.number, pool)
         self._forced: int | None = None
 
     def run(self) -> int:

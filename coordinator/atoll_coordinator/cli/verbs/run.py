@@ -1,6 +1,7 @@
 """``coordinator run``: everything on this machine, through a real router, as on any number of machines.
 
-The workers are started first of all, and only then is loaded what this process needs itself: both take a second.
+The workers and the process that prepares the data are started first of all, and only then is loaded what this process
+needs itself: each takes about half a second.
 """
 
 import argparse
@@ -20,6 +21,8 @@ from atoll_coordinator.cli.local.workers import LocalWorkers, free_endpoint
 from atoll_coordinator.cli.options.names import job_id
 from atoll_coordinator.cli.signals import raising_interrupts
 from atoll_coordinator.cli.terminal.output import refuse_existing_result
+from atoll_coordinator.service.background.child_main import load_preparation
+from atoll_coordinator.service.background.process_pool import ProcessPool
 
 _WORKER_LOG: Final = "workers.log"
 _COORDINATOR_LOG: Final = "coordinator.log"
@@ -44,10 +47,15 @@ def run(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace, folder: Path, started: float) -> int:
     endpoint, number = free_endpoint(), options.workers or usable_cores(os.environ)[0]
-    with raising_interrupts(), LocalWorkers(endpoint, number, folder / _WORKER_LOG) as workers:
+    with (
+        raising_interrupts(),
+        LocalWorkers(endpoint, number, folder / _WORKER_LOG) as workers,
+        contextlib.closing(ProcessPool()) as pool,
+    ):
+        pool.preload(load_preparation)
         from atoll_coordinator.cli.local.local_run import LocalRun
 
-        return LocalRun(options, folder, endpoint, workers, started).run()
+        return LocalRun(options, folder, endpoint, workers, pool, started).run()
 
 
 @contextlib.contextmanager

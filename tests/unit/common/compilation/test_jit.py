@@ -13,11 +13,16 @@ from atoll.compilation.jit import IS_COMPILED
 from atoll.compilation.sources import packages_compiled_into
 
 KERNELS = """
-from atoll.compilation.jit import kernel
+import numpy
+from atoll.compilation.jit import allocating_kernel, kernel
 
 @kernel
 def double(x):
     return FACTOR * x
+
+@allocating_kernel
+def numbers(count):
+    return numpy.arange(count)
 """
 USE = """
 import numba, place
@@ -25,13 +30,13 @@ print(place.double(2.0), sum(place.double._cache_hits.values()), numba.config.CA
 """
 
 
-def run(folder: Path, factor: float, cache: Path) -> list[str]:
+def run(folder: Path, factor: float, cache: Path, program: str = USE) -> list[str]:
     """Call a kernel that stands in a module of `folder`; return its value, and how many kernels were loaded."""
     folder.mkdir(exist_ok=True)
     (folder / "place.py").write_text(KERNELS.replace("FACTOR", str(factor)))
     environment = {**os.environ, "ATOLL_KERNEL_CACHE": str(cache)}
     done = subprocess.run(
-        [sys.executable, "-c", USE], cwd=folder, env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", program], cwd=folder, env=environment, capture_output=True, text=True, check=True
     )
     return done.stdout.split()
 
@@ -40,6 +45,21 @@ def run(folder: Path, factor: float, cache: Path) -> list[str]:
 def test_a_copy_of_the_sources_elsewhere_finds_the_machine_code(tmp_path: Path) -> None:
     assert run(tmp_path / "one", 2.0, tmp_path / "cache") == ["4.0", "0"]
     assert run(tmp_path / "other", 2.0, tmp_path / "cache") == ["4.0", "1"]
+
+
+LOAD = """
+import sys
+import place
+print(place.double(2.0), place.numbers(3).tolist(), "numba.np.linalg" in sys.modules)
+"""
+
+
+@pytest.mark.skipif(not IS_COMPILED, reason="kernels are interpreted")
+def test_machine_code_is_loaded_without_what_compiling_needs(tmp_path: Path) -> None:
+    """Numba's knowledge of Python and numpy takes as long to load as all kernels."""
+    folder = tmp_path / "one"
+    assert run(folder, 2.0, tmp_path / "cache", LOAD) == ["4.0", "[0,", "1,", "2]", "True"]
+    assert run(folder, 2.0, tmp_path / "cache", LOAD) == ["4.0", "[0,", "1,", "2]", "False"]
 
 
 @pytest.mark.skipif(not IS_COMPILED, reason="kernels are interpreted")
