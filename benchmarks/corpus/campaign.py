@@ -60,10 +60,12 @@ class CorpusJournal:
             raise UsageError(f"{self._path} cannot be written ({error.strerror}); name another file") from error
 
     def _read(self, path: Path) -> None:
-        """Take in what `path` holds; a last line that was not written to its end is left out."""
-        for number, line in enumerate(path.read_text("utf-8").splitlines(keepends=True), start=1):
-            if not line.endswith("\n"):
-                continue
+        """Take in what `path` holds, and cut off a last line that was not written to its end."""
+        text = path.read_text("utf-8")
+        whole = text[: text.rfind("\n") + 1]
+        if whole != text:
+            path.write_text(whole, "utf-8")
+        for number, line in enumerate(whole.splitlines(), start=1):
             try:
                 value = json.loads(line)
                 if "outcome" in value:
@@ -94,7 +96,8 @@ def judge_again(keys: Sequence[Key], journal: CorpusJournal) -> None:
         if answer is not None:
             old = journal.outcomes[key]
             meter = Meter((), Stopwatch(seconds=dict(old.wall)), dict(old.cpu))
-            journal.add(judge_job(key, make_case(key), answer, meter), answer)
+            case = make_case(key)
+            journal.add(judge_job(key, case, answer, meter, config=configuration(key, case, None, {})), answer)
 
 
 def configuration(key: Key, case: Case, max_time: float | None, changes: Mapping[str, Any]) -> JobConfig:
@@ -115,14 +118,15 @@ def _run(
     searches: Searches, key: Key, journal: CorpusJournal, max_time: float | None, changes: Mapping[str, Any]
 ) -> None:
     case, meter, begun = make_case(key), Meter(searches.pids), time.monotonic()
+    config = configuration(key, case, max_time, changes)
     try:
-        answer = searches.solve(key.title, case.table, configuration(key, case, max_time, changes), meter.watch)
+        answer = searches.solve(key.title, case.table, config, meter.watch)
     except AtollError as error:
         searches.check()  # without a coordinator no job is to blame
         seconds = {"seconds": time.monotonic() - begun}
         journal.add(judge_job(key, case, seconds, meter, str(error)), None)
         return
-    journal.add(judge_job(key, case, answer, meter), answer)
+    journal.add(judge_job(key, case, answer, meter, config=config), answer)
 
 
 def line(outcome: Outcome) -> str:

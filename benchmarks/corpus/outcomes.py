@@ -7,10 +7,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from atoll.config import JobConfig
 from atoll.errors import UsageError
 from atoll.wire.messages.views import JobView
 from benchmarks.corpus.cases import LEAST_T, Case, Key
 from benchmarks.corpus.forms import Kind, judge_form
+from benchmarks.corpus.lengths import excess_of_truth
 from benchmarks.harness.stopwatch import Stopwatch
 from benchmarks.judging.generalisation import GOOD_R2, field_of, simulated
 
@@ -61,7 +63,10 @@ class EquationOutcome:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one job came out. `seconds` is the whole job's wall time; by phase, `wall` and `cpu` of all processes."""
+    """How one job came out. `seconds` is the whole job's wall time; by phase, `wall` and `cpu` of all processes.
+
+    `excess` is how many nats longer the description is with the truth, None where all is right or it is not known.
+    """
 
     key: Key
     system: str
@@ -71,6 +76,7 @@ class Outcome:
     cpu: Mapping[str, float]
     digest: str | None = None
     failure: str | None = None
+    excess: float | None = None
 
     @property
     def cpu_seconds(self) -> float:
@@ -87,7 +93,8 @@ def outcome_from(value: Mapping[str, Any]) -> Outcome:
     equations = tuple(
         EquationOutcome(**{name: _number(part) for name, part in each.items()}) for each in value["equations"]
     )
-    return Outcome(**{**value, "key": Key(**value["key"]), "equations": equations})
+    excess = _number(value.get("excess"))
+    return Outcome(**{**value, "key": Key(**value["key"]), "equations": equations, "excess": excess})
 
 
 def _plain(value: Any) -> Any:
@@ -103,17 +110,25 @@ def _number(value: Any) -> Any:
 
 
 def judge_job(
-    key: Key, case: Case, result: Mapping[str, Any], meter: "Meter | None" = None, failure: str | None = None
-) -> Outcome:
-    """Judge `result`, the contents of a result.json, empty when the job failed."""
+    key: Key, case: Case, result: Mapping[str, Any], meter: "Meter | None" = None, failure: str | None = None,
+    config: JobConfig | None = None,
+) -> Outcome:  # fmt: skip
+    """Judge `result`, the contents of a result.json, empty when the job failed.
+
+    With the `config` of the job, the description lengths of truth and result are compared where that is wrong.
+    """
     equations = {equation["variable"]: equation for equation in result.get("equations", ())}
     truths = case.system.truths
     r2 = fresh_r2([equations.get(state, {}).get("expression") for state in truths], case)
     judged = tuple(_equation(case, state, equations.get(state, {}), r2[state]) for state in truths)
     wall, cpu = ({}, {}) if meter is None else (meter.stopwatch.seconds, meter.cpu)
+    excess = None
+    if config is not None and not all(its.is_right for its in judged):
+        excess = excess_of_truth(case.table, config, truths, [its.expression for its in judged])
     return Outcome(
-        key, case.system.name, judged, float(result.get("seconds") or 0.0), wall, cpu, result.get("digest"), failure
-    )
+        key, case.system.name, judged, float(result.get("seconds") or 0.0), wall, cpu, result.get("digest"), failure,
+        excess,
+    )  # fmt: skip
 
 
 def _equation(case: Case, state: str, equation: Mapping[str, Any], r2: float | None) -> EquationOutcome:

@@ -102,6 +102,7 @@ def equation_rows(outcomes: Sequence[Outcome], *, only_wrong: bool) -> str:
             its.grade or "-",
             "-" if its.r2 is None else f"{its.r2:.3f}",
             "-" if its.t is None else f"{its.t:.2g}",
+            "-" if each.excess is None else f"{each.excess:+.1f}",
             f"{each.seconds:.1f} / {each.cpu_seconds:.1f}",
         )
         for each in outcomes
@@ -109,6 +110,6 @@ def equation_rows(outcomes: Sequence[Outcome], *, only_wrong: bool) -> str:
         if not (only_wrong and its.is_right)
     ]
     return markdown(
-        ("equation", "truth", "shown", "form", "truth is in", "verdict", "R2", "t", "wall / cpu s"),
+        ("equation", "truth", "shown", "form", "truth is in", "verdict", "R2", "t", "truth's nats", "wall / cpu s"),
         [tuple(f"`{cell}`" if place in (1, 2) else cell for place, cell in enumerate(row)) for row in rows],
     )

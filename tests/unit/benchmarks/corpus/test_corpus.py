@@ -12,6 +12,7 @@ from benchmarks.corpus import campaign
 from benchmarks.corpus.campaign import CorpusJournal, configuration, judge_again
 from benchmarks.corpus.cases import Key, make_case, smallest_t
 from benchmarks.corpus.families import FAMILIES, NAMED
+from benchmarks.corpus.lengths import excess_of_truth
 from benchmarks.corpus.outcomes import judge_job, outcome_from
 from benchmarks.corpus.qualities import QUALITIES, quality
 from benchmarks.corpus.random_equations import random_family
@@ -172,7 +173,9 @@ def test_outcomes_survive_the_journal(tmp_path, judged, lotka):
     again = CorpusJournal(path, ())
     assert again.outcomes == {KEY: judged, runaway.key: runaway}
     judge_again([KEY], again)
-    assert again.outcomes[KEY] == judged
+    assert dataclasses.replace(again.outcomes[KEY], excess=None) == judged
+    third = CorpusJournal(path, ())
+    assert third.outcomes == again.outcomes
     assert outcome_from(judged.to_json()) == judged
 
 
@@ -214,3 +217,15 @@ def test_keys_of_the_command_line():
     assert {key.trajectories for key in named} == {1}
     drawn = corpus.keys(parse(["--seeds", "0-3", "--states", "1", "--qualities", "exact", "noise-0.1", "--in-turn"]))
     assert [key.quality for key in drawn] == ["noise-0.1", "exact", "noise-0.1", "exact"]
+
+
+def test_the_truth_is_the_shorter_description_where_data_decide(lotka):
+    config = configuration(KEY, lotka, None, {})
+    truths = lotka.system.truths
+    other = excess_of_truth(lotka.table, config, truths, ["1.1*x - 0.4*x*y*y", truths["y"]])
+    runaway = excess_of_truth(lotka.table, config, truths, ["5.0*x**3", truths["y"]])
+    crumb = excess_of_truth(lotka.table, config, truths, [truths["x"] + " + 0.001*sin(x)", truths["y"]])
+    assert other < -100.0
+    assert runaway < -100.0
+    assert -20.0 < crumb < 0.0
+    assert excess_of_truth(lotka.table, config, truths, [None, truths["y"]]) is None
