@@ -105,19 +105,23 @@ class Correlation:
 
 @dataclass(frozen=True)
 class Prediction:
-    """How far a state can be foretold from `starts` other initial states.
+    """How far a state can be foretold from `starts` other initial states within the measured range.
 
     `followed` is from how many of them the model could be simulated, `probability` the share of the odds of models that
     foretell what the model does (R2 above 0.9), `novelty` how far the simulated rows lie from the measured ones: the
-    median, over the widths of the box. `unlike` is the initial state from which rivals foretell the most different
-    course, by state, None when all foretell the same.
+    median, over the widths of the range. `reached` is the value farthest beyond the measured range that the state
+    takes there, None where it stays within. `measure_from` is the initial state from which a measurement would tell
+    most, by state: the one from which rivals differ most, if any do, or else the one farthest from what was measured;
+    `is_disputed` tells that rivals differ.
     """
 
     starts: int
     followed: int
     probability: float
     novelty: float
-    unlike: dict[str, float] | None = None
+    reached: float | None = None
+    measure_from: Mapping[str, float] | None = None
+    is_disputed: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -300,6 +300,8 @@ class InferenceSettings:
     it is below 1e-4 in laws, and above 0.03 in terms that follow the errors of solvers."""
     relied_upon: float = 0.95
     """Share of the odds that must foretell what the model does: what is called good foretells as often."""
+    beyond: float = 0.1
+    """A simulation that leaves the measured range by more than this share of its width goes where nothing was seen."""
     foretold_starts: int = 12
     """Initial states from which the model and its rivals are simulated; the worst of twelve is one in ten or so."""
     foretold_rows: int = 80

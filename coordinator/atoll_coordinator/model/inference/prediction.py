@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
@@ -61,13 +62,23 @@ def foretell(
         misses.add(
             rival, [None if its is None else its[:, :horizon] for its in elsewhere.courses(rival.system, followed)]
         )
-    novelty = elsewhere.novelty(courses)
-    return [
-        Prediction(
-            len(own), len(followed), misses.agreement(state), novelty, elsewhere.named(followed, misses.unlike(state))
-        )
-        for state in states
-    ]
+    distances = elsewhere.distances(courses)
+    farthest = int(np.argmax([its.max() for its in distances]))
+    novelty = float(np.median(np.concatenate(distances)))
+
+    def predicted(state: int) -> Prediction:
+        disputed = misses.unlike(state)
+        start = elsewhere.named(followed[farthest if disputed is None else disputed])
+        reached = elsewhere.reached(courses, state)
+        probability = misses.agreement(state)
+        return Prediction(len(own), len(followed), probability, novelty, reached, start, disputed is not None)
+
+    return [predicted(state) for state in states]
+
+
+_MOST_ROWS: Final = 500
+_STRIDE: Final = 4
+"""Rows whose distances are measured: so many measured ones at most, and every fourth simulated one."""
 
 
 class _Elsewhere:
@@ -124,21 +135,31 @@ class _Elsewhere:
             rows //= 2
         return rows
 
-    def novelty(self, courses: Sequence[FloatArray]) -> float:
-        """Return the median distance of simulated rows from the nearest measured one, over the widths of the box."""
+    def distances(self, courses: Sequence[FloatArray]) -> list[FloatArray]:
+        """Return how far rows of each course are from the nearest measured one, over the widths of the box."""
         observed = self._measurements.observed
-        width = self._width[observed][:, None]
-        known = (self._measurements.smoothed[observed] / width).T[:: max(1, self._measurements.rows // 500)]
-        rows = (np.concatenate([course[:, ::4] for course in courses], axis=1) / width).T
-        distances = [float(np.abs(known - row).max(axis=1).min()) for row in rows]
-        return float(np.median(distances))
+        width = self._width[observed]
+        known = self._measurements.smoothed[observed].T[:: max(1, self._measurements.rows // _MOST_ROWS)] / width
+        return [
+            np.array([float(np.abs(known - row).max(axis=1).min()) for row in course[:, ::_STRIDE].T / width])
+            for course in courses
+        ]
 
-    def named(self, places: Sequence[int], place: int | None) -> dict[str, float] | None:
-        """Return one of the initial states by name."""
-        if place is None:
+    def reached(self, courses: Sequence[FloatArray], state: int) -> float | None:
+        """Return the value farthest beyond the measured range that a state takes, None where it stays about within."""
+        index = self._measurements.observed[state]
+        low, width = self._low[index], self._width[index]
+        values = np.concatenate([course[state] for course in courses])
+        lowest, highest = float(values.min()), float(values.max())
+        below, above = (low - lowest) / width, (highest - low) / width - 1.0
+        if max(below, above) <= SETTINGS.inference.beyond:
             return None
+        return highest if above >= below else lowest
+
+    def named(self, place: int) -> dict[str, float]:
+        """Return one of the initial states by name."""
         names = self._measurements.variables[: len(self._low)]
-        return dict(zip(names, self.starts[places[place]].tolist(), strict=True))
+        return dict(zip(names, self.starts[place].tolist(), strict=True))
 
     def _course(self, system: System, start: FloatArray) -> FloatArray | None:
         fit = self._estimator.fit(system.with_fixed_constants(), None, 0, np.ascontiguousarray(start[None]))

@@ -168,13 +168,26 @@ def _objections_to_prediction(prediction: Prediction | None) -> Iterator[str]:
     if prediction.followed < prediction.starts:
         lost = prediction.starts - prediction.followed
         yield f"from {lost} of {prediction.starts} other initial states within the measured range it runs away"
-    if prediction.unlike is not None and prediction.probability < SETTINGS.inference.relied_upon:
-        where = ", ".join(f"{name} = {value:.3g}" for name, value in prediction.unlike.items())
+    if prediction.probability < SETTINGS.inference.relied_upon and prediction.followed:
         yield (
             "other equations or constants that describe the data about as well foretell something else from other "
             f"initial states within the measured range ({_percent(prediction.probability)} of the odds agree); "
-            f"a measurement from {where} would decide"
+            f"a measurement from {_where(prediction)} would decide"
         )
+
+
+def _unknown(prediction: Prediction | None) -> str:
+    """Return what the data do not show although the model says something of it, behind a semicolon, or nothing."""
+    if prediction is None or prediction.reached is None:
+        return ""
+    return (
+        f"; elsewhere within the measured range it leads to {prediction.reached:.3g}, farther than anything measured: "
+        f"a measurement from {_where(prediction)} would tell"
+    )
+
+
+def _where(prediction: Prediction) -> str:
+    return ", ".join(f"{name} = {value:.3g}" for name, value in (prediction.measure_from or {}).items())
 
 
 def _objections_to_target(evidence: Evidence, *, is_at_floor: bool) -> Iterator[str]:
@@ -203,6 +216,7 @@ def _objections_to_model(evidence: Evidence) -> Iterator[str]:
 def _merit_of_simulation(evidence: Evidence, residuals: Check) -> str:
     left = residuals.standard_deviation / evidence.standard_deviation
     held_out = f"; {_unseen(evidence)}: R2 {_r2(evidence.held_out_r2)}" if evidence.held_out_r2 is not None else ""
+    held_out += _unknown(evidence.prediction)
     if left <= SETTINGS.inference.negligible:
         return f"the simulation misses the measurements by {left:.1g} of their deviation{held_out}"
     return (

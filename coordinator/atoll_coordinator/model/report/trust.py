@@ -70,7 +70,9 @@ def prediction(its: Prediction | None) -> dict[str, Any] | None:
         "followed": its.followed,
         "probability": finite(its.probability),
         "novelty": finite(its.novelty),
-        "measure_from": None if its.unlike is None else {name: finite(value) for name, value in its.unlike.items()},
+        "reached": finite(its.reached),
+        "is_disputed": its.is_disputed,
+        "measure_from": dict(its.measure_from) if its.measure_from else None,
     }
 
 

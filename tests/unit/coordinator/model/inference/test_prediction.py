@@ -5,7 +5,7 @@ import pytest
 
 from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
 from atoll_coordinator.model.shooting.system import system_of
-from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, LOTKA_TEXT, measurements
+from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, LOTKA_TEXT, SWING, measurements
 
 TIMES = 0.1 * np.arange(40.0)
 STARTS = ([1.0, 3.0], [4.0, 1.0], [8.0, 2.0])
@@ -27,7 +27,8 @@ def truth():
 
 def test_a_model_without_rivals_is_relied_upon(lotka, truth):
     for its in foretell(lotka, truth, [], 1e-6):
-        assert (its.starts, its.followed, its.probability, its.unlike) == (12, 12, 1.0, None)
+        assert (its.starts, its.followed, its.probability, its.is_disputed) == (12, 12, 1.0, False)
+        assert {*its.measure_from} == {"x", "y"}
         assert 0.0 <= its.novelty < 0.5
 
 
@@ -40,10 +41,9 @@ def test_a_rival_that_foretells_otherwise_takes_its_share_of_the_odds(lotka, tru
     other = system(LOTKA, "-0.5*x", LOTKA_TEXT[1])
     x, y = foretell(lotka, truth, [Rival(other, 0, 0.25)], 1e-6)
     assert x.probability == pytest.approx(0.8)
-    assert x.unlike is not None
-    assert {*x.unlike} == {"x", "y"}
-    for name, low, high in (("x", 0, 8.0), ("y", 0.0, 3.1)):
-        assert low <= x.unlike[name] <= high
+    assert x.is_disputed
+    for name, low, high in (("x", 0.0, 8.0), ("y", 0.0, 3.1)):
+        assert low <= x.measure_from[name] <= high
     assert y.probability <= 1.0
 
 
@@ -75,6 +75,16 @@ def test_what_was_not_measured_is_far():
     many = measurements(LOTKA, [[x, y] for x in (1.0, 4.0, 8.0) for y in (0.5, 2.0, 3.0)], TIMES)
     truth = system(LOTKA, *LOTKA_TEXT)
     assert foretell(many, truth, [], 1e-6)[0].novelty < foretell(one, truth, [], 1e-6)[0].novelty
+
+
+def test_what_goes_beyond_the_measured_range_is_said():
+    """A swing measured for a quarter of its period never has x below zero."""
+    quarter = measurements(SWING, [[1.0, 0.0]], 0.02 * np.arange(50.0))
+    x, _ = foretell(quarter, system(SWING, "y", "-2*x - 0.3*y"), [], 1e-6)
+    assert x.reached is not None
+    assert x.reached < 0.0
+    whole = measurements(SWING, [[1.0, 0.0], [-1.0, 0.5]], TIMES)
+    assert foretell(whole, system(SWING, "-0.1*x", "-0.1*y"), [], 1e-6)[0].reached is None
 
 
 def test_inputs_are_not_known_elsewhere():

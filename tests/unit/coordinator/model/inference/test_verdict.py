@@ -41,8 +41,13 @@ def test_a_term_that_may_follow_errors_of_a_solver_is_not_exact(part: str) -> No
 
 
 def test_what_is_good_is_foretold_elsewhere() -> None:
-    sure = Prediction(12, 12, 0.99, 0.1, {"x": 1.0, "y": 2.0})
-    assert judge(replace(NOISY, prediction=sure))[0] == "good"
+    sure = Prediction(12, 12, 0.99, 0.1, None, {"x": 1.0, "y": 2.0})
+    grade, reason = judge(replace(NOISY, prediction=sure))
+    assert grade == "good"
+    assert "would" not in reason
+    grade, reason = judge(replace(NOISY, prediction=replace(sure, reached=3.51)))
+    assert grade == "good"
+    assert "leads to 3.51, farther than anything measured: a measurement from x = 1, y = 2 would tell" in reason
     grade, reason = judge(replace(NOISY, prediction=replace(sure, probability=0.7)))
     assert grade == "doubtful"
     assert "a measurement from x = 1, y = 2 would decide" in reason
