@@ -1,4 +1,4 @@
-"""The four criteria by which equations are compared, side by side: description lengths in nats; the shortest wins.
+"""The three criteria by which equations are compared, side by side: description lengths in nats; the shortest wins.
 
 Each is the length of the data given the model plus the length of the model (Rissanen 1978). They differ in what the
 data are, in how operators are priced and in how constants are; a number of one is never compared with one of another.
@@ -9,15 +9,13 @@ data are, in how operators are priced and in how constants are; a number of one 
   digits that its standard error leaves it. It says which equation is shown where there are no trajectories.
 - `system_length`: errors of simulated states; operators cost by their kind (`structure_length`), each constant
   1/2 ln N. It says which equations together are the model.
-- `rounded_system_length`: as before, but constants cost their digits, or what it takes to write a simple number. It
-  says which constants of the model are made simple.
 
 `validated_length` is `system_length` with trajectories left out in the place of constants, which stand for them.
 Letters: n rows, N rows over their correlation length, k constants, O measured states.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -187,18 +185,6 @@ def trajectory_misfit(squares: FloatArray, least: FloatArray, counts: FloatArray
 def validated_length(misfit: float, programs: Sequence[Program]) -> float:
     """Return the description length with the `misfit` to trajectories left out, and no price of constants."""
     return misfit + sum(map(structure_length, programs))
-
-
-# ------------------------------------------------------------------------------------ a system with simple constants
-
-
-def rounded_system_length(misfit: float, programs: Sequence[Program], constants: Iterable[float]) -> float:
-    """Return the description length of a system whose constants' values have the lengths `constants`.
-
-    Fitted constants cost the digits that their standard errors leave them, simple numbers what it takes to write them
-    down, see `atoll_coordinator.model.regression.simple_numbers`.
-    """
-    return misfit + sum(map(structure_length, programs)) + sum(constants)
 
 
 # --------------------------------------------------------------------------------------------- the price of operators

@@ -53,11 +53,25 @@ def decode_members(entries: Sequence[FrontEntry], inputs: int) -> tuple[Member, 
 
 
 @dataclass(frozen=True)
+class SimpleNumber:
+    """The most probable simple number near a constant.
+
+    `odds` are those of this number against all others, `standard_errors` how many of these lie between it and the
+    estimate.
+    """
+
+    value: float
+    odds: float
+    standard_errors: float
+
+
+@dataclass(frozen=True)
 class Constant:
     """One constant of an equation as it is shown.
 
-    `value` is printed; `fitted` is its value by maximum likelihood before it was made simple, and `std_error` and
-    `interval` (95 %) belong to that; `identifiable` is false where the data do not determine it.
+    `value` is printed: the estimate with the digits that its standard error leaves, or a simple number. `fitted` is its
+    value by maximum likelihood, and `std_error` and `interval` (95 %) belong to that; `identifiable` is false where the
+    data do not determine it. `simple` is the most probable simple number near it, None where there is none.
     """
 
     value: float
@@ -65,6 +79,7 @@ class Constant:
     std_error: float | None = None
     interval: tuple[float, float] | None = None
     identifiable: bool = True
+    simple: SimpleNumber | None = None
 
 
 @dataclass(frozen=True)

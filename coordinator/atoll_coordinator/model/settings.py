@@ -56,6 +56,9 @@ class RegressionSettings:
     """Partial decisions on simple constants that are kept at each step."""
     decisions_measured: int = 12
     """Decisions on simple constants that are fitted and measured."""
+    simple_odds: float = 20.0
+    """Odds against all other numbers from which a simple one takes the place of an estimate: those of
+    `InferenceSettings.distinct_nats`."""
     most_rounded_constants: int = 12
     """Equations with more constants stay as fitted."""
     numbers_per_constant: int = 8
@@ -249,14 +252,17 @@ class SelectionSettings:
     """Systems with more constants stay as fitted."""
     rounding_steps: int = 12
     """Steps of the fit of the other constants after some were made simple."""
-    roundings_measured: int = 6
-    """Decisions on simple constants that are fitted and measured."""
 
 
 @dataclass(frozen=True)
 class InferenceSettings:
     """What is said of the model: errors of constants, residuals, verdicts."""
 
+    error_digits: tuple[int, ...] = (2, 3, 5, 9, 17)
+    """Digits of standard errors to which estimates are rounded: the first with which simulations stay as they are. With
+    two they are off by at most a twentieth of a standard error."""
+    unchanged_nats: float = 0.1
+    """Nats by which the misfit may grow when estimates are rounded."""
     shown_steps: int = 20
     """Steps of the fit of the shown equations with all constants free."""
     high_correlation: float = 0.95

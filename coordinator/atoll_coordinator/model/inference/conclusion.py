@@ -41,7 +41,7 @@ from atoll_coordinator.model.selection.alternatives import Ranking, rank_alterna
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel
 from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks
-from atoll_coordinator.model.selection.rounding import round_system
+from atoll_coordinator.model.selection.rounding import RoundedSystem, round_shown, round_system
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
@@ -51,25 +51,50 @@ from atoll_coordinator.model.structure.unit_coefficients import (
     ExplicitCoefficients,
     as_written,
     make_coefficients_explicit,
+    write_factors,
 )
 
 
 @dataclass(frozen=True, eq=False)
-class _Final:
-    """The model on all rows: `shown` programs, their fit with all constants free, and as they are shown.
+class _Shown:
+    """Equations as they are shown: `rounded` and their `fit`; `free` is that of `explicit`, all constants free."""
 
-    `unseen` is a comparison over the held-out trajectories, None when there are none.
-    """
+    rounded: RoundedSystem
+    fit: FittedModel
+    explicit: tuple[ExplicitCoefficients, ...]
+    free: FittedModel
+
+
+@dataclass(frozen=True, eq=False)
+class _Final:
+    """The model on all rows; `unseen` is a comparison over the held-out trajectories, None when there are none."""
 
     task: ModellingTask
     ranking: Ranking
     origins: Sequence[Mapping[bytes, Origin]]
     unseen: ModelComparison | None
     comparison: ModelComparison
-    shown: tuple[Program, ...]
-    explicit: tuple[ExplicitCoefficients, ...]
-    free: FittedModel
-    shown_fit: FittedModel
+    equations: _Shown
+
+    @property
+    def shown(self) -> tuple[Program, ...]:
+        """The equations as they are shown."""
+        return self.equations.rounded.programs
+
+    @property
+    def explicit(self) -> tuple[ExplicitCoefficients, ...]:
+        """The equations with their factors of one as constants."""
+        return self.equations.explicit
+
+    @property
+    def free(self) -> FittedModel:
+        """The fit of `explicit`, all constants free."""
+        return self.equations.free
+
+    @property
+    def shown_fit(self) -> FittedModel:
+        """The equations as they are shown, their initial states fitted."""
+        return self.equations.fit
 
     def origin(self, equation: int, program: Program) -> Origin:
         """Return where a program came from, before its constants were made simple."""
@@ -95,7 +120,8 @@ def summarize(selection: SelectedModel) -> Refinement | None:
         return None
     task = final.task
     errors = estimate_errors(final.comparison, final.free)
-    constants = describe_constants(final.comparison, final.explicit, final.shown, errors)
+    described = describe_constants(final.comparison, final.explicit, final.shown, errors)
+    constants = [each.with_simple(its) for each, its in zip(described, final.equations.rounded.simple, strict=True)]
     out = None if final.unseen is None else _held_out(final, final.unseen, final.shown, errors)
     predictions = _predictions(final, errors)
     equations = {
@@ -133,13 +159,49 @@ def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> _
         round_system(comparison, best),
         best.programs,
     ):
-        shown = tuple(_tidied(whole.task, comparison, equation, program) for equation, program in enumerate(programs))
-        explicit, free = _freed(comparison, best, shown)
-        fit = fit_starts(comparison, shown, best.fit)
-        if free is not None and fit is not None:
-            final = comparison.measure(fit)
-            return _Final(whole.task, ranking, origins, _unseen(whole.task), comparison, shown, explicit, free, final)
+        tidy = tuple(_tidied(whole.task, comparison, equation, program) for equation, program in enumerate(programs))
+        shown = _show(comparison, best, tidy)
+        if shown is None:
+            continue
+        opened = _without_refuted(whole.task, comparison, shown)
+        shown = (None if opened == tidy else _show(comparison, shown.free, opened)) or shown
+        return _Final(whole.task, ranking, origins, _unseen(whole.task), comparison, shown)
     return None
+
+
+def _show(comparison: ModelComparison, near: FittedModel, programs: tuple[Program, ...]) -> _Shown | None:
+    """Return equations of these structures as they are shown, fitted beside another model; None if they cannot be."""
+    explicit, free = _freed(comparison, near, programs)
+    fitted = comparison.fit_beside(near, programs, SETTINGS.inference.shown_steps)
+    found = None if fitted is None else _rounded(comparison, fitted)
+    return None if free is None or found is None else _Shown(*found, explicit, free)
+
+
+def _without_refuted(task: ModellingTask, comparison: ModelComparison, shown: _Shown) -> tuple[Program, ...]:
+    """Return the programs with those factors of one written out that the data refute."""
+    programs = shown.rounded.programs
+    known = describe_constants(comparison, shown.explicit, programs, estimate_errors(comparison, shown.free))
+    opened = []
+    for each, fitted, its, program in zip(shown.explicit, shown.free.programs, known, programs, strict=True):
+        made = write_factors(each, fitted, its.refuted_factors) if its.refuted_factors else program
+        opened.append(made if task.may_be_shown(made) else program)
+    return tuple(opened)
+
+
+def _rounded(comparison: ModelComparison, fitted: FittedModel) -> tuple[RoundedSystem, FittedModel] | None:
+    """Return a system with constants as they are shown, in as few digits as leave simulations as they are.
+
+    None when it cannot be simulated.
+    """
+    found = None
+    for digits in SETTINGS.inference.error_digits:
+        rounded = round_shown(comparison, fitted, digits)
+        fit = fit_starts(comparison, rounded.programs, fitted.fit)
+        if fit is not None:
+            found = rounded, comparison.measure(fit)
+            if found[1].misfit <= fitted.misfit + rounded.loss + SETTINGS.inference.unchanged_nats:
+                break
+    return found
 
 
 def _tidied(task: ModellingTask, comparison: ModelComparison, equation: int, program: Program) -> Program:

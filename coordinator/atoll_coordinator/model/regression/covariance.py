@@ -5,7 +5,7 @@ Letters: n rows, K constants that are fitted.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places
 from atoll_coordinator.model.criteria import RegressionCriterion
-from atoll_coordinator.model.refinement import Constant, UnitCoefficient
+from atoll_coordinator.model.refinement import Constant, SimpleNumber, UnitCoefficient
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.simple_numbers import fitted_length
 from atoll_coordinator.model.settings import SETTINGS
@@ -34,6 +34,19 @@ class Known:
 
     written: tuple[Constant, ...]
     unit_coefficients: tuple[UnitCoefficient, ...]
+
+    @property
+    def refuted_factors(self) -> list[int]:
+        """The factors of one, by number, that the data refute: their intervals do not hold one."""
+        intervals = [each.constant.interval for each in self.unit_coefficients]
+        return [number for number, its in enumerate(intervals) if its is not None and not its[0] <= ONE <= its[1]]
+
+    def with_simple(self, simple: Sequence[SimpleNumber | None]) -> "Known":
+        """Return the same with the simple numbers near the constants that are written; none for a given equation."""
+        if not simple:
+            return self
+        pairs = zip(self.written, simple, strict=True)
+        return replace(self, written=tuple(replace(each, simple=its) for each, its in pairs))
 
 
 def covariance_of(fitted: Fitted, criterion: RegressionCriterion) -> FloatArray:

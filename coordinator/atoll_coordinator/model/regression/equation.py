@@ -14,18 +14,19 @@ import numpy.typing as npt
 from atoll.config import JobConfig
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.operators import BY_NAME
-from atoll.expression.program import structure
+from atoll.expression.program import Program, constant_places, structure, with_constants
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.refinement import Member, Refined, may_be_shown
-from atoll_coordinator.model.regression.covariance import estimate_constants
+from atoll_coordinator.model.refinement import Member, Refined, SimpleNumber, may_be_shown
+from atoll_coordinator.model.regression.covariance import covariance_of, estimate_constants
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.regression.rounding import round_constants
+from atoll_coordinator.model.regression.rounding import round_constants, round_estimates
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.like_terms import gathered
+from atoll_coordinator.model.structure.unit_coefficients import make_coefficients_explicit, write_factors
 
 
 def fit_equation(
@@ -82,9 +83,28 @@ def _finished(
         program = round_constants(least_squares.fit(candidate.fitted.program), criterion, least_squares).program
     if may_be_shown(gathered(program), config.space.max_size):
         program = gathered(program)
+    refuted = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals).refuted_factors
+    if refuted:
+        explicit = make_coefficients_explicit(program)
+        opened = write_factors(explicit, least_squares.fit(explicit.program).program, refuted)
+        program = opened if may_be_shown(opened, config.space.max_size) else program
+    program, simple = _with_estimates(program, criterion, least_squares)
     error, mse = errors_on(problem, program, config.evolution.loss)
     known = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals)
+    known = known.with_simple(simple)
     return Refined(member, program, error, mse, known.written, known.unit_coefficients)
+
+
+def _with_estimates(
+    program: Program, criterion: RegressionCriterion, least_squares: LeastSquares
+) -> tuple[Program, tuple[SimpleNumber | None, ...]]:
+    """Return a program with constants as they are shown, and the simple numbers near them."""
+    fitted, places = least_squares.fit(program), constant_places(program)
+    if not places or not math.isfinite(fitted.mse):
+        return program, (None,) * len(places)
+    is_few = len(places) <= SETTINGS.regression.most_rounded_constants
+    rounding = round_estimates(fitted.program.constants[places], covariance_of(fitted, criterion), may_be_simple=is_few)
+    return with_constants(program, dict(zip(places, rounding.values.tolist(), strict=True))), rounding.simple
 
 
 def _as_found(refined: Refined, front: Sequence[Member]) -> Refined:

@@ -23,7 +23,7 @@ from atoll.search.pareto import FrontEntry
 from atoll.wire.messages.views import JobState
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import select_member
-from atoll_coordinator.model.refinement import Constant, Origin, Refined, Refinement
+from atoll_coordinator.model.refinement import Constant, Origin, Refined, Refinement, SimpleNumber
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.report.diagnostics import noise, smoothing
 from atoll_coordinator.model.report.digest import result_digest
@@ -265,7 +265,12 @@ def _constant(its: Constant) -> dict[str, Any]:
         "fitted": finite(its.fitted),
         "interval": [finite(bound) for bound in its.interval] if its.interval is not None else None,
         "identifiable": its.identifiable,
+        "simple": None if its.simple is None else _simple(its.simple),
     }
+
+
+def _simple(its: SimpleNumber) -> dict[str, float | None]:
+    return {"value": its.value, "odds": finite(its.odds), "standard_errors": finite(its.standard_errors)}
 
 
 def _program(entry: FrontEntry, dataset: Dataset) -> Program:

@@ -98,11 +98,21 @@ def constants_table(constants: Sequence[Mapping[str, Any]]) -> list[str]:
             f"{each['value']:.6g}",
             plus_minus(each["value"] if each["fitted"] is None else each["fitted"], each["std_error"] or 0.0),
             *((_interval(each.get("interval")),) if has_intervals else ()),
-            "" if _is_told(each) else "not determined by the data",
+            _simple_text(each) if _is_told(each) else "not determined by the data",
         )
         for each in known
     ]
     return columns(heads, rows, "    ") if rows else []
+
+
+def _simple_text(constant: Mapping[str, Any]) -> str:
+    """Return the odds of the simple number that is shown, or how far the nearest one is from the estimate."""
+    simple = constant.get("simple")
+    if simple is None or simple["odds"] is None:
+        return ""
+    if simple["value"] == constant["value"]:
+        return f"odds {simple['odds']:.2g} against other numbers"
+    return f"{simple['value']:.6g} is {simple['standard_errors']:.1f} standard errors off, odds {simple['odds']:.2g}"
 
 
 def _interval(bounds: Sequence[float | None] | None) -> str:

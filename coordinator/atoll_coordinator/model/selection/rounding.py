@@ -1,64 +1,103 @@
-"""Constants of a system made simple numbers, as far as the trajectories cannot tell the difference.
+"""Constants of a system as they are shown, by what the trajectories say of them.
 
 As `atoll_coordinator.model.regression.rounding` does for one equation: near its minimum the misfit is a quadratic form
-of the constants, by which a beam of decisions is built up; the best whole decisions are fitted and measured.
+of the constants, which tells what simple numbers the data single out and how many digits estimates deserve.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
+import numpy as np
+
+from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, with_constants
-from atoll_coordinator.model.criteria import rounded_system_length
-from atoll_coordinator.model.regression.rounding import Decision, decisions
-from atoll_coordinator.model.regression.simple_numbers import fitted_length, simple_numbers
+from atoll_coordinator.model.refinement import SimpleNumber
+from atoll_coordinator.model.regression.rounding import Rounding, find_simple, round_estimates
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.structure.algebra import tidied
 
 
+@dataclass(frozen=True, eq=False)
+class RoundedSystem:
+    """The equations with constants as they are shown; `simple` has for each of its constants the nearest simple number.
+
+    A given equation has none. `loss` is by how many nats simple numbers describe the trajectories worse than estimates.
+    """
+
+    programs: tuple[Program, ...]
+    simple: tuple[tuple[SimpleNumber | None, ...], ...]
+    loss: float = 0.0
+
+
 def round_system(comparison: ModelComparison, model: FittedModel) -> tuple[Program, ...]:
-    """Return the programs of the shortest description that comes of `model` by making constants simple."""
+    """Return the programs of `model` with those constants simple that the trajectories single out, the others fitted.
+
+    As they are where there are too many, or where that does not describe the trajectories as well as it should.
+    """
     fit = model.fit
     if not 0 < len(fit.system.places) <= SETTINGS.selection.most_rounded_constants:
         return model.programs
-    means, spread = fit.system.values, comparison.correlation_length * bounded_covariance(fit)
-    errors = [float(variance) ** 0.5 for variance in spread.diagonal().clip(0.0)]
-    best = rounded_system_length(model.misfit, model.programs, map(fitted_length, means.tolist(), errors))
-    shown = model.programs
-    for decision in decisions(means, spread)[: SETTINGS.selection.roundings_measured]:
-        measured = _measured(comparison, model, decision)
-        if measured is not None and measured[0] <= best:
-            best, shown = measured
-    return shown
-
-
-def _measured(
-    comparison: ModelComparison, model: FittedModel, decision: Decision
-) -> tuple[float, tuple[Program, ...]] | None:
-    """Return the nats and the programs of a decision, its open constants fitted; None when it cannot be simulated."""
-    numbers = dict(decision.numbers)
+    means, spread = fit.system.values, _covariance(comparison, model)
+    numbers = find_simple(means, spread)
+    if not numbers:
+        return model.programs
     programs, fixed = _decided(comparison, model.programs, numbers)
     after = comparison.fit_beside(model, programs, SETTINGS.selection.rounding_steps, fixed)
-    if after is None:
-        return None
-    fit = after.fit
-    open_errors = [
-        float(variance) ** 0.5
-        for variance in (comparison.correlation_length * bounded_covariance(fit)).diagonal().clip(0.0)
-    ]
-    lengths = [sum(map(fitted_length, fit.system.values.tolist(), open_errors)), sum(map(_price, numbers.values()))]
-    shown = tuple(
+    if after is None or after.misfit > model.misfit + _allowed(means, spread, numbers):
+        return model.programs
+    return tuple(
         program if index in comparison.fixed else tidied(program) for index, program in enumerate(after.programs)
     )
-    return rounded_system_length(after.misfit, shown, lengths), shown
 
 
-def _price(number: float) -> float:
-    return 0.0 if abs(number) in (0.0, 1.0) else min(simple_numbers(number, 0.0).values(), default=0.0)
+def round_shown(comparison: ModelComparison, model: FittedModel, digits: int) -> RoundedSystem:
+    """Return the programs of `model`, all constants fitted, with constants as they are shown.
+
+    Args:
+        comparison: where it was fitted.
+        model: its structure is the one that is shown.
+        digits: of their standard errors to which estimates are rounded.
+    """
+    count = len(model.fit.system.places)
+    if not count:
+        return RoundedSystem(model.programs, tuple(() for _ in model.programs))
+    rounding = _rounding(comparison, model, digits)
+    programs, _ = _decided(comparison, model.programs, dict(enumerate(rounding.values.tolist())))
+    simple = iter(rounding.simple)
+    return RoundedSystem(
+        tuple(programs),
+        tuple(
+            () if index in comparison.fixed else tuple(next(simple) for _ in constant_places(program))
+            for index, program in enumerate(programs)
+        ),
+        rounding.loss,
+    )
+
+
+def _rounding(comparison: ModelComparison, model: FittedModel, digits: int) -> Rounding:
+    means, spread = model.fit.system.values, _covariance(comparison, model)
+    is_many = len(means) > SETTINGS.selection.most_rounded_constants
+    return round_estimates(means, spread, digits, may_be_simple=not is_many)
+
+
+def _covariance(comparison: ModelComparison, model: FittedModel) -> FloatArray:
+    return comparison.correlation_length * bounded_covariance(model.fit)
+
+
+def _allowed(means: FloatArray, spread: FloatArray, numbers: Mapping[int, float]) -> float:
+    """Return by how many nats the misfit may grow: by what the quadratic form says, and what is no evidence."""
+    chosen = sorted(numbers)
+    away = means[chosen] - [numbers[index] for index in chosen]
+    within = spread[chosen][:, chosen]
+    scale = within.diagonal() ** 0.5
+    unit = np.linalg.pinv(within / np.outer(scale, scale), hermitian=True)
+    return 0.5 * float((away / scale) @ unit @ (away / scale)) + SETTINGS.inference.distinct_nats
 
 
 def _decided(
-    comparison: ModelComparison, programs: Sequence[Program], numbers: dict[int, float]
+    comparison: ModelComparison, programs: Sequence[Program], numbers: Mapping[int, float]
 ) -> tuple[list[Program], list[set[int]]]:
     """Return the programs with decided constants, and the nodes of these."""
     changed: list[Program] = []

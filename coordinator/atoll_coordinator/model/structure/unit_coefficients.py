@@ -5,13 +5,14 @@ such factors together, before any of them was made simple: each term of a sum ha
 not part of a sum. Factors inside functions are not opened, nor is one of those that would only scale each other.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Final
 
 from atoll.expression.builder import ProgramBuilder
 from atoll.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SUBTRACT
-from atoll.expression.program import Node, Program
+from atoll.expression.program import Node, Program, constant_places, with_constants
+from atoll_coordinator.model.structure.algebra import tidied
 
 ONE: Final = 1.0
 
@@ -34,6 +35,20 @@ def make_coefficients_explicit(program: Program) -> ExplicitCoefficients:
     draft = _Draft(program.nodes())
     output = draft.open(len(program) - 1, has_factor=False)
     return draft.finished(output)
+
+
+def write_factors(explicit: ExplicitCoefficients, fitted: Program, chosen: Collection[int]) -> Program:
+    """Return the program that was opened with some factors written out.
+
+    Args:
+        explicit: with all its factors of one as constants.
+        fitted: its program with other values of constants.
+        chosen: numbers of the terms whose factors are written; the other factors are one.
+    """
+    places = constant_places(fitted)
+    factors = [place for place, origin in zip(places, explicit.origins, strict=True) if origin is None]
+    rest = {place: ONE for term, place in enumerate(factors) if term not in chosen}
+    return tidied(with_constants(fitted, rest))
 
 
 def as_written(program: Program) -> ExplicitCoefficients:

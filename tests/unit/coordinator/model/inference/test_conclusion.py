@@ -59,6 +59,22 @@ def is_same(known, refinement, **truths):
     )
 
 
+def is_near(known, refinement, **truths):
+    """Tell whether equations have about the truths' functions, and the truths' constants within five errors."""
+    from atoll.expression.evaluation import values_of
+
+    draw = np.random.default_rng(5).uniform(0.5, 2.0, (len(known.names), 20))
+    for name, text in truths.items():
+        truth, its = values_of(known.parsed(text), draw), refinement.equations[name]
+        if not np.allclose(values_of(its.program, draw), truth, rtol=0.05, atol=0.05 * truth.std()):
+            return False
+        sizes = np.abs(known.parsed(text).constants[constant_places(known.parsed(text))])
+        constants = [*its.constants, *(each.constant for each in its.unit_coefficients)]
+        if not all(min(abs(abs(each.fitted) - np.append(sizes, 1.0))) < 5.0 * each.std_error for each in constants):
+            return False
+    return True
+
+
 @pytest.fixture(scope="module")
 def noisy():
     """Five percent of noise; one trajectory is held out."""
@@ -68,8 +84,8 @@ def noisy():
         return refined(LOTKA, LOTKA_STARTS, LOTKA_POOL, noise=0.05, seed=101, config=config)
 
 
-def test_noisy_equations_come_out_in_form_with_simple_constants(noisy):
-    assert is_same(LOTKA, noisy, x="3*x - 2*x*y - x**2", y="2*y - x*y - y**2")
+def test_noisy_equations_come_out_in_form_with_estimates(noisy):
+    assert is_near(LOTKA, noisy, x="3*x - 2*x*y - x**2", y="2*y - x*y - y**2")
 
 
 def test_the_threads_of_a_refinement_have_ended_with_it(monkeypatch):
@@ -178,14 +194,14 @@ def test_constants_stay_as_fitted_where_simple_ones_cannot_be_simulated(monkeypa
     monkeypatch.setattr(conclusion, "round_system", lambda *_: (DECAY.parsed("exp(900.0*x*x)"),))
     its = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
     (constant,) = its.equations["x"].constants
-    assert constant.value == pytest.approx(constant.fitted)
+    assert constant.value == pytest.approx(constant.fitted, abs=0.1 * constant.std_error)
     assert its.simulation is not None
 
 
 @pytest.mark.parametrize("text", ["-0.4*x", "x/(-2.5)"])
 def test_the_member_of_the_front_it_was_made_of_is_told_however_it_was_written(text):
     its = refined(DECAY, ([1.0], [-2.0]), {"x": ("x", text)}, noise=0.02, seed=108)
-    assert is_same(DECAY, its, x="-0.5*x")
+    assert is_near(DECAY, its, x="-0.5*x")
     assert its.equations["x"].member == 1
 
 
@@ -193,7 +209,7 @@ def test_what_the_pool_lacks_is_found_nearby():
     """The damping is missing from all that was handed on, and there are no libraries without sums."""
     starts = ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0])
     its = refined(SWING, starts, {"x": ("y",), "y": ("-1.9*x",)}, noise=0.02, seed=103)
-    assert is_same(SWING, its, x="y", y="-2.0*x - 0.3*y")
+    assert is_near(SWING, its, x="y", y="-2.0*x - 0.3*y")
     assert its.equations["y"].member is None
 
 
@@ -216,7 +232,7 @@ def test_a_known_equation_stays_as_it_is_given():
     assert sorted(np.abs(known.program.constants[constant_places(known.program)]).tolist()) == [0.9991, 2.0013]
     assert all(each.fitted is None and each.interval is None for each in known.constants)
     assert len(known.alternatives) == 1
-    assert is_same(LOTKA, its, x="3*x - 2*x*y - x**2")
+    assert is_near(LOTKA, its, x="3*x - 2*x*y - x**2")
 
 
 def test_only_allowed_operators_and_variables_come_in():
@@ -240,7 +256,7 @@ def test_no_equation_is_larger_than_allowed():
 def test_a_measured_input_is_part_of_the_model():
     config = JobConfig(space=NO_LIBRARIES, data=DataConfig(inputs=("u",)))
     its = refined(DRIVEN, ([2.0], [-1.0]), {"x": ("-0.5*x", "1.2*u - 0.5*x")}, noise=0.03, seed=105, config=config)
-    assert is_same(DRIVEN, its, x="1.5*u - 0.8*x")
+    assert is_near(DRIVEN, its, x="1.5*u - 0.8*x")
 
 
 def test_with_order_2_positions_alone_are_measured():
@@ -250,7 +266,7 @@ def test_with_order_2_positions_alone_are_measured():
     preparation = prepare(whole, config)
     its = refine_all(preparation, config, pools(preparation, x=("-1.5*x", "-1.5*x - 0.1*x_dot")))
     positions = Known(("x", "x_dot"), SWING.rates)
-    assert is_same(positions, its, x="-2.0*x - 0.3*x_dot")
+    assert is_near(positions, its, x="-2.0*x - 0.3*x_dot")
     assert its.simulation.states == ("x",)
     assert all(each.values.shape == (1, 40) for each in its.simulation.trajectories)
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from atoll.expression.evaluation import values_of
-from atoll.expression.program import constant_places
+from atoll.expression.program import constant_places, with_constants
 from atoll_coordinator.model.structure.algebra import tidied
-from atoll_coordinator.model.structure.unit_coefficients import make_coefficients_explicit
+from atoll_coordinator.model.structure.unit_coefficients import make_coefficients_explicit, write_factors
 from tests.unit.coordinator.model.fitting import parsed, shown
 
 DRAW = np.random.default_rng(3)
@@ -59,3 +59,17 @@ def test_no_constant_is_redundant(text):
         columns.append((values_of(high, INPUTS) - values_of(low, INPUTS)) / 2e-5)
     unit = np.array([column / np.linalg.norm(column) for column in columns])
     assert np.linalg.svd(unit, compute_uv=False).min() > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("text", "chosen", "expected"),
+    [("3.0*x - y + x*y", [0], "3.0*x - 2.0*y + x*y"), ("3.0*x - y + x*y", [1], "3.0*x - y + 2.0*x*y"),
+     ("3.0*x - y + x*y", [], "3.0*x - y + x*y"), ("sin(x)", [0], "2.0*sin(x)")],
+)  # fmt: skip
+def test_chosen_factors_are_written(text, chosen, expected):
+    explicit = make_coefficients_explicit(parsed(text))
+    numbers = dict(zip(constant_places(explicit.program), explicit.origins, strict=True))
+    fitted = with_constants(explicit.program, {place: 2.0 for place, origin in numbers.items() if origin is None})
+    made = write_factors(explicit, fitted, chosen)
+    assert values_of(made, INPUTS) == pytest.approx(values_of(parsed(expected), INPUTS))
+    assert len(constant_places(made)) == len(constant_places(parsed(text))) + len(chosen)

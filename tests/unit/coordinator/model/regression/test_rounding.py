@@ -1,0 +1,96 @@
+"""Estimates as they are shown: which simple numbers the data single out, and in how many digits the others."""
+
+import math
+
+import numpy as np
+import pytest
+
+from atoll_coordinator.model.regression.rounding import round_estimates
+from atoll_coordinator.model.regression.simple_numbers import continuum_density, simple_numbers
+from atoll_coordinator.model.settings import SETTINGS
+
+ODDS = SETTINGS.regression.simple_odds
+
+
+def shown(value, error):
+    rounding = round_estimates(np.array([value]), np.array([[error * error]]))
+    return float(rounding.values[0]), rounding.simple[0]
+
+
+def test_an_estimate_is_not_shown_as_a_prettier_number_within_its_error():
+    value, simple = shown(0.526, 0.037)
+    assert value == 0.526
+    assert (simple.value, simple.odds < ODDS) == (0.5, True)
+    assert simple.standard_errors == pytest.approx(0.026 / 0.037)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "expected"),
+    [
+        (1.09999999998, 1e-10, 1.1),
+        (3.0012, 0.003, 3.0),
+        (28.00001, 2e-5, 28.0),
+        (0.33334, 1e-4, 1.0 / 3.0),
+        (-2.66667, 1e-5, -8.0 / 3.0),
+        (1.5707963, 1e-7, math.pi / 2.0),
+        (2.0e6, 300.0, 2e6),
+        (0.1, 0.0, 0.1),
+    ],
+)
+def test_a_number_that_the_data_single_out_is_shown(value, error, expected):
+    found, simple = shown(value, error)
+    assert found == simple.value == expected
+    assert simple.odds >= ODDS
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "expected"),
+    [
+        (0.79314, 0.0031, 0.7931),
+        (-123.456, 1.7, -123.5),
+        (1.23456e-7, 2.5e-9, 1.235e-7),
+        (98765.4, 430.0, 98770.0),
+        (1.7, 52.0, 1.7),
+        (math.pi * 1.3, 0.0, math.pi * 1.3),
+    ],
+)
+def test_an_estimate_keeps_two_digits_of_its_error(value, error, expected):
+    assert shown(value, error)[0] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("factor", [1e-9, 1e-3, 1e3, 1e9])
+def test_a_change_of_unit_changes_no_decision_between_decimals(factor):
+    """Only fractions and whole numbers, of which another unit has more or fewer, make a difference."""
+    value, error = 7.0, 0.001
+    here, there = shown(value, error)[1], shown(value * factor, error * factor)[1]
+    assert there.value == pytest.approx(here.value * factor)
+    assert (here.odds >= ODDS) == (there.odds >= ODDS)
+
+
+def test_constants_that_are_determined_together_are_singled_out_together():
+    """Neither is known to a tenth alone, but their difference to a millionth."""
+    covariance = 0.05**2 * np.ones((2, 2)) + np.diag([0.0, 1e-12])
+    rounding = round_estimates(np.array([2.03, 3.03]), covariance)
+    moved = rounding.values - np.array([2.03, 3.03])
+    assert moved[1] == pytest.approx(moved[0], abs=1e-6)
+
+
+def test_the_last_of_correlated_estimates_keeps_the_digits_that_it_needs():
+    covariance = 0.05**2 * np.ones((2, 2)) + np.diag([0.0, 1e-10])
+    means = np.array([2.0314159, 3.0271828])
+    rounding = round_estimates(means, covariance, may_be_simple=False)
+    away = rounding.values - means
+    assert str(rounding.values[0]) == "2.031"
+    assert 0.5 * away @ np.linalg.solve(covariance, away) < 0.01
+
+
+def test_the_probability_of_any_number_is_that_of_the_simple_ones_of_its_decade():
+    for decade in (-2, 0, 1):
+        points = np.exp(np.linspace(math.log(10.0**decade), math.log(10.0 ** (decade + 1)), 200)[:-1])
+        widths = np.diff(np.append(points, 10.0 ** (decade + 1)))
+        continuum = sum(continuum_density(float(point)) * width for point, width in zip(points, widths, strict=True))
+        near = [simple_numbers(float(value), 0.001 * value, in_any_unit=True) for value in points]
+        few = {number: length for its in near for number, length in its.items()}
+        few = {number: length for number, length in few.items() if 10.0**decade <= number < 10.0 ** (decade + 1)}
+        simple = sum(math.exp(-length) for length in few.values())
+        assert continuum == pytest.approx(simple, rel=0.25)
