@@ -13,6 +13,7 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.data.roles.roles import assign_roles
 from atoll_coordinator.data.roles.symbols import assign_symbols
 from atoll_coordinator.data.row_selection.rows import select_rows
+from atoll_coordinator.data.row_selection.thinning import thin_searched_rows
 from atoll_coordinator.data.row_selection.weights import normalize_weights, select_weighty_rows
 from atoll_coordinator.data.trajectories.gaps import split_at_gaps
 from atoll_coordinator.data.trajectories.measurements import take_measurements
@@ -43,4 +44,6 @@ def prepare(table: Table, config: JobConfig) -> Preparation:
         estimates = estimate_states(measurements, weights, differentiation)
 
     selected = select_rows(measurements, estimates, paper=differentiation.paper)
+    if not differentiation.paper:
+        selected = thin_searched_rows(selected, [estimate.values for estimate in estimates])
     return assemble_differentiated(measurements, weights, estimates, selected, equations, symbols)

@@ -140,6 +140,9 @@ class RowSettings:
     """Root mean square of the uncertainty over its mean, at most, on the rows selected."""
     least_variation: float = 1e-3
     """A derivative that varies less than this share of its mean is judged by the mean: it may well be constant."""
+    most_searched: int = 2_000
+    """More rows than about this are thinned for the search: a derivative rests on the measurements of many neighbours,
+    and two thousand show every turn of a curve that a search can find."""
     passes: int = 3
     """A wild row swells the standard deviation by which rows are judged, so that they are judged again without it."""
     below_median_weight: float = 25.0
