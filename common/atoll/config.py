@@ -157,7 +157,7 @@ class BudgetConfig(Model):
     max_epochs_of: dict[str, PositiveInt] = Field(default_factory=dict, description="per variable; overrides")
     max_time: Annotated[float, Field(gt=0.0)] | None = Field(None, description="seconds")
     stagnation: PositiveInt | None = Field(
-        None, description="epochs without a better equation after which a search ends; None: 60, or 3 where noisy"
+        None, description="epochs without a better equation after which a search ends; None: by the data"
     )
 
 

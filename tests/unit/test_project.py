@@ -18,7 +18,7 @@ from atoll.config import PRESETS
 from atoll_coordinator.cli import exit_codes as exits
 from atoll_coordinator.cli.options import parser as arguments
 from atoll_coordinator.cli.options.job_config import job_config
-from atoll_coordinator.service.jobs.defaults import STAGNATION_CLEAN, STAGNATION_NOISY
+from atoll_coordinator.service.jobs.defaults import STAGNATION_CLEAN, STAGNATION_GIVEN, STAGNATION_NOISY
 from atoll_island_worker import cli as worker_cli
 from tests.unit import documents
 from tests.unit.documents import ROOT
@@ -105,7 +105,8 @@ def test_the_job_file_in_the_documents_is_understood(tmp_path: Path) -> None:
 def test_the_documents_say_when_searches_end() -> None:
     budget, paper = PRESETS["default"].budget, PRESETS["paper"].budget
     text = " ".join(DOCUMENTS["docs/reproducibility.md"].split())
-    assert f"none has improved for {STAGNATION_CLEAN} epochs, or after {budget.max_epochs} epochs" in text
+    assert f"for {STAGNATION_CLEAN} epochs, or for as many as the last improvement had taken" in text
+    assert f"({STAGNATION_GIVEN} where left-hand sides are given), or after {budget.max_epochs} epochs" in text
     assert f"nothing has improved for {STAGNATION_NOISY} epochs" in text
     assert f"({paper.stagnation} and {paper.max_epochs} with preset `paper`)" in text
 

@@ -106,6 +106,8 @@ class RobustnessSettings:
 class InterpolationSettings:
     """When states are interpolated rather than smoothed."""
 
+    stencil_rows: int = 15
+    """The widest stencil, as the kernels have it."""
     largest_noise: float = 3e-4
     """Noise, as a share of the state's standard deviation, beyond which data are never interpolated."""
     smallest_noise: float = 1e-9

@@ -38,7 +38,9 @@ _SQRT_HALF: Final = 0.7071067811865476
 _SMALLEST: Final = 2.2250738585072014e-308
 
 
-def front_length(entry: FrontEntry, rows: int, uncertainty: float, standard_deviation: float, constants: int) -> float:
+def front_length(
+    entry: FrontEntry, rows: float, uncertainty: float, standard_deviation: float, constants: int
+) -> float:
     """Return the description length of a front member in nats, up to a term common to all members (ADR 0009).
 
         n/2 ln(max(MSE, u^2)) + nodes ln 8 + k/2 ln n
@@ -48,7 +50,7 @@ def front_length(entry: FrontEntry, rows: int, uncertainty: float, standard_devi
 
     Args:
         entry: complexity and mean squared error are read from it.
-        rows: n, number of rows on which the error was measured.
+        rows: n, number of rows on which the error was measured, or of those with errors of their own.
         uncertainty: mean uncertainty of the target over its standard deviation.
         standard_deviation: that of the target, in its unit.
         constants: k.

@@ -24,7 +24,8 @@ from atoll_coordinator.data.settings import SETTINGS
 
 LIMITS = SETTINGS.interpolation
 END_ROWS = LIMITS.end_rows
-STENCIL_ROWS = 2 * HALF_WIDTHS + 1
+STENCIL_ROWS = LIMITS.stencil_rows
+assert STENCIL_ROWS == 2 * HALF_WIDTHS + 1
 MEDIAN_ERROR: Final = 1.1664
 """Relative standard error of the median size of R normal errors, times sqrt(R): 1 / (2 m f(m)) with the median
 m = 0.6745 and the density f of the size."""

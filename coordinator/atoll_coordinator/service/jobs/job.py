@@ -16,7 +16,7 @@ from atoll.wire.messages.workers import Commit, EpochReport, JobAnnouncement
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import count_constants, front_length
 from atoll_coordinator.model.refinement import Pool, Refinement
-from atoll_coordinator.service.jobs.defaults import stagnation_of
+from atoll_coordinator.service.jobs.defaults import independent_rows, stagnation_of
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.checkpoints import StoredSearchState
 from atoll_coordinator.service.search.collector import DivergedError, Limits, Measure
@@ -289,17 +289,19 @@ class Job:
 
     def _archipelago(self, prepared: Prepared, target: Target) -> Archipelago:
         config, inputs = prepared.config, len(prepared.dataset.names)
+        recording = prepared.preparation.recording
         budget = config.budget
         limits = Limits(
             islands=config.evolution.islands,
             epochs=budget.max_epochs_of.get(target.variable, budget.max_epochs),
-            stagnation=stagnation_of(config, target),
+            stagnation=stagnation_of(config, target, recording),
             commit_order=commit_order_of(config),
             runners_up=config.evolution.runners_up or 0,
         )
         return Archipelago(
-            self.id, target.variable, limits, measure_of(target), lambda data: check_program(data, inputs)
-        )
+            self.id, target.variable, limits, measure_of(target, independent_rows(target, recording)),
+            lambda data: check_program(data, inputs),
+        )  # fmt: skip
 
     def _after_epoch(self, archipelago: Archipelago, now: float) -> list[JobAction]:
         if archipelago.cut is None:
@@ -329,12 +331,14 @@ def commit_order_of(config: JobConfig) -> CommitOrder:
     )
 
 
-def measure_of(target: Target) -> Measure:
+def measure_of(target: Target, rows: float) -> Measure:
     """Return the measure by which a front of this target is better than another: its least description length.
+
+    `rows` are those that count, see `independent_rows`: what is gained at the level of errors that go together is none.
 
     That of a noisy target knows no floor: many equations lie below it, and the search goes on while they get better.
     """
-    rows, floor = len(target.values), 0.0 if target.is_noisy else target.uncertainty
+    floor = 0.0 if target.is_noisy else target.uncertainty
 
     def least(front: tuple[FrontEntry, ...]) -> float:
         lengths = (

@@ -29,6 +29,22 @@ class DivergedError(AtollError):
 
 
 @dataclass(frozen=True, slots=True)
+class Stagnation:
+    """After how many epochs without improvement a search ends.
+
+    These are `epochs`; if it `grows`, as many as had gone by with the last improvement, where that is more: what takes
+    the longer to get better is waited for the longer.
+    """
+
+    epochs: int
+    grows: bool = False
+
+    def is_due(self, epoch: int, improved_at: int) -> bool:
+        """Tell whether a search ends with `epoch` that has last improved in the epoch `improved_at`, both from 0."""
+        return epoch - improved_at >= (max(self.epochs, improved_at + 1) if self.grows else self.epochs)
+
+
+@dataclass(frozen=True, slots=True)
 class Limits:
     """When an archipelago ends by itself: epochs at most, epochs without improvement; and what counts at a hit.
 
@@ -37,7 +53,7 @@ class Limits:
 
     islands: int
     epochs: int
-    stagnation: int
+    stagnation: Stagnation
     commit_order: CommitOrder
     runners_up: int = 0
 
@@ -264,7 +280,7 @@ class Collector:
     def _end_if_due(self, epoch: int, hit: Position | None) -> None:
         if hit is not None:
             self._end("target", epoch * self.limits.commit_order.generations + hit.generation)
-        elif epoch - self.state.improved_at >= self.limits.stagnation:
+        elif self.limits.stagnation.is_due(epoch, self.state.improved_at):
             self._end("stagnation")
         elif epoch + 1 >= self.limits.epochs:
             self._end("max-epochs")

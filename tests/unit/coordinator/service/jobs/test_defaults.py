@@ -1,16 +1,26 @@
 """What a configuration leaves open is filled in from the data."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from atoll.config import PAPER, BudgetConfig, EvolutionConfig, JobConfig, PredictorConfig, SpaceConfig
 from atoll.data.dataset import Dataset, Target
+from atoll_coordinator.data.recording import Recording, Smoothing
+from atoll_coordinator.data.settings import SETTINGS
 from atoll_coordinator.service.jobs.defaults import (
     RUNNERS_UP_NOISY,
     STAGNATION_CLEAN,
+    STAGNATION_GIVEN,
     STAGNATION_NOISY,
+    independent_rows,
     resolve,
     stagnation_of,
 )
+from atoll_coordinator.service.search.collector import Stagnation
+
+RECORDING = Recording(("x0",), ("x0",), (), (), (), 1, 0.0, (Smoothing("x0", "interpolation", 0.0, 0.0),), ())
 
 
 def dataset(variables: int = 2, floor: float = 1e-9, noise: float = 0.0) -> Dataset:
@@ -34,9 +44,21 @@ def test_runners_up_are_kept_as_soon_as_one_target_is_noisy() -> None:
 
 
 def test_the_search_for_a_noisy_target_stagnates_sooner_and_that_for_a_clean_one_beside_it_does_not() -> None:
-    found = [stagnation_of(JobConfig(), target) for target in dataset(noise=0.01).targets]
-    assert found == [STAGNATION_CLEAN, STAGNATION_NOISY]
-    assert STAGNATION_NOISY < STAGNATION_CLEAN
+    targets = dataset(noise=0.01).targets
+    found = [stagnation_of(JobConfig(), target, RECORDING) for target in targets]
+    assert found == [Stagnation(STAGNATION_CLEAN, grows=True), Stagnation(STAGNATION_NOISY)]
+    given = [stagnation_of(JobConfig(), target, None) for target in targets]
+    assert given == [Stagnation(STAGNATION_GIVEN), Stagnation(STAGNATION_NOISY)]
+
+
+def test_rows_that_count_are_those_with_errors_of_their_own() -> None:
+    target = dataset().targets[0]
+    assert independent_rows(target, None) == len(target.values)
+    assert independent_rows(target, RECORDING) == len(target.values) / SETTINGS.interpolation.stencil_rows
+    smoothed = replace(RECORDING, smoothing=(Smoothing(target.variable, "loess", 0.1, 0.1, span=20, degree=3),))
+    assert independent_rows(target, smoothed) == pytest.approx(len(target.values) / 5.0)
+    narrow = replace(RECORDING, smoothing=(Smoothing(target.variable, "loess", 0.1, 0.1, span=4, degree=4),))
+    assert independent_rows(target, narrow) == len(target.values)
 
 
 def test_terminals_grow_with_the_variables() -> None:
@@ -51,6 +73,7 @@ def test_what_is_given_stands() -> None:
         budget=BudgetConfig(stagnation=7),
     )
     assert resolve(config, dataset(noise=0.1)) == config
-    assert [stagnation_of(config, target) for target in dataset(noise=0.1).targets] == [7, 7]
+    found = [stagnation_of(config, target, RECORDING) for target in dataset(noise=0.1).targets]
+    assert found == [Stagnation(7), Stagnation(7)]
     assert resolve(PAPER, dataset(9, noise=0.1)) == PAPER
-    assert stagnation_of(PAPER, dataset(noise=0.1).targets[1]) == 500
+    assert stagnation_of(PAPER, dataset(noise=0.1).targets[1], RECORDING) == Stagnation(500)

@@ -27,7 +27,7 @@ from atoll_coordinator.service.jobs.job import (
     measure_of,
 )
 from atoll_coordinator.service.search.checkpoints import StoredSearchState
-from atoll_coordinator.service.search.collector import SearchState
+from atoll_coordinator.service.search.collector import SearchState, Stagnation
 from atoll_coordinator.service.search.cut import Cut, stored
 from atoll_coordinator.service.store.jobs import JobRecord
 
@@ -322,9 +322,16 @@ def test_a_noisy_target_s_search_goes_on_below_its_floor() -> None:
     found = [(FrontEntry(3, error, error * error, 0, 0, 0, bytes([1, 0, 0, 0, 0, 0])),) for error in (0.05, 0.01)]
     clean = Target("x", "dx/dt", VALUES, 9e-4, 300.0)
     noisy = replace(clean, noise=0.1)
-    assert measure_of(clean)(found[1]) == measure_of(clean)(found[0])
-    assert measure_of(noisy)(found[1]) < measure_of(noisy)(found[0]) - 1.0
-    assert measure_of(noisy)(()) == float("inf")
+    assert measure_of(clean, 30.0)(found[1]) == measure_of(clean, 30.0)(found[0])
+    assert measure_of(noisy, 30.0)(found[1]) < measure_of(noisy, 30.0)(found[0]) - 1.0
+    assert measure_of(noisy, 30.0)(()) == float("inf")
+
+
+def test_what_is_gained_at_the_level_of_errors_that_go_together_is_no_progress() -> None:
+    found = [(FrontEntry(3, error, error * error, 0, 0, 0, bytes([1, 0, 0, 0, 0, 0])),) for error in (0.05, 0.045)]
+    target = Target("x", "dx/dt", VALUES, 0.0, 1.0)
+    assert measure_of(target, 30.0)(found[1]) < measure_of(target, 30.0)(found[0]) - 1.0
+    assert measure_of(target, 2.0)(found[1]) > measure_of(target, 2.0)(found[0]) - 1.0
 
 
 def test_the_number_of_runners_up_and_the_patience_are_those_of_the_configuration() -> None:
@@ -333,7 +340,7 @@ def test_the_number_of_runners_up_and_the_patience_are_those_of_the_configuratio
     config = job.config.model_copy(update={"evolution": job.config.evolution.model_copy(update={"runners_up": 3})})
     job.start(Prepared(Preparation(DATASET), config, BLOB, 100), {}, 0.0)
     limits = job.archipelagos["x"].collector.limits
-    assert (limits.runners_up, limits.stagnation) == (3, 7)
+    assert (limits.runners_up, limits.stagnation) == (3, Stagnation(7))
 
 
 def test_impossible_steps_are_our_bug() -> None:

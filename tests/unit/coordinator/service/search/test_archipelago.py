@@ -17,14 +17,14 @@ from atoll.wire.messages.workers import (
 from atoll.wire.state_transfer import State, split_states
 from atoll_coordinator.service.search.archipelago import PLAN_COMMITS, Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoint_schedule import FIRST_INTERVAL
-from atoll_coordinator.service.search.collector import Limits
+from atoll_coordinator.service.search.collector import Limits, Stagnation
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=2)
 WORKERS = ("a", "b")
 
 
 def archipelago() -> Archipelago:
-    limits = Limits(islands=2, epochs=1000, stagnation=1000, commit_order=COMMIT_ORDER)
+    limits = Limits(islands=2, epochs=1000, stagnation=Stagnation(1000), commit_order=COMMIT_ORDER)
     return Archipelago("job", "x", limits, lambda front: 0.0, lambda program: None)
 
 

@@ -13,13 +13,13 @@ from atoll.search.commit_order import CommitOrder
 from atoll.search.pareto import FrontEntry, merge
 from atoll.wire.codec import decode, encode
 from atoll.wire.messages.workers import Addition, HitStatement, IslandReport, SliceCounters
-from atoll_coordinator.service.search.collector import Collector, DivergedError, Limits, additions_of
+from atoll_coordinator.service.search.collector import Collector, DivergedError, Limits, Stagnation, additions_of
 from atoll_coordinator.service.search.cut import Cut
 
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
-LIMITS = Limits(islands=2, epochs=50, stagnation=5, commit_order=COMMIT_ORDER)
+LIMITS = Limits(islands=2, epochs=50, stagnation=Stagnation(5), commit_order=COMMIT_ORDER)
 
-LIMITS_OF_3 = Limits(islands=3, epochs=50, stagnation=5, commit_order=COMMIT_ORDER)
+LIMITS_OF_3 = Limits(islands=3, epochs=50, stagnation=Stagnation(5), commit_order=COMMIT_ORDER)
 
 
 def best_error(front: tuple[FrontEntry, ...]) -> float:
@@ -168,7 +168,7 @@ def test_an_island_after_the_hit_counts_to_the_slice_before_and_need_not_have_be
 
 
 def test_in_the_first_epoch_groups_of_islands_count_one_after_the_other() -> None:
-    limits = Limits(3, 50, 5, COMMIT_ORDER.model_copy(update={"joining": 1}))
+    limits = Limits(3, 50, Stagnation(5), COMMIT_ORDER.model_copy(update={"joining": 1}))
     collector = Collector("x", limits, best_error)
     collector.add_reports("w", 0, [report(1, hit=20)], 1.0)
     assert collector.cut is None
@@ -241,6 +241,14 @@ def test_a_search_that_does_not_get_better_stagnates(collector: Collector) -> No
     assert (collector.cut.why, collector.cut.epochs, collector.cut.generation) == ("stagnation", 6, None)
 
 
+@pytest.mark.parametrize(("improved_at", "due_at"), [(0, 5), (4, 9), (5, 11), (20, 41)])
+def test_what_took_the_longer_to_get_better_is_waited_for_the_longer(improved_at: int, due_at: int) -> None:
+    growing = Stagnation(5, grows=True)
+    assert not growing.is_due(due_at - 1, improved_at)
+    assert growing.is_due(due_at, improved_at)
+    assert Stagnation(5).is_due(improved_at + 5, improved_at)
+
+
 def test_a_search_that_gets_better_goes_on(collector: Collector) -> None:
     for epoch in range(20):
         fill(collector, epoch, report(0, error=10.0 - 0.1 * epoch), report(1, error=20.0))
@@ -256,7 +264,9 @@ def test_a_search_that_finds_nothing_at_all_stagnates(collector: Collector) -> N
 
 
 def test_the_last_epoch_ends_the_search() -> None:
-    collector = Collector("x", Limits(islands=1, epochs=2, stagnation=100, commit_order=COMMIT_ORDER), best_error)
+    collector = Collector(
+        "x", Limits(islands=1, epochs=2, stagnation=Stagnation(100), commit_order=COMMIT_ORDER), best_error
+    )
     fill(collector, 0, report(0))
     fill(collector, 1, report(0))
     assert collector.cut is not None
@@ -265,7 +275,9 @@ def test_the_last_epoch_ends_the_search() -> None:
 
 def test_the_target_comes_before_stagnation_and_stagnation_before_the_last_epoch() -> None:
     for hit, why in ((70, "target"), (None, "stagnation")):
-        collector = Collector("x", Limits(islands=1, epochs=2, stagnation=1, commit_order=COMMIT_ORDER), best_error)
+        collector = Collector(
+            "x", Limits(islands=1, epochs=2, stagnation=Stagnation(1), commit_order=COMMIT_ORDER), best_error
+        )
         fill(collector, 0, report(0))
         fill(collector, 1, report(0, hit=hit))
         assert collector.cut is not None
@@ -299,7 +311,9 @@ def test_cancelling_does_not_wait(collector: Collector) -> None:
 @given(st.permutations(list(itertools.product(range(4), range(2)))), st.lists(st.integers(0, 7), max_size=5))
 def test_the_order_of_arrival_and_repetitions_do_not_matter(order: list[tuple[int, int]], repeated: list[int]) -> None:
     def cut_of(keys: list[tuple[int, int]]) -> object:
-        collector = Collector("x", Limits(islands=2, epochs=4, stagnation=9, commit_order=COMMIT_ORDER), best_error)
+        collector = Collector(
+            "x", Limits(islands=2, epochs=4, stagnation=Stagnation(9), commit_order=COMMIT_ORDER), best_error
+        )
         for epoch, island in keys:
             error = 1.0 / (1 + epoch + 3 * island)
             collector.add_reports("w", epoch, [report(island, error=error, count=epoch + island)], 1.0)
@@ -316,7 +330,7 @@ def runner_up(complexity: int, error: float, code: int, generation: int = 10) ->
 
 def collected(epochs: list[list[IslandReport]], order: list[tuple[int, int]]) -> Collector:
     """Return a collector of two runners-up that was told of (epoch, island) in that order."""
-    collector = Collector("x", Limits(2, len(epochs), 9, COMMIT_ORDER, runners_up=2), best_error)
+    collector = Collector("x", Limits(2, len(epochs), Stagnation(9), COMMIT_ORDER, runners_up=2), best_error)
     for epoch, island in order:
         collector.add_reports("w", epoch, [epochs[epoch][island]], 1.0)
     collector.validate()

@@ -3,7 +3,7 @@
 from atoll.search.commit_order import CommitOrder
 from atoll.wire.messages.workers import Placement
 from atoll_coordinator.service.search.archipelago import Archipelago
-from atoll_coordinator.service.search.collector import Limits
+from atoll_coordinator.service.search.collector import Limits, Stagnation
 from atoll_coordinator.service.workers.lease_backoff import MAX_FACTOR, LeaseBackoff
 
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
@@ -11,7 +11,7 @@ COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 
 def archipelago(variable: str, *workers: str) -> Archipelago:
     """Return an archipelago with one island on each of these workers."""
-    limits = Limits(islands=len(workers), epochs=10, stagnation=5, commit_order=COMMIT_ORDER)
+    limits = Limits(islands=len(workers), epochs=10, stagnation=Stagnation(5), commit_order=COMMIT_ORDER)
     made = Archipelago("job", variable, limits, lambda front: 0.0, lambda program: None)
     placement = Placement(
         incarnation=1, term=1, job="job", variable=variable, workers=workers, epochs=10, interval=16,

@@ -9,7 +9,7 @@ from atoll.search.commit_order import CommitOrder
 from atoll.wire.messages.workers import Close, CloseJob, Holding, Placement, Placements, PullReports, WorkerStatus
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.search.archipelago import Archipelago
-from atoll_coordinator.service.search.collector import Limits
+from atoll_coordinator.service.search.collector import Limits, Stagnation
 from atoll_coordinator.service.workers.reconciliation import Correction, corrections
 
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
@@ -18,7 +18,7 @@ TERM = 2
 
 def archipelago(*workers: str) -> Archipelago:
     """Return an archipelago with two islands, placed on these workers if there are any."""
-    limits = Limits(islands=2, epochs=10, stagnation=5, commit_order=COMMIT_ORDER)
+    limits = Limits(islands=2, epochs=10, stagnation=Stagnation(5), commit_order=COMMIT_ORDER)
     made = Archipelago("job", "x", limits, lambda front: 0.0, lambda program: None)
     if workers:
         placement = Placement(

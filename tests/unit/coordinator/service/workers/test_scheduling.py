@@ -15,7 +15,7 @@ from atoll.wire.messages.workers import Placement, WorkerStatus
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.search.archipelago import Archipelago
-from atoll_coordinator.service.search.collector import Limits
+from atoll_coordinator.service.search.collector import Limits, Stagnation
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.crash_loops import CrashLoops
 from atoll_coordinator.service.workers.membership import ABSENCE_S, Membership
@@ -62,7 +62,7 @@ def join(membership: Membership, name: str) -> None:
 
 
 def archipelago(*workers: str, islands: int = 4) -> Archipelago:
-    limits = Limits(islands=islands, epochs=10, stagnation=5, commit_order=COMMIT_ORDER)
+    limits = Limits(islands=islands, epochs=10, stagnation=Stagnation(5), commit_order=COMMIT_ORDER)
     made = Archipelago("job", "x", limits, lambda front: 0.0, lambda program: None)
     if workers:
         placement = Placement(

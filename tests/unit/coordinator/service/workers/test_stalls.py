@@ -9,7 +9,7 @@ from atoll.search.commit_order import CommitOrder
 from atoll.wire.messages.handshake import Hello
 from atoll.wire.messages.workers import Doing, Holding, IslandReport, Placement, SliceCounters, WorkerStatus
 from atoll_coordinator.service.search.archipelago import Archipelago
-from atoll_coordinator.service.search.collector import Limits
+from atoll_coordinator.service.search.collector import Limits, Stagnation
 from atoll_coordinator.service.workers.membership import Membership
 from atoll_coordinator.service.workers.stalls import PATIENCE_S, StallDetector, named, stall_of
 
@@ -47,7 +47,7 @@ def report(island: int, epoch: int) -> IslandReport:
 
 def archipelago(*reported: int, epochs: int = 3) -> Archipelago:
     """Islands 0 and 2 on worker a, 1 and 3 on b; `epochs` are complete, of the next one the `reported` islands."""
-    limits = Limits(islands=4, epochs=50, stagnation=50, commit_order=COMMIT_ORDER)
+    limits = Limits(islands=4, epochs=50, stagnation=Stagnation(50), commit_order=COMMIT_ORDER)
     made = Archipelago("job", "x", limits, lambda front: 0.0, lambda program: None)
     placement = Placement(
         incarnation=1, term=1, job="job", variable="x", workers=("a", "b", "a", "b"), epochs=50, interval=16,
