@@ -15,7 +15,7 @@ Letters: n rows, N rows over their correlation length, k constants, O measured s
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -169,19 +169,66 @@ def constant_nats_of(rows: float) -> float:
     return 0.5 * math.log(max(rows, 2.0))
 
 
-def trajectory_misfit(squares: FloatArray, least: FloatArray, counts: FloatArray) -> float:
-    """Return minus the log-likelihood of the errors of a simulation, up to a constant: sum n/2 (ln v + s/v - 1).
+@dataclass(frozen=True, eq=False)
+class TrajectoryMisfit:
+    """Lengths of the errors of simulations of O states: minus their log-likelihood up to a constant (ADR 0032).
+
+    Errors are the sum of independent ones of variance v in each of n rows, and of systematic ones, which vary no faster
+    than the state itself and hence make up m < n independent numbers: those of a solver, of a filter, of whatever a law
+    leaves out. With the variance of the latter fitted to a mean square s, and v known between a and b, this is
+
+        n/2 ln s   for a <= s <= b
+        n/2 ln b + m/2 ln(1 + (n/m) (s/b - 1))   above
+        n/2 ln a - m/2 ln(1 + (n/m) (a/s - 1))   below
+
+    Its slope by ln s is that of n independent rows where s is near v, and of m where it is far away.
 
     Args:
-        squares: s, mean squares (O,) of the errors.
-        least: standard deviations (O,) below which errors are those of the integration: v = max(s, least^2).
+        low: a (O,).
+        high: b (O,).
+        least: mean squares (O,) below which errors are those of the integration.
         counts: n, the numbers measured of each state (O,).
+        pieces: m, the independent numbers of each state (O,).
     """
-    total = 0.0
-    for square, smallest, count in zip(squares.tolist(), least.tolist(), counts.tolist(), strict=True):
-        variance = max(square, smallest * smallest)
-        total += 0.5 * count * (math.log(variance) + square / variance - 1.0)
-    return total
+
+    low: FloatArray
+    high: FloatArray
+    least: FloatArray
+    counts: FloatArray
+    pieces: FloatArray
+    below: FloatArray
+
+    def total(self, squares: FloatArray) -> float:
+        """Return the length of errors of these mean squares (O,)."""
+        inside = np.clip(np.maximum(squares, self.least), self.low, self.high)
+        total = 0.5 * float(self.counts @ np.log(inside))
+        for ratio, count, pieces, is_above in self._beyond(squares):
+            beyond = 0.5 * pieces * math.log1p(count / pieces * (ratio - 1.0))
+            total += beyond if is_above else -beyond
+        return total
+
+    def effective_rows(self, squares: FloatArray) -> FloatArray:
+        """Return how many independent rows decide at these mean squares (O,): from m to n.
+
+        That is twice the slope of the length by ln s.
+        """
+        return np.array(
+            [
+                count * ratio / (1.0 + count / pieces * (ratio - 1.0))
+                for ratio, count, pieces, _ in self._beyond(squares)
+            ]
+        )
+
+    def _beyond(self, squares: FloatArray) -> Iterator[tuple[float, float, float, bool]]:
+        """Yield how far outside of a and b the mean square of each state is, n, m, and whether it is above."""
+        clipped = np.maximum(squares, self.least)
+        above, under = np.maximum(clipped / self.high, 1.0), np.maximum(self.low / clipped, 1.0)
+        is_above = above > 1.0
+        pieces = np.where(is_above, self.pieces, self.below)
+        counts = np.where(is_above, self.counts, np.where(self.low < self.high, self.counts, self.below))
+        return zip(
+            np.where(is_above, above, under).tolist(), counts.tolist(), pieces.tolist(), is_above.tolist(), strict=True
+        )
 
 
 def validated_length(misfit: float, programs: Sequence[Program]) -> float:

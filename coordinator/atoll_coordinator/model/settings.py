@@ -180,6 +180,14 @@ class SelectionSettings:
     """Rows of the segments that candidates are first fitted to."""
     longer_segment: int = 30
     """Rows of the segments that the best of them are fitted to."""
+    least_noise: float = 1e-4
+    """Independent errors below this share of a state's standard deviation cannot hide a term of a law: whatever is
+    left then are systematic errors, of a solver for instance, for which rows do not count one by one."""
+    stretches: tuple[int, ...] = (100, 30, 10)
+    """Rows of the pieces that nearly clean trajectories may be simulated in."""
+    solver_numbers: float = 2.0
+    """How many independent numbers the errors of a solver are that are smaller than that: few, since they follow from
+    its tolerance and the state. Each decade less is worth so many times 1.15 nats."""
     exact: float = 1e-8
     """Errors below this share of a state's standard deviation are those of the integration, not of the model."""
     first_lengths: Lengths = (8, 25, None)
@@ -291,6 +299,8 @@ class InferenceSettings:
     """Bins in a span of loess, at most, when the variance of residuals is judged: more tell nothing more."""
     most_bins: int = 240
     """Bins of a trajectory for which the variance of residuals is judged; of more a stretch is taken."""
+    distinct_nats: float = 3.0
+    """Another equation that is not this much longer as a description may be the right one (odds of 20)."""
     least_r2: float = 0.5
     """A simulation that explains less is no model."""
     good_r2: float = 0.9
@@ -302,19 +312,21 @@ class InferenceSettings:
     exact_constant: float = 1e-3
     """Largest standard error of a constant of an exact equation, over the constant. In the corpus's data without noise
     it is below 1e-4 in laws, and above 0.03 in terms that follow the errors of solvers."""
-    distinct_nats: float = 3.0
-    """What is not this much longer as a description may be right (odds of 20, as a good verdict may be wrong in one of
-    twenty)."""
+    relied_upon: float = 0.95
+    """Share of the odds that must foretell what the model does: what is called good foretells as often."""
     beyond: float = 0.1
     """A simulation that leaves the measured range by more than this share of its width goes where nothing was seen."""
     foretold_starts: int = 12
-    """Initial states from which the model and its rivals are simulated, and draws of the constants: what differs in one
-    of ten is met with odds of 0.7."""
+    """Initial states from which the model and its rivals are simulated; the worst of twelve is one in ten or so."""
     foretold_rows: int = 80
     """Rows of such a simulation, over the duration of the longest trajectory."""
-    foretold_shift: float = 3e-3
-    """Change of an initial state, over the state's deviation, after which a course is still to be foretold: where it is
-    not, chaos ends what can be."""
+    foretold_shift: float = 1e-3
+    """Change of an initial state, over the state's deviation, that must not change the course much: else chaos ends
+    what can be foretold."""
+    foretold_r2: float = 0.99
+    """R2 between courses that such a change has hardly changed."""
+    foretold_draws: int = 8
+    """Draws of the constants from their distribution."""
     loose: float = 0.5
     """A constant whose standard error is a larger share of it than this is not determined by the data."""
 

@@ -40,7 +40,7 @@ from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel
-from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks
+from atoll_coordinator.model.selection.piece_lengths import in_whole, on_all_rows, remarks
 from atoll_coordinator.model.selection.rounding import RoundedSystem, round_shown, round_system
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements
@@ -67,7 +67,12 @@ class _Shown:
 
 @dataclass(frozen=True, eq=False)
 class _Final:
-    """The model on all rows; `unseen` is a comparison over the held-out trajectories, None when there are none."""
+    """The model on all rows.
+
+    `comparison` is where constants are fitted; `seen` where the equations are simulated as they are shown, over whole
+    trajectories, also where constants are fitted to short pieces of them, and `seen_fit` what that gives. `unseen` is a
+    comparison over the held-out trajectories, None when there are none.
+    """
 
     task: ModellingTask
     ranking: Ranking
@@ -75,6 +80,8 @@ class _Final:
     unseen: ModelComparison | None
     comparison: ModelComparison
     equations: _Shown
+    seen: ModelComparison
+    seen_fit: TrajectoryFit
 
     @property
     def shown(self) -> tuple[Program, ...]:
@@ -90,11 +97,6 @@ class _Final:
     def free(self) -> FittedModel:
         """The fit of `explicit`, all constants free."""
         return self.equations.free
-
-    @property
-    def shown_fit(self) -> FittedModel:
-        """The equations as they are shown, their initial states fitted."""
-        return self.equations.fit
 
     def origin(self, equation: int, program: Program) -> Origin:
         """Return where a program came from, before its constants were made simple."""
@@ -134,9 +136,13 @@ def summarize(selection: SelectedModel) -> Refinement | None:
         )
         for index, name in enumerate(task.variables)
     }
-    measurements = final.comparison.estimator.measurements
-    spread = bands(measurements, final.free.fit, *scaled_covariance(final.comparison, final.free.fit, errors))
-    trajectories = simulated(measurements, final.shown_fit.fit, spread, task.variables, held_out=False)
+    spread = bands(
+        final.comparison.estimator.measurements,
+        final.free.fit,
+        *scaled_covariance(final.comparison, final.free.fit, errors),
+    )
+    measurements = final.seen.estimator.measurements
+    trajectories = simulated(measurements, final.seen_fit, spread, task.variables, held_out=False)
     return Refinement(
         equations,
         Simulation(
@@ -165,8 +171,22 @@ def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> _
             continue
         opened = _without_refuted(whole.task, comparison, shown)
         shown = (None if opened == tidy else _show(comparison, shown.free, opened)) or shown
-        return _Final(whole.task, ranking, origins, _unseen(whole.task), comparison, shown)
+        task, seen, fit = _simulate(whole.task, comparison, shown)
+        return _Final(task, ranking, origins, _unseen(task), comparison, shown, seen, fit)
     return None
+
+
+def _simulate(
+    task: ModellingTask, comparison: ModelComparison, shown: _Shown
+) -> tuple[ModellingTask, ModelComparison, TrajectoryFit]:
+    """Return the equations as they are shown along whole trajectories, if they were fitted to pieces and can be."""
+    whole = in_whole(task)
+    if whole.piece != task.piece:
+        seen = whole.compare(whole.measurements(whole.variables), whole.variables)
+        fit = fit_starts(seen, shown.rounded.programs)
+        if fit is not None:
+            return whole, seen, fit
+    return task, comparison, shown.fit.fit
 
 
 def _show(comparison: ModelComparison, near: FittedModel, programs: tuple[Program, ...]) -> _Shown | None:
@@ -220,7 +240,7 @@ def _freed(
     )
     free = comparison.fit_beside(best, [each.program for each in explicit], SETTINGS.inference.shown_steps)
     if free is not None:
-        return explicit, free
+        return explicit, comparison.fit_correlated(free, SETTINGS.inference.shown_steps) or free
     return tuple(map(as_written, shown)), comparison.fit_beside(best, shown, SETTINGS.inference.shown_steps)
 
 
@@ -255,7 +275,7 @@ def _carried_bands(final: _Final, unseen: ModelComparison, fit: TrajectoryFit, e
     """Return the standard errors (O, N) of held-out trajectories as simulated; None when they cannot be told."""
     system = unseen.system([each.program for each in final.explicit])
     free = final.free.fit
-    near = unseen.estimator.fit(system, None, 0, fit.starts, free.sigmas, is_stiff=fit.is_stiff)
+    near = unseen.estimator.fit(system, None, 0, fit.starts, free.errors, is_stiff=fit.is_stiff)
     return (
         None
         if near is None
@@ -273,9 +293,8 @@ def _predictions(final: _Final, errors: Errors) -> list[Prediction] | None:
         for each in alternatives
     ]
     rivals += draws(final.free.fit.system, scaled_covariance(comparison, final.free.fit, errors)[0], len(final.shown))
-    return foretell(
-        comparison.estimator.measurements, final.shown_fit.fit.system, rivals, comparison.estimator.tolerance
-    )
+    seen = final.seen.estimator
+    return foretell(seen.measurements, final.seen_fit.system, rivals, seen.tolerance)
 
 
 def _refined(
@@ -289,17 +308,18 @@ def _refined(
     nearest = _no_elaborations(final.ranking.selection.model.programs[index], alternatives)
     variance = problem.target.standard_deviation**2
     smoothing = task.recording.smoothing[task.recording.states.index(name)]
-    measurements = final.comparison.estimator.measurements
+    measurements = final.seen.estimator.measurements
     evidence = Evidence(
         error=error / problem.target.standard_deviation,
         target_uncertainty=problem.target.uncertainty,
         convergence_threshold=problem.target.convergence_threshold(),
         target_r2=1.0 - mse / variance if variance else None,
-        residuals=_residuals(measurements, final.shown_fit.fit, index),
-        parameters=(len(final.free.fit.system.places) + final.free.fit.starts.size) / len(measurements.observed),
+        residuals=_residuals(measurements, final.seen_fit, index),
+        parameters=(len(final.free.fit.system.places) + final.seen_fit.starts.size) / len(measurements.observed),
         noise=0.0 if smoothing.method == "interpolation" else smoothing.noise,
         standard_deviation=_standard_deviation(measurements, index),
         reference=_reference_smoother(smoothing),
+        are_errors_summed=len(final.comparison.estimator.measurements.bounds) > len(measurements.bounds),
         has_outliers=smoothing.outliers > 0,
         held_out_r2=held_out_r2,
         is_cross_validated=final.unseen is None,
@@ -361,7 +381,7 @@ def _reported_alternatives(final: _Final, index: int, held_out_r2: float | None)
     """Return the equation that is shown and what came closest to it, all other equations as they are."""
     ranking = final.ranking
     comparison, best = ranking.selection.comparison, ranking.selection.model
-    r2 = r2_of(final.comparison.estimator.measurements, final.shown_fit.fit, slice(None))[index]
+    r2 = r2_of(final.seen.estimator.measurements, final.seen_fit, slice(None))[index]
     origin = final.origin(index, best.programs[index])
     is_crossed = final.unseen is None and ranking.validated is not None
     found = [Alternative(final.shown[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]

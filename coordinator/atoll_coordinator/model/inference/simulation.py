@@ -23,8 +23,8 @@ def fit_starts(
 ) -> TrajectoryFit | None:
     """Return `programs`, all constants as they are, fitted to the trajectories by their initial states alone."""
     system = comparison.system(programs, [constant_places(program) for program in programs])
-    starts, sigmas = (None, None) if near is None else (near.starts, near.sigmas)
-    return comparison.estimator.fit(system, None, SETTINGS.inference.start_steps, starts, sigmas)
+    starts, errors = (None, None) if near is None else (near.starts, near.errors)
+    return comparison.estimator.fit(system, None, SETTINGS.inference.start_steps, starts, errors)
 
 
 def simulated(

@@ -30,10 +30,10 @@ class Errors:
 def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
     """Return the errors of the constants of a fit, variances corrected for the numbers fitted."""
     fit = model.fit
-    counts = float(comparison.counts.sum()) / comparison.correlation_length
+    counts = float(comparison.counts.sum())
     fitted = len(fit.system.places) + fit.starts.size
     freedom = max(counts - fitted, 1.0)
-    return Errors(fit.system.values, covariance(fit) * (comparison.correlation_length * counts / freedom), freedom)
+    return Errors(fit.system.values, covariance(fit) * (counts / freedom), freedom)
 
 
 def describe_constants(

@@ -28,7 +28,8 @@ class Evidence:
     were fitted to them: constants and initial values, each shared by as many states as it was fitted to. `noise` is
     the smoother's estimate of the measurement errors (0 for a state that was interpolated) and `standard_deviation`
     that of what was measured, both in the state's unit; `reference` judges the variance of the residuals, None where
-    the noise is known; `has_outliers` makes the checks robust. `held_out_r2` is the
+    the noise is known; `are_errors_summed` tells that errors add up along trajectories, as those of a solver do, and
+    that constants were fitted to short pieces therefore; `has_outliers` makes the checks robust. `held_out_r2` is the
     R2 of the simulations of held-out trajectories; with `is_cross_validated`, of those left out one at a time.
 
     Of the model: `constants`, as they are reported, and `unit_coefficients`, factors of one that are not written;
@@ -46,6 +47,7 @@ class Evidence:
     noise: float = 0.0
     standard_deviation: float = 1.0
     reference: ReferenceSmoother | None = None
+    are_errors_summed: bool = False
     has_outliers: bool = False
     held_out_r2: float | None = None
     is_cross_validated: bool = False
@@ -149,6 +151,8 @@ def _objections_to_simulation(evidence: Evidence, residuals: Check) -> Iterator[
     if left <= SETTINGS.inference.negligible:
         return
     if noise <= SETTINGS.inference.clean:
+        if evidence.are_errors_summed and 1.0 - left * left >= SETTINGS.inference.good_r2:
+            return
         yield f"there is no noise, but the simulation misses the measurements by {_percent(left)} of their deviation"
         return
     if residuals.ratio > SETTINGS.inference.too_large and residuals.too_large < SETTINGS.inference.improbable:
@@ -168,7 +172,7 @@ def _objections_to_prediction(prediction: Prediction | None) -> Iterator[str]:
     if prediction.followed < prediction.starts:
         lost = prediction.starts - prediction.followed
         yield f"from {lost} of {prediction.starts} other initial states within the measured range it runs away"
-    if prediction.followed and 1.0 - prediction.probability > math.exp(-SETTINGS.inference.distinct_nats):
+    if prediction.probability < SETTINGS.inference.relied_upon and prediction.followed:
         yield (
             "other equations or constants that describe the data about as well foretell something else from other "
             f"initial states within the measured range ({_percent(prediction.probability)} of the odds agree); "
@@ -219,6 +223,11 @@ def _merit_of_simulation(evidence: Evidence, residuals: Check) -> str:
     held_out += _unknown(evidence.prediction)
     if left <= SETTINGS.inference.negligible:
         return f"the simulation misses the measurements by {left:.1g} of their deviation{held_out}"
+    if evidence.are_errors_summed:
+        return (
+            f"the simulation misses the measurements by {_percent(left)} of their deviation, by errors that add up "
+            f"along trajectories, as those of a solver do{held_out}"
+        )
     return (
         f"what the simulation leaves, {_percent(left)} of the deviation, is like the noise, "
         f"{_percent(evidence.noise / evidence.standard_deviation)}, and without a pattern{held_out}"

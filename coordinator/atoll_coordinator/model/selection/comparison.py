@@ -8,14 +8,16 @@ import math
 from bisect import bisect_left, bisect_right, insort
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, TypeVar
 
 import numpy as np
 
+from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, structure
-from atoll_coordinator.model.criteria import constant_nats_of, system_length, trajectory_misfit
+from atoll_coordinator.model.criteria import TrajectoryMisfit, constant_nats_of, system_length
 from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.model.shooting.independence import ROUGHNESS_VARIANCE, count_pieces, roughness
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import System, system_of
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
@@ -57,8 +59,9 @@ class ModelComparison:
         self.tried: Final[dict[tuple[int, bytes], FittedModel]] = {}
         self.counts: Final = measurements.weights.sum(axis=1)
         self.least_errors: Final = SETTINGS.selection.exact * measurements.scales[measurements.observed]
-        self.correlation_length: Final = measurements.correlation_length
-        self.constant_nats: Final = constant_nats_of(measurements.rows / measurements.correlation_length)
+        self.pieces: Final = count_pieces(measurements)
+        self.misfit = self._misfit(measurements.noise)
+        self.constant_nats: Final = constant_nats_of(measurements.rows)
         self._map: Final = map if executor is None else executor.map
 
     def fit_all(self, work: Callable[[Item], FittedModel | None], items: Iterable[Item]) -> list[FittedModel]:
@@ -110,7 +113,14 @@ class ModelComparison:
     ) -> FittedModel | None:  # fmt: skip
         """Return the fitted `system` of `programs` and `fixed_nodes`, begun with the initial states of `near`."""
         its, system = near.fit, self.system(programs, fixed_nodes)
-        fit = self.estimator.fit(system, None, steps, its.starts, its.sigmas, is_stiff=its.is_stiff)
+        fit = self.estimator.fit(system, None, steps, its.starts, its.errors, is_stiff=its.is_stiff)
+        return None if fit is None else self.measure(fit)
+
+    def fit_correlated(self, model: FittedModel, steps: int) -> FittedModel | None:
+        """Return `model` fitted once more, with errors of neighbouring rows that go together as its residuals do."""
+        its = model.fit
+        errors = replace(its.errors, is_correlation_sought=True)
+        fit = self.estimator.fit(its.system, None, steps, its.starts, errors, is_stiff=its.is_stiff)
         return None if fit is None else self.measure(fit)
 
     def fit_exchanged(self, near: FittedModel, equation: int, program: Program, steps: int) -> FittedModel | None:
@@ -143,9 +153,36 @@ class ModelComparison:
     def measure(self, fit: TrajectoryFit) -> FittedModel:
         """Return the model that a fit of one of this comparison's systems gives."""
         programs = fit.system.programs[len(self.leading) :]
-        its = trajectory_misfit(fit.squares, self.least_errors, self.counts / self.correlation_length)
+        its = self.misfit.total(fit.squares)
         nats = system_length(its, programs, len(fit.system.places), self.constant_nats)
         return FittedModel(programs, fit, its, nats)
+
+    def calibrate(self, model: FittedModel) -> FittedModel:
+        """Take the independent errors from the roughness of what `model` leaves; return it as measured by that."""
+        self.misfit = self._misfit(roughness(self.estimator.measurements, model.fit.residuals))
+        self.tried.clear()
+        return self.measure(model.fit)
+
+    def _misfit(self, noise: FloatArray) -> TrajectoryMisfit:
+        """Return the misfit of errors whose independent part has about the standard deviation `noise` (O,)."""
+        spread = 1.0 + 2.0 * np.sqrt(ROUGHNESS_VARIANCE / np.maximum(self.counts, 4.0))
+        smallest = (
+            SETTINGS.selection.least_noise * self.estimator.measurements.scales[self.estimator.measurements.observed]
+        )
+        is_noisy, variances = noise >= smallest, np.maximum(noise, smallest) ** 2
+        return TrajectoryMisfit(
+            np.where(is_noisy, variances / spread, variances),
+            np.where(is_noisy, variances * spread, variances),
+            self.least_errors**2,
+            np.where(is_noisy, self.counts, self.pieces),
+            self.pieces,
+            np.where(is_noisy, self.pieces, SETTINGS.selection.solver_numbers),
+        )
+
+    def inflation(self, model: FittedModel) -> float:
+        """Return how many rows count as one in the covariance of constants: 1 where errors are independent."""
+        rows = self.misfit.effective_rows(model.fit.squares)
+        return float(self.counts.sum() / min(rows.sum(), self.counts.sum()))
 
     def is_exact(self, model: FittedModel) -> bool:
         """Tell whether all errors are those of the integration."""

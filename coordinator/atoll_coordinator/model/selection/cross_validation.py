@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray
-from atoll_coordinator.model.criteria import trajectory_misfit
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements
@@ -43,7 +42,7 @@ class Validation:
     def of(self, model: FittedModel) -> Validated:
         """Return how well the system of `model` predicts."""
         measurements = self._comparison.estimator.measurements
-        squares, total = np.zeros(len(measurements.observed)), np.zeros(len(measurements.observed))
+        squares, total = np.zeros((2, len(measurements.observed)))
         for left_out in self._folds:
             errors = self._squared_errors(model, left_out)
             if errors is None:
@@ -52,9 +51,7 @@ class Validation:
             total += _total_squares(measurements.part(left_out))
         r2 = [1.0 - left / whole if whole > 0.0 else None for left, whole in zip(squares, total, strict=True)]
         counts = self._comparison.counts
-        misfit = trajectory_misfit(
-            squares / counts, self._comparison.least_errors, counts / self._comparison.correlation_length
-        )
+        misfit = self._comparison.misfit.total(squares / counts)
         return Validated(tuple(r2), misfit)
 
     def _squared_errors(self, model: FittedModel, left_out: frozenset[int]) -> FloatArray | None:
@@ -68,13 +65,13 @@ class Validation:
             None,
             SETTINGS.selection.validation_steps,
             fit.starts[~is_out],
-            fit.sigmas,
+            fit.errors,
         )
         if fitted is None:
             return None
         rest = self._shooter(measurements.part(left_out))
         fixed = fitted.system.with_fixed_constants()
-        predicted = rest.fit(fixed, None, SETTINGS.selection.validation_steps, fit.starts[is_out], fit.sigmas)
+        predicted = rest.fit(fixed, None, SETTINGS.selection.validation_steps, fit.starts[is_out], fit.errors)
         if predicted is None:
             return None
         return np.asarray((rest.measurements.weights * predicted.residuals**2).sum(axis=1))

@@ -7,7 +7,7 @@ by counts, never by the clock.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -115,12 +115,12 @@ class ModellingTask:
 def ranked_candidates(task: ModellingTask) -> list[list[Program]]:
     """Return the candidates of each variable, the best first.
 
-    Without noise the equation of a converged search is the only candidate, unless the trajectories show that one of
-    them only comes close, as a cosine of little does to a square.
+    Where the equations of converged searches give the trajectories up to errors of integration, there are no others.
     """
-    lists = [_candidates(task, name) for name in task.variables]
-    if any(len(its) != 1 for its in lists) or len(task.known) == len(lists) or _is_exact(task, lists):
-        return lists
+    converged = [_converged(task, name) for name in task.variables]
+    found = [program for program in converged if program is not None]
+    if len(found) == len(converged) and _is_exact(task, found):
+        return [[program] for program in found]
     return [_compared(task, name) for name in task.variables]
 
 
@@ -143,23 +143,24 @@ def search_jointly(
     best = _combined(comparison, lists) if begun is None else comparison.fit_model(begun)
     if best is None:
         return None
-    best = _exchanged(comparison, best, lists)
+    best = _exchanged(comparison, comparison.calibrate(best), lists)
+    best = comparison.calibrate(best)
     if not comparison.is_exact(best) and not is_hopeless(SelectedModel(task, comparison, best)):
         best = _search_locally(task, comparison, best, lists)
     best = comparison.fit_beside(best, best.programs, 40) or best
     return SelectedModel(task, comparison, best, lists)
 
 
-def _candidates(task: ModellingTask, name: str) -> list[Program]:
-    """Return the candidates of one variable, the best first."""
+def _converged(task: ModellingTask, name: str) -> Program | None:
+    """Return the equation that is known, or that a search of a target without noise has converged to."""
     if name in task.known:
-        return [task.known[name]]
+        return task.known[name]
     target = task.dataset.problem(name).target
     if name in task.settled and not target.is_noisy:
         its = task.settled[name]
         if its.error <= target.convergence_error(task.config.budget.target_error):
-            return [tidied(its.program)]
-    return _compared(task, name)
+            return tidied(its.program)
+    return None
 
 
 def _compared(task: ModellingTask, name: str) -> list[Program]:
@@ -169,18 +170,18 @@ def _compared(task: ModellingTask, name: str) -> list[Program]:
     problem = task.dataset.problem(name)
     programs = [task.settled[name].program] if name in task.settled else []
     programs += task.candidates[name].programs
-    measurements = replace(task.measurements([name]).thinned(SETTINGS.selection.compared_rows), correlation_length=1.0)
+    measurements = task.measurements([name]).thinned(SETTINGS.selection.compared_rows)
     comparison = task.compare(measurements, [name])
     best = ranked(comparison, problem, programs, _libraries(task, name, measurements))
     return [program for program in best if task.may_be_shown(program)]
 
 
-def _is_exact(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> bool:
-    """Tell whether the first candidates give the trajectories up to errors of integration."""
+def _is_exact(task: ModellingTask, programs: Sequence[Program]) -> bool:
+    """Tell whether these equations give the trajectories up to errors of integration."""
     comparison = task.compare(
         task.measurements(task.variables).thinned(SETTINGS.selection.compared_rows), task.variables
     )
-    found = comparison.fit_model([its[0] for its in lists])
+    found = comparison.fit_model(programs)
     return found is not None and comparison.is_exact(found)
 
 

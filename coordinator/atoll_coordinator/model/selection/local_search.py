@@ -90,13 +90,13 @@ class LocalSearch:
         program = model.programs[equation]
         fit = model.fit
         own = np.flatnonzero(fit.system.owners == equation + len(self._comparison.leading))
-        variances = np.diag(covariance(fit))[own]
+        variances, inflation = np.diag(covariance(fit))[own], self._comparison.inflation(model)
         priced: list[tuple[float, float, int, float]] = []
         for place, value, variance in zip(
             constant_places(program), fit.system.values[own].tolist(), variances.tolist(), strict=True
         ):
             for neutral in _NEUTRAL:
-                nats = 0.5 * (value - neutral) ** 2 / max(variance, 1e-300)
+                nats = 0.5 * (value - neutral) ** 2 / max(inflation * variance, 1e-300)
                 if nats < SETTINGS.selection.most_saved:
                     priced.append((nats, abs(value - neutral), place, neutral))
         return [tidied(with_constants(program, {place: neutral})) for _, _, place, neutral in sorted(priced)]

@@ -28,6 +28,8 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
     lists = ranked_candidates(task)
     if not all(lists):
         return None
+    if _is_nearly_clean(task):
+        return search_jointly(replace(task, piece=_stretch(task, lists)), lists)
     found: list[SelectedModel] = []
     for selection in _ever_shorter(task, lists):
         found.append(selection)
@@ -35,6 +37,43 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
             work = sum(each.comparison.estimator.work for each in found)
             return selection if work >= SETTINGS.selection.pieces_work else _lengthened(task, selection, lists)
     return found[0] if found else None
+
+
+def in_whole(task: ModellingTask) -> ModellingTask:
+    """Return the task with trajectories simulated in whole, or in the longest pieces that are ever fitted."""
+    return replace(task, piece=SETTINGS.shooting.piece) if _is_nearly_clean(task) else task
+
+
+def _is_nearly_clean(task: ModellingTask) -> bool:
+    """Tell whether the independent errors of all states are too small to hide a term of a law."""
+    return all(each.relative_noise < SETTINGS.selection.least_noise for each in task.recording.smoothing)
+
+
+def _stretch(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> int:
+    """Return in how long pieces the best candidates describe nearly clean trajectories in the fewest nats.
+
+    Errors of a solver add up along a trajectory; an initial state for each piece, which takes 1/2 ln N for each number,
+    ends that. Of a whole trajectory, terms that do not belong to the law would describe the sum of such errors.
+    """
+    programs = [its[0] for its in lists]
+    lengths: dict[int, float] = {}
+    for piece in (task.piece, *SETTINGS.selection.stretches):
+        here = replace(task, piece=piece)
+        comparison = here.compare(
+            here.measurements(task.variables).thinned(SETTINGS.selection.compared_rows), task.variables
+        )
+        model = comparison.fit_model(programs)
+        if model is not None:
+            lengths[piece] = _stretch_length(comparison, model)
+    return min(lengths, key=lambda piece: (lengths[piece], -piece), default=task.piece)
+
+
+def _stretch_length(comparison: ModelComparison, model: FittedModel) -> float:
+    """Return the nats of all errors, independent within pieces, and of all initial states."""
+    counts, starts = comparison.counts, model.fit.starts.size
+    free = np.maximum(counts - starts / len(counts), 1.0)
+    variances = np.maximum(model.fit.squares * counts / free, comparison.least_errors**2)
+    return float(0.5 * counts @ np.log(variances)) + starts * comparison.constant_nats
 
 
 def on_all_rows(selection: SelectedModel) -> SelectedModel | None:
@@ -127,7 +166,7 @@ def _excess(comparison: ModelComparison, model: FittedModel) -> float:
     """
     measurements = comparison.estimator.measurements
     noise = np.maximum(measurements.noise, SETTINGS.selection.slight * measurements.scales[measurements.observed])
-    allowed = noise * (2.0 if measurements.correlation_length > 1.0 else 1.0)
+    allowed = noise * (2.0 if measurements.has_smoothed_inputs else 1.0)
     return float(np.max(np.sqrt(model.fit.squares) / allowed))
 
 

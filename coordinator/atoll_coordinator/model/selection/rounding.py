@@ -83,7 +83,7 @@ def _rounding(comparison: ModelComparison, model: FittedModel, digits: int) -> R
 
 
 def _covariance(comparison: ModelComparison, model: FittedModel) -> FloatArray:
-    return comparison.correlation_length * bounded_covariance(model.fit)
+    return comparison.inflation(model) * bounded_covariance(model.fit)
 
 
 def _allowed(means: FloatArray, spread: FloatArray, numbers: Mapping[int, float]) -> float:

@@ -9,16 +9,18 @@ from typing import Final, Generic, TypeVar
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.system import System
 
 Key = tuple[object, ...]
 Fit = TypeVar("Fit")
 
 
-def key_of(system: System, starts: FloatArray | None, sigmas: FloatArray | None, *rest: object) -> Key:
+def key_of(system: System, starts: FloatArray | None, errors: ErrorModel | None, *rest: object) -> Key:
     """Return what a fit is known by: all that decides what comes of it, to the bit."""
-    arrays = (*system.tape, starts, sigmas)
-    return (*(None if each is None else each.tobytes() for each in arrays), *rest)
+    arrays = (*system.tape, starts)
+    known = None if errors is None else errors.to_bytes()
+    return (*(None if each is None else each.tobytes() for each in arrays), known, *rest)
 
 
 class FitCache(Generic[Fit]):

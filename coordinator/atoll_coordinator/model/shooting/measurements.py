@@ -30,8 +30,8 @@ class Measurements:
     trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), 0 leaves a number out;
     `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured, and `offset` (K,) which of these up
     to an offset. `scales` (D,) are the states' standard deviations, `noise` (O,) the smoother's estimate of that of
-    the measurement errors; `correlation_length` is along how many rows errors go together, more than one where states
-    without an equation are inputs as smoothed. `inverse_variances` (N,) divide the variance of the errors of each
+    the measurement errors; `has_smoothed_inputs` tells that states without an equation are inputs as smoothed.
+    `inverse_variances` (N,) divide the variance of the errors of each
     row, 1 on average over the recording; they are part of `weights`. `consistency` (O,) is the weighted mean square of
     normal errors over their variance, less than one where robustness weights reduce the large ones; None: one for all
     states. `input_slopes` belong to `inputs` (U, N).
@@ -52,7 +52,7 @@ class Measurements:
     offset: Ints
     variables: tuple[str, ...]
     names: tuple[str, ...]
-    correlation_length: float = 1.0
+    has_smoothed_inputs: bool = False
     inverse_variances: FloatArray | None = None
     consistency: FloatArray | None = None
 
@@ -174,7 +174,7 @@ def measurements_of(
         ),
         variables=_variables(recording, chosen, others),
         names=tuple(part.name for part in parts),
-        correlation_length=_correlation_length(recording, others),
+        has_smoothed_inputs=bool(others),
         inverse_variances=_inverse_variances(parts),
         consistency=_consistency(parts, chosen),
     )
@@ -197,11 +197,6 @@ def _where_inputs_are_known(whole: Measurements, parts: Sequence[Trajectory], ot
         kept += [(first + start, first + stop, owner) for start, stop in changes.reshape(-1, 2).tolist()]
     kept = [each for each in kept if each[1] - each[0] > 1]
     return whole.pieces(kept) if kept else whole
-
-
-def _correlation_length(recording: Recording, others: Sequence[int]) -> float:
-    """Return along how many rows the errors of these states as smoothed go together: about half a span."""
-    return max((0.5 * (recording.smoothing[index].span or 2.0) for index in others), default=1.0)
 
 
 def _variables(recording: Recording, chosen: list[int], others: list[int]) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ states are weighted by their variances, which are fitted as well. Letters as in 
 import math
 import threading
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import Final
 
@@ -18,6 +18,7 @@ from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
 from atoll_coordinator.model.shooting.fit_cache import FitCache, key_of
 from atoll_coordinator.model.shooting.kernels.implicit import STIFF
 from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, integrate_segments
@@ -95,7 +96,8 @@ class MultipleShooting:
         self._measured = np.where(measurements.weights > 0.0, measurements.measured, 0.0)
         self._smallest = np.maximum(SETTINGS.shooting.least_noise * measurements.scales[measurements.observed], 1e-300)
         self._totals: Final = measurements.weights.sum(axis=1)
-        self._segments: Final[dict[int | None, Ints]] = {}
+        self._layouts: Final[dict[int | None, Innovations]] = {}
+        self._row_steps: Final = _row_steps(measurements)
         self.work = 0
         self._lock = threading.Lock()
         self._own = threading.local()
@@ -103,7 +105,7 @@ class MultipleShooting:
 
     def fit(
         self, system: System, length: int | None, steps: int, starts: FloatArray | None = None,
-        sigmas: FloatArray | None = None, *, is_stiff: bool = False,
+        errors: ErrorModel | None = None, *, is_stiff: bool = False,
     ) -> TrajectoryFit | None:  # fmt: skip
         """Return `system` fitted to segments of about `length` rows, None when it cannot be integrated from `starts`.
 
@@ -112,15 +114,15 @@ class MultipleShooting:
             length: rows of a segment; None for whole trajectories.
             steps: most steps, successful or not.
             starts: initial states (G, D), or with offsets (G, D + K); the smoothed ones unless given.
-            sigmas: what errors are weighted by (O,); the smoother's noise, or what the residuals are, unless given.
+            errors: what they are taken to be at first; independent, of the smoother's noise, unless given.
             is_stiff: whether similar systems are; in a fit of few steps no other is taken for stiff, since most
                 candidates that seem so are bad ones.
         """
-        key = key_of(system, starts, sigmas, length, steps, is_stiff)
+        key = key_of(system, starts, errors, length, steps, is_stiff)
         done = self._cache.get(key)
         if done is None:
             self._own.work = 0
-            fit = self._fitted(system, length, steps, starts, sigmas, is_stiff=is_stiff)
+            fit = self._fitted(system, length, steps, starts, errors, is_stiff=is_stiff)
             done = _Done(fit, self._own.work)
             if not self.deadline.is_over:  # one that time has cut short is to be fitted again
                 self._cache.put(key, done)
@@ -129,30 +131,31 @@ class MultipleShooting:
         return done.fit
 
     def _fitted(
-        self, system: System, length: int | None, steps: int, starts: FloatArray | None, sigmas: FloatArray | None,
+        self, system: System, length: int | None, steps: int, starts: FloatArray | None, errors: ErrorModel | None,
         *, is_stiff: bool,
     ) -> TrajectoryFit | None:  # fmt: skip
         """Return what `fit` does, and add what it takes to the work of this thread."""
         its = self.measurements
-        segments = self._segments.get(length)
-        if segments is None:
-            segments = self._segments.setdefault(length, its.segments(length))
+        layout = self._layout(length)
+        segments = layout.segments
         if starts is None:
             starts = np.ascontiguousarray(its.smoothed[:, segments[:, 0]].T)
         starts = self._with_offsets(starts, len(system.outputs), in_whole=length is None)
-        if sigmas is None:
-            sigmas = np.maximum(its.noise, 1e-4 * its.scales[its.observed])
+        if errors is None:
+            errors = ErrorModel.independent(np.maximum(its.noise, 1e-4 * its.scales[its.observed]))
         may_be_stiff = is_stiff or steps > SETTINGS.shooting.brief_steps
-        here, method = self._begun(system, segments, starts, sigmas, may_be_stiff=may_be_stiff)
+        here, method = self._begun(system, layout, starts, errors, may_be_stiff=may_be_stiff)
         if here is None:
             return None
+        if errors.is_correlation_sought:
+            errors, here = self._reweighted(here, layout, errors)
         damping = SETTINGS.shooting.first_damping
         for _ in takewhile(lambda _: not self.deadline.is_over, range(steps)):
             step = _solved(here, damping)
             there = None
             if step is not None:
                 moved, new_starts = system.with_values(system.values + step[0]), starts + step[1]
-                there, _ = self._equations(method, moved, segments, new_starts, sigmas, here.cost)
+                there, _ = self._equations(method, moved, layout, new_starts, errors, here.cost)
             if there is None:
                 damping *= 10.0
                 if damping > SETTINGS.shooting.most_damping:
@@ -161,14 +164,22 @@ class MultipleShooting:
             is_settled = there.cost >= here.cost * (1.0 - SETTINGS.shooting.settled)
             system, starts, here = moved, new_starts, there
             damping = max(damping * 0.1, 1e-12)
-            sigmas, here = self._reweighted(here, segments, sigmas)
+            errors, here = self._reweighted(here, layout, errors)
             if is_settled:
                 break
         squares = self._squares(here.residuals)
         return TrajectoryFit(
-            system, segments, starts, here.simulated, here.residuals, sigmas, squares, here.normal, here.coupling,
+            system, segments, starts, here.simulated, here.residuals, errors, squares, here.normal, here.coupling,
             here.own, self, method is self._methods[1],
         )  # fmt: skip
+
+    def _layout(self, length: int | None) -> Innovations:
+        """Return the segments of about `length` rows, along which residuals are whitened."""
+        known = self._layouts.get(length)
+        if known is None:
+            made = Innovations(self.measurements.segments(length), self._row_steps, self.measurements.weights)
+            known = self._layouts.setdefault(length, made)
+        return known
 
     def _with_offsets(self, starts: FloatArray, states: int, *, in_whole: bool) -> FloatArray:
         """Return initial states with offsets, which whole trajectories alone determine; as zero if they have none."""
@@ -180,39 +191,52 @@ class MultipleShooting:
 
     def _squares(self, residuals: FloatArray) -> FloatArray:
         """Return the mean squares (O,) of residuals, those of normal errors whatever the robustness weights."""
-        squares = (self.measurements.weights * residuals * residuals).sum(axis=1) / self._totals
+        return self._consistent((self.measurements.weights * residuals * residuals).sum(axis=1) / self._totals)
+
+    def _consistent(self, squares: FloatArray) -> FloatArray:
         consistency = self.measurements.consistency
         return np.asarray(squares if consistency is None else squares / consistency)
 
-    def _reweighted(self, here: _Equations, segments: Ints, sigmas: FloatArray) -> tuple[FloatArray, _Equations]:
-        """Return new variances and the equations under them; the states' errors may be of very different size."""
-        new = np.maximum(np.sqrt(self._squares(here.residuals)), self._smallest)
-        if np.all(np.abs(new / sigmas - 1.0) < 1e-3):
-            return sigmas, here
-        return new, self._weighed(here.simulated, here.gradients, here.residuals, segments, new, len(here.gradient))
+    def _reweighted(self, here: _Equations, layout: Innovations, errors: ErrorModel) -> tuple[ErrorModel, _Equations]:
+        """Return the errors as these residuals have them, and the equations under them.
+
+        The states' errors may be of very different size.
+        """
+        shares, decays = (
+            layout.estimate(here.residuals, errors) if errors.is_correlation_sought else (errors.shares, errors.decays)
+        )
+        new = replace(errors, shares=shares, decays=decays)
+        squares, _ = layout.squares(here.residuals, new)
+        new = replace(new, sigmas=np.maximum(np.sqrt(self._consistent(squares / self._totals)), self._smallest))
+        is_same = np.array_equal(shares, errors.shares) and np.array_equal(decays, errors.decays)
+        if is_same and np.all(np.abs(new.sigmas / errors.sigmas - 1.0) < 1e-3):
+            return errors, here
+        equations = self._weighed(here.simulated, here.gradients, here.residuals, layout, new, len(here.gradient))
+        return new, equations
 
     def _begun(
-        self, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray, *, may_be_stiff: bool
-    ) -> tuple[_Equations | None, _Method]:
+        self, system: System, layout: Innovations, starts: FloatArray, errors: ErrorModel,
+        *, may_be_stiff: bool,
+    ) -> tuple[_Equations | None, _Method]:  # fmt: skip
         """Return the equations where a fit begins, see `_equations`, and the method to go on with.
 
         That is the one for stiff systems if the other took too many steps.
         """
         explicit, implicit = self._methods
-        found, is_stiff = self._equations(explicit, system, segments, starts, sigmas)
+        found, is_stiff = self._equations(explicit, system, layout, starts, errors)
         if not is_stiff or not may_be_stiff:
             return found, explicit
-        return self._equations(implicit, system, segments, starts, sigmas)[0], implicit
+        return self._equations(implicit, system, layout, starts, errors)[0], implicit
 
     def _equations(
-        self, method: _Method, system: System, segments: Ints, starts: FloatArray, sigmas: FloatArray,
-        below: float = math.inf,
+        self, method: _Method, system: System, layout: Innovations, starts: FloatArray,
+        errors: ErrorModel, below: float = math.inf,
     ) -> tuple[_Equations | None, bool]:  # fmt: skip
         """Return the equations at a point, and whether the method took too many steps.
 
         None where it cannot be integrated or the cost is not below `below`.
         """
-        its = self.measurements
+        its, segments = self.measurements, layout.segments
         states, fitted, local = len(system.outputs), len(system.places), starts.shape[1]
         done, taken, simulated, gradients = self._integrated(method, system, segments, starts)
         self._own.work += method.work(taken, its.rows) * (
@@ -227,10 +251,9 @@ class MultipleShooting:
         for place, state in enumerate(its.offset.tolist() if local > states else []):
             column = states + place
             residuals[state] -= np.repeat(starts[:, column], segments[:, 1] - segments[:, 0])
-        cost = float((self.measurements.weights * (residuals / sigmas[:, None]) ** 2).sum())
-        if not cost < below:
+        if not _cost(layout, residuals, errors) < below:
             return None, False
-        return self._weighed(simulated, gradients, residuals, segments, sigmas, fitted), False
+        return self._weighed(simulated, gradients, residuals, layout, errors, fitted), False
 
     def sensitivities(self, fit: TrajectoryFit) -> FloatArray:
         """Return `TrajectoryFit.integrated_sensitivities` of a fit of this estimator's."""
@@ -255,23 +278,39 @@ class MultipleShooting:
         return done, int(taken[0]), simulated, gradients
 
     def _weighed(
-        self,
-        simulated: FloatArray,
-        gradients: FloatArray,
-        residuals: FloatArray,
-        segments: Ints,
-        sigmas: FloatArray,
-        fitted: int,
-    ) -> _Equations:
-        groups, local = len(segments), gradients.shape[2] - fitted
-        weights = self.measurements.weights / (sigmas * sigmas)[:, None]
+        self, simulated: FloatArray, gradients: FloatArray, residuals: FloatArray, layout: Innovations,
+        errors: ErrorModel, fitted: int,
+    ) -> _Equations:  # fmt: skip
+        segments, local = layout.segments, gradients.shape[2] - fitted
+        groups = len(segments)
+        weights = self.measurements.weights / (errors.sigmas * errors.sigmas)[:, None]
         blocks = (
             np.zeros((fitted, fitted)), np.zeros((groups, fitted, local)), np.zeros((groups, local, local)),
             np.zeros(fitted), np.zeros((groups, local)),
         )  # fmt: skip
-        normal_equations(segments, self.measurements.observed, residuals, weights, gradients, fitted, *blocks)
-        cost = float((weights * residuals * residuals).sum())
-        return _Equations(cost, simulated, residuals, *blocks, gradients)
+        normal_equations(
+            segments, self.measurements.observed, self._row_steps, residuals, weights, errors.shares, errors.decays,
+            gradients, fitted, *blocks, np.empty(fitted + local), np.empty(fitted + local),
+        )  # fmt: skip
+        return _Equations(_cost(layout, residuals, errors), simulated, residuals, *blocks, gradients)
+
+
+def _cost(layout: Innovations, residuals: FloatArray, errors: ErrorModel) -> float:
+    """Return the weighted sum of squares, errors that go together made independent."""
+    squares, _ = layout.squares(residuals, errors)
+    return float((squares / (errors.sigmas * errors.sigmas)).sum())
+
+
+def _row_steps(measurements: Measurements) -> FloatArray:
+    """Return the step (N,) to each row from the one before over the median of all; 1 where rows are even."""
+    steps = np.ones(measurements.rows)
+    inner = np.ones(measurements.rows, dtype=bool)
+    inner[measurements.bounds[:, 0]] = False
+    differences = np.diff(measurements.times, prepend=measurements.times[0])[inner]
+    if len(differences):
+        steps[inner] = differences / np.median(differences)
+    steps[np.abs(steps - 1.0) < 1e-6] = 1.0
+    return steps
 
 
 def _solved(here: _Equations, damping: float) -> tuple[FloatArray, FloatArray] | None:
@@ -297,7 +336,7 @@ def fit_in_stages(
         if fit is not None:
             starts = np.ascontiguousarray(fit.simulated[:, estimator.measurements.segments(length)[:, 0]].T)
         following = estimator.fit(
-            system if fit is None else fit.system, length, steps, starts, None if fit is None else fit.sigmas
+            system if fit is None else fit.system, length, steps, starts, None if fit is None else fit.errors
         )
         if following is None:
             return None

@@ -7,6 +7,7 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
+from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.system import System
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ class TrajectoryFit:
 
     `starts` (G, D) are the fitted initial states of `segments` (G, 2), and behind them, where trajectories are fitted
     in whole, their K offsets (G, D + K); `simulated` (D, N); `residuals` (O, N) measured minus simulated and offset;
-    `sigmas` (O,) the standard deviations that errors were weighted by; `squares` (O,) their mean squares; `normal`,
+    `errors` what they were taken to be; `squares` (O,) their mean squares; `normal`,
     `coupling` and `own` the blocks of the normal equations at the end, weighted; `estimator` fitted it; `is_stiff`
     tells whether the system was integrated as a stiff one.
     """
@@ -29,7 +30,7 @@ class TrajectoryFit:
     starts: FloatArray
     simulated: FloatArray
     residuals: FloatArray
-    sigmas: FloatArray
+    errors: ErrorModel
     squares: FloatArray
     normal: FloatArray
     coupling: FloatArray

@@ -10,6 +10,7 @@ import math
 from atoll.compilation.jit import allocating_kernel, kernel
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
+from atoll_coordinator.model.shooting.kernels.innovations import decayed
 
 SMALLEST = 1e-200
 """Least curvature that counts: below it a direction is flat."""
@@ -17,33 +18,56 @@ RIDGE = 1e-13
 
 
 @kernel
-def normal_equations(segments: Ints, observed: Ints, residuals: FloatArray, weights: FloatArray,
-                     gradients: FloatArray, fitted: int, normal: FloatArray, coupling: FloatArray, own: FloatArray,
-                     gradient: FloatArray, own_gradient: FloatArray) -> None:  # fmt: skip
+def normal_equations(segments: Ints, observed: Ints, steps: FloatArray, residuals: FloatArray, weights: FloatArray,
+                     shares: FloatArray, decays: FloatArray, gradients: FloatArray, fitted: int, normal: FloatArray,
+                     coupling: FloatArray, own: FloatArray, gradient: FloatArray, own_gradient: FloatArray,
+                     innovations: FloatArray, expected: FloatArray) -> None:  # fmt: skip
     """Sum up J'WJ and J'Wr by blocks: constants (P, P), (G, P, L), and what each segment has its own (G, L, L).
 
-    `residuals` and `weights` are (O, N) for the `observed` (O,) states; a weight of zero leaves a number out.
+    `residuals` and `weights` are (O, N) for the `observed` (O,) states; a weight of zero leaves a number out. W is the
+    inverse of the covariance that `innovate` describes, with `shares` and `decays` (O,) of each state. `innovations`
+    and `expected` (P + L,) are scratch.
     """
     local = gradients.shape[2] - fitted
+    count = fitted + local
     for g in range(segments.shape[0]):
-        for row in range(segments[g, 0], segments[g, 1]):
-            for o in range(observed.shape[0]):
-                w = weights[o, row]
-                if w == 0.0:
+        for o in range(observed.shape[0]):
+            s, share, white = observed[o], shares[o], 1.0 - shares[o]
+            variance, guessed = share, 0.0
+            for p in range(count):
+                expected[p] = 0.0
+            for row in range(segments[g, 0], segments[g, 1]):
+                if share > 0.0 and row > segments[g, 0]:
+                    kept = decayed(decays[o], steps[row])
+                    variance = kept * kept * variance + share * (1.0 - kept * kept)
+                    guessed *= kept
+                    for p in range(count):
+                        expected[p] *= kept
+                if weights[o, row] == 0.0:
                     continue
-                s, r = observed[o], residuals[o, row]
+                root = math.sqrt(weights[o, row])
+                total = variance + white
+                gain = variance / total
+                error = root * residuals[o, row] - guessed
+                guessed += gain * error
+                for p in range(count):
+                    change = root * gradients[row, s, p] - expected[p]
+                    innovations[p] = change
+                    expected[p] += gain * change
+                variance -= gain * variance
+                w = 1.0 / total
                 for p in range(fitted):
-                    wj = w * gradients[row, s, p]
-                    gradient[p] += wj * r
+                    wj = w * innovations[p]
+                    gradient[p] += wj * error
                     for q in range(p + 1):
-                        normal[p, q] += wj * gradients[row, s, q]
+                        normal[p, q] += wj * innovations[q]
                     for d in range(local):
-                        coupling[g, p, d] += wj * gradients[row, s, fitted + d]
+                        coupling[g, p, d] += wj * innovations[fitted + d]
                 for d in range(local):
-                    wj = w * gradients[row, s, fitted + d]
-                    own_gradient[g, d] += wj * r
+                    wj = w * innovations[fitted + d]
+                    own_gradient[g, d] += wj * error
                     for e in range(local):
-                        own[g, d, e] += wj * gradients[row, s, fitted + e]
+                        own[g, d, e] += wj * innovations[fitted + e]
     for p in range(fitted):
         for q in range(p):
             normal[q, p] = normal[p, q]

@@ -104,7 +104,7 @@ def test_bands_of_a_coupled_system_are_those_of_its_linearisation():
     for group, (first, end) in enumerate(fit.segments.tolist()):
         whole[first:end, :, :fitted] = sensitivities[first:end, :, :fitted]
         whole[first:end, :, fitted + 2 * group : fitted + 2 * group + 2] = sensitivities[first:end, :, fitted:]
-    weighed = (whole / fit.sigmas[None, :, None]).reshape(-1, fitted + 4)
+    weighed = (whole / fit.errors.sigmas[None, :, None]).reshape(-1, fitted + 4)
     errors = estimate_errors(its, model)
     covariance = np.linalg.inv(weighed.T @ weighed) * (80.0 / errors.freedom)
     expected = np.sqrt(np.einsum("nop,pq,noq->on", whole, covariance, whole))
@@ -130,7 +130,7 @@ def test_bands_of_a_system_without_constants_are_those_of_its_initial_states():
     its = compare(bare, rows, 1e-8)
     model = its.fit_model([bare.parsed("-x")], lengths=(None,))
     decay = np.exp(-TIMES)
-    error = model.fit.sigmas[0] * np.sqrt(20.0 / 19.0) / np.sqrt(decay @ decay)
+    error = model.fit.errors.sigmas[0] * np.sqrt(20.0 / 19.0) / np.sqrt(decay @ decay)
     assert banded(its, rows, model)[0] == pytest.approx(error * decay, rel=1e-4)
     assert describe_constants(its, model.programs, estimate_errors(its, model)) == [()]
 

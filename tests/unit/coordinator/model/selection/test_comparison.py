@@ -162,7 +162,7 @@ def test_the_covariance_is_that_of_least_squares():
     fit = MultipleShooting(its, 1e-10).fit(compare(DECAY, its).system([DECAY.parsed("-0.5*x")]), None, 30)
     rate, start = abs(float(fit.system.values[0])), float(fit.starts[0, 0])
     decay = np.exp(-rate * TIMES)
-    columns = np.stack([TIMES * start * decay, decay], axis=1) / fit.sigmas[0]
+    columns = np.stack([TIMES * start * decay, decay], axis=1) / fit.errors.sigmas[0]
     assert covariance(fit)[0, 0] == pytest.approx(np.linalg.inv(columns.T @ columns)[0, 0], rel=1e-5)
 
 

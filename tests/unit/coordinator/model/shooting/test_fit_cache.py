@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.fit_cache import FitCache, key_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import system_of
@@ -27,7 +28,7 @@ def test_a_key_differs_with_the_last_bit_of_a_constant_or_a_start():
     keys = {
         key_of(its, starts, None, 3),
         key_of(its, starts, None, 4),
-        key_of(its, starts, np.ones(1), 3),
+        key_of(its, starts, ErrorModel.independent(np.ones(1)), 3),
         key_of(its, np.nextafter(starts, 4.0), None, 3),
         key_of(its.with_values(np.nextafter(values, 1.0)), starts, None, 3),
         key_of(decay("-0.4*x*x"), starts, None, 3),
@@ -60,7 +61,7 @@ def test_sensitivities_are_those_of_finite_differences():
 
     def moved(by: float) -> np.ndarray:
         system = fit.system.with_values(fit.system.values + by)
-        return estimator.fit(system, None, 0, fit.starts, fit.sigmas).simulated[0]
+        return estimator.fit(system, None, 0, fit.starts, fit.errors).simulated[0]
 
     expected = (moved(little) - moved(-little)) / (2.0 * little)
     assert np.abs(fit.integrated_sensitivities()[:, 0, 0] - expected).max() < 1e-4 * np.abs(expected).max()

@@ -7,8 +7,9 @@ import pytest
 
 from atoll_coordinator.data.differentiation.robust import fit_robustly
 from atoll_coordinator.data.differentiation.smoothing import Signal
-from atoll_coordinator.model.criteria import trajectory_misfit
 from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.model.shooting.covariance import covariance
+from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import system_of, variable_program
@@ -86,9 +87,9 @@ def test_errors_of_every_state_are_weighted_by_their_own_size():
     its = measurements(both, [[3.0, 1.0], [2.0, -1.0]], TIMES, noise=(0.3, 3e-4), seed=1)
     start = system(both, "-0.8*x", "-0.5*x - 0.2*y")
     equal = np.array([0.1, 0.1])
-    fit = MultipleShooting(its, 1e-6).fit(start, None, 40, sigmas=equal)
-    assert fit.sigmas == pytest.approx([0.3, 3e-4], rel=0.2)
-    assert fit.sigmas == pytest.approx(np.sqrt(fit.squares), rel=2e-3)
+    fit = MultipleShooting(its, 1e-6).fit(start, None, 40, errors=ErrorModel.independent(equal))
+    assert fit.errors.sigmas == pytest.approx([0.3, 3e-4], rel=0.2)
+    assert fit.errors.sigmas == pytest.approx(np.sqrt(fit.squares), rel=2e-3)
     assert sizes(fit) == pytest.approx([0.2, 0.5, 0.5], rel=5e-3)
 
 
@@ -107,9 +108,9 @@ def test_the_fit_is_the_one_of_least_squares():
     estimator = MultipleShooting(its, 1e-9)
     fit = estimator.fit(system(DECAY, "-0.3*x"), None, 50)
     for shift in (-1e-3, 1e-3):
-        moved = estimator.fit(fit.system.with_values(fit.system.values + shift), None, 0, fit.starts, fit.sigmas)
+        moved = estimator.fit(fit.system.with_values(fit.system.values + shift), None, 0, fit.starts, fit.errors)
         assert moved.squares[0] > fit.squares[0]
-        moved = estimator.fit(fit.system, None, 0, fit.starts + np.array([[shift], [0.0]]), fit.sigmas)
+        moved = estimator.fit(fit.system, None, 0, fit.starts + np.array([[shift], [0.0]]), fit.errors)
         assert moved.squares[0] > fit.squares[0]
 
 
@@ -174,7 +175,7 @@ def test_the_block_inverse_gives_the_covariance_of_the_dense_fit():
     columns = []
     for group, (first, end) in enumerate(fit.segments.tolist()):
         part = np.zeros((2 * (end - first), fitted + 6))
-        gradients = fit.integrated_sensitivities()[first:end] / fit.sigmas[None, :, None]
+        gradients = fit.integrated_sensitivities()[first:end] / fit.errors.sigmas[None, :, None]
         part[:, :fitted] = gradients[:, :, :fitted].reshape(-1, fitted)
         part[:, fitted + 2 * group : fitted + 2 * group + 2] = gradients[:, :, fitted:].reshape(-1, 2)
         columns.append(part)
@@ -206,21 +207,30 @@ def test_a_fit_begun_at_its_end_integrates_once_or_twice(noise):
     its = lotka(noise=noise)
     fit = fitted_lotka(its)
     again = MultipleShooting(its, 1e-8)
-    again.fit(fit.system, None, 0, fit.starts, fit.sigmas)
+    again.fit(fit.system, None, 0, fit.starts, fit.errors)
     once = again.work
-    again.fit(fit.system, None, 40, fit.starts, fit.sigmas)
+    again.fit(fit.system, None, 40, fit.starts, fit.errors)
     assert again.work - once <= 2 * once
 
 
-def test_the_misfit_is_the_likelihood_with_fitted_variances_above_the_floor():
-    its = lotka(noise=(0.01, 0.1))
-    fit = fitted_lotka(its)
-    counts, none = its.weights.sum(axis=1), np.zeros(2)
-    variances = (fit.residuals**2).mean(axis=1)
-    assert trajectory_misfit(fit.squares, none, counts) == pytest.approx(0.5 * 150 * np.log(variances).sum())
-    floors = np.array([1.0, 0.0])
-    expected = 0.5 * 150 * (variances[0] - 1.0) + 0.5 * 150 * np.log(variances[1])
-    assert trajectory_misfit(fit.squares, floors, counts) == pytest.approx(expected)
+def test_correlated_errors_are_found_and_widen_what_they_should():
+    """AR(1) errors: the share, the correlation and honest standard errors of a constant, 60 times."""
+    times, draw, scores, found = np.linspace(0.0, 12.0, 200), np.random.default_rng(3), [], []
+    exact = measurements(DECAY, [[2.0]], times, noise=0.0)
+    for _ in range(60):
+        errors = np.zeros(200)
+        for row in range(200):
+            errors[row] = 0.8 * (errors[row - 1] if row else 0.0) + 0.03 * draw.standard_normal()
+        its = replace(exact, measured=exact.measured + errors, noise=np.array([0.05]))
+        estimator = MultipleShooting(its, 1e-8)
+        first = estimator.fit(system(DECAY, "-0.5*x"), None, 20)
+        fit = estimator.fit(first.system, None, 20, first.starts, replace(first.errors, is_correlation_sought=True))
+        scores.append((fit.system.values[0] + 0.5) / np.sqrt(covariance(fit)[0, 0]))
+        found.append((fit.errors.shares[0], fit.errors.decays[0]))
+    shares, decays = np.median(found, axis=0)
+    assert shares >= 0.9
+    assert decays == pytest.approx(0.8, abs=0.1)
+    assert 0.8 < np.std(scores) < 1.3
 
 
 def test_an_unmeasured_velocity_is_fitted_from_positions():

@@ -5,10 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from atoll_coordinator.model.shooting.kernels.innovations import innovate
 from atoll_coordinator.model.shooting.kernels.normal_equations import normal_equations, solve_step
 
 SEGMENTS = np.array([[0, 5], [5, 6], [6, 14]], dtype=np.int64)
 ROWS = 14
+STEPS = np.where(np.arange(ROWS) % 3 == 0, 2.0, 1.0)
 
 
 def drawn(fitted, states, observed, seed=0):
@@ -19,7 +21,7 @@ def drawn(fitted, states, observed, seed=0):
     return draw.normal(size=weights.shape), weights, draw.normal(size=(ROWS, states, fitted + states))
 
 
-def blocks(segments, observed, residuals, weights, gradients):
+def blocks(segments, observed, residuals, weights, gradients, shares=(0.0, 0.0), decays=(0.0, 0.0)):
     """Return the blocks of the normal equations: J'WJ by P x P, G x P x D, G x D x D, and J'Wr."""
     states = gradients.shape[1]
     fitted, groups = gradients.shape[2] - states, len(segments)
@@ -27,7 +29,10 @@ def blocks(segments, observed, residuals, weights, gradients):
         np.zeros((fitted, fitted)), np.zeros((groups, fitted, states)), np.zeros((groups, states, states)),
         np.zeros(fitted), np.zeros((groups, states)),
     )  # fmt: skip
-    normal_equations(segments, observed, residuals, weights, gradients, fitted, *made)
+    normal_equations(
+        segments, observed, STEPS, residuals, weights, np.array(shares), np.array(decays), gradients, fitted, *made,
+        np.empty(fitted + states), np.empty(fitted + states),
+    )  # fmt: skip
     return made
 
 
@@ -74,6 +79,44 @@ def test_blocks_are_those_of_the_dense_normal_equations(fitted, states, observed
     matrix, vector = assembled(*blocks(SEGMENTS, *parts))
     assert matrix == pytest.approx(expected, abs=1e-12)
     assert vector == pytest.approx(slope, abs=1e-12)
+
+
+@pytest.mark.parametrize(("shares", "decays"), [((0.4, 0.9), (0.8, 0.5)), ((1.0, 0.0), (0.95, 0.0))])
+def test_errors_that_go_together_are_weighted_by_their_inverse_covariance(shares, decays):
+    observed, fitted = np.array([0, 1], dtype=np.int64), 3
+    residuals, weights, gradients = drawn(fitted, 2, [0, 1])
+    matrix, vector = np.zeros((fitted, fitted)), np.zeros(fitted)
+    for state in (0, 1):
+        for first, end in SEGMENTS.tolist():
+            rows = first + np.flatnonzero(weights[state, first:end])
+            inverse = np.linalg.inv(covariance(rows, weights[state], shares[state], decays[state]))
+            jacobian = gradients[rows, state, :fitted]
+            matrix += jacobian.T @ inverse @ jacobian
+            vector += jacobian.T @ inverse @ residuals[state, rows]
+    normal, _, _, gradient, _ = blocks(SEGMENTS, observed, residuals, weights, gradients, shares, decays)
+    assert normal == pytest.approx(matrix, rel=1e-9)
+    assert gradient == pytest.approx(vector, rel=1e-9, abs=1e-9)
+
+
+def covariance(rows, weights, share, decay):
+    """Return the covariance of errors at these rows: a share goes together, by decay for each median step."""
+    places = np.cumsum(STEPS)[rows]
+    together = share * decay ** np.abs(places[:, None] - places[None]) if decay else share * np.eye(len(rows))
+    return (together + (1.0 - share) * np.eye(len(rows))) / np.sqrt(np.outer(weights[rows], weights[rows]))
+
+
+@pytest.mark.parametrize(("share", "decay"), [(0.0, 0.0), (0.4, 0.8), (1.0, 0.95)])
+def test_innovations_have_the_likelihood_of_the_whole_covariance(share, decay):
+    residuals, weights, _ = drawn(1, 1, [0])
+    squares, logarithm = 0.0, 0.0
+    for first, end in SEGMENTS.tolist():
+        rows = first + np.flatnonzero(weights[0, first:end])
+        whole = covariance(rows, weights[0], share, decay)
+        squares += residuals[0, rows] @ np.linalg.solve(whole, residuals[0, rows])
+        logarithm += np.linalg.slogdet(whole)[1] + np.log(weights[0, rows]).sum()
+    sums = np.empty(2)
+    innovate(SEGMENTS, STEPS, residuals[0], weights[0], share, decay, sums)
+    assert sums == pytest.approx([squares, logarithm])
 
 
 def test_what_has_no_weight_does_not_count_even_if_it_is_no_number():

@@ -1,0 +1,128 @@
+"""The errors of measured states, as a fit weighs them and estimates them from its residuals. Pure.
+
+The errors of a state have one variance, in a row of weight 1, of which a share goes together between neighbouring rows
+(see `atoll_coordinator.model.shooting.kernels.innovations`). Errors of simulators, filters and drifting sensors do.
+Letters: O measured states, N rows.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.kernels.tape import Ints
+from atoll_coordinator.model.shooting.kernels.innovations import innovate
+
+_SHARES: Final = (0.0, 0.03, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 1.0)
+_RATIO: Final = 1.6
+_SHORTEST: Final = 1.6
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorModel:
+    """Errors of O states: `sigmas` their standard deviations, `shares` of the variances that go together, `decays` the
+    correlation of that share between rows one median step apart. All are (O,).
+
+    With `is_correlation_sought` a fit estimates both from its residuals.
+    """
+
+    sigmas: FloatArray
+    shares: FloatArray
+    decays: FloatArray
+    is_correlation_sought: bool = False
+
+    @classmethod
+    def independent(cls, sigmas: FloatArray) -> "ErrorModel":
+        """Return independent errors of these standard deviations."""
+        return cls(sigmas, np.zeros(len(sigmas)), np.zeros(len(sigmas)))
+
+    def to_bytes(self) -> bytes:
+        """Return what tells this model from others."""
+        numbers = self.sigmas.tobytes() + self.shares.tobytes() + self.decays.tobytes()
+        return numbers + bytes([self.is_correlation_sought])
+
+    @property
+    def correlated(self) -> FloatArray:
+        """Whether errors of neighbouring rows go together (O,)."""
+        return np.asarray(self.shares > 0.0)
+
+    @property
+    def lengths(self) -> FloatArray:
+        """Rows that count as one independent row each (O,): (1 + r) / (1 - r) where all errors go together, 1 where
+        none do; between them, the variance of a mean over that of independent rows."""
+        return np.asarray(1.0 - self.shares + self.shares * (1.0 + self.decays) / (1.0 - self.decays))
+
+
+class Innovations:
+    """Whitens the residuals of one layout of rows.
+
+    `segments` (G, 2) are row ranges, `steps` (N,) from the row before over their median, `weights` (O, N).
+    """
+
+    def __init__(self, segments: Ints, steps: FloatArray, weights: FloatArray) -> None:
+        self.segments: Final = segments
+        self._steps = steps
+        self._weights = weights
+        self._counts = weights.sum(axis=1)
+        longest = int((segments[:, 1] - segments[:, 0]).max())
+        lengths = [_SHORTEST]
+        while lengths[-1] * _RATIO < longest:
+            lengths.append(lengths[-1] * _RATIO)
+        self._decays: Final = [1.0 - 1.0 / length for length in lengths]
+
+    def squares(self, residuals: FloatArray, model: ErrorModel) -> tuple[FloatArray, FloatArray]:
+        """Return for each state the sum of squared innovations of `residuals` (O, N) over their relative variance, and
+        the sum of these variances' logarithms."""
+        sums = np.empty((len(residuals), 2))
+        for state, (share, decay) in enumerate(zip(model.shares.tolist(), model.decays.tolist(), strict=True)):
+            self._innovate(state, residuals, share, decay, sums[state])
+        return sums[:, 0], sums[:, 1]
+
+    def _innovate(self, state: int, residuals: FloatArray, share: float, decay: float, sums: FloatArray) -> None:
+        innovate(self.segments, self._steps, residuals[state], self._weights[state], share, decay, sums)
+
+    def estimate(self, residuals: FloatArray, model: ErrorModel) -> tuple[FloatArray, FloatArray]:
+        """Return the shares and decays (O,) of least description length for these residuals, begun with `model`'s.
+
+        A correlation is described by two numbers more, which take ln n nats (Schwarz 1978).
+        """
+        shares, decays = model.shares.copy(), model.decays.copy()
+        for state in range(len(residuals)):
+            shares[state], decays[state] = self._estimated(state, residuals, float(shares[state]), float(decays[state]))
+        return shares, decays
+
+    def _estimated(self, state: int, residuals: FloatArray, share: float, decay: float) -> tuple[float, float]:
+        """Return the share and the decay of one state by a descent on the grid of both."""
+        sums, count = np.empty(2), float(self._counts[state])
+        lengths: dict[tuple[int, int], float] = {}
+
+        def length(place: tuple[int, int]) -> float:
+            if place not in lengths:
+                part, rate = _SHARES[place[0]], self._decays[place[1]]
+                self._innovate(state, residuals, part, rate, sums)
+                lengths[place] = 0.5 * count * math.log(max(float(sums[0]) / count, 1e-300)) + 0.5 * float(sums[1])
+            return lengths[place]
+
+        independent = length((0, 0))
+        last, top = len(_SHARES) - 1, len(self._decays) - 1
+        begun = (
+            [(min(range(1, last + 1), key=lambda k: abs(_SHARES[k] - share)),
+              min(range(top + 1), key=lambda k: abs(self._decays[k] - decay)))]
+            if share > 0.0 else [(4, min(3, top)), (last, min(6, top))]
+        )  # fmt: skip
+        best = min(begun, key=length)
+        while True:
+            near = [
+                (part, rate)
+                for part in range(max(best[0] - 1, 1), min(best[0] + 1, last) + 1)
+                for rate in range(max(best[1] - 1, 0), min(best[1] + 1, top) + 1)
+            ]
+            following = min(near, key=length)
+            if length(following) >= length(best):
+                break
+            best = following
+        if length(best) + math.log(max(count, 2.0)) >= independent:
+            return 0.0, 0.0
+        return _SHARES[best[0]], self._decays[best[1]]

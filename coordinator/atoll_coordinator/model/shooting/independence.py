@@ -1,0 +1,68 @@
+"""How many independent numbers measured trajectories hold, and how large their independent errors are. Pure.
+
+Letters: O measured states, N rows.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll_coordinator.model.shooting.measurements import Measurements
+
+ROUGHNESS_VARIANCE: Final = 35.0 / 9.0
+"""Relative variance of the variance that `roughness` estimates, times the rows: second differences of independent
+errors have the correlations -2/3 and 1/6 (Gasser, Sroka & Jennen-Steinmetz 1986)."""
+
+
+def roughness(measurements: Measurements, residuals: FloatArray) -> FloatArray:
+    """Return the standard deviation (O,) of the independent part of `residuals` (O, N), from their second differences.
+
+    What varies slowly along the rows leaves nearly nothing in these.
+    """
+    found = np.zeros(len(residuals))
+    for state, (values, weights) in enumerate(zip(residuals, measurements.weights, strict=True)):
+        squares, count = 0.0, 0
+        for first, end in measurements.bounds.tolist():
+            known = weights[first:end] > 0.0
+            scaled = (values[first:end] * np.sqrt(weights[first:end]))[known]
+            differences = scaled[2:] - 2.0 * scaled[1:-1] + scaled[:-2]
+            squares += float(differences @ differences)
+            count += len(differences)
+        found[state] = np.sqrt(squares / 6.0 / max(count, 1))
+    return found
+
+
+def count_pieces(measurements: Measurements) -> FloatArray:
+    """Return how many independent numbers (O,) errors are that vary as the states' derivatives do.
+
+    Rows over their correlation length, the lag at which the autocorrelation of the smoothed states' differences falls
+    below 1/e; at most all rows.
+    """
+    found = np.zeros(len(measurements.observed))
+    pieces = list(_stretches(measurements))
+    for place, state in enumerate(measurements.observed.tolist()):
+        parts = [np.diff(measurements.smoothed[state, rows]) for rows in pieces]
+        least = sum(float(part @ part) for part in parts) / math.e
+        lag, longest = 1, max(map(len, parts), default=1)
+        while lag < longest and sum(float(part[:-lag] @ part[lag:]) for part in parts if len(part) > lag) > least:
+            lag += 1
+        rows = float((measurements.weights[place] > 0.0).sum())
+        found[place] = max(rows / lag, 1.0)
+    return found
+
+
+def _stretches(measurements: Measurements) -> Iterator[slice]:
+    """Yield the rows between which there is no gap, whatever pieces they are simulated in."""
+    times = measurements.times
+    steps = np.diff(times)
+    usual = 1.5 * float(np.median(steps)) if len(steps) else 0.0
+    begun, before = 0, -1
+    for (first, _), owner in zip(measurements.bounds.tolist(), measurements.owners.tolist(), strict=True):
+        if first and (owner != before or not 0.0 < steps[first - 1] <= usual):
+            yield slice(begun, first)
+            begun = first
+        before = owner
+    yield slice(begun, measurements.rows)
