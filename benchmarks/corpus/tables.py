@@ -18,7 +18,11 @@ def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def by_quality(outcomes: Sequence[Outcome]) -> str:
-    """Return a row for each quality and number of states: forms, extra terms, predictions and seconds."""
+    """Return a row for each quality and number of states: forms, extra terms, predictions and seconds.
+
+    ``truth elsewhere`` counts wrong equations whose form is on the front or among the candidates, ``truth shorter``
+    those of jobs in which the truth is the shorter description.
+    """
     kinds = dict.fromkeys((each.key.quality, _group(each)) for each in outcomes)
     rows = [_row(kind, [each for each in outcomes if (each.key.quality, _group(each)) == kind]) for kind in kinds]
     if len(kinds) > 1:
@@ -26,7 +30,7 @@ def by_quality(outcomes: Sequence[Outcome]) -> str:
     return markdown(
         (
             "quality", "states", "equations", "identifiable", "right, of these", "extra terms", "missing", "other",
-            "truth elsewhere", "R2 > 0.9", "wall s median / 95 %", "cpu s median / 95 %",
+            "truth elsewhere", "truth shorter", "R2 > 0.9", "wall s median / 95 %", "cpu s median / 95 %",
         ),
         rows,
     )  # fmt: skip
@@ -54,6 +58,7 @@ def _row(kind: tuple[str, str], outcomes: Sequence[Outcome]) -> tuple[str, ...]:
         count(lambda its: its.form == "missing"),
         count(lambda its: its.form in ("other", "none")),
         count(lambda its: its.elsewhere is not None),
+        str(sum(not its.is_right for each in outcomes if (each.excess or 0.0) < 0.0 for its in each.equations)),
         share(sum(bool(its.is_foretold) for its in judged), len(judged)),
         _quantiles([each.seconds for each in outcomes]),
         _quantiles([each.cpu_seconds for each in outcomes]),

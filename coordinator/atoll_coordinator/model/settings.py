@@ -299,8 +299,6 @@ class InferenceSettings:
     """Bins in a span of loess, at most, when the variance of residuals is judged: more tell nothing more."""
     most_bins: int = 240
     """Bins of a trajectory for which the variance of residuals is judged; of more a stretch is taken."""
-    distinct_nats: float = 3.0
-    """Another equation that is not this much longer as a description may be the right one (odds of 20)."""
     least_r2: float = 0.5
     """A simulation that explains less is no model."""
     good_r2: float = 0.9
@@ -312,21 +310,19 @@ class InferenceSettings:
     exact_constant: float = 1e-3
     """Largest standard error of a constant of an exact equation, over the constant. In the corpus's data without noise
     it is below 1e-4 in laws, and above 0.03 in terms that follow the errors of solvers."""
-    relied_upon: float = 0.95
-    """Share of the odds that must foretell what the model does: what is called good foretells as often."""
+    distinct_nats: float = 3.0
+    """What is not this much longer as a description may be right (odds of 20, as a good verdict may be wrong in one of
+    twenty)."""
     beyond: float = 0.1
     """A simulation that leaves the measured range by more than this share of its width goes where nothing was seen."""
     foretold_starts: int = 12
-    """Initial states from which the model and its rivals are simulated; the worst of twelve is one in ten or so."""
+    """Initial states from which the model and its rivals are simulated, and draws of the constants: what differs in one
+    of ten is met with odds of 0.7."""
     foretold_rows: int = 80
     """Rows of such a simulation, over the duration of the longest trajectory."""
-    foretold_shift: float = 1e-3
-    """Change of an initial state, over the state's deviation, that must not change the course much: else chaos ends
-    what can be foretold."""
-    foretold_r2: float = 0.99
-    """R2 between courses that such a change has hardly changed."""
-    foretold_draws: int = 8
-    """Draws of the constants from their distribution."""
+    foretold_shift: float = 3e-3
+    """Change of an initial state, over the state's deviation, after which a course is still to be foretold: where it is
+    not, chaos ends what can be."""
     loose: float = 0.5
     """A constant whose standard error is a larger share of it than this is not determined by the data."""
 

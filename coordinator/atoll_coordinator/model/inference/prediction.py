@@ -128,7 +128,7 @@ class _Elsewhere:
         others = [self._course(model, moved[place]) for place in places]
         pairs = [(own[place], other) for place, other in zip(places, others, strict=True) if other is not None]
         rows = SETTINGS.inference.foretold_rows
-        least = SETTINGS.inference.foretold_r2
+        least = SETTINGS.inference.good_r2
         while rows > 8 and not all(
             (_r2([one[:, :rows]], [other[:, :rows]]) > least).all() for one, other in pairs if one is not None
         ):
@@ -223,7 +223,7 @@ def draws(system: System, covariance: FloatArray, group: int) -> Iterator[Rival]
         covariance: theirs (P, P), finite.
         group: of the rivals.
     """
-    count = SETTINGS.inference.foretold_draws
+    count = SETTINGS.inference.foretold_starts
     if not len(system.places):
         return
     values, vectors = np.linalg.eigh(covariance)

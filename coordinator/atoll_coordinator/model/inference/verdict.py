@@ -172,7 +172,7 @@ def _objections_to_prediction(prediction: Prediction | None) -> Iterator[str]:
     if prediction.followed < prediction.starts:
         lost = prediction.starts - prediction.followed
         yield f"from {lost} of {prediction.starts} other initial states within the measured range it runs away"
-    if prediction.probability < SETTINGS.inference.relied_upon and prediction.followed:
+    if prediction.followed and 1.0 - prediction.probability > math.exp(-SETTINGS.inference.distinct_nats):
         yield (
             "other equations or constants that describe the data about as well foretell something else from other "
             f"initial states within the measured range ({_percent(prediction.probability)} of the odds agree); "

@@ -95,7 +95,7 @@ def test_inputs_are_not_known_elsewhere():
 def test_draws_spread_as_the_covariance_says():
     its = system(DECAY, "-0.5*x")
     drawn = np.array([each.system.values for each in draws(its, np.array([[0.01]]), 3)])
-    assert drawn.shape == (8, 1)
+    assert drawn.shape == (12, 1)
     assert 0.03 < drawn.std() < 0.3
     assert {each.group for each in draws(its, np.array([[0.01]]), 3)} == {3}
 
