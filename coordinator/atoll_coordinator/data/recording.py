@@ -18,6 +18,22 @@ Reason = Literal["end", "gap", "jump", "outlier", "missing"]
 the sampling or for the smoother, as an outlier, or because the state is missing and its other rows do not tell it."""
 
 
+QuantisationKind = Literal["decimals", "digits", "single precision", "steps"]
+"""Rounded to a decimal place, to significant digits, to float32; or multiples of a step, as of an encoder."""
+
+
+@dataclass(frozen=True)
+class Quantisation:
+    """How a state was rounded: the `kind`, the `step` (of the largest values, where it depends on these), the `error`.
+
+    `error` is the root mean square of what rounding leaves, in the state's unit.
+    """
+
+    kind: QuantisationKind
+    step: float
+    error: float
+
+
 @dataclass(frozen=True)
 class ExcludedRow:
     """A row that is not used because of one state: the place of its `trajectory` and its `row` in there."""
@@ -64,7 +80,8 @@ class Smoothing:
     counts the rows whose derivative is too uncertain to be used, `outliers` those of robustness weight 0.
     `excluded_rows` are the rows, in order, of trajectories that are not held out which are not used because of this
     state. `narrower_noise` is the noise by loess of the same degree with the `narrower_span` (rows): `span` is the one
-    of small residuals, which makes `noise` a little too small.
+    of small residuals, which makes `noise` a little too small. `quantisation` is how the state was rounded, None where
+    its digits show nothing; `noise` is at least its error.
     """
 
     state: str
@@ -78,6 +95,7 @@ class Smoothing:
     excluded_rows: tuple[ExcludedRow, ...] = ()
     narrower_noise: float = 0.0
     narrower_span: int = 0
+    quantisation: Quantisation | None = None
 
 
 @dataclass(frozen=True, eq=False)

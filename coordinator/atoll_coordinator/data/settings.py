@@ -127,6 +127,22 @@ class InterpolationSettings:
 
 
 @dataclass(frozen=True)
+class QuantisationSettings:
+    """When values count as multiples of a step."""
+
+    judged_rows: int = 2000
+    """Rows that are looked at, spread evenly: all values show the step."""
+    fewest_values: int = 8
+    """With fewer distinct values a step is chance as often as not."""
+    written_steps: float = 3.0
+    """Differences of at most so many steps of the last digit are those of writing numbers down."""
+    shares_of_least: tuple[int, ...] = (1, 2, 3)
+    """The step is the least difference of two values, or one of these shares of it."""
+    improbable: float = 1e-6
+    """Probability below which values are not near multiples of a step by chance, which the step was fitted to."""
+
+
+@dataclass(frozen=True)
 class RowSettings:
     """Which rows the search is given, and why others are said to be left out."""
 
@@ -179,6 +195,7 @@ class DataSettings:
     smoothing: SmoothingSettings = SmoothingSettings()
     robustness: RobustnessSettings = RobustnessSettings()
     interpolation: InterpolationSettings = InterpolationSettings()
+    quantisation: QuantisationSettings = QuantisationSettings()
     rows: RowSettings = RowSettings()
     scale: ScaleSettings = ScaleSettings()
     guesses_per_population: int = 4

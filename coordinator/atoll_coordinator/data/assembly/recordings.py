@@ -90,12 +90,15 @@ def _describe_smoothing(
 ) -> Smoothing:
     noise, relative, smoother = estimate.noise, estimate.relative_noise, estimate.smoother
     if smoother is None:
-        return Smoothing(state, "interpolation", noise, relative, uncertain_rows=uncertain, excluded_rows=excluded)
+        return Smoothing(
+            state, "interpolation", noise, relative, uncertain_rows=uncertain, excluded_rows=excluded,
+            quantisation=estimate.quantisation,
+        )  # fmt: skip
     method: Method = "loess" if estimate.outliers is None else "robust loess"
     outliers = estimate.outliers or 0
     return Smoothing(
         state, method, noise, relative, smoother.rows, smoother.degree, uncertain, outliers, excluded,
-        estimate.narrower_noise, estimate.narrower_span,
+        estimate.narrower_noise, estimate.narrower_span, estimate.quantisation,
     )  # fmt: skip
 
 

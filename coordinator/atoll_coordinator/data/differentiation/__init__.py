@@ -4,6 +4,7 @@
 - `smoothing`: loess, its span, degree and thinning selected by cross-validation, and the noise estimated
 - `robust`: weights that take outliers out of loess
 - `interpolation`: derivatives of data without noise
+- `quantisation`: the steps in which values were recorded, the least errors that they can have
 - `missing_values`: a state at rows where it was not measured
 - `inputs`: slopes of inputs, for simulations
 - `standard_deviation`: the scale by which values are judged

@@ -24,6 +24,7 @@ from atoll_coordinator.data.differentiation.interpolation import (
 )
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.differentiation.missing_values import fill, fill_holes, make_signal
+from atoll_coordinator.data.differentiation.quantisation import find_quantisation
 from atoll_coordinator.data.differentiation.robust import fit_robustly, has_heavy_tails, weigh_by
 from atoll_coordinator.data.differentiation.smoothing import (
     Signal,
@@ -34,6 +35,7 @@ from atoll_coordinator.data.differentiation.smoothing import (
     smooth,
 )
 from atoll_coordinator.data.differentiation.standard_deviation import derivative_standard_deviation
+from atoll_coordinator.data.recording import Quantisation
 from atoll_coordinator.data.settings import SETTINGS
 from atoll_coordinator.data.trajectories.measurements import Measurements
 
@@ -46,10 +48,11 @@ class StateEstimate:
     `uncertainty` is the standard error of `derivative`, and `total_uncertainty` the root of its square and that of the
     estimated bias (where the state was interpolated, the same as `uncertainty`). Where the state is missing and its own
     rows do not tell it, both are infinite, the derivatives 0, and a value nearby stands in. `noise` is the estimated
-    standard deviation of the measurement errors and `standard_deviation` that of the measurements; `smoother` is None
-    where the state was interpolated. `outliers`, how many rows have no weight, and `robustness_weights` are None unless
-    loess was robust; `has_heavy_tails` advises that it should be. `narrower_noise` is the noise by loess with
-    the narrower span, `narrower_span` (rows), by which the bias is estimated.
+    standard deviation of the measurement errors, at least that of the `quantisation` (None where there is none to see),
+    and `standard_deviation` that of the measurements; `smoother` is None where the state was interpolated. `outliers`,
+    how many rows have no weight, and `robustness_weights` are None unless loess was robust; `has_heavy_tails` advises
+    that it should be. `narrower_noise` is the noise by loess with the narrower span, `narrower_span` (rows), by which
+    the bias is estimated.
     """
 
     values: FloatArray
@@ -65,6 +68,7 @@ class StateEstimate:
     has_heavy_tails: bool = False
     narrower_noise: float = 0.0
     narrower_span: int = 0
+    quantisation: Quantisation | None = None
 
     @property
     def is_known(self) -> npt.NDArray[np.bool_]:
@@ -136,13 +140,16 @@ def estimate_states(
         if not any(map(_is_long_enough, _not_held_out(signals, measurements.held_out))):
             few = SETTINGS.checks.min_rows
             raise DataError(f"state '{state}' has fewer than {few} values along every trajectory; sample more of them")
-        estimates.append(estimate_derivatives(signals, options, measurements.held_out))
+        quantisation = find_quantisation(along)
+        least = 0.0 if quantisation is None else quantisation.error
+        estimate = estimate_derivatives(signals, options, measurements.held_out, least)
+        estimates.append(replace(estimate, quantisation=quantisation))
         derivative_standard_deviation(state, estimates[-1].derivative)
     return estimates
 
 
 def estimate_derivatives(
-    signals: Sequence[Signal], options: Differentiation, held_out: Sequence[bool] = ()
+    signals: Sequence[Signal], options: Differentiation, held_out: Sequence[bool] = (), least_noise: float = 0.0
 ) -> StateEstimate:
     """Return values and derivatives of one state, over all rows of all signals.
 
@@ -151,10 +158,12 @@ def estimate_derivatives(
             not known there.
         options: how.
         held_out: for each signal, whether it takes no part in any choice; empty: all do.
+        least_noise: standard deviation that errors have at least.
     """
     _, exponent = math.frexp(max(float(np.max(np.abs(signal.values))) for signal in signals))
     scaled = [replace(signal, values=np.ldexp(signal.values, -exponent)) for signal in signals]
-    return _rescale(_estimate(scaled, options, held_out or [False] * len(signals)), exponent)
+    least = math.ldexp(least_noise, -exponent)
+    return _rescale(_estimate(scaled, options, held_out or [False] * len(signals), least), exponent)
 
 
 def _rescale(estimate: StateEstimate, exponent: int) -> StateEstimate:
@@ -167,7 +176,9 @@ def _rescale(estimate: StateEstimate, exponent: int) -> StateEstimate:
     return replace(estimate, **scaled)
 
 
-def _estimate(signals: Sequence[Signal], options: Differentiation, held_out: Sequence[bool]) -> StateEstimate:
+def _estimate(
+    signals: Sequence[Signal], options: Differentiation, held_out: Sequence[bool], least: float
+) -> StateEstimate:
     searched = [signal for signal in _not_held_out(signals, held_out) if _is_long_enough(signal)]
     smoother = select_smoother(searched, options.degrees)
     smoothed = [smooth(signal, smoother) for signal in searched]
@@ -175,30 +186,32 @@ def _estimate(signals: Sequence[Signal], options: Differentiation, held_out: Seq
     is_weighted = any(signal.inverse_variances is not None for signal in signals)
     if not options.paper and not is_weighted and not (options.robust and is_tailed):
         errors, gains = predict_left_out([signal.measured for signal in searched])
-        noise, deviation = estimate_value_noise(errors, gains), _standard_deviation(searched)
+        noise, deviation = max(estimate_value_noise(errors, gains), least), _standard_deviation(searched)
         is_small = noise <= SETTINGS.interpolation.largest_noise * deviation
         if is_small and is_interpolation_better(searched, errors, smoothed):
             return _interpolate(signals, options.order, noise, deviation)
     fit = fit_robustly(searched, options.degrees) if options.robust else None
     if fit is None or not fit.outliers:
-        return replace(_by_loess(signals, smoother, options.order, searched), has_heavy_tails=is_tailed)
+        return replace(_by_loess(signals, smoother, options.order, searched, least), has_heavy_tails=is_tailed)
     rest = iter(fit.signals)
     weighted = [next(rest) if any(signal is each for each in searched) else weigh_by(fit, signal) for signal in signals]
     given = [signal.robustness_weights for signal in weighted]
     weights = [
         np.ones(len(signal.times)) if each is None else each for signal, each in zip(weighted, given, strict=True)
     ]
-    estimate = _by_loess(weighted, fit.smoother, options.order, fit.signals)
+    estimate = _by_loess(weighted, fit.smoother, options.order, fit.signals, least)
     return replace(estimate, outliers=fit.outliers, robustness_weights=np.concatenate(weights))
 
 
-def _by_loess(signals: Sequence[Signal], smoother: Smoother, order: int, searched: Sequence[Signal]) -> StateEstimate:
-    """Return what loess gives of `signals`, with the noise of those `searched`."""
-    noise = estimate_noise(searched, [smooth(signal, smoother) for signal in searched])
+def _by_loess(
+    signals: Sequence[Signal], smoother: Smoother, order: int, searched: Sequence[Signal], least: float
+) -> StateEstimate:
+    """Return what loess gives of `signals`, with the noise of those `searched`, `least` at least."""
+    noise = max(estimate_noise(searched, [smooth(signal, smoother) for signal in searched]), least)
     fits, gains = _joined([smooth(signal, smoother) for signal in signals])
     span = max(int(SETTINGS.smoothing.narrower * smoother.span), smoother.degree + 2)
     narrower = replace(smoother, span=span)
-    narrower_noise = estimate_noise(searched, [smooth(signal, narrower) for signal in searched])
+    narrower_noise = max(estimate_noise(searched, [smooth(signal, narrower) for signal in searched]), least)
     narrower_fits, _ = _joined([smooth(signal, narrower) for signal in signals])
     bias = fits[order] - narrower_fits[order]
     uncertainty = noise * gains[order]

@@ -316,7 +316,7 @@ def _refined(
         target_r2=1.0 - mse / variance if variance else None,
         residuals=_residuals(measurements, final.seen_fit, index),
         parameters=(len(final.free.fit.system.places) + final.seen_fit.starts.size) / len(measurements.observed),
-        noise=0.0 if smoothing.method == "interpolation" else smoothing.noise,
+        noise=0.0 if smoothing.method == "interpolation" and smoothing.quantisation is None else smoothing.noise,
         standard_deviation=_standard_deviation(measurements, index),
         reference=_reference_smoother(smoothing),
         are_errors_summed=len(final.comparison.estimator.measurements.bounds) > len(measurements.bounds),

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from atoll.data.dataset import FloatArray
-from atoll_coordinator.data.recording import ExcludedRow, Recording, Smoothing
+from atoll_coordinator.data.recording import ExcludedRow, Quantisation, Recording, Smoothing
 from atoll_coordinator.model.report.numbers import curve, finite, thinned
 
 MOST_ROWS: Final = 2_000
@@ -36,11 +36,16 @@ def _noise(recording: Recording, index: int, its: Smoothing) -> dict[str, Any]:
         "method": its.method,
         "span": its.span if its.span is None or longest is None else min(its.span, longest),
         "degree": its.degree,
+        "quantisation": _quantisation(its.quantisation),
         **_residuals(recording, index),
         "doubtful_rows": its.uncertain_rows,
         "outliers": its.outliers,
         "doubtful": _excluded(recording, its.excluded_rows),
     }
+
+
+def _quantisation(its: Quantisation | None) -> dict[str, Any] | None:
+    return None if its is None else {"kind": its.kind, "step": finite(its.step), "error": finite(its.error)}
 
 
 def _residuals(recording: Recording, index: int) -> dict[str, Any]:

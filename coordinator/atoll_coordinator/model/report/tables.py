@@ -191,14 +191,26 @@ def noise_lines(result: Mapping[str, Any]) -> list[str]:
     return [f"noise of {state}: {_noise_text(its)}" for state, its in result.get("noise", {}).items()]
 
 
+_ROUNDINGS: Final = {
+    "decimals": "values rounded to multiples of {:.3g}",
+    "digits": "values rounded to significant digits, to {:.3g} where they are largest",
+    "single precision": "values in single precision, in steps of {:.3g} where they are largest",
+    "steps": "values in steps of {:.3g}, as of an encoder",
+}
+
+
 def _noise_text(its: Mapping[str, Any]) -> str:
+    rounding = its.get("quantisation")
     if its["method"] == "interpolation":
-        text = "none to speak of; interpolated"
+        text = "none to speak of" if rounding is None else f"{percent(its['relative'])} of its deviation at most"
+        text += "; interpolated"
     else:
         size = "?" if its["sd"] is None else f"{its['sd']:.3g}"
         text = f"{size}, {percent(its['relative'])} of its deviation; {its['method']}"
         text += f" of degree {its['degree']} over {its['span']} rows"
         text += _residual_text(its)
+    if rounding is not None:
+        text += f"; {_ROUNDINGS[rounding['kind']].format(rounding['step'])}"
     if its["doubtful_rows"]:
         text += f"; derivatives doubtful on {its['doubtful_rows']} rows"
     many = "1 outlier" if its["outliers"] == 1 else f"{its['outliers']} outliers"

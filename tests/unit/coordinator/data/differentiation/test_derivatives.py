@@ -111,3 +111,19 @@ def test_short_trajectories_have_derivatives(rows):
     its = estimate_derivatives([Signal(times, np.exp(times))], Differentiation())
     assert its.derivative == pytest.approx(np.exp(times), rel=1e-4)
     assert np.isfinite(its.uncertainty).all()
+
+
+def test_quantised_data_are_not_free_of_noise():
+    signals, truth, _ = waves()
+    steps = [Signal(each.times, np.round(each.values / 0.002) * 0.002) for each in signals]
+    its = estimate_derivatives(steps, Differentiation(), least_noise=0.002 / np.sqrt(12.0))
+    assert not its.is_interpolated
+    assert its.noise >= 0.002 / np.sqrt(12.0)
+    assert np.abs(its.derivative - truth).mean() < 3.0 * its.uncertainty.mean()
+
+
+def test_slow_data_in_steps_are_not_known_better_than_to_the_step():
+    """Runs of equal values look free of noise to all that compares neighbours."""
+    times = 0.01 * np.arange(400)
+    values = np.round(np.sin(0.2 * times) / 0.05) * 0.05
+    assert estimate_derivatives([Signal(times, values)], Differentiation(), least_noise=0.0144).noise >= 0.0144

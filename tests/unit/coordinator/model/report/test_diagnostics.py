@@ -34,6 +34,7 @@ def test_noise_is_said_of_each_state() -> None:
         "method": "loess",
         "span": 21,
         "degree": 3,
+        "quantisation": None,
         "residual_rms": pytest.approx(0.1),
         "largest_residual": {"value": pytest.approx(0.1), "trajectory": "1", "time": pytest.approx(95.0, abs=10.0)},
         "doubtful_rows": 4,

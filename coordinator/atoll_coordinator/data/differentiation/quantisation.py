@@ -1,0 +1,102 @@
+"""Steps in which a state was recorded, seen in its digits: of a decimal place, of digits, of an encoder. Pure.
+
+Rounding to steps of s leaves errors of s / sqrt(12) at least (Widrow & Kollár 2008, chapter 5), whatever else there is.
+"""
+
+import math
+from collections.abc import Sequence
+from decimal import Decimal
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll_coordinator.data.recording import Quantisation
+from atoll_coordinator.data.settings import SETTINGS
+
+_ROOT_12: Final = math.sqrt(12.0)
+LIMITS = SETTINGS.quantisation
+
+
+def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
+    """Return the coarsest rounding that all values of a state show; None where that is the one of doubles.
+
+    Args:
+        parts: the measured values along each trajectory, NaN where they are missing.
+    """
+    values = np.concatenate([part[np.isfinite(part)] for part in parts])
+    values = values[:: max(1, len(values) // LIMITS.judged_rows)]
+    unique = np.unique(values)
+    if len(unique) < LIMITS.fewest_values:
+        return None
+    found = [_decimal_rounding(unique), _binary_rounding(unique)]
+    finest = max((each.step for each in found if each is not None), default=0.0)
+    found.append(_common_step(unique, finest))
+    coarsest = max((each for each in found if each is not None), key=lambda each: each.error, default=None)
+    spread = float(unique[-1] - unique[0])
+    return (
+        coarsest if coarsest is not None and coarsest.error > SETTINGS.interpolation.smallest_noise * spread else None
+    )
+
+
+def _decimal_rounding(values: FloatArray) -> Quantisation:
+    """Return the rounding of decimals: to a place, or to significant digits where that is coarser."""
+    numbers = [Decimal(repr(value)).normalize() for value in values.tolist() if value != 0.0]
+    digits = max(len(each.as_tuple().digits) for each in numbers)
+    place = min(int(each.as_tuple().exponent) for each in numbers)
+    steps = [10.0 ** (each.adjusted() + 1 - digits) for each in numbers]
+    by_digits = math.sqrt(sum(step * step for step in steps) / len(steps)) / _ROOT_12
+    by_place = 10.0**place / _ROOT_12
+    if by_digits > by_place:
+        return Quantisation("digits", max(steps), by_digits)
+    return Quantisation("decimals", 10.0**place, by_place)
+
+
+def _binary_rounding(values: FloatArray) -> Quantisation | None:
+    """Return the rounding to float32, if all values are such numbers."""
+    largest = float(np.finfo(np.float32).max)
+    if not (np.abs(values) < largest).all() or not (values.astype(np.float32).astype(np.float64) == values).all():
+        return None
+    steps = np.spacing(np.abs(values).astype(np.float32)).astype(np.float64)
+    return Quantisation("single precision", float(steps.max()), float(np.sqrt((steps * steps).mean())) / _ROOT_12)
+
+
+def _common_step(values: FloatArray, finest: float) -> Quantisation | None:
+    """Return the step of which all differences of `values` (ascending) are multiples, if there is one.
+
+    It is a share of the least difference, and refined by ever larger ones. All values must be multiples to within the
+    digits in which they were written; by chance they would all lie within a share m of a step from multiples with the
+    probability (2 m)^n.
+
+    Args:
+        values: distinct, ascending.
+        finest: the step in which numbers were written down; differences near it are none.
+    """
+    written = finest + 4.0 * float(np.spacing(np.abs(values).max()))
+    offsets = values - values[0]
+    offsets = offsets[np.concatenate([[True], np.diff(values) > LIMITS.written_steps * finest])]
+    if len(offsets) < LIMITS.fewest_values:
+        return None
+    least = float(np.diff(offsets).min())
+    for share in LIMITS.shares_of_least:
+        step, away = _refined(offsets, least / share)
+        probability = (2.0 * away) ** (len(offsets) - 2) * len(LIMITS.shares_of_least)
+        if step > LIMITS.written_steps * finest and away * step <= written and probability < LIMITS.improbable:
+            return Quantisation("steps", step, step / _ROOT_12)
+    return None
+
+
+def _refined(offsets: FloatArray, step: float) -> tuple[float, float]:
+    """Return the step by least squares over ever more differences, and how far values are from its multiples."""
+    products, squares = 0.0, 0.0
+    for difference in np.sort(np.diff(offsets)).tolist():
+        count = round(difference / step)
+        products, squares = products + count * difference, squares + count * count
+        step = products / squares
+    products, squares = 0.0, 0.0
+    for offset in offsets[1:].tolist():
+        count = round(offset / step)
+        products, squares = products + count * offset, squares + count * count
+        step = products / squares if squares * step > step else step
+    multiples = offsets / step
+    return step, float(np.abs(multiples - np.round(multiples)).max())

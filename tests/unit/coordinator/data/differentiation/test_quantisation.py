@@ -1,0 +1,52 @@
+"""Steps are seen in the digits of what was recorded, and nothing is seen where there are none."""
+
+import math
+
+import numpy as np
+import pytest
+
+from atoll_coordinator.data.differentiation.quantisation import find_quantisation
+
+TIMES = np.linspace(0.0, 20.0, 300)
+CURVE = 70.0 / (1.0 + np.exp(-0.5 * (TIMES - 8.0)))
+NOISE = 0.3 * np.random.default_rng(0).standard_normal(300)
+
+
+@pytest.mark.parametrize(
+    ("values", "kind", "step"),
+    [
+        (np.round(CURVE, 3), "digits", 1e-3),
+        (np.round(0.01 * CURVE, 3), "decimals", 1e-3),
+        (np.array([float(f"{value:.4g}") for value in CURVE]), "digits", 1e-2),
+        (CURVE.astype(np.float32).astype(np.float64), "single precision", 2.0**-17),
+        (np.round(CURVE / 0.0137) * 0.0137, "steps", 0.0137),
+        (np.round(np.round((CURVE + NOISE) / 0.137) * 0.137, 6), "steps", 0.137),
+        (3.1 + np.round(0.001 * CURVE / 7.0e-5) * 7.0e-5, "steps", 7.0e-5),
+        (np.radians(np.round(CURVE, 1)), "steps", math.radians(0.1)),
+        (np.round(CURVE), "decimals", 1.0),
+    ],
+)
+def test_steps_are_found(values, kind, step):
+    its = find_quantisation([values[:100], np.append(values[100:], math.nan)])
+    assert its.step == pytest.approx(step, rel=1e-3)
+    if kind in ("steps", "single precision"):
+        assert its.kind == kind
+    assert its.error <= its.step / math.sqrt(12.0) * (1.0 + 1e-12)
+
+
+@pytest.mark.parametrize("values", [CURVE, CURVE + NOISE, np.arange(7.0), 0.0 * CURVE, np.sin(TIMES) * 1e-12])
+def test_where_there_are_none_none_are(values):
+    assert find_quantisation([values]) is None
+
+
+def test_no_step_is_seen_in_random_numbers():
+    draw = np.random.default_rng(1)
+    assert all(find_quantisation([draw.normal(size=int(draw.integers(8, 60)))]) is None for _ in range(400))
+
+
+def test_the_error_is_that_of_rounding():
+    draw = np.random.default_rng(2)
+    exact = draw.uniform(1.0, 1000.0, 2000)
+    rounded = np.array([float(f"{value:.4g}") for value in exact])
+    its = find_quantisation([rounded])
+    assert its.error == pytest.approx(float(np.sqrt(np.mean((rounded - exact) ** 2))), rel=0.1)
