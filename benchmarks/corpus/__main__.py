@@ -15,12 +15,13 @@ from typing import Any, Final
 from atoll.errors import UsageError
 from atoll_coordinator.cli.terminal.output import say
 from benchmarks.corpus.campaign import CorpusJournal, judge_again, run_jobs
-from benchmarks.corpus.cases import SAMPLINGS, Key, make_case
+from benchmarks.corpus.cases import OURS, SAMPLINGS, Key, make_case
 from benchmarks.corpus.families import NAMED
 from benchmarks.corpus.outcomes import Outcome
 from benchmarks.corpus.qualities import NAMED_QUALITIES, QUALITIES, quality
 from benchmarks.corpus.tables import by_grade, by_quality, equation_rows
 from benchmarks.harness.command_line import plain_errors, positive, seeds, whole
+from benchmarks.peers.pysindy_models import METHODS, require
 
 NAMED_STATES: Final = {name: len(family.equations) for name, (family, *_) in NAMED.items()}
 CHAOTIC: Final = ("lorenz",)
@@ -29,21 +30,24 @@ CHAOTIC: Final = ("lorenz",)
 def keys(options: argparse.Namespace) -> list[Key]:
     """Return all jobs, seed by seed; with --qualities each, one quality a seed in turn."""
     qualities = options.qualities or (NAMED_QUALITIES if options.named is not None else QUALITIES)
+    methods = METHODS if options.pysindy else (OURS,)
     if options.named is not None:
         names = options.named or [name for name in NAMED if name not in CHAOTIC]
         return [
-            Key(name, NAMED_STATES[name], 1, "even", each, seed)
+            Key(name, NAMED_STATES[name], 1, "even", each, seed, method)
             for seed in options.seeds
             for name in names
             for each in qualities
+            for method in methods
         ]
     return [
-        Key("random", states, trajectories, sampling, each, seed)
+        Key("random", states, trajectories, sampling, each, seed, method)
         for seed in options.seeds
         for states in options.states
         for trajectories in options.trajectories
         for sampling in options.samplings
         for each in ([qualities[(seed + states) % len(qualities)]] if options.in_turn else qualities)
+        for method in methods
     ]
 
 
@@ -55,6 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         wanted = keys(options)
         for key in wanted:
             quality(key.quality)
+        if options.pysindy:
+            require()
         if options.show:
             _show(wanted)
             return 0
@@ -108,6 +114,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--states", type=int, choices=range(1, 6), nargs="+", default=[1, 2], help="default: 1 2")
     parser.add_argument("--trajectories", type=whole, nargs="+", default=[4], help="default: 4")
     parser.add_argument("--samplings", type=_sampling, nargs="+", default=["even"], help=f"of {', '.join(SAMPLINGS)}")
+    parser.add_argument("--pysindy", action="store_true", help="PySINDy on the same data, in place of our searches")
     parser.add_argument("--workers", type=whole, default=2, help="worker processes (%(default)s)")
     parser.add_argument("--max-time", type=positive, metavar="SECONDS", help="end of a search; default: none")
     parser.add_argument("--epochs", type=whole, help="end of a search in epochs; default: the configuration's")

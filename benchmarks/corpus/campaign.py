@@ -7,18 +7,23 @@ it can be judged anew without searching again.
 import json
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from atoll.config import PRESETS, JobConfig
 from atoll.errors import AtollError, DataError, UsageError
 from atoll_coordinator.cli.terminal.output import note
-from benchmarks.corpus.cases import Case, Key, make_case
+from benchmarks.corpus.cases import OURS, Case, Key, make_case
 from benchmarks.corpus.outcomes import Meter, Outcome, judge_job, outcome_from
 from benchmarks.harness.record import head, load
 from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.stopwatch import Stopwatch
+from benchmarks.noise import data as noise
 from benchmarks.noise.journal import kept_of
+from benchmarks.peers.pysindy_models import solve
 
 
 class CorpusJournal:
@@ -81,11 +86,16 @@ def run_jobs(
     """Do the jobs that the journal does not have; return the outcomes of all. `changes` are of the configuration."""
     missing = [key for key in keys if key not in journal.outcomes]
     note(f"{len(keys)} jobs, {len(keys) - len(missing)} of them done before")
-    if missing:
-        with searching(workers) as searches:
-            for number, key in enumerate(missing, start=1):
+    with ExitStack() as stack:
+        searches = None
+        if any(key.method == OURS for key in missing):
+            searches = stack.enter_context(searching(workers))
+        for number, key in enumerate(missing, start=1):
+            if key.method != OURS:
+                _solve_otherwise(key, journal)
+            elif searches is not None:
                 _run(searches, key, journal, max_time, changes)
-                note(f"{number} of {len(missing)}: {line(journal.outcomes[key])}; load {load():.1f}")
+            note(f"{number} of {len(missing)}: {line(journal.outcomes[key])}; load {load():.1f}")
     return [journal.outcomes[key] for key in keys]
 
 
@@ -127,6 +137,14 @@ def _run(
         journal.add(judge_job(key, case, seconds, meter, str(error)), None)
         return
     journal.add(judge_job(key, case, answer, meter, config=config), answer)
+
+
+def _solve_otherwise(key: Key, journal: CorpusJournal) -> None:
+    """Do a job by PySINDy, which is given the same table."""
+    case = make_case(key)
+    its = noise.Case(case.table, case.system.truths, case.clean, noise.Path(np.zeros(0), np.zeros((0, 0))))
+    answer = solve(noise.Key(key.method, "plain", key.system, 0.0, key.seed), its)
+    journal.add(judge_job(key, case, answer), answer)
 
 
 def line(outcome: Outcome) -> str:

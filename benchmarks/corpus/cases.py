@@ -16,6 +16,7 @@ from benchmarks.judging.fractions import FloatArray
 from benchmarks.kernels.derivatives import table_of
 from benchmarks.noise.data import Path
 
+OURS: Final = "atoll"
 SAMPLINGS: Final = ("even", "uneven", "sparse", "short", "long")
 """Manners of sampling: a grid, random instants, a quarter of the rows, a quarter and four times the duration."""
 
@@ -34,7 +35,10 @@ _PREDICTABLE: Final = 0.99
 
 @dataclass(frozen=True, order=True)
 class Key:
-    """Which job: `system` is the name of one of `NAMED`, or ``random``, then drawn from `seed` with `states`."""
+    """Which job: `system` is the name of one of `NAMED`, or ``random``, then drawn from `seed` with `states`.
+
+    `method` is ours or one of PySINDy's; all have the same data.
+    """
 
     system: str
     states: int
@@ -42,13 +46,16 @@ class Key:
     sampling: str
     quality: str
     seed: int
+    method: str = OURS
 
     @property
     def title(self) -> str:
         """The key as people read it."""
         which = f"{self.states}-state" if self.system == "random" else self.system
         many = "" if self.trajectories == 1 else f" x {self.trajectories}"
-        return f"{which}{many} {'' if self.sampling == 'even' else self.sampling + ' '}{self.quality} seed {self.seed}"
+        other = "" if self.method == OURS else f"{self.method}: "
+        sampling = "" if self.sampling == "even" else f"{self.sampling} "
+        return f"{other}{which}{many} {sampling}{self.quality} seed {self.seed}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,25 +23,24 @@ def by_quality(outcomes: Sequence[Outcome]) -> str:
     ``truth elsewhere`` counts wrong equations whose form is on the front or among the candidates, ``truth shorter``
     those of jobs in which the truth is the shorter description.
     """
-    kinds = dict.fromkeys((each.key.quality, _group(each)) for each in outcomes)
-    rows = [_row(kind, [each for each in outcomes if (each.key.quality, _group(each)) == kind]) for kind in kinds]
-    if len(kinds) > 1:
-        rows.append(_row(("all", ""), outcomes))
+    kinds = dict.fromkeys(map(_kind, outcomes))
+    rows = [_row(kind, [each for each in outcomes if _kind(each) == kind]) for kind in kinds]
+    methods = dict.fromkeys(each.key.method for each in outcomes)
+    rows += [_row((each, "all", ""), [its for its in outcomes if its.key.method == each]) for each in methods]
     return markdown(
         (
-            "quality", "states", "equations", "identifiable", "right, of these", "extra terms", "missing", "other",
-            "truth elsewhere", "truth shorter", "R2 > 0.9", "wall s median / 95 %", "cpu s median / 95 %",
+            "method", "quality", "states", "equations", "identifiable", "right, of these", "extra terms", "missing",
+            "other", "truth elsewhere", "truth shorter", "R2 > 0.9", "wall s median / 95 %", "cpu s median / 95 %",
         ),
         rows,
     )  # fmt: skip
 
 
-def _group(outcome: Outcome) -> str:
-    states = len(outcome.equations)
-    return "1-2" if states <= 2 else "3-5"
+def _kind(outcome: Outcome) -> tuple[str, str, str]:
+    return outcome.key.method, outcome.key.quality, "1-2" if outcome.key.states <= 2 else "3-5"
 
 
-def _row(kind: tuple[str, str], outcomes: Sequence[Outcome]) -> tuple[str, ...]:
+def _row(kind: tuple[str, str, str], outcomes: Sequence[Outcome]) -> tuple[str, ...]:
     equations = [its for each in outcomes for its in each.equations]
     able = [its for its in equations if its.is_identifiable]
     judged = [its for its in equations if its.is_foretold is not None]

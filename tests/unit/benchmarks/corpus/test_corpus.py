@@ -201,8 +201,23 @@ def test_the_search_has_the_functions_that_the_truth_needs(lotka):
     assert (config.budget.max_time, config.budget.max_epochs, config.seed) == (3.0, 2, 0)
 
 
+def test_pysindy_is_given_the_same_table(monkeypatch, lotka):
+    given = []
+
+    def solve(key, case):
+        given.append((key.method, case.table.columns.tobytes(), dict(case.truths)))
+        return result("1.1*x - 0.4*x*y", "0.1*x*y - 0.4*y")
+
+    monkeypatch.setattr(campaign, "solve", solve)
+    monkeypatch.setattr(campaign, "searching", lambda workers: pytest.fail("nothing is searched"))
+    key = dataclasses.replace(KEY, method="pysindy weak")
+    (outcome,) = campaign.run_jobs([key], CorpusJournal(None, ()), 1, None, {})
+    assert [its.is_right for its in outcome.equations] == [True, True]
+    assert given == [("pysindy weak", lotka.table.columns.tobytes(), lotka.system.truths)]
+
+
 def test_tables_count_what_they_say(judged):
-    assert "| noise-0.01 | 1-2 | 2 | 2 | 1 of 2 (50 %) | 1 |" in by_quality([judged])
+    assert "| atoll | noise-0.01 | 1-2 | 2 | 2 | 1 of 2 (50 %) | 1 |" in by_quality([judged])
     assert "| exact | 1 | 0 of 1 (0 %) |" in by_grade([judged])
     assert "| good | 1 | 1 of 1 (100 %) |" in by_grade([judged])
     wrong = equation_rows([judged], only_wrong=True)
