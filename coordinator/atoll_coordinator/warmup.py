@@ -5,16 +5,18 @@ from typing import Final
 from atoll.compilation.warmup import Report, compile_or_load
 from atoll_coordinator.data.differentiation.warmup import warm_up as warm_up_data
 from atoll_coordinator.model.shooting.warmup import warm_up as warm_up_trajectories
+from atoll_coordinator.model.sparse.warmup import warm_up as warm_up_sparse
 
-KERNELS: Final = 12
+KERNELS: Final = 15
 """How many kernels are compiled apart."""
 
 
 def warm_up(report: Report) -> None:
-    """Compile or load every kernel of data preparation and of trajectory fits; see `compile_or_load`."""
+    """Compile or load every kernel of data preparation, trajectory fits, sparse regression; see `compile_or_load`."""
     compile_or_load("atoll_coordinator", _run_all, KERNELS, report)
 
 
 def _run_all() -> None:
     warm_up_data()
     warm_up_trajectories()
+    warm_up_sparse()

@@ -7,6 +7,7 @@
 - `deadline`: the end that ``--max-time`` sets
 - `structure`: programs rewritten, changed in one place, made of libraries of terms. Algebra without data
 - `regression`: the equation of one variable fitted to its target
+- `sparse`: laws of one variable as sparse sums of products, by regression alone
 - `shooting`: a system of equations fitted to the measured trajectories
 - `selection`: which equations together are the model, and which come next
 - `inference`: errors of constants, simulations, residuals, the verdict

@@ -102,6 +102,28 @@ class RegressionSettings:
 
 
 @dataclass(frozen=True)
+class SparseSettings:
+    """Sparse sums of products by regression."""
+
+    degree: int = 4
+    """Highest degree of products: few laws have more, and libraries grow with its power."""
+    largest_library: int = 130
+    """Larger libraries are not tried: eliminating their terms costs the fourth power of their number."""
+    rows_per_term: float = 2.0
+    """Independent rows that each term of a library takes: with fewer, a full library fits anything."""
+    smoothness: int = 4
+    """Power of the test functions (1 - s^2)^p: the trapezoidal rule errs by its order in the step."""
+    step: float = 0.25
+    """Windows begin so many of their widths after the one before."""
+    least_half: int = 8
+    """Rows of half a window, at least: fewer integrate with errors beyond the noise."""
+    least_windows: int = 4
+    """Half widths in the longest trajectory, at least."""
+    reweightings: int = 3
+    """Fits by which the weights of windows settle, each by the law of the one before."""
+
+
+@dataclass(frozen=True)
 class ShootingSettings:
     """Fits of systems to trajectories by multiple shooting."""
 
@@ -333,6 +355,7 @@ class Settings:
 
     structure: StructureSettings = StructureSettings()
     regression: RegressionSettings = RegressionSettings()
+    sparse: SparseSettings = SparseSettings()
     shooting: ShootingSettings = ShootingSettings()
     selection: SelectionSettings = SelectionSettings()
     inference: InferenceSettings = InferenceSettings()

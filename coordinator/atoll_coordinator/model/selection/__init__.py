@@ -5,9 +5,10 @@
 - `comparison`: systems fitted to the same measurements: `ModelComparison`, `FittedModel`
 - `joint_search`: what is modelled (`ModellingTask`); the best combination, one variable exchanged at a time
 - `local_search`: from a system to shorter descriptions nearby
+- `shortcut`: laws of sparse regression that stand at the noise level, fitted together: no search around them
 - `piece_lengths`: how much of a trajectory is simulated at a stretch: `select_model` is the way in
 - `alternatives`: what comes closest to the model, and whether one of these predicts better (`cross_validation`)
 - `rounding`: constants of the model made simple numbers
 
-`pipeline` calls `piece_lengths`, which goes down to `joint_search`, `local_search` and `comparison`.
+`pipeline` calls `piece_lengths`, which goes down to `shortcut`, `joint_search`, `local_search` and `comparison`.
 """

@@ -188,6 +188,16 @@ class ModelComparison:
         """Tell whether all errors are those of the integration."""
         return bool(np.all(model.fit.squares <= self.least_errors * self.least_errors))
 
+    def excess(self, model: FittedModel) -> float:
+        """Return how many times as large as the noise the residuals are, of the state that is fitted worst.
+
+        Where smoothed states are inputs, their errors are taken to leave as much as the noise again.
+        """
+        measurements = self.estimator.measurements
+        noise = np.maximum(measurements.noise, SETTINGS.selection.slight * measurements.scales[measurements.observed])
+        allowed = noise * (2.0 if measurements.has_smoothed_inputs else 1.0)
+        return float(np.max(np.sqrt(model.fit.squares) / allowed))
+
     def _remember(self, equation: int, model: FittedModel) -> None:
         key = (equation, structure(model.programs[equation]))
         known = self.tried.get(key)

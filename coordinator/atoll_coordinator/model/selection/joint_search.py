@@ -27,6 +27,7 @@ from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import variable_program
+from atoll_coordinator.model.sparse.laws import Law
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
@@ -62,6 +63,7 @@ class ModellingTask:
     settled: Mapping[str, Refined] = field(default_factory=dict)
     executor: Executor | None = None
     piece: int = SETTINGS.shooting.piece
+    laws: Mapping[str, Sequence[Law]] = field(default_factory=dict)
     deadline: Deadline | None = None
 
     @property
@@ -143,7 +145,7 @@ def search_jointly(
     best = _combined(comparison, lists) if begun is None else comparison.fit_model(begun)
     if best is None:
         return None
-    best = _exchanged(comparison, comparison.calibrate(best), lists)
+    best = exchange(comparison, comparison.calibrate(best), lists)
     best = comparison.calibrate(best)
     if not comparison.is_exact(best) and not is_hopeless(SelectedModel(task, comparison, best)):
         best = _search_locally(task, comparison, best, lists)
@@ -170,6 +172,7 @@ def _compared(task: ModellingTask, name: str) -> list[Program]:
     problem = task.dataset.problem(name)
     programs = [task.settled[name].program] if name in task.settled else []
     programs += task.candidates[name].programs
+    programs += [law.program for law in task.laws.get(name, ())]
     measurements = task.measurements([name]).thinned(SETTINGS.selection.compared_rows)
     comparison = task.compare(measurements, [name])
     best = ranked(comparison, problem, programs, _libraries(task, name, measurements))
@@ -205,7 +208,7 @@ def _combined(comparison: ModelComparison, lists: Sequence[Sequence[Program]]) -
     return found[0] if found else None
 
 
-def _exchanged(comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]]) -> FittedModel:
+def exchange(comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]]) -> FittedModel:
     """Return the best system that comes of exchanging one variable's program at a time; all of them at first."""
     tried: Sequence[Sequence[Program]] = lists
     while True:
@@ -246,7 +249,7 @@ def _search_locally(
     best = descent.improve(best, equations)
     for equation in equations:
         best = _restarted(comparison, descent, best, equation, lists[equation])
-    best = _exchanged(comparison, best, lists)
+    best = exchange(comparison, best, lists)
     last = LocalSearch(comparison, around, comparison.estimator.work + SETTINGS.selection.reduction_work)
     for equation in equations:
         best = last.reduce(best, equation)

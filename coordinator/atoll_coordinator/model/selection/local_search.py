@@ -53,7 +53,7 @@ class LocalSearch:
     def reduce(self, model: FittedModel, equation: int) -> FittedModel:
         """Return `model` with whatever one equation can do without left out."""
         while not self.is_exhausted:
-            model = self._pruned(model, equation)
+            model = self.prune(model, equation)
             programs = reductions(model.programs[equation])
             found = self._comparison.narrow_down(
                 model, equation, programs, SETTINGS.selection.reduction_rounds, self._until
@@ -63,7 +63,7 @@ class LocalSearch:
             model = found[0]
         return model
 
-    def _pruned(self, model: FittedModel, equation: int) -> FittedModel:
+    def prune(self, model: FittedModel, equation: int) -> FittedModel:
         """Make constants of one equation neutral as long as that shortens the description, the least needed first.
 
         What a constant is needed for is told by its distance from 0, 1 or -1 in standard errors (Wald's test), so that

@@ -18,13 +18,18 @@ from atoll_coordinator.model.selection.joint_search import (
     ranked_candidates,
     search_jointly,
 )
+from atoll_coordinator.model.selection.shortcut import longest, select_by_laws, with_laws
 from atoll_coordinator.model.settings import SETTINGS
 
 
 def select_model(task: ModellingTask) -> SelectedModel | None:
     """Return the best system of equations and the longest pieces it can be fitted to, None if it cannot at all."""
     if task.recording.offsets:
-        task = replace(task, piece=_longest(task))
+        task = replace(task, piece=longest(task))
+    task = with_laws(task)
+    shortcut = select_by_laws(task)
+    if shortcut is not None:
+        return shortcut
     lists = ranked_candidates(task)
     if not all(lists):
         return None
@@ -33,7 +38,7 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
     found: list[SelectedModel] = []
     for selection in _ever_shorter(task, lists):
         found.append(selection)
-        if _excess(selection.comparison, selection.model) <= SETTINGS.selection.noise_excess:
+        if selection.comparison.excess(selection.model) <= SETTINGS.selection.noise_excess:
             work = sum(each.comparison.estimator.work for each in found)
             return selection if work >= SETTINGS.selection.pieces_work else _lengthened(task, selection, lists)
     return found[0] if found else None
@@ -86,18 +91,18 @@ def on_all_rows(selection: SelectedModel) -> SelectedModel | None:
         fitted = _fitted(task, selection.model.programs, measurements.rows)
         if fitted is not None:
             found.append(fitted)
-            if _excess(fitted.comparison, fitted.model) <= SETTINGS.selection.noise_excess:
+            if fitted.comparison.excess(fitted.model) <= SETTINGS.selection.noise_excess:
                 return fitted
     return found[0] if found else None
 
 
 def remarks(task: ModellingTask) -> Iterator[str]:
     """Yield sentences for the user: trajectories were not simulated in whole, states are without an equation."""
-    longest = _longest(task)
-    if longest > task.piece:
+    whole = longest(task)
+    if whole > task.piece:
         yield (
             f"Trajectories were simulated in pieces of {task.piece} rows or less, each from an initial state of its "
-            f"own, not in whole (up to {longest} rows); beyond a piece the model has not been tested."
+            f"own, not in whole (up to {whole} rows); beyond a piece the model has not been tested."
         )
     others = [state for state in task.recording.states if state not in task.variables]
     if others:
@@ -116,7 +121,7 @@ def _ever_shorter(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> It
 
         def is_hopeless(selection: SelectedModel, shorter: Sequence[ModellingTask] = shorter) -> bool:
             may_be = (
-                _longest(selection.task) > SETTINGS.selection.long_trajectory
+                longest(selection.task) > SETTINGS.selection.long_trajectory
                 or selection.comparison.estimator.work >= SETTINGS.selection.dear_work
             )
             return may_be and _is_better_in(shorter, selection)
@@ -131,13 +136,11 @@ def _ever_shorter(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> It
 
 def _is_better_in(tasks: Sequence[ModellingTask], selection: SelectedModel) -> bool:
     """Tell whether a system that does not fit well does so in shorter pieces."""
-    if _excess(selection.comparison, selection.model) <= SETTINGS.selection.noise_excess:
+    if selection.comparison.excess(selection.model) <= SETTINGS.selection.noise_excess:
         return False
     rows = selection.comparison.estimator.measurements.rows
     fits = (_fitted(task, selection.model.programs, rows) for task in tasks)
-    return any(
-        fit is not None and _excess(fit.comparison, fit.model) <= SETTINGS.selection.noise_excess for fit in fits
-    )
+    return any(fit is not None and fit.comparison.excess(fit.model) <= SETTINGS.selection.noise_excess for fit in fits)
 
 
 def _lengthened(task: ModellingTask, selection: SelectedModel, lists: Sequence[Sequence[Program]]) -> SelectedModel:
@@ -147,7 +150,7 @@ def _lengthened(task: ModellingTask, selection: SelectedModel, lists: Sequence[S
         if longer.piece <= selection.task.piece:
             break
         fit = _fitted(longer, selection.model.programs, rows)
-        if fit is not None and _excess(fit.comparison, fit.model) <= SETTINGS.selection.noise_excess:
+        if fit is not None and fit.comparison.excess(fit.model) <= SETTINGS.selection.noise_excess:
             return search_jointly(longer, lists, selection.model.programs) or selection
     return selection
 
@@ -159,22 +162,7 @@ def _fitted(task: ModellingTask, programs: Sequence[Program], rows: int) -> Sele
     return None if model is None else SelectedModel(task, comparison, model)
 
 
-def _excess(comparison: ModelComparison, model: FittedModel) -> float:
-    """Return how many times as large as the noise the residuals are, of the state that is fitted worst.
-
-    Where smoothed states are inputs, their errors are taken to leave as much as the noise again.
-    """
-    measurements = comparison.estimator.measurements
-    noise = np.maximum(measurements.noise, SETTINGS.selection.slight * measurements.scales[measurements.observed])
-    allowed = noise * (2.0 if measurements.has_smoothed_inputs else 1.0)
-    return float(np.max(np.sqrt(model.fit.squares) / allowed))
-
-
 def _tasks(task: ModellingTask) -> list[ModellingTask]:
     """Return the task with its own pieces, and with shorter ones that are at most half of the longest trajectory."""
-    most = min(task.piece, _longest(task))
+    most = min(task.piece, longest(task))
     return [task, *(replace(task, piece=rows) for rows in SETTINGS.selection.shorter_pieces if 2 * rows <= most)]
-
-
-def _longest(task: ModellingTask) -> int:
-    return max(len(each.times) for each in task.recording.trajectories if not each.held_out)

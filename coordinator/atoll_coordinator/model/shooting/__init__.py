@@ -4,6 +4,7 @@
 - `system`: several programs as one system whose constants can be fitted
 - `multiple_shooting`: the estimator of constants and initial states; `fit_cache` remembers fits
 - `trajectory_fit`: what it returns
+- `lyapunov`: how fast errors grow along a fitted system
 - `covariance`: how well a fit determines its constants
 - `kernels`: integration, sensitivities and normal equations, compiled; `warmup` makes them ready
 

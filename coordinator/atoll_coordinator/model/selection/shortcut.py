@@ -1,0 +1,118 @@
+"""The model where each state has a law by sparse regression that stands at the noise level: no search around it.
+
+Such laws were chosen from all products up to a degree, on many more rows than there are products. What is left to do
+is to fit them to trajectories together, in pieces as long as errors of the initial states can be carried, to leave out
+what they can do without, and to compare the few that come into question. Where the fit does not reach the noise, the
+long way is taken.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from atoll.expression.program import Program
+from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.selection.comparison import ModelComparison
+from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel, exchange
+from atoll_coordinator.model.selection.local_search import LocalSearch
+from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.model.shooting.lyapunov import growth_rate
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_coordinator.model.sparse.laws import find_laws
+
+
+def with_laws(task: ModellingTask) -> ModellingTask:
+    """Return the task with the laws of sparse regression of each variable that is sought."""
+    laws = {
+        name: find_laws(
+            task.dataset.problem(name),
+            task.recording,
+            task.columns(name),
+            task.operators(name),
+            task.candidates[name].programs,
+        )
+        for name in task.variables
+        if name not in task.known
+    }
+    return replace(task, laws=laws)
+
+
+def select_by_laws(task: ModellingTask) -> SelectedModel | None:
+    """Return the model that the laws give, None where one of them does not stand at the noise level."""
+    lists = [_programs(task, name) for name in task.variables]
+    if not all(lists) or not any(task.laws.values()):
+        return None
+    short = replace(task, piece=min(task.piece, SETTINGS.shooting.least_piece))
+    begun = _begun(short, lists)
+    if begun is None:
+        return None
+    rows = predictable_rows(begun.model.fit, begun.comparison)
+    if _rows(task) <= SETTINGS.selection.compared_rows and rows >= longest(task):
+        return None
+    task = replace(task, piece=min(task.piece, rows))
+    comparison = _comparison(task)
+    best = comparison.fit_model(begun.model.programs)
+    if best is None:
+        return None
+    best = comparison.calibrate(exchange(comparison, comparison.calibrate(best), lists))
+    descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work + SETTINGS.selection.search_work)
+    for equation in range(len(lists)):
+        if equation not in comparison.fixed:
+            best = descent.prune(best, equation)
+    best = comparison.fit_beside(best, best.programs, 40) or best
+    selection = SelectedModel(task, comparison, best, lists)
+    return selection if comparison.excess(best) <= SETTINGS.selection.noise_excess else None
+
+
+def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison) -> int:
+    """Return over how many rows errors as large as the noise stay small: half of where they are as large as the state.
+
+    With errors that grow e-fold in T, those of the relative size e reach the state's after T ln(1/e).
+    """
+    rate = growth_rate(fit)
+    measurements = comparison.estimator.measurements
+    size = float(np.clip(measurements.relative_noise.max(), comparison.estimator.tolerance, 0.1))
+    step = float(np.median(np.diff(measurements.times)))
+    if not rate > 0.0:
+        return SETTINGS.shooting.piece
+    rows = 0.5 * math.log(1.0 / size) / rate / max(step, 1e-300)
+    return int(min(max(rows, SETTINGS.selection.longer_segment), SETTINGS.shooting.piece))
+
+
+def _programs(task: ModellingTask, name: str) -> list[Program]:
+    """Return the laws of one variable, the best first; none where there is none at the noise level.
+
+    Nor where the search has found a shorter equation, or one that describes the rows about as well.
+    """
+    if name in task.known:
+        return [task.known[name]]
+    laws = [law for law in task.laws[name] if task.may_be_shown(law.program)]
+    if not laws or not laws[0].is_tested or not laws[0].excess <= SETTINGS.selection.noise_excess:
+        return []
+    target, settled = task.dataset.problem(name).target, task.settled.get(name)
+    has_converged = settled is not None and settled.error <= target.convergence_error(task.config.budget.target_error)
+    if settled is not None and has_converged and structure_length(settled.program) < structure_length(laws[0].program):
+        return []
+    return [law.program for law in laws] if laws[0].lead >= SETTINGS.inference.distinct_nats else []
+
+
+def _begun(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
+    comparison = _comparison(task)
+    model = comparison.fit_model([its[0] for its in lists])
+    return None if model is None else SelectedModel(task, comparison, model)
+
+
+def _comparison(task: ModellingTask) -> ModelComparison:
+    measurements = task.measurements(task.variables).thinned(SETTINGS.selection.compared_rows)
+    return task.compare(measurements, task.variables)
+
+
+def longest(task: ModellingTask) -> int:
+    """Return the rows of the longest trajectory that is not held out."""
+    return max(len(each.times) for each in task.recording.trajectories if not each.held_out)
+
+
+def _rows(task: ModellingTask) -> int:
+    return sum(len(each.times) for each in task.recording.trajectories if not each.held_out)

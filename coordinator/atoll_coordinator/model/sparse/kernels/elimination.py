@@ -1,0 +1,125 @@
+"""Least squares by orthogonalisation, and the terms of a sum left out one after another, in a fixed order of sums.
+
+Letters: K columns, N rows, W windows of L rows.
+"""
+
+import math
+
+import numpy as np
+
+from atoll.compilation.jit import allocating_kernel, kernel
+from atoll.data.dataset import FloatArray
+from atoll.expression.kernels.tape import Ints
+
+DEPENDENT = 1e-9
+"""A column of unit length of which the others leave less than this is a sum of them."""
+
+
+@kernel
+def windowed_sums(first: Ints, factors: FloatArray, values: FloatArray, sums: FloatArray) -> None:
+    """Write for each column of `values` (K, N) and each window its sum times `factors` (W, L), from row `first` on.
+
+    `first` is (W,), `sums` (K, W).
+    """
+    for k in range(values.shape[0]):
+        for w in range(first.shape[0]):
+            total = 0.0
+            for j in range(factors.shape[1]):
+                total += factors[w, j] * values[k, first[w] + j]
+            sums[k, w] = total
+
+
+@kernel
+def triangularize(columns: FloatArray, side: FloatArray, upper: FloatArray, rotated: FloatArray) -> float:
+    """Overwrite `columns` (K, N) by an orthonormal basis and `side` (N,) by what they leave; return its sum of squares.
+
+    Modified Gram-Schmidt, the right side as a last column (Björck 1967). `upper` (K, K) takes the triangle,
+    `rotated` (K,) the side in the basis; a column that depends on those before gets a row of zeros.
+    """
+    count, rows = columns.shape
+    for k in range(count):
+        norm = 0.0
+        for i in range(rows):
+            norm += columns[k, i] * columns[k, i]
+        norm = math.sqrt(norm)
+        upper[k, k] = norm if norm > DEPENDENT else 0.0
+        rotated[k] = 0.0
+        if not norm > DEPENDENT:
+            for j in range(k + 1, count):
+                upper[k, j] = 0.0
+            continue
+        for i in range(rows):
+            columns[k, i] /= norm
+        for j in range(k + 1, count):
+            dot = 0.0
+            for i in range(rows):
+                dot += columns[k, i] * columns[j, i]
+            upper[k, j] = dot
+            for i in range(rows):
+                columns[j, i] -= dot * columns[k, i]
+        dot = 0.0
+        for i in range(rows):
+            dot += columns[k, i] * side[i]
+        rotated[k] = dot
+        for i in range(rows):
+            side[i] -= dot * columns[k, i]
+    left = 0.0
+    for i in range(rows):
+        left += side[i] * side[i]
+    return left
+
+
+@allocating_kernel
+def eliminate(columns: FloatArray, side: FloatArray, order: Ints, squares: FloatArray, found: FloatArray) -> None:
+    """Fit `side` (N,) by all `columns` (K, N), then leave out the one whose loss costs least, and so on.
+
+    `order` (K,) takes the columns in the order in which they go; `squares` (K + 1,) the sums of squares left with the
+    last K, K - 1, ... 0 of that order; `found` (K, K) the coefficients of all columns at each step, 0 for those gone.
+    """
+    count, rows = columns.shape
+    unit = columns.copy()
+    scale = np.ones(count)
+    for k in range(count):
+        norm = 0.0
+        for i in range(rows):
+            norm += unit[k, i] * unit[k, i]
+        scale[k] = math.sqrt(norm) if norm > 0.0 else 1.0
+        for i in range(rows):
+            unit[k, i] /= scale[k]
+    upper, rotated, rest = np.zeros((count, count)), np.zeros(count), side.copy()
+    base = triangularize(unit, rest, upper, rotated)
+    kept = np.arange(count)
+    for step in range(count):
+        size = count - step
+        part, its = np.zeros((size, count)), rotated.copy()
+        for j in range(size):
+            for i in range(kept[j] + 1):
+                part[j, i] = upper[i, kept[j]]
+        triangle, reached = np.zeros((size, size)), np.zeros(size)
+        squares[step] = base + triangularize(part, its, triangle, reached)
+        inverse = np.zeros((size, size))
+        worst, least = 0, math.inf
+        for k in range(size - 1, -1, -1):
+            if triangle[k, k] == 0.0:
+                worst, least = k, -1.0
+                continue
+            inverse[k, k] = 1.0 / triangle[k, k]
+            for j in range(k + 1, size):
+                total = 0.0
+                for i in range(k + 1, j + 1):
+                    total += triangle[k, i] * inverse[i, j]
+                inverse[k, j] = -total / triangle[k, k]
+            value, variance = 0.0, 0.0
+            for j in range(k, size):
+                value += inverse[k, j] * reached[j]
+                variance += inverse[k, j] * inverse[k, j]
+            found[step, kept[k]] = value / scale[kept[k]]
+            if value * value < least * variance:
+                worst, least = k, value * value / variance
+        order[step] = kept[worst]
+        for j in range(worst, size - 1):
+            kept[j] = kept[j + 1]
+    total = 0.0
+    for i in range(rows):
+        total += side[i] * side[i]
+    squares[count] = total

@@ -1,0 +1,16 @@
+"""Making the kernels of sparse regression ready before they are needed: compiled once per machine, else loaded."""
+
+import os
+
+import numpy as np
+
+from atoll_coordinator.model.sparse.kernels.elimination import eliminate, windowed_sums
+
+
+def warm_up() -> None:
+    """Compile or load every kernel; interpreted kernels (``NUMBA_DISABLE_JIT``) need nothing."""
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        return
+    values = np.array([[1.0, 2.0, 4.0], [1.0, 1.0, 1.0]])
+    windowed_sums(np.zeros(1, np.int64), np.ones((1, 3)), values, np.zeros((2, 1)))
+    eliminate(values, np.array([1.0, 3.0, 7.0]), np.zeros(2, np.int64), np.zeros(3), np.zeros((2, 2)))

@@ -1,0 +1,180 @@
+"""The equation of one state in weak form: integrated against test functions, so that nothing is differentiated.
+
+With a test function b that vanishes at both ends of a window, dx/dt = sum c_k f_k gives, by parts,
+
+    - int b' x dt = sum c_k int b f_k dt
+
+(Messenger & Bortz 2021). Products of measured states have the expectation of the true ones when powers are Hermite
+polynomials of the noise's variance. The variance of what an equation leaves in a window follows from that of the
+measurements (errors in variables: Bortz, Messenger & Dukic 2023), so that a residual is known to be noise or not.
+
+Letters: K terms, W windows of L rows, N rows of all trajectories, V variables.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.kernels.tape import Ints
+from atoll_coordinator.data.recording import Recording
+from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.model.sparse.kernels.elimination import windowed_sums
+from atoll_coordinator.model.structure.term_libraries import Term
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """All rows of the trajectories that are not held out: `times` (N,), `ranges` of rows, one for each trajectory.
+
+    `values` (V, N) are the variables as measured, smoothed where nothing was; `smoothed` (V, N); `noise` (V,) the
+    standard deviations of the errors, 0 for inputs and for states that were interpolated.
+    """
+
+    times: FloatArray
+    ranges: tuple[tuple[int, int], ...]
+    values: FloatArray
+    smoothed: FloatArray
+    noise: FloatArray
+
+
+def measured_of(recording: Recording, names: Sequence[str]) -> Measured:
+    """Return the rows of the variables `names` (V,), symbols of states and inputs."""
+    parts = [each for each in recording.trajectories if not each.held_out]
+    symbols = (*recording.state_symbols, *recording.input_symbols)
+    places = [symbols.index(name) for name in names]
+    states = np.concatenate([part.measured for part in parts], axis=1)
+    smoothed = np.concatenate([part.smoothed for part in parts], axis=1)
+    inputs = np.concatenate([part.inputs for part in parts], axis=1)
+    noise = [0.0 if each.method == "interpolation" else each.noise for each in recording.smoothing]
+    ends = np.cumsum([len(part.times) for part in parts]).tolist()
+    return Measured(
+        np.concatenate([part.times for part in parts]),
+        tuple(zip([0, *ends[:-1]], ends, strict=True)),
+        np.concatenate([np.where(np.isfinite(states), states, smoothed), inputs])[places],
+        np.concatenate([smoothed, inputs])[places],
+        np.array([*noise, *([0.0] * len(inputs))])[places],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class WeakForm:
+    """Windows along trajectories for the equation of variable `target`.
+
+    `first` (W,) is the first row of each window; `bump` and `slope` (W, L) are the test functions and their
+    derivatives, times the weights of the trapezoidal rule.
+    """
+
+    its: Measured
+    target: int
+    first: Ints
+    bump: FloatArray
+    slope: FloatArray
+
+    @property
+    def independent(self) -> float:
+        """How many windows there are that know nothing of each other: one for each half width."""
+        return len(self.first) * SETTINGS.sparse.step * 2.0
+
+    @property
+    def sides(self) -> FloatArray:
+        """The left sides (W,)."""
+        return np.asarray(-self._sums(self.slope, self.its.values[self.target : self.target + 1])[0])
+
+    def columns(self, terms: Sequence[Term]) -> FloatArray:
+        """Return the integrals (K, W) of the terms, products of variables."""
+        powers = _powers(self.its.values, self.its.noise, max(map(len, terms), default=0))
+        return self._sums(self.bump, np.array([_product(term, powers) for term in terms]))
+
+    def integrals(self, values: FloatArray) -> FloatArray:
+        """Return the integrals (W,) of a function's values (N,)."""
+        return np.asarray(self._sums(self.bump, values[None])[0])
+
+    def variances(self, terms: Sequence[Term], coefficients: Sequence[float]) -> FloatArray:
+        """Return the variance (W,) of what the sum of terms leaves in each window, to first order in the noise."""
+        powers = _powers(self.its.smoothed, np.zeros(len(self.its.noise)), max(map(len, terms), default=0))
+        places = range(len(self.its.noise))
+        return self.variances_of(np.array([_slope(terms, coefficients, powers, place) for place in places]))
+
+    def variances_of(self, slopes: FloatArray) -> FloatArray:
+        """Return the same for a function with these derivatives (V, N) by the variables."""
+        squares = self.its.noise * self.its.noise
+        own = squares[self.target]
+        found = own * (self.slope * self.slope).sum(axis=1)
+        found += 2.0 * own * self._sums(self.slope * self.bump, slopes[self.target : self.target + 1])[0]
+        return np.asarray(found + squares @ self._sums(self.bump * self.bump, slopes * slopes))
+
+    def _sums(self, factors: FloatArray, values: FloatArray) -> FloatArray:
+        sums = np.zeros((len(values), len(self.first)))
+        windowed_sums(self.first, np.ascontiguousarray(factors), np.ascontiguousarray(values), sums)
+        return sums
+
+
+def weak_form(its: Measured, target: int, half: int) -> WeakForm | None:
+    """Return the weak form with windows of ``2 half + 1`` rows; None where trajectories are too short for any."""
+    length, step = 2 * half + 1, max(1, round(half * SETTINGS.sparse.step * 2.0))
+    first = [row for start, end in its.ranges for row in range(start, end - length + 1, step)]
+    if not first:
+        return None
+    rows = np.array(first, dtype=np.int64)
+    times = its.times[rows[:, None] + np.arange(length)]
+    width = (times[:, -1:] - times[:, :1]) / 2.0
+    place = (times - times[:, :1]) / width - 1.0
+    steps = np.diff(times, axis=1)
+    weights = np.zeros_like(times)
+    weights[:, 1:] += 0.5 * steps
+    weights[:, :-1] += 0.5 * steps
+    order = SETTINGS.sparse.smoothness
+    inside = np.maximum(1.0 - place * place, 0.0)
+    below = _power(inside, order - 1)
+    bump, slope = below * inside, -2.0 * order * place * below / width
+    return WeakForm(its, target, rows, bump * weights, slope * weights)
+
+
+def _power(values: FloatArray, exponent: int) -> FloatArray:
+    """Return a whole power by multiplications alone."""
+    found = np.ones_like(values)
+    for _ in range(exponent):
+        found = found * values
+    return found
+
+
+def _powers(values: FloatArray, noise: FloatArray, highest: int) -> list[FloatArray]:
+    """Return the powers (V, N) of the true values, by exponent, as far as the expectation goes.
+
+    E He_n(x + e) = x^n for Hermite polynomials of the variance of e: He_(n+1) = x He_n - n var He_(n-1).
+    """
+    found = [np.ones_like(values), values]
+    for exponent in range(1, highest):
+        found.append(values * found[exponent] - exponent * (noise * noise)[:, None] * found[exponent - 1])
+    return found
+
+
+def _exponents(term: Term) -> dict[int, int]:
+    counts: dict[int, int] = {}
+    for factor in term:
+        counts[factor.variable] = counts.get(factor.variable, 0) + 1
+    return counts
+
+
+def _product(term: Term, powers: Sequence[FloatArray], without: int | None = None) -> FloatArray:
+    """Return the values (N,) of a product; with one factor `without`, times its exponent: the derivative."""
+    found = np.ones(powers[0].shape[1])
+    for variable, exponent in _exponents(term).items():
+        if variable == without:
+            found = found * (exponent * powers[exponent - 1][variable])
+        else:
+            found = found * powers[exponent][variable]
+    return found
+
+
+def _slope(
+    terms: Sequence[Term], coefficients: Sequence[float], powers: Sequence[FloatArray], variable: int
+) -> FloatArray:
+    """Return the derivative (N,) of the sum of terms by a variable."""
+    total = np.zeros(powers[0].shape[1])
+    for term, coefficient in zip(terms, coefficients, strict=True):
+        if any(factor.variable == variable for factor in term):
+            total = total + coefficient * _product(term, powers, variable)
+    return total

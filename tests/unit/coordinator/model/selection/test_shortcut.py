@@ -1,0 +1,43 @@
+"""Laws that stand at the noise level are fitted together; where they do not, the long way is taken."""
+
+from atoll.config import PRESETS
+from atoll.expression.text.infix import to_infix
+from atoll_coordinator.model.inference.conclusion import summarize
+from atoll_coordinator.model.selection.candidates import CandidateSet
+from atoll_coordinator.model.selection.joint_search import ModellingTask
+from atoll_coordinator.model.selection.piece_lengths import select_model
+from atoll_coordinator.model.selection.shortcut import longest, select_by_laws, with_laws
+from tests.unit.coordinator.model.sparse.lorenz import NAMES, TERMS, monomials, prepared
+
+
+def task_of(*sample, **options):
+    preparation = prepared(*sample, **options)
+    candidates = {name: CandidateSet() for name in NAMES}
+    return ModellingTask(preparation.dataset, preparation.recording, PRESETS["default"], candidates)
+
+
+def test_lorenz_with_five_percent_of_noise_is_found_without_a_search_and_called_good():
+    selection = select_model(task_of(1000, 0.05, trajectories=2))
+    assert selection.task.piece < 300
+    refinement = summarize(selection)
+    for name in NAMES:
+        equation = refinement.equations[name]
+        assert monomials(to_infix(equation.program, NAMES)) == TERMS[name], name
+        assert equation.grade == "good"
+
+
+def test_lorenz_by_a_solver_of_tolerance_1e_6_has_no_further_terms():
+    refinement = summarize(select_model(task_of(1000, 0.0, step=0.02, rtol=1e-6, atol=1e-9, method="RK45")))
+    for name in NAMES:
+        assert monomials(to_infix(refinement.equations[name].program, NAMES)) == TERMS[name], name
+
+
+def test_pieces_are_as_long_as_errors_of_the_size_of_the_noise_stay_small():
+    lengths = [select_by_laws(with_laws(task_of(1000, noise, trajectories=2))).task.piece for noise in (0.002, 0.05)]
+    assert lengths[0] > 1.3 * lengths[1]
+
+
+def test_without_a_law_at_the_noise_level_the_long_way_is_taken():
+    task = with_laws(task_of(150, 0.05))
+    assert select_by_laws(task) is None
+    assert longest(task) == 150

@@ -1,0 +1,61 @@
+"""Laws by backward elimination: the right terms with and without noise, and what they are compared with."""
+
+import numpy as np
+import pytest
+
+from atoll.expression.operators import BY_NAME
+from atoll.expression.text.infix import to_infix
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.model.sparse.laws import find_laws
+from tests.unit.coordinator.model.sparse.lorenz import NAMES, TERMS, monomials, prepared
+
+OPERATORS = frozenset(BY_NAME[name].code for name in ("+", "-", "*", "/"))
+
+
+def laws_of(preparation, name, columns=(0, 1, 2), **options):
+    return find_laws(preparation.dataset.problem(name), preparation.recording, columns, OPERATORS, **options)
+
+
+def terms(law):
+    return monomials(to_infix(law.program, NAMES))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+def test_the_terms_of_lorenz_are_found(noise):
+    preparation = prepared(1000, noise, trajectories=4)
+    for name in NAMES:
+        best = laws_of(preparation, name)[0]
+        assert terms(best) == TERMS[name], name
+        assert best.is_tested
+        assert best.excess < 1.3
+
+
+def test_tolerances_of_a_solver_add_no_terms():
+    preparation = prepared(1000, 0.0, step=0.02, rtol=1e-6, atol=1e-9, method="RK45")
+    for name in NAMES:
+        assert terms(laws_of(preparation, name)[0]) == TERMS[name], name
+
+
+def test_with_few_rows_the_largest_library_is_not_tested():
+    assert not any(law.is_tested for law in laws_of(prepared(150, 0.05), "x"))
+
+
+def test_only_allowed_variables_and_operators_are_used():
+    preparation = prepared(1000, 0.01)
+    assert all("z" not in to_infix(law.program, NAMES) for law in laws_of(preparation, "x", columns=(0, 1)))
+    problem = preparation.dataset.problem("x")
+    assert find_laws(problem, preparation.recording, (0, 1, 2), {BY_NAME["sin"].code}) == ()
+
+
+def test_the_truth_among_other_programs_leaves_no_lead_and_a_wrong_one_leaves_much():
+    preparation = prepared(1000, 0.02, trajectories=2)
+    truth, wrong = (from_infix(text, NAMES) for text in ("10*(y - x)", "9*(y - x) + sin(x)"))
+    assert laws_of(preparation, "x", others=[wrong])[0].lead > 20.0
+    assert laws_of(preparation, "x", others=[wrong, truth])[0].lead < 5.0
+
+
+def test_weights_of_rows_are_not_taken_for_equal():
+    preparation = prepared(400, 0.02)
+    part = preparation.recording.trajectories[0]
+    object.__setattr__(part, "weights", np.ones(len(part.times)))
+    assert laws_of(preparation, "x") == ()
