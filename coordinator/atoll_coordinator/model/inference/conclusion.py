@@ -170,7 +170,9 @@ def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> _
         if shown is None:
             continue
         opened = _without_refuted(whole.task, comparison, shown)
-        shown = (None if opened == tidy else _show(comparison, shown.free, opened)) or shown
+        other = None if opened is None else _show(comparison, best, opened)
+        if other is not None and other.fit.misfit <= shown.fit.misfit:
+            shown = other
         task, seen, fit = _simulate(whole.task, comparison, shown)
         return _Final(task, ranking, origins, _unseen(task), comparison, shown, seen, fit)
     return None
@@ -197,10 +199,12 @@ def _show(comparison: ModelComparison, near: FittedModel, programs: tuple[Progra
     return None if free is None or found is None else _Shown(*found, explicit, free)
 
 
-def _without_refuted(task: ModellingTask, comparison: ModelComparison, shown: _Shown) -> tuple[Program, ...]:
-    """Return the programs with those factors of one written out that the data refute."""
+def _without_refuted(task: ModellingTask, comparison: ModelComparison, shown: _Shown) -> tuple[Program, ...] | None:
+    """Return the programs with those factors of one written out that the data refute; None where there are none."""
     programs = shown.rounded.programs
     known = describe_constants(comparison, shown.explicit, programs, estimate_errors(comparison, shown.free))
+    if not any(its.refuted_factors for its in known):
+        return None
     opened = []
     for each, fitted, its, program in zip(shown.explicit, shown.free.programs, known, programs, strict=True):
         made = write_factors(each, fitted, its.refuted_factors) if its.refuted_factors else program

@@ -342,3 +342,12 @@ def test_a_deadline_that_is_not_reached_changes_nothing():
     assert its.end == "finished"
     assert its.warnings == other.warnings
     assert [each.program for each in its.equations.values()] == [each.program for each in other.equations.values()]
+
+
+def test_what_is_shown_is_fitted_once_where_no_factor_of_one_is_refuted(monkeypatch):
+    shown = []
+    show = conclusion._show
+    monkeypatch.setattr(conclusion, "_show", lambda *given: shown.append(given) or show(*given))
+    its = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
+    assert its.simulation is not None
+    assert len(shown) == 1
