@@ -1,13 +1,14 @@
 """From the chosen system to what is reported: constants with errors, alternatives, verdicts, simulations."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, structure
+from atoll.expression.text.infix import to_infix
 from atoll_coordinator.data.recording import Smoothing
 from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
@@ -47,6 +48,7 @@ from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.like_terms import gathered
+from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.model.structure.unit_coefficients import (
     ExplicitCoefficients,
     as_written,
@@ -151,8 +153,17 @@ def summarize(selection: SelectedModel) -> Refinement | None:
             student_95(errors.freedom),
         ),
         find_correlations(final.comparison, task.variables, final.explicit, errors),
-        tuple(remarks(task)),
+        (*remarks(task), *_pole_remarks(final)),
     )
+
+
+def _pole_remarks(final: _Final) -> Iterator[str]:
+    """Yield a sentence for each pole of an equation in the region that the data visit."""
+    dataset = final.task.dataset
+    for name, program in zip(final.task.variables, final.shown, strict=True):
+        for part in find_poles(program, dataset.inputs):
+            where = to_infix(part, dataset.names)
+            yield f"The equation of {name} has a pole within the region that was measured, where {where} is 0."
 
 
 def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> _Final | None:

@@ -1,7 +1,8 @@
 """What comes closest to the chosen equations, and whether one of these predicts better. Pure.
 
 Where two descriptions are nearly as long, trajectories that were left out decide between them: their misfit takes the
-place of the misfit to all trajectories and of the price of constants, which stands for it.
+place of the misfit to all trajectories and of the price of constants, which stands for it. An equation with a pole in
+the region that the data visit must be shorter by `InferenceSettings.distinct_nats` than any without.
 """
 
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ from atoll_coordinator.model.selection.comparison import FittedModel, ModelCompa
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
 from atoll_coordinator.model.selection.joint_search import SelectedModel
 from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.model.structure.poles import find_poles
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,7 @@ def rank_alternatives(selection: SelectedModel, inputs: FloatArray) -> Ranking:
         inputs: points (V, R) at which equations are compared.
     """
     selection, alternatives = _shortest(selection, inputs)
+    selection, alternatives = _without_unearned_poles(selection, alternatives, inputs)
     is_held_out = any(each.held_out for each in selection.task.recording.trajectories)
     validation = Validation(selection.comparison)
     if is_held_out or not validation.is_possible:
@@ -68,6 +71,22 @@ def _shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[SelectedMod
         if best.nats > selection.model.nats - SETTINGS.selection.least_gain:
             return selection, alternatives
         selection = replace(selection, model=best)
+
+
+def _without_unearned_poles(
+    selection: SelectedModel, alternatives: list[list[FittedModel]], inputs: FloatArray
+) -> tuple[SelectedModel, list[list[FittedModel]]]:
+    """Return the selection with equations whose poles are not earned exchanged, one after another."""
+    for index, own in enumerate(selection.model.programs):
+        if index in selection.comparison.fixed or not find_poles(own, inputs):
+            continue
+        limit = selection.model.nats + SETTINGS.inference.distinct_nats
+        near = (each for each in alternatives[index] if each.nats <= limit)
+        other = next((each for each in near if not find_poles(each.programs[index], inputs)), None)
+        if other is not None:
+            selection = replace(selection, model=other)
+            alternatives = _all_alternatives(selection, inputs)
+    return selection, alternatives
 
 
 def _winner(

@@ -351,3 +351,9 @@ def test_what_is_shown_is_fitted_once_where_no_factor_of_one_is_refuted(monkeypa
     its = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
     assert its.simulation is not None
     assert len(shown) == 1
+
+
+def test_a_pole_within_the_data_is_said(monkeypatch):
+    monkeypatch.setattr(conclusion, "find_poles", lambda *_: [DECAY.parsed("x - 0.5")])
+    its = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
+    assert its.warnings == ("The equation of x has a pole within the region that was measured, where x - 0.5 is 0.",)

@@ -14,6 +14,7 @@ from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel
 from atoll_coordinator.model.settings import SETTINGS
+from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import SWING, table
 
 TIMES = 0.1 * np.arange(30.0)
@@ -95,3 +96,17 @@ def test_one_that_foretells_worse_does_not_win(monkeypatch):
     ranking = ranked_by(its)
     assert ranking.selection is its
     assert ranking.alternatives[1][0].validated.misfit == 130.0
+
+
+@pytest.mark.parametrize("is_earned", [False, True])
+def test_a_pole_must_be_earned(monkeypatch, is_earned):
+    its = selection()
+    truth = structure(its.model.programs[1])
+    (_, (nearest, *_)) = ranked_by(its).alternatives
+    gap = nearest.model.nats - its.model.nats
+    limit = gap + (-0.1 if is_earned else 0.1)
+    monkeypatch.setattr(alternatives, "find_poles", lambda program, _: [program] * (structure(program) == truth))
+    monkeypatch.setattr(alternatives, "SETTINGS", settings("inference", distinct_nats=limit))
+    monkeypatch.setattr(alternatives, "_winner", lambda *_: None)
+    shown = ranked_by(its).selection.model.programs[1]
+    assert (structure(shown) == truth) is is_earned

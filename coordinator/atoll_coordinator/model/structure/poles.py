@@ -1,0 +1,77 @@
+"""Poles: where an equation has no finite value within the region that points visit.
+
+That region is sampled by the lines between points, each with another drawn once: what changes its sign along one of
+them is zero somewhere on it. Where the equation stays bounded there, as sin(x)/x at 0, it has no pole.
+"""
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.evaluation import values_of
+from atoll.expression.operators import CONSTANT, DIVIDE, INVERSE, LOG, MULTIPLY, NEGATE, POW, SQUARE
+from atoll.expression.program import Program
+
+_HALVINGS: Final = 50
+_NEAR: Final = (1e-4, 1e-5)
+"""Shares of a line, either side of a zero: a pole grows tenfold from the one to the other, a bounded value hardly."""
+_GROWTH: Final = 10.0**0.5
+
+
+def find_poles(program: Program, points: FloatArray) -> list[Program]:
+    """Return the parts of `program` whose zeros are its poles among `points` (V, R), each once."""
+    ends = points[:, np.random.default_rng(0).permutation(points.shape[1])]
+    parts = dict.fromkeys(node for place in range(len(program)) for node in _vanishing(program, place))
+    return [part for part in (_part(program, place) for place in parts) if _has_pole(program, part, points, ends)]
+
+
+def _vanishing(program: Program, place: int) -> Iterator[int]:
+    """Yield the nodes at whose zeros the node at `place` has no value."""
+    code = int(program.operators[place])
+    left, right = int(program.left[place]), int(program.right[place])
+    if code in (INVERSE, LOG):
+        yield from _factors(program, left)
+    elif code == DIVIDE:
+        yield from _factors(program, right)
+    elif code == POW and program.operators[right] == CONSTANT and program.constants[right] < 0.0:
+        yield from _factors(program, left)
+
+
+def _factors(program: Program, place: int) -> Iterator[int]:
+    """Yield the factors of a node, of which one is zero where it is: an even power does not change its sign."""
+    code = int(program.operators[place])
+    left, right = int(program.left[place]), int(program.right[place])
+    if code == MULTIPLY:
+        yield from _factors(program, left)
+        yield from _factors(program, right)
+    elif code in (SQUARE, NEGATE, DIVIDE):
+        yield from _factors(program, left)
+    elif code != CONSTANT:
+        yield place
+
+
+def _part(program: Program, place: int) -> Program:
+    end = place + 1
+    return Program(program.operators[:end], program.left[:end], program.right[:end], program.constants[:end])
+
+
+def _has_pole(program: Program, part: Program, points: FloatArray, ends: FloatArray) -> bool:
+    with np.errstate(all="ignore"):
+        crosses = values_of(part, points) * values_of(part, ends) <= 0.0
+    if not crosses.any():
+        return False
+    first, last = points[:, crosses], ends[:, crosses]
+    sign = np.sign(values_of(part, first))
+    low, high = np.zeros(first.shape[1]), np.ones(first.shape[1])
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        is_before = np.sign(values_of(part, first + middle * (last - first))) == sign
+        low, high = np.where(is_before, middle, low), np.where(is_before, high, middle)
+    far, near = (
+        np.abs([values_of(program, first + (low + side * share) * (last - first)) for side in (-1.0, 1.0)])
+        for share in _NEAR
+    )
+    with np.errstate(all="ignore"):
+        return bool((~np.isfinite(near) | (near > _GROWTH * far)).any())

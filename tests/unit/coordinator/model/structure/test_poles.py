@@ -1,0 +1,31 @@
+"""Poles within the region that points visit are found, and only these."""
+
+import numpy as np
+import pytest
+
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.model.structure.poles import find_poles
+from tests.unit.coordinator.model.fitting import parsed, shown
+
+POINTS = np.random.default_rng(0).uniform([[0.2], [-1.0]], [[3.0], [1.0]], (2, 60))
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("x/(y - 0.3)", ["y - 0.3"]),
+        ("x/(x - 1.33)", ["x - 1.33"]),
+        ("x/(x - 1.33)**2", ["x - 1.33"]),
+        ("cos(y)/sin(y)*x", ["sin(y)"]),
+        ("1.0 + log(y)", ["y"]),
+        ("y**(-1.5)", ["y"]),
+        ("x/(y*(x + 1.0))", ["y"]),
+    ],
+)
+def test_poles_among_the_points_are_found(text, parts):
+    assert [shown(each) for each in find_poles(from_infix(text, ("x", "y")), POINTS)] == parts
+
+
+@pytest.mark.parametrize("text", ["y/x", "1.0/(x + 0.1)", "y/(x - 5.0)", "sin(y)/y", "x/(y*y + 0.1)", "log(x)", "x*y"])
+def test_elsewhere_there_are_none(text):
+    assert find_poles(parsed(text), POINTS) == []
