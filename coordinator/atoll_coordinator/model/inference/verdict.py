@@ -174,9 +174,9 @@ def _objections_to_prediction(prediction: Prediction | None) -> Iterator[str]:
         yield f"from {lost} of {prediction.starts} other initial states within the measured range it runs away"
     if prediction.followed and 1.0 - prediction.probability > math.exp(-SETTINGS.inference.distinct_nats):
         yield (
-            "other equations or constants that describe the data about as well foretell something else from other "
-            f"initial states within the measured range ({_percent(prediction.probability)} of the odds agree); "
-            f"a measurement from {_where(prediction)} would decide"
+            "rivals that describe the data about as well foretell something else from other initial states within the "
+            f"measured range ({_percent(prediction.probability)} of the odds agree): measure from {_where(prediction)} "
+            "to decide"
         )
 
 
@@ -185,8 +185,8 @@ def _unknown(prediction: Prediction | None) -> str:
     if prediction is None or prediction.reached is None:
         return ""
     return (
-        f"; elsewhere within the measured range it leads to {prediction.reached:.3g}, farther than anything measured: "
-        f"a measurement from {_where(prediction)} would tell"
+        f"; from other initial states within the measured range it leads to {prediction.reached:.3g}, which was never "
+        f"measured: measure from {_where(prediction)} to know"
     )
 
 
