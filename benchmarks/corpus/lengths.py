@@ -9,9 +9,9 @@ from atoll.config import JobConfig
 from atoll.data.table import Table
 from atoll.errors import AtollError
 from atoll.expression.text.parsing import from_infix
+from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection.joint_search import ModellingTask
-from atoll_coordinator.model.structure.algebra import tidied
 
 
 def excess_of_truth(
@@ -34,7 +34,7 @@ def excess_of_truth(
         names = preparation.dataset.names
         with np.errstate(all="ignore"):
             models = [
-                comparison.fit_model([tidied(from_infix(text, names)) for text in each], 40)
+                comparison.fit_model([shortest(from_infix(text, names)) for text in each], 40)
                 for each in (truths.values(), texts)
             ]
     except AtollError:

@@ -32,7 +32,7 @@ from atoll.expression.writing.sums import (
     product,
 )
 
-_MOST_TERMS: Final = 16
+_MOST_TERMS: Final = 7
 """Sums of more terms are only collected; no product is opened that would leave more."""
 _EQUAL: Final = 1e-12
 """Relative difference of coefficients that count as equal."""
@@ -81,6 +81,18 @@ def _opened(its: Sum, best: Best) -> Iterator[Sum]:
         everything.append((1.0, whole))
     if not is_open:
         yield add(*everything)
+
+
+def _inner(its: Sum, best: Best) -> Iterator[Sum]:
+    """Brackets in their best form."""
+    parts: list[tuple[float, Sum]] = []
+    for monomial, coefficient in its:
+        whole = product([coefficient, *(item for item in monomial if item[0][0] != ADD)])
+        for atom, exponent in monomial:
+            if atom[0] == ADD:
+                whole = multiply(whole, power(best(atom[1]), exponent))
+        parts.append((1.0, whole))
+    yield add(*parts)
 
 
 def _factored(its: Sum, best: Best) -> Iterator[Sum]:
@@ -351,6 +363,7 @@ def _whole_squares(its: Sum, best: Best) -> Iterator[Sum]:
 
 
 _IDENTITIES: Final = (
+    _inner,
     _opened,
     _factored,
     _over_one_line,

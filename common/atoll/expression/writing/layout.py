@@ -27,6 +27,8 @@ from atoll.expression.writing.sums import ONE, Atom, Monomial, Sum, cleaned, sca
 
 NODE: Final = 1 << 36
 """What a node costs; the other costs decide between writings of as many nodes."""
+_INNER_QUOTIENT: Final = 3 * NODE
+"""What a quotient in a divisor costs beside its nodes: it has no value at one more place than its function."""
 _NUMBER: Final = 1 << 28
 _FUNCTION: Final = 1 << 20
 _SIGN: Final = 1 << 12
@@ -181,7 +183,12 @@ def _laid_out(monomial: Monomial, coefficient: float, scales: dict[Atom, float])
     for atom, exponent in sorted(_with_tangents(monomial), key=lambda item: _factor_place(item[0])):
         flips, written_atom = _atom(atom, scales.get(atom, 1.0), wants_flip=coefficient < 0.0 and exponent % 2 == 1)
         coefficient = -coefficient if flips else coefficient
-        (above if exponent > 0 else below).append(_whole_power(written_atom, abs(exponent)))
+        cost, expression = _whole_power(written_atom, abs(exponent))
+        if exponent > 0:
+            above.append((cost, expression))
+        else:
+            has_quotient = atom[0] == ADD and any(count < 0 for inner, _ in atom[1] for _, count in inner)
+            below.append((cost + _INNER_QUOTIENT * has_quotient, expression))
     size = abs(coefficient)
     if size != 1.0:
         above.insert(0, _number(size))

@@ -41,7 +41,7 @@ _LARGEST: Final = 300
 """Programs of more nodes, written as trees, stay as they are."""
 _SMALLEST: Final = 4 * NODE
 """Nothing equal to a writing of fewer nodes is shorter."""
-_MOST_TRIED: Final = (0, 16, 80)
+_MOST_TRIED: Final = (0, 4, 30)
 """How many sums are written to find the shortest, by the depth of the search."""
 
 
@@ -82,6 +82,10 @@ def sum_of(program: Program, depth: int = 0) -> Sum:
 
 
 def _operated(code: int, left: Sum, right: Sum, depth: int) -> Sum:
+
+    def best(its: Sum) -> Sum:
+        return best_of(its, depth)
+
     match code:
         case c if c == ADD:
             return add((1.0, left), (1.0, right))
@@ -90,17 +94,17 @@ def _operated(code: int, left: Sum, right: Sum, depth: int) -> Sum:
         case c if c == NEGATE:
             return add((-1.0, left))
         case c if c == MULTIPLY:
-            return power(left, 2) if left == right else multiply(left, right)
+            return power(best(left), 2) if left == right else multiply(*map(best, (left, right)))
         case c if c == SQUARE:
-            return power(left, 2)
+            return power(best(left), 2)
         case c if c == DIVIDE:
-            return multiply(left, power(right, -1))
+            return multiply(best(left), power(best(right), -1))
         case c if c == INVERSE:
-            return power(left, -1)
+            return power(best(left), -1)
         case c if c == POW:
-            return raised(best_of(left, depth), best_of(right, depth))
+            return raised(best(left), best(right))
         case _:
-            return function(code, best_of(left, depth))
+            return function(code, best(left))
 
 
 @lru_cache(maxsize=50_000)

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program, constant_places, structure
+from atoll.expression.program import Program, constant_places
 from atoll.expression.text.infix import to_infix
+from atoll.expression.writing.agreement import shortest_over
 from atoll_coordinator.data.recording import Smoothing
 from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
@@ -39,6 +40,7 @@ from atoll_coordinator.model.refinement import (
 from atoll_coordinator.model.regression.covariance import Known, student_95
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
+from atoll_coordinator.model.selection.candidates import form
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel
 from atoll_coordinator.model.selection.piece_lengths import in_whole, on_all_rows, remarks
@@ -46,8 +48,6 @@ from atoll_coordinator.model.selection.rounding import RoundedSystem, round_show
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
-from atoll_coordinator.model.structure.algebra import tidied
-from atoll_coordinator.model.structure.like_terms import gathered
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.model.structure.unit_coefficients import (
     ExplicitCoefficients,
@@ -104,7 +104,7 @@ class _Final:
         """Return where a program came from, before its constants were made simple."""
         if self.task.variables[equation] in self.task.known:
             return "known"
-        return self.origins[equation].get(structure(tidied(program)), "descent")
+        return self.origins[equation].get(form(program), "descent")
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +176,7 @@ def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> _
         round_system(comparison, best),
         best.programs,
     ):
-        tidy = tuple(_tidied(whole.task, comparison, equation, program) for equation, program in enumerate(programs))
+        tidy = tuple(_shortest(whole.task, comparison, equation, program) for equation, program in enumerate(programs))
         shown = _show(comparison, best, tidy)
         if shown is None:
             continue
@@ -239,9 +239,9 @@ def _rounded(comparison: ModelComparison, fitted: FittedModel) -> tuple[RoundedS
     return found
 
 
-def _tidied(task: ModellingTask, comparison: ModelComparison, equation: int, program: Program) -> Program:
-    """Return a program with like terms gathered, unless it is given or would be larger than is allowed."""
-    made = program if equation in comparison.fixed else gathered(program)
+def _shortest(task: ModellingTask, comparison: ModelComparison, equation: int, program: Program) -> Program:
+    """Return the shortest writing of a program, unless it is given or would be larger than is allowed."""
+    made = program if equation in comparison.fixed else shortest_over(program, task.dataset.inputs)
     return made if task.may_be_shown(made) else program
 
 

@@ -15,6 +15,8 @@ from atoll.config import JobConfig
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.operators import BY_NAME
 from atoll.expression.program import Program, constant_places, structure, with_constants
+from atoll.expression.writing.agreement import shortest_over
+from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.refinement import Member, Refined, SimpleNumber, may_be_shown
@@ -24,8 +26,6 @@ from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import round_constants, round_estimates
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
 from atoll_coordinator.model.settings import SETTINGS
-from atoll_coordinator.model.structure.algebra import tidied
-from atoll_coordinator.model.structure.like_terms import gathered
 from atoll_coordinator.model.structure.unit_coefficients import make_coefficients_explicit, write_factors
 
 
@@ -61,7 +61,7 @@ def fit_equation(
     for candidate in candidates[: SETTINGS.regression.attempts]:
         member = kept[candidate.member]
         refined = _finished(problem, candidate, member, config, weights, has_intervals=has_intervals)
-        is_member = structure(tidied(front[member].program)) == structure(tidied(candidate.fitted.program))
+        is_member = structure(shortest(front[member].program)) == structure(shortest(candidate.fitted.program))
         refined = replace(refined, origin="front" if is_member else "descent")
         if refined.error <= limit and may_be_shown(refined.program, config.space.max_size):
             return _as_found(refined, front)
@@ -81,8 +81,9 @@ def _finished(
     )
     if len(problem.target.values) > SETTINGS.regression.compared_rows:
         program = round_constants(least_squares.fit(candidate.fitted.program), criterion, least_squares).program
-    if may_be_shown(gathered(program), config.space.max_size):
-        program = gathered(program)
+    short = shortest_over(program, problem.inputs)
+    if may_be_shown(short, config.space.max_size):
+        program = short
     refuted = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals).refuted_factors
     if refuted:
         explicit = make_coefficients_explicit(program)

@@ -16,13 +16,13 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, with_constants
+from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.refinement import SimpleNumber
 from atoll_coordinator.model.regression.covariance import covariance_of, description_length, standard_errors
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.simple_numbers import continuum_density, fitted_length, simple_numbers
 from atoll_coordinator.model.settings import SETTINGS
-from atoll_coordinator.model.structure.algebra import tidied
 
 _ROUNDING = 2.0**-50
 """Standard errors below this share of a constant are those of arithmetic."""
@@ -211,8 +211,11 @@ def _measured(
     refitted = least_squares.fit(with_constants(program, values), [*values])
     opened = refitted.program.constants[[place for place in places if place not in values]].tolist()
     prices |= dict(zip(opened, map(fitted_length, opened, standard_errors(refitted, criterion)), strict=True))
-    shown = tidied(refitted.program)
+    shown = collected(refitted.program)
     mse = least_squares.mse(shown)
-    remaining = set(np.abs(shown.constants[constant_places(shown)]).tolist())
-    numbers = sum(price for number, price in prices.items() if abs(number) in remaining)
+    known = {abs(number): price for number, price in prices.items()}
+    numbers = sum(
+        known[number] if number in known else min(simple_numbers(number, 0.0).values(), default=0.0)
+        for number in set(np.abs(shown.constants[constant_places(shown)]).tolist())
+    )
     return Model(shown, criterion.length(mse, shown, numbers), mse)

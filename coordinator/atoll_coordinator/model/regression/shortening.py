@@ -16,13 +16,13 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.program import Program, structure
+from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.model.criteria import RegressionCriterion, program_length
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.regression.covariance import description_length
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.rounding import Model, round_constants
 from atoll_coordinator.model.settings import SETTINGS
-from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.moves.reductions import reductions
 
@@ -97,7 +97,7 @@ class Shortening:
 
     def _members(self, front: Sequence[Program]) -> list[tuple[int, Fitted]]:
         """Return the members worth the effort, polished, by rising length; of equal structures the first."""
-        fits = {structure(program): (index, program) for index, program in reversed([*enumerate(map(tidied, front))])}
+        fits = {structure(program): (index, program) for index, program in reversed([*enumerate(map(shortest, front))])}
         polished = [(index, self._fitted(program)) for index, program in fits.values()]
         priced = sorted(
             ((description_length(fitted, self.criterion), index, fitted) for index, fitted in polished),

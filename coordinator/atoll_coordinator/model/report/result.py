@@ -17,8 +17,9 @@ from atoll import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll.config import JobConfig, Loss
 from atoll.data.dataset import Dataset, Problem, Target
 from atoll.expression.operators import CONSTANT
-from atoll.expression.program import Program
+from atoll.expression.program import Program, structure
 from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
+from atoll.expression.writing.agreement import shortest_over
 from atoll.search.pareto import FrontEntry
 from atoll.wire.messages.views import JobState
 from atoll_coordinator.data.recording import Preparation
@@ -141,7 +142,6 @@ def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, s
     target = dataset.problem(outcome.variable).target
     unseen = given.held_out.problem(outcome.variable) if given.held_out is not None else None
     shown = equation_of(outcome, dataset, config)
-    printable = [(index, entry) for index, entry in enumerate(outcome.front) if _is_printable(entry, dataset)]
     member = None if shown is None else shown.member
     return {
         "variable": target.variable,
@@ -155,11 +155,11 @@ def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, s
         "candidates": candidates(shown.alternatives if shown is not None else (), dataset),
         "front": [
             {
-                **_member(entry, dataset, target),
-                "holdout_error": _unseen_error(_program(entry, dataset), unseen, config.evolution.loss),
-                "selected": index == member,
+                **_member(entry, program, dataset, target),
+                "holdout_error": _unseen_error(program, unseen, config.evolution.loss),
+                "selected": is_selected,
             }
-            for index, entry in printable
+            for entry, program, is_selected in _written_front(outcome, dataset, member)
         ],
     }
 
@@ -179,7 +179,34 @@ def equation_of(outcome: VariableOutcome, dataset: Dataset, config: JobConfig) -
     member = printable[select_member(front, len(target.values), target, config.budget.target_error)]
     entry = outcome.front[member]
     origin: Origin = "known" if outcome.why == KNOWN else "front"
-    return Refined(member, _program(entry, dataset), entry.error, entry.mse, origin=origin)
+    return Refined(member, _written(entry, outcome, dataset), entry.error, entry.mse, origin=origin)
+
+
+def _written_front(
+    outcome: VariableOutcome, dataset: Dataset, selected: int | None
+) -> list[tuple[FrontEntry, Program, bool]]:
+    """Return the members that can be printed in their shortest writing, by rising complexity and falling error.
+
+    Of members of one structure the most accurate stays, and is the selected one if any of them is.
+    """
+    best: dict[bytes, tuple[FrontEntry, Program, bool]] = {}
+    for index, entry in enumerate(outcome.front):
+        if _is_printable(entry, dataset):
+            program = _written(entry, outcome, dataset)
+            its = best.get(structure(program), (entry, program, False))
+            nearer = (entry, program) if entry.error < its[0].error else its[:2]
+            best[structure(program)] = (*nearer, its[2] or index == selected)
+    members: list[tuple[FrontEntry, Program, bool]] = []
+    for its in sorted(best.values(), key=lambda each: (len(each[1]), each[0].error)):
+        if its[2] or all(its[0].error < other[0].error for other in members):
+            members.append(its)
+    return members
+
+
+def _written(entry: FrontEntry, outcome: VariableOutcome, dataset: Dataset) -> Program:
+    """Return the shortest writing of a member; a known equation as it was given."""
+    program = _program(entry, dataset)
+    return program if outcome.why == KNOWN else shortest_over(program, dataset.inputs)
 
 
 def _is_printable(entry: FrontEntry, dataset: Dataset) -> bool:
@@ -228,11 +255,10 @@ def _course(entry: FrontEntry | None, outcome: VariableOutcome, config: JobConfi
     }
 
 
-def _member(entry: FrontEntry, dataset: Dataset, target: Target) -> dict[str, Any]:
-    program = _program(entry, dataset)
+def _member(entry: FrontEntry, program: Program, dataset: Dataset, target: Target) -> dict[str, Any]:
     return {
         "expression": to_infix(program, dataset.names),
-        "complexity": entry.complexity,
+        "complexity": len(program),
         "error": finite(entry.error),
         "normalized_error": finite(entry.error / target.standard_deviation if target.standard_deviation else math.inf),
         "r2": _r2(entry.mse, target),

@@ -11,13 +11,13 @@ import numpy as np
 from atoll.config import JobConfig
 from atoll.data.dataset import Dataset, Problem
 from atoll.expression.program import Program, structure
+from atoll.expression.writing.shortest import collected, shortest
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs
 from atoll_coordinator.model.refinement import Member, Origin, Pools, decode_members
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import ModelComparison, distinct
 from atoll_coordinator.model.selection.elimination import eliminated
 from atoll_coordinator.model.settings import SETTINGS
-from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.term_libraries import Term
 
 
@@ -52,16 +52,21 @@ class CandidateSet:
         origins: dict[bytes, Origin] = {}
         for origin, those in programs.items():
             for program in those:
-                origins.setdefault(structure(tidied(program)), origin)
+                origins.setdefault(form(program), origin)
         return origins
 
     def member_of(self, program: Program) -> int | None:
         """Return the index of the front member of this structure, None without one; a known equation is member 0."""
         if self.known is not None:
             return 0
-        key = structure(tidied(program))
-        same = (index for index, member in enumerate(self.front) if structure(tidied(member.program)) == key)
+        key = form(program)
+        same = (index for index, member in enumerate(self.front) if form(member.program) == key)
         return next(same, None)
+
+
+def form(program: Program) -> bytes:
+    """Return what programs of one form have in common, whatever their constants are."""
+    return structure(collected(program))
 
 
 def collect_candidates(dataset: Dataset, config: JobConfig, pools: Pools) -> dict[str, CandidateSet]:
@@ -96,7 +101,7 @@ def ranked(
         libraries: terms that are left out one after another.
     """
     least_squares = LeastSquares(problem)
-    unique = {structure(program): program for program in reversed([tidied(each) for each in programs])}
+    unique = {structure(program): program for program in reversed([shortest(each) for each in programs])}
     deadline = comparison.estimator.deadline
     polished = [
         least_squares.fit(program, steps=0 if deadline.is_over else SETTINGS.selection.regression_steps)
@@ -114,5 +119,7 @@ def ranked(
         lambda program: comparison.fit_model([program], 6, (SETTINGS.selection.longer_segment,)), chosen.values()
     )
     best = [each.programs[0] for each in distinct(longer)]
+    first = SETTINGS.selection.exchanged_again
+    best = [*map(shortest, best[:first]), *best[first:]]
     known = {structure(program) for program in best}
     return [*best, *(program for program in started if structure(program) not in known)]

@@ -16,6 +16,7 @@ from atoll.config import JobConfig
 from atoll.data.dataset import Dataset
 from atoll.expression.operators import BY_NAME
 from atoll.expression.program import Program
+from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.criteria import is_function
 from atoll_coordinator.model.deadline import Deadline
@@ -28,7 +29,6 @@ from atoll_coordinator.model.shooting.measurements import Measurements, measurem
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import variable_program
 from atoll_coordinator.model.sparse.laws import Law
-from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.term_libraries import Term, fractions, libraries
@@ -161,7 +161,7 @@ def _converged(task: ModellingTask, name: str) -> Program | None:
     if name in task.settled and not target.is_noisy:
         its = task.settled[name]
         if its.error <= target.convergence_error(task.config.budget.target_error):
-            return tidied(its.program)
+            return shortest(its.program)
     return None
 
 

@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 
 from atoll.expression.program import Program, constant_places, with_constants
+from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.covariance import covariance
-from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.moves.reductions import reductions
 
 _NEUTRAL: Final = (0.0, 1.0, -1.0)
@@ -99,7 +99,7 @@ class LocalSearch:
                 nats = 0.5 * (value - neutral) ** 2 / max(inflation * variance, 1e-300)
                 if nats < SETTINGS.selection.most_saved:
                     priced.append((nats, abs(value - neutral), place, neutral))
-        return [tidied(with_constants(program, {place: neutral})) for _, _, place, neutral in sorted(priced)]
+        return [collected(with_constants(program, {place: neutral})) for _, _, place, neutral in sorted(priced)]
 
     def _improved(self, model: FittedModel, equation: int) -> FittedModel:
         best = self.reduce(model, equation)

@@ -11,12 +11,12 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, with_constants
+from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.refinement import SimpleNumber
 from atoll_coordinator.model.regression.rounding import Rounding, find_simple, round_estimates
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
-from atoll_coordinator.model.structure.algebra import tidied
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ def round_system(comparison: ModelComparison, model: FittedModel) -> tuple[Progr
     if after is None or after.misfit > model.misfit + _allowed(means, spread, numbers):
         return model.programs
     return tuple(
-        program if index in comparison.fixed else tidied(program) for index, program in enumerate(after.programs)
+        program if index in comparison.fixed else collected(program) for index, program in enumerate(after.programs)
     )
 
 

@@ -11,12 +11,12 @@ from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.evaluation import values_of
 from atoll.expression.operators import ADD, MULTIPLY
 from atoll.expression.program import Program, constant_places, structure
+from atoll.expression.writing.shortest import collected
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate
 from atoll_coordinator.model.sparse.weak_form import Measured, WeakForm, measured_of, weak_form
-from atoll_coordinator.model.structure.algebra import tidied
 from atoll_coordinator.model.structure.term_libraries import Factor, Term, sum_of
 
 
@@ -150,7 +150,7 @@ def _with_noise(
     rival = min((_nats_of(form, program) for program in others), default=math.inf)
     structures: set[bytes] = set()
     for law in laws:
-        key = structure(tidied(law.program))
+        key = structure(collected(law.program))
         if key not in structures:
             structures.add(key)
             yield replace(law, lead=rival - laws[0].nats)

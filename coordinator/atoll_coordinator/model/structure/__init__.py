@@ -1,7 +1,5 @@
 """Programs as algebra: what is the same, what lies one step beside, what is made of terms. No data, no fits.
 
-- `algebra`: programs tidied: the same function in its shortest form
-- `like_terms`: terms of a sum that differ by a factor, gathered
 - `moves`: programs one structural move away: reductions, neighbours, extensions
 - `term_libraries`: sums of products, waves and quotients of the variables
 - `poles`: where a program has no finite value among given points

@@ -13,11 +13,11 @@ from itertools import combinations, combinations_with_replacement
 import numpy as np
 
 from atoll.data.dataset import FloatArray
-from atoll.expression.builder import Expression
+from atoll.expression.builder import Expression, ProgramBuilder
 from atoll.expression.operators import ADD, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
 from atoll.expression.program import Program
+from atoll.expression.simplification import simplify_program
 from atoll_coordinator.model.settings import SETTINGS
-from atoll_coordinator.model.structure.algebra import AlgebraicBuilder
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _powers(factors: Sequence[Factor], degree: int) -> list[Term]:
 
 
 def sum_of(terms: Sequence[Term], coefficients: Sequence[float]) -> Program:
-    """Return the tidied program of the sum of `terms` with these coefficients, none of which is 0, 1 or -1."""
+    """Return the program of the sum of `terms`, in their order, with these coefficients."""
     total: Expression | None = None
     for term, coefficient in zip(terms, coefficients, strict=True):
         part: Expression = float(coefficient)
@@ -120,8 +120,8 @@ def sum_of(terms: Sequence[Term], coefficients: Sequence[float]) -> Program:
             part = (DIVIDE if factor.divisor else MULTIPLY, part, _expression(factor))
         total = part if total is None else (ADD, total, part)
     assert total is not None
-    builder = AlgebraicBuilder()
-    return builder.program(builder.build(total))
+    builder = ProgramBuilder()
+    return simplify_program(builder.program(builder.build(total)))
 
 
 def _expression(factor: Factor) -> Expression:

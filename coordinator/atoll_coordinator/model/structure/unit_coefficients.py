@@ -12,7 +12,7 @@ from typing import Final
 from atoll.expression.builder import ProgramBuilder
 from atoll.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SUBTRACT
 from atoll.expression.program import Node, Program, constant_places, with_constants
-from atoll_coordinator.model.structure.algebra import tidied
+from atoll.expression.writing.shortest import collected
 
 ONE: Final = 1.0
 
@@ -48,7 +48,7 @@ def write_factors(explicit: ExplicitCoefficients, fitted: Program, chosen: Colle
     places = constant_places(fitted)
     factors = [place for place, origin in zip(places, explicit.origins, strict=True) if origin is None]
     rest = {place: ONE for term, place in enumerate(factors) if term not in chosen}
-    return tidied(with_constants(fitted, rest))
+    return collected(with_constants(fitted, rest))
 
 
 def as_written(program: Program) -> ExplicitCoefficients:

@@ -26,7 +26,7 @@ from atoll_coordinator.model.structure.moves.replacement import replace_each
 
 
 def extensions(program: Program, scales: Sequence[float], operators: Collection[int]) -> Iterator[Program]:
-    """Yield programs that differ from `program` by a small part at one node, tidied; each structure once.
+    """Yield programs that differ from `program` by a small part at one node, collected; each structure once.
 
     A node n becomes n + c, n + c v, n + c v w, n + c/v, n + c sin v, n (1 + c v) or n/(1 + c v) with variables v and w
     and a constant c that makes the new part small beside n, whatever the units; or, which is no small change, n sin v
@@ -44,7 +44,7 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
 
 
 def leaps(program: Program, operators: Collection[int]) -> Iterator[Program]:
-    """Yield the few programs that take more steps of a fit to show what they are worth, tidied; each structure once.
+    """Yield the few programs that take more steps of a fit to show what they are worth, collected; each structure once.
 
     A variable becomes its sine or cosine; a sine or cosine the beginning of its Taylor series, with constants of its
     own. Only the `operators` (codes) that are allowed are brought in.

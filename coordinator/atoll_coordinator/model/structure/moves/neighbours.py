@@ -13,8 +13,9 @@ _EXCHANGED: Final = {ADD: SUBTRACT, SUBTRACT: ADD, MULTIPLY: DIVIDE, DIVIDE: MUL
 
 
 def neighbours(program: Program, variables: Collection[int], operators: Collection[int]) -> Iterator[Program]:
-    """Yield programs that differ from `program` in one place, tidied; each structure once. Their constants want to be
-    fitted.
+    """Yield programs that differ from `program` in one place, collected; each structure once.
+
+    Their constants want to be fitted.
 
     At one node a leaf is exchanged for another, an operator for its relative, or a constant or variable is joined to
     it. Only `variables` (their indices) and `operators` (codes) are brought in.

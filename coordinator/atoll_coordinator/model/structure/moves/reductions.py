@@ -13,7 +13,7 @@ _NEUTRAL: Final = (0.0, 1.0, -1.0)
 
 
 def reductions(program: Program) -> Iterator[Program]:
-    """Yield smaller programs, tidied, whose constants want to be fitted; each structure once, from the output down.
+    """Yield smaller programs, collected, whose constants want to be fitted; each structure once, from the output down.
 
     An operator gives way to an argument or a constant, a constant to 0, 1 or -1; a factor that two terms share is
     taken out of their sum; the cosine of a multiple becomes a square.

@@ -2,27 +2,27 @@
 
 from collections.abc import Callable, Collection, Iterable, Iterator
 
-from atoll.expression.builder import Expression, operators_in
+from atoll.expression.builder import Expression, ProgramBuilder, operators_in
 from atoll.expression.operators import ADD, COS, MULTIPLY, NEGATE, SIN, SUBTRACT
 from atoll.expression.program import Node, Program, structure
-from atoll_coordinator.model.structure.algebra import AlgebraicBuilder
+from atoll.expression.writing.shortest import collected
 
 
 def replace_node(nodes: list[Node], index: int, replacement: Expression) -> Program:
-    """Return the tidied program in which `replacement` stands for node `index`.
+    """Return the program, as a sum of products, in which `replacement` stands for node `index`.
 
     Nodes in `replacement` are those up to `index`, the old one included.
     """
-    builder = AlgebraicBuilder()
+    builder = ProgramBuilder()
     places = builder.copy(nodes[: index + 1])
     places[index] = builder.build(replacement, places)
-    return builder.program(builder.copy(nodes[index + 1 :], places)[-1])
+    return collected(builder.program(builder.copy(nodes[index + 1 :], places)[-1]))
 
 
 def replace_each(
     program: Program, nodes: list[Node], operators: Collection[int], replacements: Callable[[int], Iterable[Expression]]
 ) -> Iterator[Program]:
-    """Yield the programs in which one node gives way to one of its `replacements`, tidied; each structure once.
+    """Yield the programs in which one node gives way to one of its `replacements`, collected; each structure once.
 
     Args:
         program: the one to be changed, which is not yielded itself.

@@ -9,7 +9,7 @@ import pytest
 from atoll.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll.data.dataset import Dataset, Target
 from atoll.expression.operators import BY_NAME
-from atoll.expression.program import constant_places, structure
+from atoll.expression.program import constant_places
 from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prepare import prepare
@@ -19,8 +19,7 @@ from atoll_coordinator.model.inference.conclusion import _no_elaborations, _stan
 from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.refinement import Alternative, Pool
 from atoll_coordinator.model.selection import joint_search
-from atoll_coordinator.model.selection.candidates import collect_candidates
-from atoll_coordinator.model.structure.algebra import tidied
+from atoll_coordinator.model.selection.candidates import collect_candidates, form
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, pools, table
 
@@ -303,7 +302,7 @@ def test_origins_are_told_by_structure():
 
     def origins(name, *texts):
         by_structure = candidates[name].origins(compared[name])
-        return [by_structure.get(structure(tidied(program))) for program in programs(*texts)]
+        return [by_structure.get(form(program)) for program in programs(*texts)]
 
     texts = ("7.0*x", "x + y", "2.0*x + 0.25*x*y", "x - y")
     assert origins("x", *texts) == ["front", "runner-up", "library", None]

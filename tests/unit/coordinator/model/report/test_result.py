@@ -26,11 +26,11 @@ from atoll_coordinator.model.refinement import (
 )
 from atoll_coordinator.model.report.digest import result_digest
 from atoll_coordinator.model.report.render import parse_picks, pick, render, render_text
-from atoll_coordinator.model.report.result import Account, VariableOutcome, build_result
+from atoll_coordinator.model.report.result import KNOWN, Account, VariableOutcome, build_result
 
 NAMES = ("x", "S", "v")
 SYMBOLS = {"x": "x", "S": "S", "v [m/s]": "v"}
-TRUTH = "3.0*x - x**2 - 2.0*x*S"
+TRUTH = "x*(3.0 - x - 2.0*S)"
 
 
 def entry(text: str, error: float, epoch: int = 0, generation: int = 5, island: int = 0) -> FrontEntry:
@@ -79,12 +79,36 @@ def test_the_front_marks_exactly_the_selected_member():
     assert {member["holdout_error"] for member in front} == {None}
 
 
+def test_members_that_are_one_function_fall_together_and_the_front_is_one_of_shortest_writings():
+    front = (
+        entry("1.5", 1.0),
+        entry("x + S - S", 0.5),
+        entry("x*S/S + S*x/x", 0.3),
+        entry("x*x/x + 0.0*v", 0.4),
+        entry("sin(v + 1.5707963267948966)", 0.35),
+    )
+    selected = VariableOutcome("x", front, 1)
+    shown = build_result("j", JobConfig(), PREPARATION, [selected], Account("done", 1.0, 1.0))["equations"][0]
+    assert [(each["expression"], each["complexity"], each["error"]) for each in shown["front"]] == [
+        ("x", 1, 0.4),
+        ("cos(v)", 2, 0.35),
+        ("x + S", 3, 0.3),
+    ]
+    assert [each["selected"] for each in shown["front"]].count(True) == 1
+
+
+def test_a_known_equation_is_shown_as_it_was_given():
+    given = VariableOutcome("x", (entry("x*1.0 + S - S", 0.5),), 0, why=KNOWN)
+    shown = build_result("j", JobConfig(), PREPARATION, [given], Account("done", 1.0, 1.0))["equations"][0]
+    assert shown["expression"] == shown["front"][0]["expression"] == "1.0*x + S - S"
+
+
 def test_the_front_is_measured_on_held_out_rows_as_well():
     seen = dataset()
     rows = np.array([[1.0, 2.0, 4.0], [0.0, 0.0, 0.0], [1.0, 1.0, 0.0]])
     targets = tuple(replace(target, values=np.array([2.0, 4.0, 5.0])) for target in seen.targets)
     unseen = replace(seen, inputs=rows, targets=targets)
-    front = (entry("2.0*x", 0.4), entry("1.0/v", 0.3))
+    front = (entry("2.0*x", 0.4), entry("2.5*x/v", 0.3))
     given = Preparation(seen, held_out=unseen)
     built = build_result("j", JobConfig(), given, [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0))
     assert [member["holdout_error"] for member in built["equations"][0]["front"]] == [1.0, None]

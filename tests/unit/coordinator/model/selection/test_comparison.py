@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from atoll.expression.program import Program, structure
+from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.selection import comparison
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison, distinct
@@ -168,7 +169,7 @@ def test_the_covariance_is_that_of_least_squares():
 
 def test_constants_that_only_count_together_have_infinite_variances():
     its = measurements(DECAY, [[2.0]], TIMES, noise=0.01)
-    made = compare(DECAY, its).system([DECAY.parsed("-0.2*x - 0.3*x")])
+    made = compare(DECAY, its).system([from_infix("-0.2*x - 0.3*x", DECAY.names)])
     fit = MultipleShooting(its, 1e-8).fit(made, None, 10)
     assert np.isinf(np.diag(covariance(fit))).all()
     assert np.isfinite(covariance(fit)[0, 1])
@@ -178,7 +179,7 @@ def test_constants_that_only_count_together_have_infinite_variances():
 
 def test_a_constant_beside_redundant_ones_keeps_its_variance():
     its = measurements(LOTKA, STARTS, TIMES, noise=NOISE)
-    made = compare(LOTKA, its).system([LOTKA.parsed("2.2*x + 0.7*x - 2.1*x*y - 0.9*x*x"), OTHER])
+    made = compare(LOTKA, its).system([from_infix("2.2*x + 0.7*x - 2.1*x*y - 0.9*x*x", LOTKA.names), OTHER])
     fit = MultipleShooting(its, 1e-8).fit(made, None, 10)
     variances = np.diag(covariance(fit)).tolist()
     assert len(variances) == len(made.places) > 3

@@ -5,11 +5,11 @@ import pytest
 
 from atoll.config import BudgetConfig, JobConfig, SpaceConfig
 from atoll.expression.program import structure
+from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection.candidates import collect_candidates
 from atoll_coordinator.model.selection.joint_search import ModellingTask, ranked_candidates
-from atoll_coordinator.model.structure.algebra import tidied
 from tests.unit.coordinator.model.shooting.made import Known, pools, table
 
 DRAG = Known(("v",), lambda _, z: [-0.05 * z[0] ** 2])
@@ -36,7 +36,7 @@ def candidates(prepared, text):
 
 def test_what_a_converged_search_found_without_noise_stands_alone(prepared):
     (only,) = candidates(prepared, TRUTH)
-    assert structure(only) == structure(tidied(DRAG.parsed(TRUTH)))
+    assert structure(only) == structure(shortest(DRAG.parsed(TRUTH)))
 
 
 def test_unless_the_trajectories_show_that_it_only_comes_close(prepared):

@@ -13,13 +13,13 @@ from atoll.expression.program import Program
 from atoll.expression.simplification import complexity, simplify_program
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
+from atoll.expression.writing.shortest import shortest
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, Trajectory
 from atoll_coordinator.model.refinement import Pool
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
-from atoll_coordinator.model.structure.algebra import tidied
 
 Rates = Callable[[float, Sequence[float]], Sequence[float]]
 Wave = Callable[[FloatArray], FloatArray]
@@ -41,7 +41,7 @@ class Known:
         return (*self.states, *self.inputs)
 
     def parsed(self, text: str) -> Program:
-        return tidied(from_infix(text, self.names))
+        return shortest(from_infix(text, self.names))
 
     def text(self, program: Program) -> str:
         return to_infix(program, self.names)
