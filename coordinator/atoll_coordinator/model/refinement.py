@@ -139,6 +139,20 @@ class Prediction:
     is_disputed: bool = False
 
 
+@dataclass(frozen=True)
+class Chaos:
+    """What is known of a model whose courses cannot be foretold for long.
+
+    Errors grow e-fold in `lyapunov_time` (unit of time). `is_kept` tells whether a long simulation stays on what was
+    measured: it does not run away, and its means and variances are those of the measurements, `probability` being that
+    of differences as large as the largest one (None: it runs away).
+    """
+
+    lyapunov_time: float
+    is_kept: bool
+    probability: float | None
+
+
 @dataclass(frozen=True, eq=False)
 class Refined:
     """The equation of one variable as it is shown; before refinement, a member of the front as it stands.
@@ -200,6 +214,7 @@ class Refinement:
     simulation: Simulation | None = None
     correlations: tuple[Correlation, ...] = ()
     warnings: tuple[str, ...] = ()
+    chaos: Chaos | None = None
     end: RefiningEnd = "finished"
 
 

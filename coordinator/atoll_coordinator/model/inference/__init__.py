@@ -3,6 +3,7 @@
 - `conclusion`: the model fitted to all rows, rounded, simulated and judged: `summarize`
 - `standard_errors`: standard errors, intervals and correlations of constants
 - `simulation`: the model along measured trajectories, with bands
+- `attractor`: whether a long simulation of a chaotic model keeps the measured averages
 - `prediction`: whether model and rivals foretell the same from other initial states
 - `residuals`: whether what a simulation leaves is as large as the noise, and without a pattern
 - `quadratic_forms`: how large it may be by chance

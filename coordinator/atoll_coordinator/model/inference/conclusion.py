@@ -11,6 +11,7 @@ from atoll.expression.program import Program, constant_places
 from atoll.expression.text.infix import to_infix
 from atoll.expression.writing.agreement import shortest_over
 from atoll_coordinator.data.recording import Smoothing
+from atoll_coordinator.model.inference.attractor import look_for_chaos
 from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
 from atoll_coordinator.model.inference.simulation import (
@@ -30,6 +31,7 @@ from atoll_coordinator.model.inference.standard_errors import (
 from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import (
     Alternative,
+    Chaos,
     Origin,
     Prediction,
     Refined,
@@ -45,7 +47,9 @@ from atoll_coordinator.model.selection.comparison import FittedModel, ModelCompa
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel
 from atoll_coordinator.model.selection.piece_lengths import in_whole, on_all_rows, remarks
 from atoll_coordinator.model.selection.rounding import RoundedSystem, round_shown, round_system
+from atoll_coordinator.model.selection.shortcut import longest, predictable_rows
 from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.model.shooting.lyapunov import growth_rate
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.structure.poles import find_poles
@@ -127,7 +131,8 @@ def summarize(selection: SelectedModel) -> Refinement | None:
     described = describe_constants(final.comparison, final.explicit, final.shown, errors)
     constants = [each.with_simple(its) for each, its in zip(described, final.equations.rounded.simple, strict=True)]
     out = None if final.unseen is None else _held_out(final, final.unseen, final.shown, errors)
-    predictions = _predictions(final, errors)
+    chaos = _chaos(final)
+    predictions = _predictions(final, errors, is_near=chaos is not None and chaos.is_kept)
     equations = {
         name: _refined(
             final,
@@ -135,6 +140,7 @@ def summarize(selection: SelectedModel) -> Refinement | None:
             constants[index],
             _prediction_r2(final, out, index),
             None if predictions is None else predictions[index],
+            chaos,
         )
         for index, name in enumerate(task.variables)
     }
@@ -154,6 +160,7 @@ def summarize(selection: SelectedModel) -> Refinement | None:
         ),
         find_correlations(final.comparison, task.variables, final.explicit, errors),
         (*remarks(task), *_pole_remarks(final)),
+        chaos,
     )
 
 
@@ -298,7 +305,15 @@ def _carried_bands(final: _Final, unseen: ModelComparison, fit: TrajectoryFit, e
     )
 
 
-def _predictions(final: _Final, errors: Errors) -> list[Prediction] | None:
+def _chaos(final: _Final) -> Chaos | None:
+    """Return what is known of a model whose initial states are of no use for a whole trajectory, else None."""
+    fit, comparison = final.free.fit, final.comparison
+    if predictable_rows(fit, comparison) >= longest(final.task):
+        return None
+    return look_for_chaos(final.seen_fit, growth_rate(fit), final.seen.estimator.tolerance)
+
+
+def _predictions(final: _Final, errors: Errors, *, is_near: bool) -> list[Prediction] | None:
     """Return how far each state can be foretold from other initial states, see `foretell`."""
     comparison, ranking = final.comparison, final.ranking
     least = ranking.selection.model.nats
@@ -309,12 +324,13 @@ def _predictions(final: _Final, errors: Errors) -> list[Prediction] | None:
     ]
     rivals += draws(final.free.fit.system, scaled_covariance(comparison, final.free.fit, errors)[0], len(final.shown))
     seen = final.seen.estimator
-    return foretell(seen.measurements, final.seen_fit.system, rivals, seen.tolerance)
+    return foretell(seen.measurements, final.seen_fit.system, rivals, seen.tolerance, is_near=is_near)
 
 
 def _refined(
-    final: _Final, index: int, known: Known, held_out_r2: float | None, prediction: Prediction | None
-) -> Refined:
+    final: _Final, index: int, known: Known, held_out_r2: float | None, prediction: Prediction | None,
+    chaos: Chaos | None,
+) -> Refined:  # fmt: skip
     task = final.task
     name, program = task.variables[index], final.shown[index]
     problem = task.dataset.problem(name)
@@ -341,6 +357,7 @@ def _refined(
         constants=known.written,
         unit_coefficients=[each.constant for each in known.unit_coefficients],
         prediction=prediction,
+        chaos=chaos,
         alternative=min((each.nats for each in nearest), default=None),
     )
     grade, reason = judge(evidence)

@@ -10,17 +10,17 @@ Letters: D states, O measured ones, N rows, P fitted constants, G initial states
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 
 from atoll.data.dataset import FloatArray
+from atoll_coordinator.model.inference.attractor import along
 from atoll_coordinator.model.refinement import Prediction
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import System
 
 
@@ -37,7 +37,7 @@ class Rival:
 
 
 def foretell(
-    measurements: Measurements, model: System, rivals: Sequence[Rival], tolerance: float
+    measurements: Measurements, model: System, rivals: Sequence[Rival], tolerance: float, *, is_near: bool = False
 ) -> list[Prediction] | None:
     """Return the prediction of each measured state; None where the system has inputs, which are not known elsewhere.
 
@@ -46,10 +46,11 @@ def foretell(
         model: the system that is shown.
         rivals: what else describes the measurements.
         tolerance: error of an integration step over a state's standard deviation.
+        is_near: whether initial states are near measured ones: an attractor's box has parts that lead elsewhere.
     """
     if len(measurements.inputs) or measurements.rows < SETTINGS.inference.foretold_rows // 4:
         return None
-    elsewhere = _Elsewhere(measurements, tolerance)
+    elsewhere = _Elsewhere(measurements, tolerance, is_near=is_near)
     own = elsewhere.courses(model, range(len(elsewhere.starts)))
     followed = [place for place, course in enumerate(own) if course is not None]
     states = range(len(measurements.observed))
@@ -84,7 +85,7 @@ _STRIDE: Final = 4
 class _Elsewhere:
     """Simulates systems from initial states in the measured box, for as long as the longest trajectory."""
 
-    def __init__(self, measurements: Measurements, tolerance: float) -> None:
+    def __init__(self, measurements: Measurements, tolerance: float, *, is_near: bool) -> None:
         self._measurements = measurements
         rows = SETTINGS.inference.foretold_rows
         low, high = measurements.smoothed.min(axis=1), measurements.smoothed.max(axis=1)
@@ -92,28 +93,16 @@ class _Elsewhere:
         length = max(
             float(measurements.times[end - 1] - measurements.times[first]) for first, end in measurements.bounds
         )
-        count = len(measurements.observed)
-        self._estimator = MultipleShooting(
-            replace(
-                measurements,
-                bounds=np.array([[0, rows]], dtype=np.int64),
-                owners=np.zeros(1, dtype=np.int64),
-                times=np.linspace(0.0, length, rows),
-                measured=np.zeros((count, rows)),
-                weights=np.ones((count, rows)),
-                smoothed=np.ascontiguousarray(np.linspace(low, high, rows).T),
-                offset=np.zeros(0, dtype=np.int64),
-                inputs=np.zeros((0, rows)),
-                input_slopes=np.zeros((0, rows)),
-                inverse_variances=None,
-                consistency=None,
-            ),
-            tolerance,
-        )
+        self._estimator = along(measurements, np.linspace(0.0, length, rows), tolerance)
+        self._is_near = is_near
 
     @cached_property
     def starts(self) -> FloatArray:
-        """Initial states (G, D), evenly spread over the box (Halton 1960)."""
+        """Initial states (G, D), evenly spread over the box (Halton 1960), or near measured ones over all rows."""
+        if self._is_near:
+            rows = np.linspace(0, self._measurements.rows - 1, SETTINGS.inference.foretold_starts).astype(int)
+            moved = SETTINGS.inference.foretold_shift * self._measurements.scales
+            return np.asarray(self._measurements.smoothed[:, rows].T + moved)
         count, states = SETTINGS.inference.foretold_starts, len(self._low)
         unit = np.array([[_radical_inverse(index, base) for base in _primes(states)] for index in range(1, count + 1)])
         return np.asarray(self._low + unit * self._width)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from atoll.data.dataset import EXACT_ERROR, FloatArray
 from atoll_coordinator.model.inference.residuals import Check, ReferenceSmoother, check
-from atoll_coordinator.model.refinement import Constant, Grade, Prediction
+from atoll_coordinator.model.refinement import Chaos, Constant, Grade, Prediction
 from atoll_coordinator.model.settings import SETTINGS
 
 
@@ -35,7 +35,8 @@ class Evidence:
     Of the model: `constants`, as they are reported, and `unit_coefficients`, factors of one that are not written;
     `alternative` is how many nats longer the description is with the next best equation that is another function and
     has no more constants; `prediction` is how far the state can be foretold from other initial states, None where that
-    is not known; `is_known` tells that the equation was given.
+    is not known; `chaos` is what is known of a model whose courses
+    cannot be foretold for long; `is_known` tells that the equation was given.
     """
 
     error: float = math.inf
@@ -55,6 +56,7 @@ class Evidence:
     unit_coefficients: Sequence[Constant] = ()
     alternative: float | None = None
     prediction: Prediction | None = None
+    chaos: Chaos | None = None
     is_known: bool = False
     convergence_threshold: float = EXACT_ERROR
 
@@ -84,6 +86,7 @@ def _by_simulation(evidence: Evidence) -> tuple[Grade, str]:
         return "no model", f"Its simulation explains too little of the measurements (R2 {_r2(r2)})."
     objections = [
         *_objections_to_simulation(evidence, residuals),
+        *_objections_to_attractor(evidence.chaos),
         *_objections_to_prediction(evidence.prediction),
         *_objections_to_model(evidence),
     ]
@@ -165,6 +168,16 @@ def _objections_to_simulation(evidence: Evidence, residuals: Check) -> Iterator[
         yield f"about {share} of what it leaves follows a pattern (p = {residuals.patterned:.1g})"
 
 
+def _objections_to_attractor(chaos: Chaos | None) -> Iterator[str]:
+    """Yield what speaks against a model by a simulation far longer than errors of an initial state can be carried."""
+    if chaos is None or chaos.is_kept:
+        return
+    if chaos.probability is None:
+        yield "a long simulation runs away from what was measured"
+    else:
+        yield f"means or variances of a long simulation are not those measured (p = {chaos.probability:.1g})"
+
+
 def _objections_to_prediction(prediction: Prediction | None) -> Iterator[str]:
     """Yield what speaks against relying on the model elsewhere in the measured box, and what to measure."""
     if prediction is None:
@@ -187,6 +200,16 @@ def _unknown(prediction: Prediction | None) -> str:
     return (
         f"; from other initial states within the measured range it leads to {prediction.reached:.3g}, which was never "
         f"measured: measure from {_where(prediction)} to know"
+    )
+
+
+def _chaotic(chaos: Chaos | None) -> str:
+    """Return for how long a chaotic model foretells, behind a semicolon, or nothing."""
+    if chaos is None:
+        return ""
+    return (
+        f"; chaotic: errors grow e-fold in {chaos.lyapunov_time:.2g}, and a long simulation keeps the measured means "
+        "and variances"
     )
 
 
@@ -220,7 +243,7 @@ def _objections_to_model(evidence: Evidence) -> Iterator[str]:
 def _merit_of_simulation(evidence: Evidence, residuals: Check) -> str:
     left = residuals.standard_deviation / evidence.standard_deviation
     held_out = f"; {_unseen(evidence)}: R2 {_r2(evidence.held_out_r2)}" if evidence.held_out_r2 is not None else ""
-    held_out += _unknown(evidence.prediction)
+    held_out += _unknown(evidence.prediction) + _chaotic(evidence.chaos)
     if left <= SETTINGS.inference.negligible:
         return f"the simulation misses the measurements by {left:.1g} of their deviation{held_out}"
     if evidence.are_errors_summed:

@@ -16,6 +16,7 @@ from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import (
     Alternative,
+    Chaos,
     Correlation,
     Prediction,
     Refined,
@@ -74,6 +75,13 @@ def prediction(its: Prediction | None) -> dict[str, Any] | None:
         "is_disputed": its.is_disputed,
         "measure_from": dict(its.measure_from) if its.measure_from else None,
     }
+
+
+def chaos(its: Chaos | None) -> dict[str, Any] | None:
+    """Return what is known of a model whose courses cannot be foretold for long; None where they can be, or unknown."""
+    if its is None:
+        return None
+    return {"lyapunov_time": its.lyapunov_time, "is_kept": its.is_kept, "probability": finite(its.probability)}
 
 
 def candidates(alternatives: Sequence[Alternative], dataset: Dataset) -> list[dict[str, Any]]:

@@ -1,30 +1,49 @@
-"""How fast errors of a state grow along a fitted system: its largest Lyapunov exponent, from fitted pieces.
+"""How fast errors of a state grow along a fitted system: its largest Lyapunov exponent, from fitted segments.
 
-The sensitivities to a piece's initial state say what becomes of a small error by its end. Their largest singular value
-averages, in logarithm over all pieces, to the largest exponent times the length of a piece, beyond the first steps of
-which it is a little too large (Benettin et al. 1980).
+The sensitivities to a segment's initial state say what becomes of a small error by its end. An error is carried from
+segment to segment of a trajectory and made small again at each, so that it turns into the direction of fastest growth
+(Benettin et al. 1980). Of a trajectory of one segment there is only the growth of its own fastest direction, which is
+an upper limit.
 """
 
 import math
+from itertools import groupby
 
 import numpy as np
 
+from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 
 
 def growth_rate(fit: TrajectoryFit) -> float:
-    """Return the rate at which errors grow, in e-folds per unit of time, on average along all segments of `fit`.
+    """Return the rate at which errors grow, in e-folds per unit of time, on average over all trajectories of `fit`.
 
     Negative where they shrink; NaN without a segment of two rows.
     """
+    measurements = fit.estimator.measurements
     fitted, states = len(fit.system.places), len(fit.system.outputs)
-    times = fit.estimator.measurements.times
-    sensitivities = fit.integrated_sensitivities()[:, :, fitted : fitted + states]
-    scales = fit.estimator.measurements.scales
+    unit = measurements.scales[None, :] / measurements.scales[:, None]
+    sensitivities = fit.integrated_sensitivities()[:, :, fitted : fitted + states] * unit
+    long = [(first, end) for first, end in fit.segments.tolist() if end - first > 1]
     logarithms = duration = 0.0
-    for first, end in fit.segments.tolist():
-        if end - first > 1:
-            unit = sensitivities[end - 1] * scales[None, :] / scales[:, None]
-            logarithms += math.log(max(float(np.linalg.norm(unit, 2)), 1e-300))
-            duration += float(times[end - 1] - times[first])
+    for _, group in groupby(long, key=lambda rows: int(measurements.owners_of_rows[rows[0]])):
+        segments = list(group)
+        growths = _growths(np.array([sensitivities[end - 1] for _, end in segments]))
+        times = [float(measurements.times[end - 1] - measurements.times[first]) for first, end in segments]
+        logarithms += sum(growths)
+        duration += sum(times[-len(growths) :])
     return logarithms / duration if duration > 0.0 else math.nan
+
+
+def _growths(matrices: FloatArray) -> list[float]:
+    """Return the logarithms by which an error grows over each of these (S, D, D) but the first; of one, its largest."""
+    if len(matrices) == 1:
+        return [math.log(max(float(np.linalg.norm(matrices[0], 2)), 1e-300))]
+    error = np.linalg.svd(matrices[0])[0][:, 0]
+    found = []
+    for matrix in matrices[1:]:
+        error = matrix @ error
+        size = max(float(np.linalg.norm(error)), 1e-300)
+        error = error / size
+        found.append(math.log(size))
+    return found

@@ -61,6 +61,11 @@ class Measurements:
         """Number of rows of all trajectories."""
         return len(self.times)
 
+    @cached_property
+    def owners_of_rows(self) -> Ints:
+        """The trajectory (N,) that each row belongs to."""
+        return np.repeat(self.owners, self.bounds[:, 1] - self.bounds[:, 0])
+
     @property
     def relative_noise(self) -> FloatArray:
         """The noise over the states' standard deviations (O,)."""

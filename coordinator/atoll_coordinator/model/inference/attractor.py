@@ -1,0 +1,106 @@
+"""Whether a chaotic model stays on the attractor that was measured.
+
+Of a chaotic system no course can be foretold beyond some Lyapunov times, but averages can: a long simulation has the
+means and variances of the measurements, up to sampling errors. Both are compared by Welch's t, with averages over
+blocks that are long against the time in which errors grow.
+"""
+
+import math
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll_coordinator.model.refinement import Chaos
+from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+
+_BLOCKS: Final = 4
+"""Blocks of the longest trajectory; the variance of fewer is not known."""
+_MOST_ROWS: Final = 4_000
+"""Rows of the long simulation, at most."""
+
+
+def look_for_chaos(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos | None:
+    """Return what is to be said of a model whose errors grow at this `rate`; None where it has inputs.
+
+    Args:
+        fit: the model as it is shown, along the measured trajectories.
+        rate: e-folds per unit of time, above zero.
+        tolerance: error of an integration step over a state's standard deviation.
+    """
+    measurements = fit.estimator.measurements
+    if len(measurements.inputs):
+        return None
+    step = float(np.median(np.diff(measurements.times)[np.diff(measurements.owners_of_rows) == 0]))
+    lengths = np.bincount(measurements.owners_of_rows)
+    block = int(lengths.max()) // _BLOCKS
+    rows = min(max(measurements.rows, _BLOCKS * block), _MOST_ROWS)
+    simulated = _simulated(fit, rows, step, tolerance)
+    if simulated is None:
+        return Chaos(1.0 / rate, False, None)
+    measured = [measurements.smoothed[:, measurements.owners_of_rows == owner] for owner in range(len(lengths))]
+    centre = measurements.smoothed.mean(axis=1, keepdims=True)
+    probability = 1.0
+    for power in (1, 2):
+        ours = _block_means((simulated - centre) ** power, block)
+        theirs = np.concatenate([_block_means((each - centre) ** power, block) for each in measured], axis=1)
+        probability = min(probability, *_welch(ours, theirs))
+    is_kept = probability >= SETTINGS.inference.improbable / (2.0 * len(centre))
+    return Chaos(1.0 / rate, is_kept, probability)
+
+
+def _simulated(fit: TrajectoryFit, rows: int, step: float, tolerance: float) -> FloatArray | None:
+    """Return the states (D, rows) from the end of the last trajectory on; None where the simulation runs away."""
+    measurements = fit.estimator.measurements
+    estimator = along(measurements, step * np.arange(float(rows)), tolerance)
+    start = np.ascontiguousarray(fit.simulated[:, -1][None])
+    found = estimator.fit(fit.system.with_fixed_constants(), None, 0, start)
+    return found.simulated if found is not None and np.isfinite(found.simulated).all() else None
+
+
+def along(measurements: Measurements, times: FloatArray, tolerance: float) -> MultipleShooting:
+    """Return an estimator that simulates systems without inputs along these `times`, where nothing was measured."""
+    rows, count = len(times), len(measurements.observed)
+    low, high = measurements.smoothed.min(axis=1), measurements.smoothed.max(axis=1)
+    made = replace(
+        measurements,
+        bounds=np.array([[0, rows]], dtype=np.int64),
+        owners=np.zeros(1, dtype=np.int64),
+        times=times,
+        measured=np.zeros((count, rows)),
+        weights=np.ones((count, rows)),
+        smoothed=np.ascontiguousarray(np.linspace(low, high, rows).T),
+        offset=np.zeros(0, dtype=np.int64),
+        inputs=np.zeros((0, rows)),
+        input_slopes=np.zeros((0, rows)),
+        inverse_variances=None,
+        consistency=None,
+    )
+    return MultipleShooting(made, tolerance)
+
+
+def _block_means(values: FloatArray, block: int) -> FloatArray:
+    """Return the means (D, B) of whole blocks of rows."""
+    count = max(values.shape[1] // block, 1)
+    return np.array([part.mean(axis=1) for part in np.array_split(values[:, : count * block], count, axis=1)]).T
+
+
+def _welch(ours: FloatArray, theirs: FloatArray) -> list[float]:
+    """Return for each state the probability of means as different as these (B. L. Welch 1947)."""
+    from scipy import special
+
+    found = []
+    for one, other in zip(ours, theirs, strict=True):
+        shares = [each.var(ddof=1) / len(each) if len(each) > 1 else 0.0 for each in (one, other)]
+        total = sum(shares)
+        if not total > 0.0:
+            found.append(1.0)
+            continue
+        parts = zip(shares, (one, other), strict=True)
+        freedom = total**2 / sum(share**2 / max(len(each) - 1, 1) for share, each in parts)
+        found.append(2.0 * float(special.stdtr(freedom, -abs(one.mean() - other.mean()) / math.sqrt(total))))
+    return found
