@@ -164,6 +164,11 @@ def system_length(misfit: float, programs: Sequence[Program], constants: int, co
     return misfit + sum(map(structure_length, programs)) + constant_nats * constants
 
 
+def least_term_length(constant_nats: float) -> float:
+    """Return the length of the cheapest term that can be added to an equation, a constant times a variable."""
+    return 2.0 * _LEAF + 2.0 * _SIMPLE + constant_nats
+
+
 def constant_nats_of(rows: float) -> float:
     """Return the nats of a fitted constant that so many rows decide, each counted over its correlation length."""
     return 0.5 * math.log(max(rows, 2.0))

@@ -38,6 +38,11 @@ class CandidateSet:
         """All programs but a known one: front, runners-up, guesses."""
         return [*(member.program for member in self.front), *self.runners_up, *self.guesses]
 
+    @property
+    def nearest(self) -> list[Program]:
+        """The front, guesses, and the smallest of the runners-up, two for each member of the front."""
+        return [*(member.program for member in self.front), *self.guesses, *self.runners_up[: 2 * len(self.front)]]
+
     def origins(self, compared: Sequence[Program]) -> dict[bytes, Origin]:
         """Return by structure where programs come from, the first origin counts; `compared` are all candidates.
 

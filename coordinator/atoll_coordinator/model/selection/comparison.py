@@ -15,9 +15,9 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, structure
-from atoll_coordinator.model.criteria import TrajectoryMisfit, constant_nats_of, system_length
+from atoll_coordinator.model.criteria import TrajectoryMisfit, constant_nats_of, least_term_length, system_length
 from atoll_coordinator.model.settings import SETTINGS
-from atoll_coordinator.model.shooting.independence import ROUGHNESS_VARIANCE, count_pieces, roughness
+from atoll_coordinator.model.shooting.independence import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import System, system_of
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
@@ -60,6 +60,7 @@ class ModelComparison:
         self.counts: Final = measurements.weights.sum(axis=1)
         self.least_errors: Final = SETTINGS.selection.exact * measurements.scales[measurements.observed]
         self.pieces: Final = count_pieces(measurements)
+        self._spread: Final = 1.0 + 2.0 * np.sqrt(ROUGHNESS_VARIANCE / np.maximum(self.counts, 4.0))
         self.misfit = self._misfit(measurements.noise)
         self.constant_nats: Final = constant_nats_of(measurements.rows)
         self._map: Final = map if executor is None else executor.map
@@ -165,7 +166,7 @@ class ModelComparison:
 
     def _misfit(self, noise: FloatArray) -> TrajectoryMisfit:
         """Return the misfit of errors whose independent part has about the standard deviation `noise` (O,)."""
-        spread = 1.0 + 2.0 * np.sqrt(ROUGHNESS_VARIANCE / np.maximum(self.counts, 4.0))
+        spread = self._spread
         smallest = (
             SETTINGS.selection.least_noise * self.estimator.measurements.scales[self.estimator.measurements.observed]
         )
@@ -183,6 +184,24 @@ class ModelComparison:
         """Return how many rows count as one in the covariance of constants: 1 where errors are independent."""
         rows = self.misfit.effective_rows(model.fit.squares)
         return float(self.counts.sum() / min(rows.sum(), self.counts.sum()))
+
+    def has_room(self, model: FittedModel) -> bool:
+        """Tell whether a longer system could be a shorter description than `model`, by which the errors are calibrated.
+
+        Where the residuals are as small as the smoother's noise, it could at most explain what is slow in them beyond
+        what is so in independent errors; that must be worth the cheapest term. Where there is no such noise, only
+        errors of integration leave no room.
+        """
+        measurements = self.estimator.measurements
+        noise = np.sqrt(self.misfit.high)
+        if np.any(noise < 2.0 * SETTINGS.selection.least_noise * measurements.scales[measurements.observed]):
+            return not self.is_exact(model)
+        if np.any(model.fit.squares > self._spread * measurements.noise**2):
+            return True
+        shares, expected = slow_shares(measurements, model.fit.residuals, self.pieces)
+        left = np.minimum((1.0 - shares) / np.maximum(1.0 - expected, 1e-12), 1.0)
+        gain = self.misfit.total(model.fit.squares) - self.misfit.total(left * model.fit.squares)
+        return gain >= least_term_length(self.constant_nats)
 
     def is_exact(self, model: FittedModel) -> bool:
         """Tell whether all errors are those of the integration."""

@@ -117,13 +117,24 @@ class ModellingTask:
 def ranked_candidates(task: ModellingTask) -> list[list[Program]]:
     """Return the candidates of each variable, the best first.
 
-    Where the equations of converged searches give the trajectories up to errors of integration, there are no others.
+    Where the equations of converged searches give the trajectories up to errors of integration, there are no others;
+    where a system of the fronts and of some runners-up leaves noise alone, there are none but these.
     """
     converged = [_converged(task, name) for name in task.variables]
     found = [program for program in converged if program is not None]
     if len(found) == len(converged) and _is_exact(task, found):
         return [[program] for program in found]
-    return [_compared(task, name) for name in task.variables]
+    nearest = [_compared(task, name, is_brief=True) for name in task.variables]
+    return nearest if _suffice(task, nearest) else [_compared(task, name) for name in task.variables]
+
+
+def _suffice(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> bool:
+    """Tell whether a system of these candidates leaves nothing that a longer one could be worth its length for."""
+    comparison = task.compare(
+        task.measurements(task.variables).thinned(SETTINGS.selection.compared_rows), task.variables
+    )
+    best = _combined(comparison, lists) if all(lists) else None
+    return best is not None and not comparison.has_room(comparison.calibrate(best))
 
 
 def search_jointly(
@@ -148,7 +159,9 @@ def search_jointly(
     best = exchange(comparison, comparison.calibrate(best), lists)
     best = comparison.calibrate(best)
     if not comparison.is_exact(best) and not is_hopeless(SelectedModel(task, comparison, best)):
-        best = _search_locally(task, comparison, best, lists)
+        best = (
+            _search_locally(task, comparison, best, lists) if comparison.has_room(best) else _reduced(comparison, best)
+        )
     best = comparison.fit_beside(best, best.programs, 40) or best
     return SelectedModel(task, comparison, best, lists)
 
@@ -165,17 +178,17 @@ def _converged(task: ModellingTask, name: str) -> Program | None:
     return None
 
 
-def _compared(task: ModellingTask, name: str) -> list[Program]:
-    """Return all candidates of one variable, the best first."""
+def _compared(task: ModellingTask, name: str, *, is_brief: bool = False) -> list[Program]:
+    """Return all candidates of one variable, the best first; if it `is_brief`, no libraries and few runners-up."""
     if name in task.known:
         return [task.known[name]]
     problem = task.dataset.problem(name)
     programs = [task.settled[name].program] if name in task.settled else []
-    programs += task.candidates[name].programs
+    programs += task.candidates[name].nearest if is_brief else task.candidates[name].programs
     programs += [law.program for law in task.laws.get(name, ())]
     measurements = task.measurements([name]).thinned(SETTINGS.selection.compared_rows)
     comparison = task.compare(measurements, [name])
-    best = ranked(comparison, problem, programs, _libraries(task, name, measurements))
+    best = ranked(comparison, problem, programs, () if is_brief else _libraries(task, name, measurements))
     return [program for program in best if task.may_be_shown(program)]
 
 
@@ -250,9 +263,15 @@ def _search_locally(
     for equation in equations:
         best = _restarted(comparison, descent, best, equation, lists[equation])
     best = exchange(comparison, best, lists)
-    last = LocalSearch(comparison, around, comparison.estimator.work + SETTINGS.selection.reduction_work)
-    for equation in equations:
-        best = last.reduce(best, equation)
+    return _reduced(comparison, best)
+
+
+def _reduced(comparison: ModelComparison, best: FittedModel) -> FittedModel:
+    """Return a system with whatever its equations can do without left out."""
+    last = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work + SETTINGS.selection.reduction_work)
+    for equation in range(len(best.programs)):
+        if equation not in comparison.fixed:
+            best = last.reduce(best, equation)
     return best
 
 

@@ -35,6 +35,31 @@ def roughness(measurements: Measurements, residuals: FloatArray) -> FloatArray:
     return found
 
 
+def slow_shares(measurements: Measurements, residuals: FloatArray, pieces: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the share of the residuals' squares (O,) that slow waves explain, and that of independent errors.
+
+    What a law leaves out moves a state no faster than its derivative varies, hence is a sum of about `pieces` (O,)
+    cosines along the rows, and three more along each trajectory, whose initial state and constants take up the slowest.
+    They explain their number over that of the rows of the squares of independent errors, on average.
+    """
+    shares, expected = np.zeros(len(residuals)), np.zeros(len(residuals))
+    for state, (values, weights) in enumerate(zip(residuals, measurements.weights, strict=True)):
+        explained, total, taken, rows = 0.0, 0.0, 0, 0
+        for first, end in measurements.bounds.tolist():
+            known = weights[first:end] > 0.0
+            roots, count = np.sqrt(weights[first:end])[known], int(known.sum())
+            waves = min(count, 3 + round(float(pieces[state]) * (end - first) / measurements.rows))
+            places = (np.arange(end - first) + 0.5)[known] * (math.pi / (end - first))
+            basis = np.linalg.qr(roots[:, None] * np.cos(places[:, None] * np.arange(waves)))[0]
+            scaled = values[first:end][known] * roots
+            explained += float(((scaled @ basis) ** 2).sum())
+            total += float(scaled @ scaled)
+            taken, rows = taken + waves, rows + count
+        shares[state] = explained / total if total > 0.0 else 0.0
+        expected[state] = taken / max(rows, 1)
+    return shares, expected
+
+
 def count_pieces(measurements: Measurements) -> FloatArray:
     """Return how many independent numbers (O,) errors are that vary as the states' derivatives do.
 

@@ -184,3 +184,30 @@ def test_a_constant_beside_redundant_ones_keeps_its_variance():
     variances = np.diag(covariance(fit)).tolist()
     assert len(variances) == len(made.places) > 3
     assert np.isinf(variances).tolist() == [True, True, *[False] * (len(variances) - 2)]
+
+
+def calibrated(its: ModelComparison, *programs: Program) -> FittedModel:
+    model = its.fit_model(list(programs), 40)
+    assert model is not None
+    return its.calibrate(model)
+
+
+def long_lotka(noise: float, seed: int = 0) -> ModelComparison:
+    return compare(LOTKA, measurements(LOTKA, STARTS, 0.05 * np.arange(150.0), noise=noise, seed=seed), 1e-10)
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_where_noise_alone_is_left_no_longer_system_is_worth_looking_for(seed):
+    its = long_lotka(NOISE, seed)
+    assert not its.has_room(calibrated(its, TRUTH, OTHER))
+
+
+def test_what_is_left_beyond_noise_gives_room_for_a_longer_system():
+    its = long_lotka(NOISE, 1)
+    assert its.has_room(calibrated(its, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER))
+
+
+def test_without_noise_only_errors_of_integration_leave_no_room():
+    its = long_lotka(0.0)
+    assert not its.has_room(calibrated(its, TRUTH, OTHER))
+    assert its.has_room(calibrated(its, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER))
