@@ -191,9 +191,20 @@ def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> _
         other = None if opened is None else _show(comparison, best, opened)
         if other is not None and other.fit.misfit <= shown.fit.misfit:
             shown = other
+        shown = _shortened(whole.task, comparison, best, shown)
         task, seen, fit = _simulate(whole.task, comparison, shown)
         return _Final(task, ranking, origins, _unseen(task), comparison, shown, seen, fit)
     return None
+
+
+def _shortened(task: ModellingTask, comparison: ModelComparison, near: FittedModel, shown: _Shown) -> _Shown:
+    """Return what is shown without constants that are one or equal as rounded, if the description is no longer."""
+    programs = shown.rounded.programs
+    shorter = tuple(_shortest(task, comparison, equation, program) for equation, program in enumerate(programs))
+    if sum(map(len, shorter)) >= sum(map(len, programs)):
+        return shown
+    other = _show(comparison, near, shorter)
+    return shown if other is None or other.fit.nats > shown.fit.nats else other
 
 
 def _simulate(

@@ -2,6 +2,8 @@
 
 import math
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,13 +17,24 @@ from atoll.search.pareto import FrontEntry
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference import conclusion
-from atoll_coordinator.model.inference.conclusion import _no_elaborations, _standard_deviation
+from atoll_coordinator.model.inference.conclusion import _no_elaborations, _shortened, _show, _standard_deviation
+from atoll_coordinator.model.inference.simulation import fit_starts
 from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.refinement import Alternative, Pool
 from atoll_coordinator.model.selection import joint_search
 from atoll_coordinator.model.selection.candidates import collect_candidates, form
 from tests.unit.coordinator.model.fitting import settings
-from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, pools, table
+from tests.unit.coordinator.model.shooting.made import (
+    DECAY,
+    DRIVEN,
+    LOTKA,
+    SWING,
+    Known,
+    compare,
+    measurements,
+    pools,
+    table,
+)
 
 TIMES = 0.1 * np.arange(40.0)
 ARITHMETIC = SpaceConfig(operators=("+", "-", "*"))
@@ -356,3 +369,19 @@ def test_a_pole_within_the_data_is_said(monkeypatch):
     monkeypatch.setattr(conclusion, "find_poles", lambda *_: [DECAY.parsed("x - 0.5")])
     its = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
     assert its.warnings == ("The equation of x has a pole within the region that was measured, where x - 0.5 is 0.",)
+
+
+def test_a_factor_that_is_one_as_rounded_is_left_out():
+    its = compare(SWING, measurements(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES, noise=0.02, seed=110), 1e-5)
+    near = its.fit_model([from_infix(text, SWING.names) for text in ("1.001*y", "-2.1*x - 0.3*y")])
+    assert near is not None
+    fit = fit_starts(its, (from_infix("1.0*y", SWING.names), near.programs[1]), near.fit)
+    assert fit is not None
+    shown = _show(its, near, near.programs)
+    assert shown is not None
+    rounded = replace(shown.rounded, programs=fit.system.programs)
+    shown = replace(shown, rounded=rounded, fit=its.measure(fit))
+    task = SimpleNamespace(dataset=SimpleNamespace(inputs=np.ones((2, 3))), may_be_shown=lambda _: True)
+    after = _shortened(task, its, near, shown)
+    assert SWING.text(after.rounded.programs[0]) == "y"
+    assert _shortened(task, its, near, after) is after
