@@ -351,6 +351,7 @@ def _refined(
     variance = problem.target.standard_deviation**2
     smoothing = task.recording.smoothing[task.recording.states.index(name)]
     measurements = final.seen.estimator.measurements
+    noise = float(measurements.noise[index])
     evidence = Evidence(
         error=error / problem.target.standard_deviation,
         target_uncertainty=problem.target.uncertainty,
@@ -358,9 +359,9 @@ def _refined(
         target_r2=1.0 - mse / variance if variance else None,
         residuals=_residuals(measurements, final.seen_fit, index),
         parameters=(len(final.free.fit.system.places) + final.seen_fit.starts.size) / len(measurements.observed),
-        noise=0.0 if smoothing.method == "interpolation" and smoothing.quantisation is None else smoothing.noise,
+        noise=0.0 if smoothing.method == "interpolation" and smoothing.quantisation is None else noise,
         standard_deviation=_standard_deviation(measurements, index),
-        reference=_reference_smoother(smoothing),
+        reference=_reference_smoother(smoothing, noise),
         are_errors_summed=len(final.comparison.estimator.measurements.bounds) > len(measurements.bounds),
         has_outliers=smoothing.outliers > 0,
         held_out_r2=held_out_r2,
@@ -380,11 +381,15 @@ def _refined(
     )  # fmt: skip
 
 
-def _reference_smoother(smoothing: Smoothing) -> ReferenceSmoother | None:
-    """Return the smoother with a narrower span than the selected one; None where the state was interpolated."""
+def _reference_smoother(smoothing: Smoothing, noise: float) -> ReferenceSmoother | None:
+    """Return the smoother with a narrower span than the selected one; None where the state was interpolated.
+
+    `noise` is that of a row of weight 1 by the selected one.
+    """
     if smoothing.degree is None or not smoothing.narrower_span:
         return None
-    return ReferenceSmoother(smoothing.narrower_span, smoothing.degree, smoothing.narrower_noise)
+    narrower = smoothing.narrower_noise * (noise / smoothing.noise if smoothing.noise > 0.0 else 1.0)
+    return ReferenceSmoother(smoothing.narrower_span, smoothing.degree, narrower)
 
 
 def _no_elaborations(program: Program, alternatives: Sequence[Alternative]) -> list[Alternative]:
@@ -402,7 +407,7 @@ def _residuals(measurements: Measurements, fit: TrajectoryFit, index: int) -> li
     residuals = (
         fit.residuals[index]
         if measurements.inverse_variances is None
-        else fit.residuals[index] * np.sqrt(measurements.inverse_variances)
+        else fit.residuals[index] * np.sqrt(measurements.inverse_variances[index])
     )
     parts = [residuals[rows][measurements.weights[index, rows] > 0.0] for rows in pieces]
     return [part for part in parts if len(part)]

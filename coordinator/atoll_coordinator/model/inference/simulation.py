@@ -88,7 +88,7 @@ def r2_of(measurements: Measurements, fit: TrajectoryFit, rows: FloatArray | sli
         inverse_variances = (
             np.ones(len(values))
             if measurements.inverse_variances is None
-            else measurements.inverse_variances[rows][weights > 0.0]
+            else measurements.inverse_variances[state, rows][weights > 0.0]
         )
         mean = float((inverse_variances * values).sum() / inverse_variances.sum()) if len(values) else 0.0
         spread = float((inverse_variances * (values - mean) ** 2).sum())

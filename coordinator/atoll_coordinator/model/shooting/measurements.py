@@ -16,6 +16,7 @@ from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.data.recording import Recording, Trajectory
 from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.model.shooting.variance import VarianceModel, estimate_variance
 
 _LARGEST_SHARE: Final = 0.1
 """Variance of normal errors over the squared reach of robustness weights, at most: beyond, what lies outside of the
@@ -31,7 +32,7 @@ class Measurements:
     `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured, and `offset` (K,) which of these up
     to an offset. `scales` (D,) are the states' standard deviations, `noise` (O,) the smoother's estimate of that of
     the measurement errors; `has_smoothed_inputs` tells that states without an equation are inputs as smoothed.
-    `inverse_variances` (N,) divide the variance of the errors of each
+    `inverse_variances` (O, N) divide the variance of the errors of each
     row, 1 on average over the recording; they are part of `weights`. `consistency` (O,) is the weighted mean square of
     normal errors over their variance, less than one where robustness weights reduce the large ones; None: one for all
     states. `input_slopes` belong to `inputs` (U, N).
@@ -127,7 +128,9 @@ class Measurements:
             times=np.ascontiguousarray(self.times[rows]),
             measured=np.ascontiguousarray(self.measured[:, rows]),
             weights=np.ascontiguousarray(self.weights[:, rows]),
-            inverse_variances=None if self.inverse_variances is None else self.inverse_variances[rows],
+            inverse_variances=None
+            if self.inverse_variances is None
+            else np.ascontiguousarray(self.inverse_variances[:, rows]),
             smoothed=np.ascontiguousarray(self.smoothed[:, rows]),
             inputs=np.ascontiguousarray(self.inputs[:, rows]),
             input_slopes=np.ascontiguousarray(self.input_slopes[:, rows]),
@@ -160,14 +163,19 @@ def measurements_of(
         inputs.append(_stacked(part.slopes[others] for part in parts))
         slopes.append(_stacked(_gradients(part, others) for part in parts))
     smoothed = np.concatenate(states)
-    noise = np.array([recording.smoothing[index].noise for index in chosen])
+    variances = [estimate_variance(recording, index) for index in chosen]
+    inverse = _inverse_variances(parts, chosen, variances)
+    weights = _stacked(_robustness_weights(part, chosen) for part in parts)
+    noise = np.array(
+        [recording.smoothing[index].noise * its.scale for index, its in zip(chosen, variances, strict=True)]
+    )
     bounds, owners = _pieces([len(part.times) for part in parts], piece)
     whole = Measurements(
         bounds=bounds,
         owners=owners,
         times=np.concatenate([part.times for part in parts]),
         measured=measured,
-        weights=_stacked(_robustness_weights(part, chosen) for part in parts),
+        weights=weights if inverse is None else weights * inverse,
         smoothed=np.ascontiguousarray(smoothed),
         observed=np.arange(len(chosen), dtype=np.int64),
         inputs=np.ascontiguousarray(np.concatenate(inputs)),
@@ -180,7 +188,7 @@ def measurements_of(
         variables=_variables(recording, chosen, others),
         names=tuple(part.name for part in parts),
         has_smoothed_inputs=bool(others),
-        inverse_variances=_inverse_variances(parts),
+        inverse_variances=inverse,
         consistency=_consistency(parts, chosen),
     )
     return _where_inputs_are_known(whole, parts, others)
@@ -220,8 +228,7 @@ def _variables(recording: Recording, chosen: list[int], others: list[int]) -> tu
 def _robustness_weights(part: Trajectory, chosen: list[int]) -> FloatArray:
     """Return how much each measurement counts: nothing where it is missing, little where smoothing met an outlier."""
     measured = np.isfinite(part.measured[chosen]).astype(np.float64)
-    believed = measured if part.robustness_weights is None else measured * part.robustness_weights[chosen]
-    return believed if part.weights is None else believed * part.weights
+    return measured if part.robustness_weights is None else measured * part.robustness_weights[chosen]
 
 
 def _consistency(parts: Sequence[Trajectory], chosen: list[int]) -> FloatArray | None:
@@ -247,10 +254,19 @@ def _consistency(parts: Sequence[Trajectory], chosen: list[int]) -> FloatArray |
     return np.array(factors)
 
 
-def _inverse_variances(parts: Sequence[Trajectory]) -> FloatArray | None:
-    if all(part.weights is None for part in parts):
+def _inverse_variances(
+    parts: Sequence[Trajectory], chosen: list[int], variances: Sequence[VarianceModel]
+) -> FloatArray | None:
+    """Return the inverse variances (O, N): weights that were given, or what smoothing shows; None where all are 1."""
+    if all(part.weights is None for part in parts) and not any(its.proportional for its in variances):
         return None
-    return np.concatenate([np.ones(len(part.times)) if part.weights is None else part.weights for part in parts])
+    by_value = (
+        [its.weights(part.smoothed[index]) for index, its in zip(chosen, variances, strict=True)] for part in parts
+    )
+    return _stacked(
+        np.array(its) if part.weights is None else np.array(its) * part.weights
+        for part, its in zip(parts, by_value, strict=True)
+    )
 
 
 def _stacked(arrays: Iterator[FloatArray]) -> FloatArray:

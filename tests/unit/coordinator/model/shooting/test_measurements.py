@@ -197,6 +197,6 @@ def test_rows_count_by_their_weights_and_by_their_robustness_weights():
     found = measurements_of(weighed, [0, 1])
     assert found.weights[0, : len(TIMES)] == pytest.approx(weights)
     assert found.weights[1, 2] == pytest.approx(0.25 * weights[2])
-    assert found.inverse_variances == pytest.approx(np.tile(weights, 2))
-    assert found.part([1]).inverse_variances == pytest.approx(weights)
+    assert found.inverse_variances == pytest.approx(np.tile(weights, (2, 2)))
+    assert found.part([1]).inverse_variances == pytest.approx(np.tile(weights, (2, 1)))
     assert measurements_of(its, [0, 1]).inverse_variances is None

@@ -1,0 +1,68 @@
+"""How the errors of a measured state grow with its value: a constant and a proportional part. Pure.
+
+The variance of a row is a^2 + b^2 x^2, the two-component model of analytical chemistry (Rocke & Lorenzato 1995), with
+the smoothed value x. It is fitted to what smoothing leaves, which does not depend on any law.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll_coordinator.data.recording import Recording
+
+_SHARES: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99)
+"""Proportional shares that are tried; at the last, errors at zero are a tenth of those at the root mean square."""
+
+
+@dataclass(frozen=True)
+class VarianceModel:
+    """Errors of one state: the `proportional` share of their variance where the state is as large as its `rms`.
+
+    `mean` is the mean of inverse variances over the rows of the recording, so that weights are 1 on average. `scale` is
+    the standard deviation in a row of weight 1 over that of all rows alike.
+    """
+
+    proportional: float = 0.0
+    rms: float = 1.0
+    mean: float = 1.0
+    scale: float = 1.0
+
+    def weights(self, values: FloatArray) -> FloatArray:
+        """Return the inverse variances of rows with these smoothed values, 1 on average over the recording."""
+        return np.asarray(_inverse(values / self.rms, self.proportional) / self.mean)
+
+
+def estimate_variance(recording: Recording, state: int) -> VarianceModel:
+    """Return the variances of the errors of a state (index), by the residuals of its smoothing.
+
+    A proportional part is described by one number, which takes 1/2 ln n nats (Schwarz 1978). There is none where the
+    state was interpolated, where outliers have lost their weight, or where rows have weights.
+    """
+    parts = [each for each in recording.trajectories if not each.held_out]
+    is_given = any(each.weights is not None for each in parts)
+    if is_given or recording.smoothing[state].method != "loess":
+        return VarianceModel()
+    residuals = np.concatenate([each.measured[state] - each.smoothed[state] for each in parts])
+    values = np.concatenate([each.smoothed[state] for each in parts])
+    known = np.isfinite(residuals)
+    residuals, values = residuals[known], values[known]
+    rms, square = float(np.sqrt(np.mean(values**2))), float(np.mean(residuals**2))
+    if not (rms > 0.0 and square > 0.0):
+        return VarianceModel()
+    count = len(residuals)
+    best, shortest = VarianceModel(), 0.5 * count * math.log(square) - 0.5 * math.log(count)
+    for share in _SHARES:
+        inverse = _inverse(values / rms, share)
+        weighted = float(np.mean(inverse * residuals**2))
+        length = 0.5 * count * math.log(weighted) - 0.5 * float(np.log(inverse).sum())
+        if length < shortest:
+            mean = float(inverse.mean())
+            best, shortest = VarianceModel(share, rms, mean, math.sqrt(weighted / mean / square)), length
+    return best
+
+
+def _inverse(relative: FloatArray, share: float) -> FloatArray:
+    return np.asarray(1.0 / (1.0 - share + share * relative * relative))

@@ -1,0 +1,57 @@
+"""Errors that grow with the value are seen in what smoothing leaves; others are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from atoll_coordinator.model.shooting.measurements import measurements_of
+from atoll_coordinator.model.shooting.variance import estimate_variance
+from tests.unit.coordinator.model.shooting.made import LOTKA, recording
+
+STARTS = [[10.0, 5.0], [6.0, 2.0]]
+TIMES = np.linspace(0.0, 12.0, 200)
+
+
+def measured(proportional, constant=0.0, seed=0):
+    """Return a recording whose first state has errors of both kinds, smoothed exactly."""
+    exact, draw = recording(LOTKA, STARTS, TIMES), np.random.default_rng(seed)
+    parts = []
+    for part in exact.trajectories:
+        sizes = np.sqrt(constant**2 + (proportional * part.measured) ** 2)
+        noisy = part.measured + sizes * draw.standard_normal(part.measured.shape)
+        parts.append(replace(part, measured=noisy, smoothed=part.measured))
+    smoothing = tuple(replace(each, method="loess", noise=0.1) for each in exact.smoothing)
+    return replace(exact, trajectories=tuple(parts), smoothing=smoothing)
+
+
+def test_proportional_errors_are_found_and_weighted():
+    its = measured(0.05)
+    model = estimate_variance(its, 0)
+    assert model.proportional >= 0.9
+    layout = measurements_of(its, [0, 1])
+    errors = (layout.measured - layout.smoothed) ** 2 * layout.weights
+    low = layout.smoothed[0] < np.median(layout.smoothed[0])
+    assert errors[0, low].mean() == pytest.approx(errors[0, ~low].mean(), rel=0.4)
+    assert layout.inverse_variances.mean() == pytest.approx(1.0)
+
+
+def test_a_constant_part_beside_it_is_told_apart():
+    found = [estimate_variance(measured(0.05, 0.03, seed), 0) for seed in range(20)]
+    assert [each.proportional > 0.0 for each in found].count(True) >= 18
+    true = (0.05 * found[0].rms) ** 2 / ((0.05 * found[0].rms) ** 2 + 0.03**2)
+    assert np.median([each.proportional for each in found]) == pytest.approx(true, abs=0.15)
+
+
+def test_equal_errors_are_hardly_ever_taken_for_proportional_ones():
+    found = [estimate_variance(measured(0.0, 0.2, seed), 0).proportional for seed in range(40)]
+    assert sum(share > 0.0 for share in found) <= 4
+
+
+def test_rows_with_weights_or_interpolated_states_stay_as_they_are():
+    its = measured(0.05)
+    clean = replace(its, smoothing=tuple(replace(each, method="interpolation") for each in its.smoothing))
+    given = replace(its, trajectories=tuple(replace(part, weights=np.ones(200)) for part in its.trajectories))
+    assert estimate_variance(clean, 0).proportional == 0.0
+    assert estimate_variance(given, 0).proportional == 0.0
+    assert measurements_of(clean, [0]).inverse_variances is None
