@@ -194,6 +194,26 @@ class Simulated:
     offsets: Mapping[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class StateErrors:
+    """What the shown model's residuals say of the errors of one state.
+
+    `sd` is their standard deviation in a row of average weight, in the state's unit; `proportional` the share of their
+    variance that grows with the square of the value, where the state is as large as its root mean square; `correlated`
+    the share that goes together between neighbouring rows, over about `rows` rows (None where there is none);
+    `independent_rows` as how many rows they decide. `are_summed`: they add up along trajectories, as a solver's do, and
+    `sd` is that within pieces of `piece` rows, to which constants were fitted.
+    """
+
+    sd: float
+    proportional: float
+    correlated: float
+    rows: float | None
+    independent_rows: float
+    are_summed: bool
+    piece: int | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Simulation:
     """The model's simulations of all trajectories; `states` are the column names in the order of their rows.
@@ -213,6 +233,7 @@ class Refinement:
     equations: Mapping[str, Refined] = field(default_factory=dict)
     simulation: Simulation | None = None
     correlations: tuple[Correlation, ...] = ()
+    errors: Mapping[str, StateErrors] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     chaos: Chaos | None = None
     end: RefiningEnd = "finished"

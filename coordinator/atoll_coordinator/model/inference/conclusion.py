@@ -38,6 +38,7 @@ from atoll_coordinator.model.refinement import (
     Refinement,
     Simulated,
     Simulation,
+    StateErrors,
 )
 from atoll_coordinator.model.regression.covariance import Known, student_95
 from atoll_coordinator.model.regression.errors import errors_on
@@ -52,6 +53,7 @@ from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.lyapunov import growth_rate
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_coordinator.model.shooting.variance import estimate_variance
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.model.structure.unit_coefficients import (
     ExplicitCoefficients,
@@ -159,6 +161,7 @@ def summarize(selection: SelectedModel) -> Refinement | None:
             student_95(errors.freedom),
         ),
         find_correlations(final.comparison, task.variables, final.explicit, errors),
+        _state_errors(final),
         (*remarks(task), *_pole_remarks(final)),
         chaos,
     )
@@ -171,6 +174,27 @@ def _pole_remarks(final: _Final) -> Iterator[str]:
         for part in find_poles(program, dataset.inputs):
             where = to_infix(part, dataset.names)
             yield f"The equation of {name} has a pole within the region that was measured, where {where} is 0."
+
+
+def _state_errors(final: _Final) -> dict[str, StateErrors]:
+    """Return what is known of the errors of each state, by name."""
+    comparison, fit = final.comparison, final.free.fit
+    bounds = comparison.estimator.measurements.bounds
+    are_summed = len(bounds) > len(final.seen.estimator.measurements.bounds)
+    rows = np.minimum(comparison.misfit.effective_rows(fit.squares), comparison.counts / fit.errors.lengths)
+    found = {}
+    for index, name in enumerate(final.task.variables):
+        share, decay = float(fit.errors.shares[index]), float(fit.errors.decays[index])
+        found[name] = StateErrors(
+            float(np.sqrt(fit.squares[index])),
+            estimate_variance(final.task.recording, final.task.recording.states.index(name)).proportional,
+            share,
+            1.0 / (1.0 - decay) if share else None,
+            float(rows[index]),
+            are_summed,
+            int((bounds[:, 1] - bounds[:, 0]).max()) if are_summed else None,
+        )
+    return found
 
 
 def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> _Final | None:

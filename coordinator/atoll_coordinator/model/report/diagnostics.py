@@ -4,11 +4,12 @@ Plain dictionaries, lists, texts and numbers for ``result.json``; a number that 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.recording import ExcludedRow, Quantisation, Recording, Smoothing
+from atoll_coordinator.model.refinement import StateErrors
 from atoll_coordinator.model.report.numbers import curve, finite, thinned
 
 MOST_ROWS: Final = 2_000
@@ -21,11 +22,31 @@ MOST_EXCLUDED: Final = 2_000
 """Excluded rows of a state that are listed by their times."""
 
 
-def noise(recording: Recording | None) -> dict[str, Any]:
-    """Return what is known of the measurement errors of each state; empty when no state was measured in time."""
+def noise(recording: Recording | None, errors: Mapping[str, StateErrors]) -> dict[str, Any]:
+    """Return what is known of the measurement errors of each state; empty when no state was measured in time.
+
+    `errors` are what the residuals of the shown model say of them, by state.
+    """
     if recording is None:
         return {}
-    return {each.state: _noise(recording, index, each) for index, each in enumerate(recording.smoothing)}
+    return {
+        each.state: {**_noise(recording, index, each), "errors": _errors(errors.get(each.state))}
+        for index, each in enumerate(recording.smoothing)
+    }
+
+
+def _errors(its: StateErrors | None) -> dict[str, Any] | None:
+    if its is None:
+        return None
+    return {
+        "sd": finite(its.sd),
+        "proportional": its.proportional,
+        "correlated": its.correlated,
+        "correlation_rows": None if its.rows is None else finite(its.rows),
+        "independent_rows": finite(its.independent_rows),
+        "add_up": its.are_summed,
+        "piece": its.piece,
+    }
 
 
 def _noise(recording: Recording, index: int, its: Smoothing) -> dict[str, Any]:

@@ -102,7 +102,7 @@ def build_result(
         "state": account.state,
         "reason": account.reason,
         "equations": [_equation(config, preparation, outcome, account.state) for outcome in outcomes],
-        "noise": noise(preparation.recording),
+        "noise": noise(preparation.recording, model.errors),
         "smoothing": smoothing(preparation.recording),
         "correlations": correlations(model.correlations),
         "simulation": simulation(model.simulation, preparation.recording),

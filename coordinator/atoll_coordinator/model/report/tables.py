@@ -167,6 +167,8 @@ def summary(result: Mapping[str, Any]) -> list[str]:
     if noisy:
         parts = ", ".join(f"{state} {percent(its['relative'])}" for state, its in noisy.items())
         lines.append(f"noise: {parts} of the deviation")
+    texts = {state: _error_text(its.get("errors")) for state, its in result.get("noise", {}).items()}
+    lines += [f"errors of {state}{text.replace(';', ':', 1)}" for state, text in texts.items() if text]
     if any(equation.get("verdict") != "exact" for equation in result["equations"]):
         lines += _simulation_line(_trajectories(result))
     return lines
@@ -199,6 +201,24 @@ _ROUNDINGS: Final = {
 }
 
 
+def _error_text(errors: Mapping[str, Any] | None) -> str:
+    """Return in words how errors differ from independent ones of one size, nothing where they do not."""
+    if errors is None:
+        return ""
+    parts = []
+    if errors["proportional"]:
+        parts.append(f"{percent(errors['proportional'])} of their variance grows with the value squared")
+    if errors["add_up"]:
+        size = f"{errors['sd']:.2g} within {errors['piece']} rows"
+        parts.append(f"errors add up along trajectories, as those of a solver do: {size}")
+    elif errors["correlated"]:
+        rows = max(2, round(errors["correlation_rows"]))
+        what = "errors" if errors["correlated"] == 1.0 else f"{percent(errors['correlated'])} of the errors' variance"
+        verb = "go" if what == "errors" else "goes"
+        parts.append(f"{what} of neighbouring rows {verb} together over about {rows} rows")
+    return "".join(f"; {part}" for part in parts)
+
+
 def _noise_text(its: Mapping[str, Any]) -> str:
     rounding = its.get("quantisation")
     if its["method"] == "interpolation":
@@ -209,6 +229,7 @@ def _noise_text(its: Mapping[str, Any]) -> str:
         text = f"{size}, {percent(its['relative'])} of its deviation; {its['method']}"
         text += f" of degree {its['degree']} over {its['span']} rows"
         text += _residual_text(its)
+    text += _error_text(its.get("errors"))
     if rounding is not None:
         text += f"; {_ROUNDINGS[rounding['kind']].format(rounding['step'])}"
     if its["doubtful_rows"]:

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.recording import ExcludedRow, Recording, Smoothing, Trajectory
+from atoll_coordinator.model.refinement import StateErrors
 from atoll_coordinator.model.report.diagnostics import MOST_EXCLUDED, MOST_ROWS, noise, smoothing
+from atoll_coordinator.model.report.tables import noise_lines
 
 
 def trajectory(rows: int, name: str = "1", held_out: bool = False) -> Trajectory:
@@ -26,7 +28,7 @@ def recording(*trajectories: Trajectory, excluded: tuple[ExcludedRow, ...] = (),
 
 
 def test_noise_is_said_of_each_state() -> None:
-    found = noise(recording(trajectory(101)))
+    found = noise(recording(trajectory(101)), {})
     assert [*found] == ["x", "y"]
     assert found["x"] == {
         "sd": 0.1,
@@ -40,23 +42,24 @@ def test_noise_is_said_of_each_state() -> None:
         "doubtful_rows": 4,
         "outliers": 1,
         "doubtful": [],
+        "errors": None,
     }
     assert found["y"]["largest_residual"] is None
-    assert noise(None) == {}
+    assert noise(None, {}) == {}
 
 
 def test_the_largest_residual_is_found_in_time() -> None:
     its, other = trajectory(101), trajectory(101, "2")
     other.measured[0, 30] = other.smoothed[0, 30] - 0.7
-    found = noise(recording(its, other))["x"]["largest_residual"]
+    found = noise(recording(its, other), {})["x"]["largest_residual"]
     assert found == {"value": pytest.approx(-0.7), "trajectory": "2", "time": pytest.approx(98.0)}
     hidden = trajectory(101, "3", held_out=True)
     hidden.measured[0, 0] = 9.0
-    assert noise(recording(its, other, hidden))["x"]["largest_residual"] == found
+    assert noise(recording(its, other, hidden), {})["x"]["largest_residual"] == found
 
 
 def test_a_span_beyond_the_longest_trajectory_is_all_of_it() -> None:
-    assert noise(recording(trajectory(60), trajectory(101), span=366))["x"]["span"] == 101
+    assert noise(recording(trajectory(60), trajectory(101), span=366), {})["x"]["span"] == 101
 
 
 def test_doubtful_rows_stand_by_trajectory_and_reason() -> None:
@@ -66,7 +69,7 @@ def test_doubtful_rows_stand_by_trajectory_and_reason() -> None:
         ExcludedRow(0, 50, "jump"),
         ExcludedRow(1, 100, "end"),
     )
-    found = noise(recording(trajectory(101), trajectory(101, "2b"), excluded=excluded))["x"]["doubtful"]
+    found = noise(recording(trajectory(101), trajectory(101, "2b"), excluded=excluded), {})["x"]["doubtful"]
     assert found == [
         {"trajectory": "1", "reason": "end", "times": [95.0, 95.1]},
         {"trajectory": "1", "reason": "jump", "times": [100.0]},
@@ -76,7 +79,7 @@ def test_doubtful_rows_stand_by_trajectory_and_reason() -> None:
 
 def test_only_so_many_doubtful_rows_are_listed() -> None:
     excluded = tuple(ExcludedRow(0, row, "jump") for row in range(MOST_EXCLUDED + 10))
-    (found,) = noise(recording(trajectory(MOST_EXCLUDED + 10), excluded=excluded))["x"]["doubtful"]
+    (found,) = noise(recording(trajectory(MOST_EXCLUDED + 10), excluded=excluded), {})["x"]["doubtful"]
     assert len(found["times"]) == MOST_EXCLUDED
 
 
@@ -113,4 +116,16 @@ def test_no_table_without_smoothed_states_and_nothing_but_numbers() -> None:
     found = smoothing(recording(wild))
     assert found is not None
     assert found["trajectories"][0]["measured"]["x"][2] is None
-    json.dumps([found, noise(recording(wild))], allow_nan=False)
+    json.dumps([found, noise(recording(wild), {})], allow_nan=False)
+
+
+def test_what_residuals_say_of_errors_is_listed_and_told_in_words():
+    solver = StateErrors(2e-4, 0.0, 1.0, 5.0, 20.0, True, 10)
+    sensor = StateErrors(0.1, 0.8, 0.5, 6.3, 30.0, False)
+    found = noise(recording(trajectory(101)), {"x": sensor})["x"]["errors"]
+    assert (found["sd"], found["proportional"], found["correlation_rows"], found["add_up"]) == (0.1, 0.8, 6.3, False)
+    line, *_ = noise_lines({"noise": noise(recording(trajectory(101)), {"x": sensor})})
+    assert "80 % of their variance grows with the value squared" in line
+    assert "50 % of the errors' variance of neighbouring rows goes together over about 6 rows" in line
+    line, *_ = noise_lines({"noise": noise(recording(trajectory(101)), {"x": solver})})
+    assert "errors add up along trajectories, as those of a solver do: 0.0002 within 10 rows" in line
