@@ -108,11 +108,12 @@ def _loosest(evidence: Evidence) -> str | None:
 
     Dropping a constant of which the estimate is t standard errors away from zero costs about t^2/2 nats. In data
     without noise a law stands out by millions of nats, while terms that follow the errors of a simulation do by tens.
+    Factors of one of which some stand for others, as those of x*y in x*y - x*(y - x), have no errors and do not count.
     """
     known = [
         (each.std_error / max(abs(each.value if each.fitted is None else each.fitted), 1e-300), each.value)
         for each in (*evidence.constants, *evidence.unit_coefficients)
-        if each.std_error is not None
+        if each.std_error is not None and math.isfinite(each.std_error)
     ]
     share, value = max(known, default=(0.0, 0.0))
     if share <= SETTINGS.inference.exact_constant:

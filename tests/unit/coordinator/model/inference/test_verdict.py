@@ -40,6 +40,11 @@ def test_a_term_that_may_follow_errors_of_a_solver_is_not_exact(part: str) -> No
     assert "the constant 4.6e-07 is known to 10 % only" in reason
 
 
+def test_a_factor_of_one_that_another_can_stand_for_is_no_doubt() -> None:
+    loose = Constant(1.0, 1.0, np.inf, None, identifiable=False)
+    assert judge(replace(CLEAN, unit_coefficients=(loose,)))[0] == "exact"
+
+
 def test_what_is_good_is_foretold_elsewhere() -> None:
     sure = Prediction(12, 12, 0.99, 0.1, None, {"x": 1.0, "y": 2.0})
     grade, reason = judge(replace(NOISY, prediction=sure))
