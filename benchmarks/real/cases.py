@@ -1,0 +1,60 @@
+"""The jobs of real measurements: a file, the options with which a user would hand it over, and some of its rows."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.config import PRESETS, JobConfig
+from atoll.data.table import Table
+from atoll_coordinator.data.reading.files import read_table
+
+
+@dataclass(frozen=True)
+class Case:
+    """A job: `file` in the folder of data, fields of the configuration's data section, and a range of its rows.
+
+    `share` is the first and the last row, as shares of all.
+    """
+
+    name: str
+    file: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    share: tuple[float, float] = (0.0, 1.0)
+
+    def config(self, seed: int, max_time: float | None) -> JobConfig:
+        """Return the configuration of the job."""
+        config = PRESETS["default"]
+        budget = config.budget.model_copy(update={"max_time": max_time})
+        data = config.data.model_copy(update=dict(self.options))
+        return config.model_copy(update={"seed": seed, "data": data, "budget": budget})
+
+    def table(self, folder: Path) -> Table:
+        """Return the rows of the job; raises DataError where the file cannot be read."""
+        whole = read_table([folder / self.file], self.config(0, None).data)
+        first, last = (round(share * whole.rows) for share in self.share)
+        if (first, last) == (0, whole.rows):
+            return whole
+        rows = slice(first, last)
+        starts = sorted({0, *(start - first for start in whole.starts if first < start < last)})
+        return replace(
+            whole,
+            columns=np.ascontiguousarray(whole.columns[:, rows]),
+            starts=tuple(starts),
+            file_of_row=whole.file_of_row[rows],
+            line_of_row=whole.line_of_row[rows],
+        )
+
+
+_PENDULUM: Final = ("pendulum_small_swing.csv", {"order": 2})
+
+CASES: Final = (
+    Case("pendulum", *_PENDULUM),
+    Case("pendulum, first half", *_PENDULUM, (0.0, 0.5)),
+    Case("pendulum, second half", *_PENDULUM, (0.5, 1.0)),
+    Case("Gause", "gause_paramecium.csv", {"trajectory": "run", "time": "day", "missing": "drop"}),
+    Case("double pendulum", "double_pendulum.csv", {"trajectory": "run", "order": 2}),
+)
+"""A real pendulum near its rest position, whole and by halves; three runs of Paramecium; a double pendulum."""
