@@ -180,6 +180,7 @@ def _estimate(
     signals: Sequence[Signal], options: Differentiation, held_out: Sequence[bool], least: float
 ) -> StateEstimate:
     searched = [signal for signal in _not_held_out(signals, held_out) if _is_long_enough(signal)]
+    searched = [signal for signal in searched if signal.measured.values.any()] or searched
     smoother = select_smoother(searched, options.degrees)
     smoothed = [smooth(signal, smoother) for signal in searched]
     is_tailed = has_heavy_tails(searched, smoothed)

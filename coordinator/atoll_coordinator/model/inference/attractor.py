@@ -78,6 +78,7 @@ def along(measurements: Measurements, times: FloatArray, tolerance: float) -> Mu
         inputs=np.zeros((0, rows)),
         input_slopes=np.zeros((0, rows)),
         inverse_variances=None,
+        resting=None,
         consistency=None,
     )
     return MultipleShooting(made, tolerance)

@@ -248,6 +248,8 @@ def _show(comparison: ModelComparison, near: FittedModel, programs: tuple[Progra
     """Return equations of these structures as they are shown, fitted beside another model; None if they cannot be."""
     explicit, free = _freed(comparison, near, programs)
     fitted = comparison.fit_beside(near, programs, SETTINGS.inference.shown_steps)
+    if fitted is not None:
+        fitted = comparison.fit_correlated(fitted, SETTINGS.inference.shown_steps) or fitted
     found = None if fitted is None else _rounded(comparison, fitted)
     return None if free is None or found is None else _Shown(*found, explicit, free)
 

@@ -175,13 +175,13 @@ def summary(result: Mapping[str, Any]) -> list[str]:
 
 
 def _simulation_line(trajectories: Sequence[Mapping[str, Any]]) -> list[str]:
-    whole = [each for each in trajectories if None not in each["r2"].values()]
+    whole = [each for each in trajectories if each.get("values") or None not in each["r2"].values()]
     parts: list[str] = []
     for held_out in (False, True):
         chosen = [each for each in whole if each["held_out"] is held_out]
         if chosen:
             what = "held out" if held_out else "trajectory" if len(chosen) == 1 else "trajectories"
-            least = min(value for each in chosen for value in each["r2"].values())
+            least = min(value for each in chosen for value in each["r2"].values() if value is not None)
             parts.append(f"{'' if parts else 'R2 at least '}{r2_text(least)} on {len(chosen)} {what}")
     if len(whole) < len(trajectories):
         parts.append(f"{len(trajectories) - len(whole)} not to the end")

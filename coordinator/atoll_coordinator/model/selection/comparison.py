@@ -154,9 +154,21 @@ class ModelComparison:
     def measure(self, fit: TrajectoryFit) -> FittedModel:
         """Return the model that a fit of one of this comparison's systems gives."""
         programs = fit.system.programs[len(self.leading) :]
-        its = self.misfit.total(fit.squares)
+        its = self.misfit.total(fit.squares) + self._drift(fit)
         nats = system_length(its, programs, len(fit.system.places), self.constant_nats)
         return FittedModel(programs, fit, its, nats)
+
+    def _drift(self, fit: TrajectoryFit) -> float:
+        """Return the misfit of states that rest at 0, n/2 ln(s / least^2): only integration may err there."""
+        its = self.estimator.measurements
+        total = 0.0
+        for resting, state, least in zip(
+            its.resting if its.resting is not None else (), its.observed.tolist(), self.least_errors, strict=False
+        ):
+            if resting.any():
+                square = float(np.mean(fit.simulated[state, resting] ** 2))
+                total += 0.5 * int(resting.sum()) * math.log(max(square / float(least) ** 2, 1.0))
+        return total
 
     def calibrate(self, model: FittedModel) -> FittedModel:
         """Take the independent errors from the roughness of what `model` leaves; return it as measured by that."""

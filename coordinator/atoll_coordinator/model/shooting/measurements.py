@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
@@ -35,7 +36,8 @@ class Measurements:
     `inverse_variances` (O, N) divide the variance of the errors of each
     row, 1 on average over the recording; they are part of `weights`. `consistency` (O,) is the weighted mean square of
     normal errors over their variance, less than one where robustness weights reduce the large ones; None: one for all
-    states. `input_slopes` belong to `inputs` (U, N).
+    states. `resting` (O, N) tells along which trajectories a state was 0 throughout, as an absent species is: there it
+    has no weight and begins at 0; None: nowhere. `input_slopes` belong to `inputs` (U, N).
     `variables` names the numbers of a point: D states, then U inputs.
     """
 
@@ -56,6 +58,7 @@ class Measurements:
     has_smoothed_inputs: bool = False
     inverse_variances: FloatArray | None = None
     consistency: FloatArray | None = None
+    resting: npt.NDArray[np.bool_] | None = None
 
     @property
     def rows(self) -> int:
@@ -133,6 +136,7 @@ class Measurements:
             else np.ascontiguousarray(self.inverse_variances[:, rows]),
             smoothed=np.ascontiguousarray(self.smoothed[:, rows]),
             inputs=np.ascontiguousarray(self.inputs[:, rows]),
+            resting=None if self.resting is None else np.ascontiguousarray(self.resting[:, rows]),
             input_slopes=np.ascontiguousarray(self.input_slopes[:, rows]),
         )
 
@@ -170,12 +174,13 @@ def measurements_of(
         [recording.smoothing[index].noise * its.scale for index, its in zip(chosen, variances, strict=True)]
     )
     bounds, owners = _pieces([len(part.times) for part in parts], piece)
+    resting = np.concatenate([_resting(part, chosen, recording.order) for part in parts], axis=1)
     whole = Measurements(
         bounds=bounds,
         owners=owners,
         times=np.concatenate([part.times for part in parts]),
         measured=measured,
-        weights=weights if inverse is None else weights * inverse,
+        weights=np.where(resting, 0.0, weights if inverse is None else weights * inverse),
         smoothed=np.ascontiguousarray(smoothed),
         observed=np.arange(len(chosen), dtype=np.int64),
         inputs=np.ascontiguousarray(np.concatenate(inputs)),
@@ -190,6 +195,7 @@ def measurements_of(
         has_smoothed_inputs=bool(others),
         inverse_variances=inverse,
         consistency=_consistency(parts, chosen),
+        resting=resting if resting.any() else None,
     )
     return _where_inputs_are_known(whole, parts, others)
 
@@ -223,6 +229,13 @@ def _variables(recording: Recording, chosen: list[int], others: list[int]) -> tu
         *of(recording.state_symbols, others),
         *of(recording.velocity_symbols, others),
     )
+
+
+def _resting(part: Trajectory, chosen: list[int], order: int) -> npt.NDArray[np.bool_]:
+    """Return where states were 0 along the whole of a trajectory; with order 2 nowhere, since velocities may not be."""
+    measured = part.measured[chosen]
+    is_zero = (np.isnan(measured) | (measured == 0.0)).all(axis=1) & (measured == 0.0).any(axis=1) & (order == 1)
+    return np.repeat(is_zero[:, None], measured.shape[1], axis=1)
 
 
 def _robustness_weights(part: Trajectory, chosen: list[int]) -> FloatArray:

@@ -95,7 +95,8 @@ class MultipleShooting:
         self.measurements: Final = measurements
         self._measured = np.where(measurements.weights > 0.0, measurements.measured, 0.0)
         self._smallest = np.maximum(SETTINGS.shooting.least_noise * measurements.scales[measurements.observed], 1e-300)
-        self._totals: Final = measurements.weights.sum(axis=1)
+        totals = measurements.weights.sum(axis=1)
+        self._totals: Final = np.where(totals > 0.0, totals, 1.0)
         self._layouts: Final[dict[int | None, Innovations]] = {}
         self._row_steps: Final = _row_steps(measurements)
         self.work = 0
@@ -140,7 +141,7 @@ class MultipleShooting:
         segments = layout.segments
         if starts is None:
             starts = np.ascontiguousarray(its.smoothed[:, segments[:, 0]].T)
-        starts = self._with_offsets(starts, len(system.outputs), in_whole=length is None)
+        starts = self._at_rest(self._with_offsets(starts, len(system.outputs), in_whole=length is None), segments)
         if errors is None:
             errors = ErrorModel.independent(np.maximum(its.noise, 1e-4 * its.scales[its.observed]))
         may_be_stiff = is_stiff or steps > SETTINGS.shooting.brief_steps
@@ -180,6 +181,16 @@ class MultipleShooting:
             made = Innovations(self.measurements.segments(length), self._row_steps, self.measurements.weights)
             known = self._layouts.setdefault(length, made)
         return known
+
+    def _at_rest(self, starts: FloatArray, segments: Ints) -> FloatArray:
+        """Return initial states, 0 of the states that rest."""
+        its = self.measurements
+        if its.resting is None:
+            return starts
+        starts = starts.copy()
+        for resting, state in zip(its.resting, its.observed.tolist(), strict=True):
+            starts[resting[segments[:, 0]], state] = 0.0
+        return starts
 
     def _with_offsets(self, starts: FloatArray, states: int, *, in_whole: bool) -> FloatArray:
         """Return initial states with offsets, which whole trajectories alone determine; as zero if they have none."""
@@ -275,6 +286,8 @@ class MultipleShooting:
         )  # fmt: skip
         for place, state in enumerate(its.offset.tolist() if local > states else []):
             gradients[:, its.observed[state], fitted + states + place] = 1.0
+        for resting, state in zip(its.resting if its.resting is not None else (), its.observed.tolist(), strict=False):
+            gradients[resting, :, fitted + state] = 0.0
         return done, int(taken[0]), simulated, gradients
 
     def _weighed(

@@ -12,9 +12,10 @@ from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.selection import comparison
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison, distinct
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
+from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from tests.unit.coordinator.model.fitting import settings
-from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, compare, measurements
+from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, compare, measurements, recording
 
 TIMES = 0.1 * np.arange(40.0)
 STARTS = ([1.0, 3.0], [4.0, 1.0], [3.0, 3.0])
@@ -211,3 +212,18 @@ def test_without_noise_only_errors_of_integration_leave_no_room():
     its = long_lotka(0.0)
     assert not its.has_room(calibrated(its, TRUTH, OTHER))
     assert its.has_room(calibrated(its, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER))
+
+
+def test_an_absent_species_must_stay_absent():
+    """Along the second trajectory x is 0 throughout: an equation with a constant term would bring it in."""
+    times = 0.1 * np.arange(40.0)
+    its = recording(LOTKA, ([1.0, 3.0], [0.0, 1.0]), times, noise=0.02, seed=4)
+    its.trajectories[1].measured[0], its.trajectories[1].smoothed[0] = 0.0, 0.0
+    comparison = compare(LOTKA, measurements_of(its, [0, 1]), 1e-8)
+    truth, wrong = (
+        comparison.fit_model([LOTKA.parsed(text), LOTKA.parsed("2.0*y - x*y - y*y")], lengths=(10, None))
+        for text in ("3.0*x - 2.0*x*y - x*x", "3.0*x - 2.0*x*y - x*x + 0.001")
+    )
+    assert np.abs(truth.fit.simulated[0, 40:]).max() == 0.0
+    assert truth.fit.starts[1, 0] == wrong.fit.starts[1, 0] == 0.0
+    assert wrong.nats > truth.nats + 20.0

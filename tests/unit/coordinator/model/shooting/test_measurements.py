@@ -200,3 +200,16 @@ def test_rows_count_by_their_weights_and_by_their_robustness_weights():
     assert found.inverse_variances == pytest.approx(np.tile(weights, (2, 2)))
     assert found.part([1]).inverse_variances == pytest.approx(np.tile(weights, (2, 1)))
     assert measurements_of(its, [0, 1]).inverse_variances is None
+
+
+def test_a_state_that_is_zero_throughout_rests_and_has_no_weight():
+    its = swinging(noise=0.1)
+    its.trajectories[1].measured[0] = 0.0
+    its.trajectories[1].measured[0, 4] = np.nan
+    found = measurements_of(its, [0, 1])
+    assert np.flatnonzero(found.resting[0]).tolist() == list(range(30, 50))
+    assert not found.resting[1].any()
+    assert (found.weights[0] == 0.0).tolist() == found.resting[0].tolist()
+    assert found.part([1]).resting.shape == (2, 20)
+    assert measurements_of(swinging(noise=0.1), [0, 1]).resting is None
+    assert measurements_of(replace(its, order=2, velocity_symbols=("x_dot", "y_dot")), [0, 1]).resting is None
