@@ -2,7 +2,7 @@
 
 Of a chaotic system no course can be foretold beyond some Lyapunov times, but averages can: a long simulation has the
 means and variances of the measurements, up to sampling errors. Both are compared by Welch's t, with averages over
-blocks that are long against the time in which errors grow.
+blocks that are long against the time in which errors grow: trajectories, or where there are few, parts of them.
 """
 
 import math
@@ -19,7 +19,7 @@ from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 
 _BLOCKS: Final = 4
-"""Blocks of the longest trajectory; the variance of fewer is not known."""
+"""Blocks that there are at least: the variance of fewer averages is not known."""
 _MOST_ROWS: Final = 4_000
 """Rows of the long simulation, at most."""
 
@@ -37,7 +37,7 @@ def look_for_chaos(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos |
         return None
     step = float(np.median(np.diff(measurements.times)[np.diff(measurements.owners_of_rows) == 0]))
     lengths = np.bincount(measurements.owners_of_rows)
-    block = int(lengths.max()) // _BLOCKS
+    block = int(lengths.max()) // (_BLOCKS if len(lengths) < _BLOCKS else 1)
     rows = min(max(measurements.rows, _BLOCKS * block), _MOST_ROWS)
     simulated = _simulated(fit, rows, step, tolerance)
     if simulated is None:
