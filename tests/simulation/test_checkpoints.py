@@ -212,7 +212,7 @@ def test_a_coordinator_may_die_on_either_side_of_a_commit(lasting: World, tmp_pa
 
 
 def test_the_time_of_the_search_adds_up_over_a_restart(lasting: World, tmp_path: Path) -> None:
-    lasting.submit(config(max_epochs=1000, max_time=3.0))
+    lasting.submit(config(max_epochs=1000, max_time=6.0))
     lasting.at(lasting.network.now + 2.5, lambda: restart(lasting, tmp_path))
     lasting.finish()
     result = lasting.result()
