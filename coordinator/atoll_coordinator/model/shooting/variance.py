@@ -38,10 +38,12 @@ class VarianceModel:
 def estimate_variance(recording: Recording, state: int) -> VarianceModel:
     """Return the variances of the errors of a state (index), by the residuals of its smoothing.
 
-    A proportional part is described by one number, which takes 1/2 ln n nats (Schwarz 1978). There is none where the
-    state was interpolated, where outliers have lost their weight, or where rows have weights.
+    A trajectory along which the state is 0 throughout says nothing. A proportional part is described by one number,
+    which takes 1/2 ln n nats (Schwarz 1978). There is none where the state was interpolated, where outliers have lost
+    their weight, or where rows have weights.
     """
-    parts = [each for each in recording.trajectories if not each.held_out]
+    searched = [each for each in recording.trajectories if not each.held_out]
+    parts = [each for each in searched if np.nan_to_num(each.measured[state]).any()] or searched
     is_given = any(each.weights is not None for each in parts)
     if is_given or recording.smoothing[state].method != "loess":
         return VarianceModel()

@@ -55,3 +55,11 @@ def test_rows_with_weights_or_interpolated_states_stay_as_they_are():
     assert estimate_variance(clean, 0).proportional == 0.0
     assert estimate_variance(given, 0).proportional == 0.0
     assert measurements_of(clean, [0]).inverse_variances is None
+
+
+def test_zeros_along_a_whole_trajectory_say_nothing_of_errors():
+    its = measured(0.0, 0.3)
+    absent = replace(its.trajectories[1], measured=0.0 * its.trajectories[1].measured, smoothed=np.zeros((2, 200)))
+    assert estimate_variance(replace(its, trajectories=(its.trajectories[0], absent)), 0) == estimate_variance(
+        replace(its, trajectories=its.trajectories[:1]), 0
+    )
