@@ -111,7 +111,7 @@ def test_workers_that_only_lost_their_connection_make_nobody_suspect() -> None:
     for number in range(2):
         world.at(1.2 + 4.0 * number, partial(world.network.cut, "w1"))
         world.at(2.4 + 4.0 * number, partial(world.network.heal, "w1"))
-    world.submit(config(1, max_epochs=100_000, stagnation=100_000, max_time=9.0), variables=ENDLESS)
+    world.submit(config(1, max_epochs=100_000, stagnation=100_000, max_time=18.0), variables=ENDLESS)
     view = world.finish()
     assert view.state == "done"
     assert kinds(world).count("worker-lost") == 2
