@@ -207,9 +207,10 @@ class SelectionSettings:
     left then are systematic errors, of a solver for instance, for which rows do not count one by one."""
     stretches: tuple[int, ...] = (100, 30, 10)
     """Rows of the pieces that nearly clean trajectories may be simulated in."""
-    solver_numbers: float = 2.0
-    """How many independent numbers the errors of a solver are that are smaller than that: few, since they follow from
-    its tolerance and the state. Each decade less is worth so many times 1.15 nats."""
+    systematic_numbers: float = 10.0
+    """How many independent numbers systematic errors of a state are at least, and a solver's that are smaller than
+    that: few, since they follow from its tolerance and the state. Each decade less is worth so many times 1.15 nats: a
+    law whose terms are needed gains several decades, one that follows the solver's errors less than a third."""
     exact: float = 1e-8
     """Errors below this share of a state's standard deviation are those of the integration, not of the model."""
     first_lengths: Lengths = (8, 25, None)

@@ -59,7 +59,9 @@ class ModelComparison:
         self.tried: Final[dict[tuple[int, bytes], FittedModel]] = {}
         self.counts: Final = measurements.weights.sum(axis=1)
         self.least_errors: Final = SETTINGS.selection.exact * measurements.scales[measurements.observed]
-        self.pieces: Final = count_pieces(measurements)
+        self.pieces: Final = np.minimum(
+            np.maximum(count_pieces(measurements), SETTINGS.selection.systematic_numbers), self.counts
+        )
         self._spread: Final = 1.0 + 2.0 * np.sqrt(ROUGHNESS_VARIANCE / np.maximum(self.counts, 4.0))
         self.misfit = self._misfit(measurements.noise)
         self.constant_nats: Final = constant_nats_of(measurements.rows)
@@ -189,7 +191,7 @@ class ModelComparison:
             self.least_errors**2,
             np.where(is_noisy, self.counts, self.pieces),
             self.pieces,
-            np.where(is_noisy, self.pieces, SETTINGS.selection.solver_numbers),
+            np.where(is_noisy, self.pieces, SETTINGS.selection.systematic_numbers),
         )
 
     def inflation(self, model: FittedModel) -> float:
