@@ -15,7 +15,13 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, structure
-from atoll_coordinator.model.criteria import TrajectoryMisfit, constant_nats_of, least_term_length, system_length
+from atoll_coordinator.model.criteria import (
+    TrajectoryMisfit,
+    constant_nats_of,
+    least_term_length,
+    structure_length,
+    system_length,
+)
 from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.independence import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
@@ -199,23 +205,29 @@ class ModelComparison:
         rows = self.misfit.effective_rows(model.fit.squares)
         return float(self.counts.sum() / min(rows.sum(), self.counts.sum()))
 
+    def length(self, program: Program) -> float:
+        """Return the nats of a program, its constants fitted."""
+        return structure_length(program) + self.constant_nats * len(constant_places(program))
+
     def has_room(self, model: FittedModel) -> bool:
-        """Tell whether a longer system could be a shorter description than `model`, by which the errors are calibrated.
+        """Tell whether a longer system could be a shorter description than `model`, which calibrated the errors."""
+        return self.room(model) >= least_term_length(self.constant_nats)
+
+    def room(self, model: FittedModel) -> float:
+        """Return how many nats the misfit of `model`, by which the errors are calibrated, could be less.
 
         Where the residuals are as small as the smoother's noise, it could at most explain what is slow in them beyond
-        what is so in independent errors; that must be worth the cheapest term. Where there is no such noise, only
-        errors of integration leave no room.
+        what is so in independent errors. Where there is no such noise, only errors of integration leave none.
         """
         measurements = self.estimator.measurements
         noise = np.sqrt(self.misfit.high)
         if np.any(noise < 2.0 * SETTINGS.selection.least_noise * measurements.scales[measurements.observed]):
-            return not self.is_exact(model)
+            return 0.0 if self.is_exact(model) else math.inf
         if np.any(model.fit.squares > self._spread * measurements.noise**2):
-            return True
+            return math.inf
         shares, expected = slow_shares(measurements, model.fit.residuals, self.pieces)
         left = np.minimum((1.0 - shares) / np.maximum(1.0 - expected, 1e-12), 1.0)
-        gain = self.misfit.total(model.fit.squares) - self.misfit.total(left * model.fit.squares)
-        return gain >= least_term_length(self.constant_nats)
+        return self.misfit.total(model.fit.squares) - self.misfit.total(left * model.fit.squares)
 
     def is_exact(self, model: FittedModel) -> bool:
         """Tell whether all errors are those of the integration."""

@@ -5,7 +5,7 @@ descent looks for shorter descriptions nearby; constants are made simple; what r
 by counts, never by the clock.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -159,9 +159,7 @@ def search_jointly(
     best = exchange(comparison, comparison.calibrate(best), lists)
     best = comparison.calibrate(best)
     if not comparison.is_exact(best) and not is_hopeless(SelectedModel(task, comparison, best)):
-        best = (
-            _search_locally(task, comparison, best, lists) if comparison.has_room(best) else _reduced(comparison, best)
-        )
+        best = _search_locally(task, comparison, best, lists)
     best = comparison.fit_beside(best, best.programs, 40) or best
     return SelectedModel(task, comparison, best, lists)
 
@@ -244,23 +242,32 @@ def exchange(comparison: ModelComparison, best: FittedModel, lists: Sequence[Seq
 def _search_locally(
     task: ModellingTask, comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]]
 ) -> FittedModel:
-    """Return the end of the descent from the best system."""
+    """Return the end of the descent from the best system.
+
+    Where that leaves noise alone, programs are not tried that are so long that no misfit could make them better.
+    """
+    room = comparison.room(best)
+    has_room = comparison.has_room(best)
     sizes = _scales(task, comparison.estimator.measurements)
 
     def around(equation: int, program: Program) -> Iterator[Program]:
         name = task.variables[equation]
         operators, columns = task.operators(name), task.columns(name)
         scales = [size if column in columns else 0.0 for column, size in enumerate(sizes)]
-        near = (*extensions(program, scales, operators), *neighbours(program, columns, operators))
-        yield from filter(task.may_be_shown, near)
+        longer = extensions(program, scales, operators) if has_room else ()
+        yield from promising(program, (*longer, *neighbours(program, columns, operators)))
 
     def beyond(equation: int, program: Program) -> Iterator[Program]:
-        return filter(task.may_be_shown, leaps(program, task.operators(task.variables[equation])))
+        return promising(program, leaps(program, task.operators(task.variables[equation])))
+
+    def promising(program: Program, others: Iterable[Program]) -> Iterator[Program]:
+        most = comparison.length(program) + room
+        return (each for each in others if comparison.length(each) < most and task.may_be_shown(each))
 
     descent = LocalSearch(comparison, around, comparison.estimator.work + SETTINGS.selection.search_work, beyond)
     equations = [index for index, its in enumerate(lists) if index not in comparison.fixed]
     best = descent.improve(best, equations)
-    for equation in equations:
+    for equation in equations if has_room else ():
         best = _restarted(comparison, descent, best, equation, lists[equation])
     best = exchange(comparison, best, lists)
     return _reduced(comparison, best)
