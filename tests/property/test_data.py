@@ -82,7 +82,9 @@ def assert_sound(recording):
     for its in recording.trajectories:
         rows = len(its.times)
         assert (np.diff(its.times) > 0.0).all()
-        for array in (its.measured, its.smoothed, its.slopes):
+        assert its.measured.shape == (len(recording.states), rows)
+        assert not np.isinf(its.measured).any()
+        for array in (its.smoothed, its.slopes):
             assert array.shape == (len(recording.states), rows)
             assert np.isfinite(array).all()
         assert its.inputs.shape == its.input_slopes.shape == (len(recording.inputs), rows)

@@ -13,7 +13,8 @@ ROWS_CLEAN: Final = 16
 ROWS_NOISY: Final = 32
 RUNNERS_UP_NOISY: Final = 8
 STAGNATION_GIVEN: Final = 60
-"""Given left-hand sides have no trajectories by which refining could go on from an equation that comes close."""
+"""Given left-hand sides have no trajectories by which refining could go on from an equation that comes close; and
+who gives a target error wants it to be met."""
 
 STAGNATION_CLEAN: Final = 5
 """The least; it grows with the epochs that the last improvement took. Measured on random systems simulated at solver
@@ -51,7 +52,9 @@ def stagnation_of(config: JobConfig, target: Target, recording: Recording | None
         return Stagnation(config.budget.stagnation)
     if target.is_noisy:
         return Stagnation(STAGNATION_NOISY)
-    return Stagnation(STAGNATION_GIVEN) if recording is None else Stagnation(STAGNATION_CLEAN, grows=True)
+    if recording is None or config.budget.target_error is not None:
+        return Stagnation(STAGNATION_GIVEN)
+    return Stagnation(STAGNATION_CLEAN, grows=True)
 
 
 def independent_rows(target: Target, recording: Recording | None) -> float:
