@@ -179,6 +179,8 @@ def _pole_remarks(final: _Final) -> Iterator[str]:
 def _state_errors(final: _Final) -> dict[str, StateErrors]:
     """Return what is known of the errors of each state, by name."""
     comparison, fit = final.comparison, final.free.fit
+    if comparison.is_exact(final.free):
+        return {}  # those of the integration, of which nothing is to be said
     bounds = comparison.estimator.measurements.bounds
     are_summed = len(bounds) > len(final.seen.estimator.measurements.bounds)
     rows = np.minimum(comparison.misfit.effective_rows(fit.squares), comparison.counts / fit.errors.lengths)

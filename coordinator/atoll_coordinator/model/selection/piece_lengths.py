@@ -69,7 +69,7 @@ def _stretch(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> int:
         )
         model = comparison.fit_model(programs)
         if model is not None:
-            lengths[piece] = _stretch_length(comparison, model)
+            lengths[piece] = _stretch_length(comparison, model) / comparison.estimator.measurements.rows
     return min(lengths, key=lambda piece: (lengths[piece], -piece), default=task.piece)
 
 
