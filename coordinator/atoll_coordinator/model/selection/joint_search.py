@@ -129,7 +129,14 @@ def ranked_candidates(task: ModellingTask) -> list[list[Program]]:
 
 
 def _suffice(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> bool:
-    """Tell whether a system of these candidates leaves nothing that a longer one could be worth its length for."""
+    """Tell whether a system of these candidates leaves nothing that a longer one could be worth its length for.
+
+    Not where targets are too uncertain for the search to tell a law from others of the same error: a shorter one may be
+    missing then (bar magnets at 5 % of noise).
+    """
+    targets = (task.dataset.problem(name).target for name in task.variables if name not in task.known)
+    if any(target.uncertainty > SETTINGS.inference.largest_uncertainty for target in targets):
+        return False
     comparison = task.compare(
         task.measurements(task.variables).thinned(SETTINGS.selection.compared_rows), task.variables
     )
