@@ -44,11 +44,6 @@ class ErrorModel:
         return numbers + bytes([self.is_correlation_sought])
 
     @property
-    def correlated(self) -> FloatArray:
-        """Whether errors of neighbouring rows go together (O,)."""
-        return np.asarray(self.shares > 0.0)
-
-    @property
     def lengths(self) -> FloatArray:
         """Rows that count as one independent row each (O,): (1 + r) / (1 - r) where all errors go together, 1 where
         none do; between them, the variance of a mean over that of independent rows."""
