@@ -3,7 +3,8 @@
 ``python -m benchmarks.corpus --seeds 0-19 --out FILE.jsonl`` draws systems (seeds below 1000 are for choosing
 settings, figures come from others), simulates or measures them at each of --qualities, searches them on one coordinator
 and its workers, and prints tables in Markdown. A file that exists is gone on with. ``--named`` searches single systems
-of textbooks instead, one trajectory each; ``--show`` draws systems without searching them.
+of textbooks instead, one trajectory each; ``--methods`` gives the same data to other programs as well; ``--show`` draws
+systems without searching them.
 """
 
 import argparse
@@ -21,16 +22,17 @@ from benchmarks.corpus.outcomes import Outcome
 from benchmarks.corpus.qualities import NAMED_QUALITIES, QUALITIES, quality
 from benchmarks.corpus.tables import by_grade, by_quality, equation_rows
 from benchmarks.harness.command_line import plain_errors, positive, seeds, whole
-from benchmarks.peers.pysindy_models import METHODS, require
+from benchmarks.peers import operon, pysindy_models
+from benchmarks.peers.operon_models import OPERON
 
 NAMED_STATES: Final = {name: len(family.equations) for name, (family, *_) in NAMED.items()}
 CHAOTIC: Final = ("lorenz",)
+METHODS: Final = (OURS, *pysindy_models.METHODS, OPERON)
 
 
 def keys(options: argparse.Namespace) -> list[Key]:
     """Return all jobs, seed by seed; with --qualities each, one quality a seed in turn."""
     qualities = options.qualities or (NAMED_QUALITIES if options.named is not None else QUALITIES)
-    methods = METHODS if options.pysindy else (OURS,)
     if options.named is not None:
         names = options.named or [name for name in NAMED if name not in CHAOTIC]
         return [
@@ -38,7 +40,7 @@ def keys(options: argparse.Namespace) -> list[Key]:
             for seed in options.seeds
             for name in names
             for each in qualities
-            for method in methods
+            for method in options.methods
         ]
     return [
         Key("random", states, trajectories, sampling, each, seed, method)
@@ -47,7 +49,7 @@ def keys(options: argparse.Namespace) -> list[Key]:
         for trajectories in options.trajectories
         for sampling in options.samplings
         for each in ([qualities[(seed + states) % len(qualities)]] if options.in_turn else qualities)
-        for method in methods
+        for method in options.methods
     ]
 
 
@@ -59,8 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         wanted = keys(options)
         for key in wanted:
             quality(key.quality)
-        if options.pysindy:
-            require()
+        _require(options.methods)
         if options.show:
             _show(wanted)
             return 0
@@ -74,6 +75,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             outcomes = run_jobs(wanted, journal, options.workers, options.max_time, changes)
         _tables(outcomes, all_equations=options.named is not None)
     return 0
+
+
+def _require(methods: Sequence[str]) -> None:
+    if OPERON in methods:
+        operon.require()
+    if set(methods) & set(pysindy_models.METHODS):
+        pysindy_models.require()
 
 
 def _tables(outcomes: Sequence[Outcome], *, all_equations: bool) -> None:
@@ -114,7 +122,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--states", type=int, choices=range(1, 6), nargs="+", default=[1, 2], help="default: 1 2")
     parser.add_argument("--trajectories", type=whole, nargs="+", default=[4], help="default: 4")
     parser.add_argument("--samplings", type=_sampling, nargs="+", default=["even"], help=f"of {', '.join(SAMPLINGS)}")
-    parser.add_argument("--pysindy", action="store_true", help="PySINDy on the same data, in place of our searches")
+    parser.add_argument(
+        "--methods", choices=METHODS, nargs="+", default=[OURS], help="ours and other programs on the same data"
+    )
     parser.add_argument("--workers", type=whole, default=2, help="worker processes (%(default)s)")
     parser.add_argument("--max-time", type=positive, metavar="SECONDS", help="end of a search; default: none")
     parser.add_argument("--epochs", type=whole, help="end of a search in epochs; default: the configuration's")

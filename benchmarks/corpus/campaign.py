@@ -23,7 +23,7 @@ from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.stopwatch import Stopwatch
 from benchmarks.noise import data as noise
 from benchmarks.noise.journal import kept_of
-from benchmarks.peers.pysindy_models import solve
+from benchmarks.peers import operon_models, pysindy_models
 
 
 class CorpusJournal:
@@ -140,11 +140,22 @@ def _run(
 
 
 def _solve_otherwise(key: Key, journal: CorpusJournal) -> None:
-    """Do a job by PySINDy, which is given the same table."""
-    case = make_case(key)
+    """Do a job by another program in this process, which is given the same table."""
+    case, begun, meter = make_case(key), time.process_time(), Meter(())
+    try:
+        answer = _answer_otherwise(key, case)
+    except AtollError as error:
+        journal.add(judge_job(key, case, {}, meter, str(error)), None)
+        return
+    meter.cpu[key.method] = time.process_time() - begun
+    journal.add(judge_job(key, case, answer, meter), answer)
+
+
+def _answer_otherwise(key: Key, case: Case) -> dict[str, Any]:
+    if key.method == operon_models.OPERON:
+        return operon_models.solve(case.table, configuration(key, case, None, {}).space.operators, key.seed)
     its = noise.Case(case.table, case.system.truths, case.clean, noise.Path(np.zeros(0), np.zeros((0, 0))))
-    answer = solve(noise.Key(key.method, "plain", key.system, 0.0, key.seed), its)
-    journal.add(judge_job(key, case, answer), answer)
+    return pysindy_models.solve(noise.Key(key.method, "plain", key.system, 0.0, key.seed), its)
 
 
 def line(outcome: Outcome) -> str:

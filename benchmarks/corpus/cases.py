@@ -37,7 +37,7 @@ _PREDICTABLE: Final = 0.99
 class Key:
     """Which job: `system` is the name of one of `NAMED`, or ``random``, then drawn from `seed` with `states`.
 
-    `method` is ours or one of PySINDy's; all have the same data.
+    `method` is ours or another program's; all have the same data.
     """
 
     system: str

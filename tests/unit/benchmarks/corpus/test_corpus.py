@@ -208,12 +208,36 @@ def test_pysindy_is_given_the_same_table(monkeypatch, lotka):
         given.append((key.method, case.table.columns.tobytes(), dict(case.truths)))
         return result("1.1*x - 0.4*x*y", "0.1*x*y - 0.4*y")
 
-    monkeypatch.setattr(campaign, "solve", solve)
+    monkeypatch.setattr(campaign.pysindy_models, "solve", solve)
     monkeypatch.setattr(campaign, "searching", lambda workers: pytest.fail("nothing is searched"))
     key = dataclasses.replace(KEY, method="pysindy weak")
     (outcome,) = campaign.run_jobs([key], CorpusJournal(None, ()), 1, None, {})
     assert [its.is_right for its in outcome.equations] == [True, True]
     assert given == [("pysindy weak", lotka.table.columns.tobytes(), lotka.system.truths)]
+
+
+def test_operon_is_given_the_same_table_and_the_operators_of_the_search(monkeypatch, lotka):
+    given = []
+
+    def solve(table, operators, seed):
+        given.append((table.columns.tobytes(), operators, seed))
+        return result("1.1*x - 0.4*x*y", "0.1*x*y - 0.4*y")
+
+    monkeypatch.setattr(campaign.operon_models, "solve", solve)
+    (outcome,) = campaign.run_jobs([dataclasses.replace(KEY, method="operon")], CorpusJournal(None, ()), 1, None, {})
+    assert [its.is_right for its in outcome.equations] == [True, True]
+    assert given == [(lotka.table.columns.tobytes(), configuration(KEY, lotka, None, {}).space.operators, KEY.seed)]
+    assert set(outcome.cpu) == {"operon"}
+
+
+def test_a_peer_that_cannot_use_the_data_fails_that_job_only(monkeypatch):
+    def solve(*_):
+        raise DataError("too few rows")
+
+    monkeypatch.setattr(campaign.operon_models, "solve", solve)
+    (outcome,) = campaign.run_jobs([dataclasses.replace(KEY, method="operon")], CorpusJournal(None, ()), 1, None, {})
+    assert outcome.failure == "too few rows"
+    assert [its.form for its in outcome.equations] == ["none", "none"]
 
 
 def test_tables_count_what_they_say(judged):
