@@ -3,7 +3,7 @@
 ``python -m benchmarks.corpus.ablation FOLDER --record`` searches some thirty tuning jobs (seeds below 1000) by the real
 path and keeps what refining was given in FOLDER. ``python -m benchmarks.corpus.ablation FOLDER --out base.json``
 refines them with the settings as they are, and with ``--change regression.beam=1 --against base.json`` with others:
-``stage.field=value`` of either settings object, or ``module:NAME=value`` of a number elsewhere; several after one
+``stage.field=value``, or ``module:NAME=value`` of a number elsewhere; several after one
 ``--change`` are changed together. With settings of the preparation, tables are prepared anew and the search is not.
 """
 
@@ -27,15 +27,14 @@ from atoll.config import JobConfig
 from atoll.data.table import Table
 from atoll.errors import UsageError
 from atoll_coordinator.cli.terminal.output import note, say, table
-from atoll_coordinator.data import settings as data_settings
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model import settings as model_settings
 from atoll_coordinator.model.refinement import Pools
 from atoll_coordinator.model.report.result import Account, VariableOutcome, build_result
 from atoll_coordinator.service.background.runner import TaskRunner
 from atoll_coordinator.service.background.tasks import refinement_failed
 from atoll_coordinator.service.jobs.job import Prepared
+from atoll_coordinator.settings import SETTINGS
 from benchmarks.corpus.campaign import configuration
 from benchmarks.corpus.cases import Case, Key, make_case
 from benchmarks.corpus.outcomes import judge_job
@@ -74,6 +73,7 @@ JOBS: Final = (
 )
 
 _EPOCHS: Final = 30
+_PREPARING: Final = ("checks", "trajectories", "smoothing", "robustness", "interpolation", "quantisation", "rows")
 _RECORDING: Final = "from benchmarks.corpus.ablation import record_refinings\nrecord_refinings({folder!r})\n"
 
 
@@ -191,10 +191,9 @@ def _owner(name: str) -> tuple[object, str]:
     if module:
         return import_module(module), constant
     stage, _, field = name.rpartition(".")
-    for settings in (model_settings.SETTINGS, data_settings.SETTINGS):
-        its = getattr(settings, stage, None) if stage else settings
-        if its is not None and hasattr(its, field):
-            return its, field
+    its = getattr(SETTINGS, stage, None) if stage else SETTINGS
+    if its is not None and hasattr(its, field):
+        return its, field
     raise UsageError(f"{name!r} is no setting; name one such as regression.beam")
 
 
@@ -207,7 +206,7 @@ def replay(task: Task) -> Replay:
     its: Recorded = pickle.loads(_path(task.folder, task.number).read_bytes())
     with changed(task.changes):
         begun = time.process_time()
-        is_prepared = not any(hasattr(data_settings.SETTINGS, name.split(".")[0]) for name in task.changes)
+        is_prepared = not any(name.split(".")[0] in _PREPARING for name in task.changes)
         preparation = its.preparation if is_prepared else prepare(_copy(case.table), configuration(key, case, None, {}))
         refinement = refine_all(preparation, its.config, its.pools)
         seconds = time.process_time() - begun

@@ -7,7 +7,6 @@
 - `differentiation`: `Measurements` -> one `StateEstimate` for each state: values, derivatives, uncertainties
 - `row_selection`: estimates -> `SelectedRows`, and why others are excluded
 - `assembly`: all of these -> `Preparation`, which `recording` defines: the dataset of the search and the recording
-- `settings`: every threshold that decides a number, with its reason
 
 Data go down this list. Which stage may import which is a contract in pyproject.toml.
 """

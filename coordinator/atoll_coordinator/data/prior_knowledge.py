@@ -16,7 +16,7 @@ from atoll.expression.text.infix import PRINTABLE_SIZE, tree_size
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.roles.left_hand_sides import LeftSides
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 
 def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str]) -> tuple[JobConfig, tuple[str, ...]]:

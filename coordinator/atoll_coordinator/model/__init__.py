@@ -3,7 +3,7 @@
 `pipeline` tells the whole way on one page; it goes down this list from refinement to report:
 
 - `refinement`: what comes in (`Pool`: the front of a variable) and what goes out (`Refinement`). Pure data
-- `settings`: every number that was set by hand, by stage; `criteria`: the description lengths, side by side
+- `criteria`: the description lengths, side by side
 - `deadline`: the end that ``--max-time`` sets
 - `structure`: programs rewritten, changed in one place, made of libraries of terms. Algebra without data
 - `regression`: the equation of one variable fitted to its target

@@ -17,8 +17,8 @@ from atoll_coordinator.data.differentiation.standard_deviation import (
 )
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.data.row_selection.rows import SelectedRows
-from atoll_coordinator.data.settings import SETTINGS
 from atoll_coordinator.data.trajectories.measurements import Measurements
+from atoll_coordinator.settings import SETTINGS
 
 
 def assemble_given(

@@ -36,8 +36,8 @@ from atoll_coordinator.data.differentiation.smoothing import (
 )
 from atoll_coordinator.data.differentiation.standard_deviation import derivative_standard_deviation
 from atoll_coordinator.data.recording import Quantisation
-from atoll_coordinator.data.settings import SETTINGS
 from atoll_coordinator.data.trajectories.measurements import Measurements
+from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from atoll_coordinator.data.differentiation.kernels.stencils import (
 )
 from atoll_coordinator.data.differentiation.smoothing import Signal, SmoothedSignal
 from atoll_coordinator.data.differentiation.standard_deviation import NORMAL_DEVIATION
-from atoll_coordinator.data.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 LIMITS = SETTINGS.interpolation
 END_ROWS = LIMITS.end_rows

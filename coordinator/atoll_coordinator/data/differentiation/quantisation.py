@@ -12,7 +12,7 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.recording import Quantisation
-from atoll_coordinator.data.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 _ROOT_12: Final = math.sqrt(12.0)
 LIMITS = SETTINGS.quantisation

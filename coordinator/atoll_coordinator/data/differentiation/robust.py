@@ -19,7 +19,7 @@ from atoll_coordinator.data.differentiation.smoothing import (
     smooth,
 )
 from atoll_coordinator.data.differentiation.standard_deviation import NORMAL_DEVIATION
-from atoll_coordinator.data.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 LIMITS = SETTINGS.robustness
 

@@ -20,7 +20,7 @@ from atoll_coordinator.data.differentiation.kernels.loess import (
     thin_into,
     validate_into,
 )
-from atoll_coordinator.data.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 LIMITS = SETTINGS.smoothing
 

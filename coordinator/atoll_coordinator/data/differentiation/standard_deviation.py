@@ -5,7 +5,7 @@ from typing import Final
 from atoll.data.dataset import FloatArray
 from atoll.errors import DataError
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
-from atoll_coordinator.data.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 LIMITS = SETTINGS.scale
 NORMAL_DEVIATION: Final = 1.4826

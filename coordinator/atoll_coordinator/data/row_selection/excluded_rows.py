@@ -8,7 +8,7 @@ from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.derivatives import StateEstimate
 from atoll_coordinator.data.differentiation.interpolation import END_ROWS, mark_ends
 from atoll_coordinator.data.recording import ExcludedRow, Reason
-from atoll_coordinator.data.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 LIMITS = SETTINGS.rows
 

@@ -16,8 +16,8 @@ from atoll_coordinator.data.differentiation.interpolation import END_ROWS, mark_
 from atoll_coordinator.data.differentiation.standard_deviation import bounded_standard_deviation
 from atoll_coordinator.data.recording import ExcludedRow
 from atoll_coordinator.data.row_selection.excluded_rows import explain_excluded_rows
-from atoll_coordinator.data.settings import SETTINGS
 from atoll_coordinator.data.trajectories.measurements import Measurements
+from atoll_coordinator.settings import SETTINGS
 
 LIMITS = SETTINGS.rows
 FAR_OUT = LIMITS.over_median_uncertainty

@@ -7,7 +7,7 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.row_selection.rows import SelectedRows
-from atoll_coordinator.data.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 
 def thin_searched_rows(

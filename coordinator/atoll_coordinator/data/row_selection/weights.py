@@ -6,7 +6,7 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
-from atoll_coordinator.data.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 LIMITS = SETTINGS.rows
 

@@ -12,7 +12,7 @@ from atoll.data.dataset import FloatArray
 from atoll.data.table import Table
 from atoll.errors import DataError
 from atoll_coordinator.data.roles.roles import TIME_NAMES, Roles
-from atoll_coordinator.data.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 BoolArray = npt.NDArray[np.bool_]
 MIN_ROWS = SETTINGS.checks.min_rows

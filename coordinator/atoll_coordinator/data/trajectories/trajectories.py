@@ -14,9 +14,9 @@ import numpy as np
 from atoll.data.dataset import FloatArray
 from atoll.data.table import Table
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.settings import SETTINGS
 from atoll_coordinator.data.trajectories.angles import unwrap
 from atoll_coordinator.data.trajectories.checks import check_no_turns, check_trajectory, check_varies
+from atoll_coordinator.settings import SETTINGS
 
 LARGEST_PLAIN: Final = 1e15
 """Whole numbers below this are written without an exponent."""

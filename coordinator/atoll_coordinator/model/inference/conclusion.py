@@ -49,7 +49,6 @@ from atoll_coordinator.model.selection.joint_search import ModellingTask, Select
 from atoll_coordinator.model.selection.piece_lengths import in_whole, on_all_rows, remarks
 from atoll_coordinator.model.selection.rounding import RoundedSystem, round_shown, round_system
 from atoll_coordinator.model.selection.shortcut import longest, predictable_rows
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.lyapunov import growth_rate
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
@@ -61,6 +60,7 @@ from atoll_coordinator.model.structure.unit_coefficients import (
     make_coefficients_explicit,
     write_factors,
 )
+from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)

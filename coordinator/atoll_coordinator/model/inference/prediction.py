@@ -19,9 +19,9 @@ import numpy as np
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.inference.attractor import along
 from atoll_coordinator.model.refinement import Prediction
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)

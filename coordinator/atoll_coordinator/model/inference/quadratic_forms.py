@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from atoll.data.dataset import FloatArray
-from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 
 def variance_ratio_tail(ratio: float, lengths: Sequence[int], parameters: float, span: int, degree: int) -> float:

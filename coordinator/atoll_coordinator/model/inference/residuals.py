@@ -14,7 +14,7 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.inference.quadratic_forms import variance_ratio_tail
-from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 _NORMAL_MAD: Final = 0.6744897501960817
 """Median of the absolute value of a standard normal number."""

@@ -12,10 +12,10 @@ from atoll.expression.program import Program, constant_places
 from atoll_coordinator.model.inference.standard_errors import Errors
 from atoll_coordinator.model.refinement import Simulated
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_coordinator.settings import SETTINGS
 
 
 def fit_starts(

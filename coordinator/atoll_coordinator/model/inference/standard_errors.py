@@ -13,9 +13,9 @@ from atoll.expression.program import Program, constant_places
 from atoll_coordinator.model.refinement import Constant, Correlation
 from atoll_coordinator.model.regression.covariance import Known, describe, student_95
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.structure.unit_coefficients import ExplicitCoefficients
+from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from atoll.data.dataset import EXACT_ERROR, FloatArray
 from atoll_coordinator.model.inference.residuals import Check, ReferenceSmoother, check
 from atoll_coordinator.model.refinement import Chaos, Constant, Grade, Prediction
-from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,13 +16,13 @@ from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.refinement import Constant, SimpleNumber, UnitCoefficient
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.simple_numbers import fitted_length
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.unit_coefficients import (
     ONE,
     ExplicitCoefficients,
     as_written,
     make_coefficients_explicit,
 )
+from atoll_coordinator.settings import SETTINGS
 
 _RIDGE: Final = 1e-14
 _FLAT: Final = 1e-100

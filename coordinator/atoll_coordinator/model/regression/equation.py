@@ -25,8 +25,8 @@ from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import round_constants, round_estimates
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.unit_coefficients import make_coefficients_explicit, write_factors
+from atoll_coordinator.settings import SETTINGS
 
 
 def fit_equation(

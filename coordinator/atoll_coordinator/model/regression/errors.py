@@ -8,7 +8,7 @@ from atoll.config import Loss
 from atoll.data.dataset import Problem
 from atoll.expression.evaluation import values_of
 from atoll.expression.program import Program
-from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 
 def errors_on(problem: Problem, program: Program, loss: Loss) -> tuple[float, float]:

@@ -13,7 +13,7 @@ import numpy as np
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.evaluation import values_and_gradient, values_of
 from atoll.expression.program import Program, constant_places
-from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from atoll_coordinator.model.refinement import SimpleNumber
 from atoll_coordinator.model.regression.covariance import covariance_of, description_length, standard_errors
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.simple_numbers import continuum_density, fitted_length, simple_numbers
-from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 _ROUNDING = 2.0**-50
 """Standard errors below this share of a constant are those of arithmetic."""

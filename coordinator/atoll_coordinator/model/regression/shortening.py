@@ -22,9 +22,9 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.regression.covariance import description_length
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.rounding import Model, round_constants
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.moves.reductions import reductions
+from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,8 @@ from atoll_coordinator.model.criteria import validated_length
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
 from atoll_coordinator.model.selection.joint_search import SelectedModel
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.poles import find_poles
+from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,8 @@ from atoll_coordinator.model.refinement import Member, Origin, Pools, decode_mem
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import ModelComparison, distinct
 from atoll_coordinator.model.selection.elimination import eliminated
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.term_libraries import Term
+from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,11 +22,11 @@ from atoll_coordinator.model.criteria import (
     structure_length,
     system_length,
 )
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.independence import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import System, system_of
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_coordinator.settings import SETTINGS
 
 Item = TypeVar("Item")
 

@@ -19,7 +19,7 @@ from atoll_coordinator.model.selection.joint_search import (
     search_jointly,
 )
 from atoll_coordinator.model.selection.shortcut import longest, select_by_laws, with_laws
-from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 
 def select_model(task: ModellingTask) -> SelectedModel | None:

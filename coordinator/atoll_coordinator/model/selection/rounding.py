@@ -15,8 +15,8 @@ from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.refinement import SimpleNumber
 from atoll_coordinator.model.regression.rounding import Rounding, find_simple, round_estimates
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
+from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)

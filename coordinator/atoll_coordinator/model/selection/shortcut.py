@@ -17,10 +17,10 @@ from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel, exchange
 from atoll_coordinator.model.selection.local_search import LocalSearch
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.lyapunov import growth_rate
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.sparse.laws import find_laws
+from atoll_coordinator.settings import SETTINGS
 
 
 def with_laws(task: ModellingTask) -> ModellingTask:

@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from atoll.data.dataset import FloatArray
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_coordinator.settings import SETTINGS
 
 
 def covariance(fit: TrajectoryFit) -> FloatArray:

@@ -8,9 +8,9 @@ from collections import OrderedDict
 from typing import Final, Generic, TypeVar
 
 from atoll.data.dataset import FloatArray
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.settings import SETTINGS
 
 Key = tuple[object, ...]
 Fit = TypeVar("Fit")

@@ -16,8 +16,8 @@ import numpy.typing as npt
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.data.recording import Recording, Trajectory
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.variance import VarianceModel, estimate_variance
+from atoll_coordinator.settings import SETTINGS
 
 _LARGEST_SHARE: Final = 0.1
 """Variance of normal errors over the squared reach of robustness weights, at most: beyond, what lies outside of the

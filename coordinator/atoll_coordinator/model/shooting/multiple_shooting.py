@@ -17,7 +17,6 @@ import numpy as np
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
 from atoll_coordinator.model.shooting.fit_cache import FitCache, key_of
 from atoll_coordinator.model.shooting.kernels.implicit import STIFF
@@ -27,6 +26,7 @@ from atoll_coordinator.model.shooting.kernels.rates import Table
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)

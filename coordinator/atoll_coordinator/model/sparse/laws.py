@@ -14,10 +14,10 @@ from atoll.expression.program import Program, constant_places, structure
 from atoll.expression.writing.shortest import collected
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate
 from atoll_coordinator.model.sparse.weak_form import Measured, WeakForm, measured_of, weak_form
 from atoll_coordinator.model.structure.term_libraries import Factor, Term, sum_of
+from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,9 +19,9 @@ import numpy as np
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.data.recording import Recording
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.sparse.kernels.elimination import windowed_sums
 from atoll_coordinator.model.structure.term_libraries import Term
+from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from atoll.expression.builder import Expression, ProgramBuilder
 from atoll.expression.operators import ADD, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
 from atoll.expression.program import Program
 from atoll.expression.simplification import simplify_program
-from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from atoll.config import JobConfig
 from atoll.data.dataset import Dataset, Target
 from atoll_coordinator.data.prior_knowledge import resolve_prior
 from atoll_coordinator.data.recording import Recording
-from atoll_coordinator.data.settings import SETTINGS
 from atoll_coordinator.service.search.collector import Stagnation
+from atoll_coordinator.settings import SETTINGS
 
 ROWS_CLEAN: Final = 16
 ROWS_NOISY: Final = 32

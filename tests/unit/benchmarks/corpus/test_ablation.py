@@ -3,19 +3,18 @@
 import pytest
 
 from atoll.errors import UsageError
-from atoll_coordinator.data.settings import SETTINGS as DATA
 from atoll_coordinator.model import criteria
-from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 from benchmarks.corpus.ablation import JOBS, Replay, changed, differences, summary
 
 
 def test_numbers_are_changed_for_a_while_only():
-    before = SETTINGS.regression.beam, DATA.smoothing.patience, criteria.SMALLEST_UNCERTAINTY
+    before = SETTINGS.regression.beam, SETTINGS.smoothing.patience, criteria.SMALLEST_UNCERTAINTY
     with changed({
         "regression.beam": 1, "smoothing.patience": 2, "atoll_coordinator.model.criteria:SMALLEST_UNCERTAINTY": 3.0,
     }):  # fmt: skip
-        assert (SETTINGS.regression.beam, DATA.smoothing.patience, criteria.SMALLEST_UNCERTAINTY) == (1, 2, 3.0)
-    assert (SETTINGS.regression.beam, DATA.smoothing.patience, criteria.SMALLEST_UNCERTAINTY) == before
+        assert (SETTINGS.regression.beam, SETTINGS.smoothing.patience, criteria.SMALLEST_UNCERTAINTY) == (1, 2, 3.0)
+    assert (SETTINGS.regression.beam, SETTINGS.smoothing.patience, criteria.SMALLEST_UNCERTAINTY) == before
 
 
 def test_a_number_that_is_not_there_is_refused():

@@ -14,7 +14,7 @@ from atoll.expression.simplification import complexity, simplify_program
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
-from atoll_coordinator.model.settings import SETTINGS, Settings
+from atoll_coordinator.settings import SETTINGS, Settings
 
 NAMES = ("x", "y")
 

@@ -21,8 +21,8 @@ from atoll.expression.operators import (
     VARIABLE,
 )
 from atoll.expression.program import Node, Program
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.moves.replacement import replace_each
+from atoll_coordinator.settings import SETTINGS
 
 
 def extensions(program: Program, scales: Sequence[float], operators: Collection[int]) -> Iterator[Program]:

@@ -6,8 +6,8 @@ from typing import Final
 from atoll.expression.builder import Expression
 from atoll.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
 from atoll.expression.program import Node, Program
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.moves.replacement import cofunctions, replace_each
+from atoll_coordinator.settings import SETTINGS
 
 _EXCHANGED: Final = {ADD: SUBTRACT, SUBTRACT: ADD, MULTIPLY: DIVIDE, DIVIDE: MULTIPLY, SIN: COS, COS: SIN}
 

@@ -6,8 +6,8 @@ from typing import Final
 from atoll.expression.builder import Expression
 from atoll.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SUBTRACT
 from atoll.expression.program import Node, Program, structure
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.moves.replacement import cofunctions, replace_node
+from atoll_coordinator.settings import SETTINGS
 
 _NEUTRAL: Final = (0.0, 1.0, -1.0)
 

@@ -7,7 +7,7 @@ import pytest
 
 from atoll_coordinator.model.regression.rounding import round_estimates
 from atoll_coordinator.model.regression.simple_numbers import continuum_density, simple_numbers
-from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 
 ODDS = SETTINGS.regression.simple_odds
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.selection.cross_validation import Validation
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import measurements_of
+from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.shooting.made import DECAY, SWING, compare, measurements, recording
 
 TIMES = 0.1 * np.arange(30.0)

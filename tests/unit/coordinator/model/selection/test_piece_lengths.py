@@ -11,7 +11,7 @@ from atoll_coordinator.model.selection import joint_search, piece_lengths
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.joint_search import ModellingTask
 from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks, select_model
-from atoll_coordinator.model.settings import SETTINGS
+from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import SWING, Known, pools, table
 

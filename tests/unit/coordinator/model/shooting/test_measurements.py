@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.measurements import measurements_of
+from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.shooting.made import DRIVEN, LOTKA, SWING, recording
 
 TIMES = 0.1 * np.arange(30.0)

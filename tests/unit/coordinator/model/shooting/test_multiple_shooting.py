@@ -7,12 +7,12 @@ import pytest
 
 from atoll_coordinator.data.differentiation.robust import fit_robustly
 from atoll_coordinator.data.differentiation.smoothing import Signal
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import system_of, variable_program
+from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, SWING, Known, measurements, recording
 
 TIMES = 0.1 * np.arange(50.0)

@@ -8,7 +8,6 @@ import pytest
 from atoll.config import PAPER, BudgetConfig, EvolutionConfig, JobConfig, PredictorConfig, SpaceConfig
 from atoll.data.dataset import Dataset, Target
 from atoll_coordinator.data.recording import Recording, Smoothing
-from atoll_coordinator.data.settings import SETTINGS
 from atoll_coordinator.service.jobs.defaults import (
     RUNNERS_UP_NOISY,
     STAGNATION_CLEAN,
@@ -19,6 +18,7 @@ from atoll_coordinator.service.jobs.defaults import (
     stagnation_of,
 )
 from atoll_coordinator.service.search.collector import Stagnation
+from atoll_coordinator.settings import SETTINGS
 
 RECORDING = Recording(("x0",), ("x0",), (), (), (), 1, 0.0, (Smoothing("x0", "interpolation", 0.0, 0.0),), ())
 

@@ -11,8 +11,8 @@ from atoll.expression.evaluation import values_of
 from atoll.expression.operators import ADD, ARITY, BY_NAME, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SQUARE, SUBTRACT
 from atoll.expression.program import constant_places, structure
 from atoll.expression.writing.shortest import shortest
-from atoll_coordinator.model.settings import SETTINGS
 from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
+from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.fitting import parsed, shown
 
 ALL = [its.code for its in BY_NAME.values()]
