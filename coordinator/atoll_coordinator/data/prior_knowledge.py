@@ -4,6 +4,7 @@ What cannot be used is refused in one sentence, before anything is searched.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Final
 
 from atoll.config import JobConfig, PriorConfig, SpaceConfig
 from atoll.data.dataset import Dataset
@@ -16,7 +17,9 @@ from atoll.expression.text.infix import PRINTABLE_SIZE, tree_size
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.roles.left_hand_sides import LeftSides
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.settings import SETTINGS
+
+_INDIVIDUALS_PER_GUESS: Final = 4
+"""At most one of so many individuals begins as a guess; more are refused."""
 
 
 def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str]) -> tuple[JobConfig, tuple[str, ...]]:
@@ -121,7 +124,7 @@ def _known_program(variable: str, text: str, names: Sequence[str]) -> Program:
 def _check_guesses(config: JobConfig, variable: str, texts: Sequence[str], names: Sequence[str]) -> None:
     """Raise UsageError unless every guess for `variable` can stand in its populations."""
     population = config.evolution.population
-    most = population // SETTINGS.guesses_per_population
+    most = population // _INDIVIDUALS_PER_GUESS
     if len(texts) > most:
         raise UsageError(
             f"--guess gives {len(texts)} guesses for '{variable}', but a population of {population} takes at most "

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.data.row_selection.rows import SelectedRows
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
+
+_MOST_OUTLIERS: Final = 0.1
+"""Share of the rows beyond which outliers are said to be hardly errors of measurement."""
 
 
 def assemble_given(
@@ -140,4 +144,4 @@ def _remarks(measurements: Measurements, estimates: Sequence[StateEstimate], sel
 def _outlier_remark(state: str, count: int, rows: int) -> str:
     sentence = f"State '{state}' has {count} {'outlier' if count == 1 else 'outliers'} without weight"
     many = "; so many suggest that rows are too far apart for --robust, not that they are wrong"
-    return sentence + (many if count > SETTINGS.robustness.most_outliers * rows else "") + "."
+    return sentence + (many if count > _MOST_OUTLIERS * rows else "") + "."

@@ -8,7 +8,7 @@ that there is noise.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,9 @@ from atoll_coordinator.data.differentiation.standard_deviation import derivative
 from atoll_coordinator.data.recording import Quantisation
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
+
+_PAPER_DEGREES: Final = (2,)
+"""The degree of Schmidt & Lipson 2008."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +115,7 @@ class Differentiation:
     @property
     def degrees(self) -> tuple[int, ...]:
         """Degrees of loess among which one is selected."""
-        return SETTINGS.smoothing.paper_degrees if self.paper else SETTINGS.smoothing.degrees
+        return _PAPER_DEGREES if self.paper else SETTINGS.smoothing.degrees
 
 
 def estimate_states(

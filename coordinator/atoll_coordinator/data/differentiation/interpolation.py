@@ -24,19 +24,21 @@ from atoll_coordinator.settings import SETTINGS
 
 LIMITS = SETTINGS.interpolation
 END_ROWS = LIMITS.end_rows
-STENCIL_ROWS = LIMITS.stencil_rows
-assert STENCIL_ROWS == 2 * HALF_WIDTHS + 1
+STENCIL_ROWS: Final = 2 * HALF_WIDTHS + 1
+"""Rows of the widest stencil."""
+_LEAST_FREEDOM: Final = 1e-12
+"""Guard: smallest 1 - leverage by which a residual is divided."""
 MEDIAN_ERROR: Final = 1.1664
 """Relative standard error of the median size of R normal errors, times sqrt(R): 1 / (2 m f(m)) with the median
 m = 0.6745 and the density f of the size."""
 
 
 def mark_ends(lengths: Sequence[int]) -> FloatArray:
-    """Return 1.0 at rows that stand at the ends of long enough trajectories, else 0.0."""
+    """Return 1.0 at rows that stand at the ends of trajectories of which half the rows remain, else 0.0."""
     ends = np.zeros(sum(lengths))
     first = 0
     for length in lengths:
-        if length >= LIMITS.trimmed_length:
+        if length >= 4 * END_ROWS:
             ends[first : first + END_ROWS] = 1.0
             ends[first + length - END_ROWS : first + length] = 1.0
         first += length
@@ -118,7 +120,7 @@ def _loess_errors(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal])
         ones = [np.ones(len(signal.times)) if signal.is_measured is None else signal.is_measured for signal in signals]
         rows = np.concatenate(ones) > 0.0
         values, fits, leverages = values[rows], fits[rows], leverages[rows]
-    errors: FloatArray = (values - fits) / np.maximum(1.0 - leverages, LIMITS.least_freedom)
+    errors: FloatArray = (values - fits) / np.maximum(1.0 - leverages, _LEAST_FREEDOM)
     return errors
 
 

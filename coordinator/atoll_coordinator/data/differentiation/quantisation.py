@@ -25,7 +25,7 @@ def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
         parts: the measured values along each trajectory, NaN where they are missing.
     """
     values = np.concatenate([part[np.isfinite(part)] for part in parts])
-    values = values[:: max(1, len(values) // LIMITS.judged_rows)]
+    values = values[:: max(1, len(values) // SETTINGS.rows.most)]
     unique = np.unique(values)
     if len(unique) < LIMITS.fewest_values:
         return None

@@ -41,7 +41,7 @@ class RobustFit:
 def fit_robustly(signals: Sequence[Signal], degrees: Sequence[int]) -> RobustFit:
     """Return `signals` with low robustness weights in rows far from the curve, 0 in outliers."""
     fit = RobustFit(tuple(signals), select_smoother(signals, degrees), 0.0)
-    least = LIMITS.least_residual * moments(np.concatenate([signal.measured.values for signal in signals]))[1]
+    least = SETTINGS.common.clean * moments(np.concatenate([signal.measured.values for signal in signals]))[1]
     for _ in range(LIMITS.rounds):
         residuals = _residuals(fit.signals, [smooth(signal, fit.smoother) for signal in fit.signals])
         median = max(_median(residuals, signals), least)

@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
@@ -23,6 +24,12 @@ from atoll_coordinator.data.differentiation.kernels.loess import (
 from atoll_coordinator.settings import SETTINGS
 
 LIMITS = SETTINGS.smoothing
+_LEAST_BINS: Final = LIMITS.least_bins_in_span // 2
+"""A signal of no more rows than this is never thinned, a longer one never to fewer bins: spans may be wider."""
+_NARROW_SPANS: Final = tuple(LIMITS.least_bins_in_span // part for part in (4, 2, 1))
+"""Spans in rows, by which it is judged whether thinning has lost a fast wave."""
+_MOST_LEVERAGE: Final = 0.999
+"""Guard: from this mean leverage on a smoother reproduces the data and has no score."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +105,13 @@ def select_smoother(signals: Sequence[Signal], degrees: Sequence[int]) -> Smooth
     Craven & Wahba 1979, eq. 1.9: mean squared residual over the squared mean of (1 - leverage), both weighted.
     """
     rows = [len(signal.times) for signal in signals]
-    thinning = max(1, min(sum(rows) // LIMITS.many_rows, max(rows) // (LIMITS.least_bins * LIMITS.least_bins_in_span)))
+    thinning = max(1, min(sum(rows) // SETTINGS.rows.most, max(rows) // (_LEAST_BINS * LIMITS.least_bins_in_span)))
     while True:
         best = _best_smoother([_thin(signal, thinning) for signal in signals], degrees)
         best = replace(best, thinning=thinning)
         if thinning == 1 or (best.span >= LIMITS.least_bins_in_span and _is_resolved(signals, best, degrees)):
             return best
-        thinning = max(1, thinning // LIMITS.thinning_ratio)
+        thinning = max(1, thinning // 2)
 
 
 def _is_resolved(signals: Sequence[Signal], smoother: Smoother, degrees: Sequence[int]) -> bool:
@@ -112,7 +119,7 @@ def _is_resolved(signals: Sequence[Signal], smoother: Smoother, degrees: Sequenc
     if not math.isfinite(smoother.score):
         return False
     whole = [_BinnedSignal(signal, 1.0) for signal in signals]
-    narrow = min(_score_degrees(whole, span, 1, degrees).score for span in LIMITS.narrow_spans)
+    narrow = min(_score_degrees(whole, span, 1, degrees).score for span in _NARROW_SPANS)
     squares, count = 0.0, 0.0
     for signal in signals:
         residuals = (signal.values - smooth(signal, smoother).fits[0]).tolist()
@@ -139,7 +146,7 @@ def _thin(signal: Signal, thinning: int) -> _BinnedSignal:
     if thinning == 1:
         return _BinnedSignal(signal, 1.0)
     rows = len(signal.times)
-    bins = max(rows // thinning, min(rows, LIMITS.least_bins))
+    bins = max(rows // thinning, min(rows, _LEAST_BINS))
     share = rows / bins / thinning if bins > rows // thinning else 1.0
     times, values, weights = np.empty(bins), np.empty(bins), np.empty(bins)
     if signal.inverse_variances is None:
@@ -153,7 +160,7 @@ def _thin(signal: Signal, thinning: int) -> _BinnedSignal:
 
 def _best_smoother(parts: Sequence[_BinnedSignal], degrees: Sequence[int]) -> Smoother:
     longest = max(len(part.signal.times) for part in parts)
-    every = -(-sum(len(part.signal.times) for part in parts) // LIMITS.judged_rows)
+    every = -(-sum(len(part.signal.times) for part in parts) // (2 * SETTINGS.rows.most))
     best = Smoother(0, 0, math.inf)
     since = 0
     for span in _spans(longest):
@@ -167,8 +174,8 @@ def _best_smoother(parts: Sequence[_BinnedSignal], degrees: Sequence[int]) -> Sm
 
 def _spans(longest: int) -> list[int]:
     """Return the spans tried: beyond the longest trajectory the bandwidth goes on growing for a while."""
-    spans = [LIMITS.smallest_span]
-    while spans[-1] < min(3 * longest, LIMITS.largest_span):
+    spans = [SETTINGS.checks.min_rows]
+    while spans[-1] < 3 * longest:
         spans.append(max(spans[-1] + 1, int(spans[-1] * LIMITS.span_ratio)))
     return spans
 
@@ -188,7 +195,7 @@ def _score(sums: FloatArray) -> float:
     if not count > 0.0:
         return math.inf
     residuals, leverages = float(sums[0]) / count, float(sums[1]) / count
-    if not math.isfinite(residuals) or not leverages < LIMITS.most_leverage:
+    if not math.isfinite(residuals) or not leverages < _MOST_LEVERAGE:
         return math.inf
     return residuals / ((1.0 - leverages) * (1.0 - leverages))
 

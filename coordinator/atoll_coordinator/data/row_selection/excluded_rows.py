@@ -1,6 +1,7 @@
 """Rows that are not used because of one state, and the reason of each. Pure."""
 
 from collections.abc import Collection, Sequence
+from typing import Final
 
 import numpy as np
 
@@ -8,9 +9,11 @@ from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.derivatives import StateEstimate
 from atoll_coordinator.data.differentiation.interpolation import END_ROWS, mark_ends
 from atoll_coordinator.data.recording import ExcludedRow, Reason
-from atoll_coordinator.settings import SETTINGS
 
-LIMITS = SETTINGS.rows
+_GAP_STEPS: Final = 3.0
+"""A step of the times this many times as long as the median one of its trajectory is told as a gap."""
+_END_SHARE: Final = 0.25
+"""Rows within this share of a span from the end of a trajectory have neighbours on one side, mostly."""
 
 
 def explain_excluded_rows(
@@ -57,14 +60,14 @@ def _near_ends(rows: int, known: Sequence[int], estimate: StateEstimate) -> list
     low, high = (known[0], known[-1]) if known else (0, rows - 1)
     reach = END_ROWS
     if estimate.smoother is not None:
-        reach = max(END_ROWS, int(LIMITS.end_share * min(estimate.smoother.rows, rows)))
+        reach = max(END_ROWS, int(_END_SHARE * min(estimate.smoother.rows, rows)))
     return [min(row - low, high - row) < reach for row in range(rows)]
 
 
 def _near_gaps(times: FloatArray) -> list[bool]:
     """Return for each row of a trajectory whether a long step of the times is near."""
     steps = np.diff(times)
-    long = np.flatnonzero(steps > LIMITS.gap_steps * float(np.sort(steps)[len(steps) // 2])).tolist()
+    long = np.flatnonzero(steps > _GAP_STEPS * float(np.sort(steps)[len(steps) // 2])).tolist()
     near = [False] * len(times)
     for step in long:
         for row in range(max(step + 1 - END_ROWS, 0), min(step + 1 + END_ROWS, len(times))):

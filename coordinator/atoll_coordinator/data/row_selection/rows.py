@@ -95,14 +95,14 @@ def _certain_interpolated(estimates: Sequence[StateEstimate], inner: list[int]) 
     selected = inner
     if not estimates or not inner:
         return selected
-    least = math.ceil(LIMITS.least_interpolated * len(inner))
-    for _ in range(LIMITS.passes):
+    least = math.ceil(LIMITS.least_kept * len(inner))
+    for _ in range(SETTINGS.robustness.rounds):
         worst = np.zeros(len(inner))
         for estimate in estimates:
-            deviation = bounded_standard_deviation(estimate.derivative[selected], LIMITS.least_variation)
+            deviation = bounded_standard_deviation(estimate.derivative[selected], SETTINGS.common.negligible)
             worst = np.maximum(worst, estimate.uncertainty[inner] / deviation)
         ordered = np.sort(worst).tolist()
-        limit = max(LIMITS.always_certain, FAR_OUT * ordered[len(inner) // 2], ordered[least - 1])
+        limit = max(SETTINGS.common.clean, FAR_OUT * ordered[len(inner) // 2], ordered[least - 1])
         selected = [row for row, uncertainty in zip(inner, worst.tolist(), strict=True) if uncertainty <= limit]
     return _evenly_uncertain(estimates, selected, least)
 
@@ -138,6 +138,6 @@ def _certain_smoothed(estimates: Sequence[StateEstimate], rows: list[int]) -> li
         if median > 0.0:
             worst = np.maximum(worst, uncertainty / median)
     ordered = np.sort(worst).tolist()
-    least = min(max(math.ceil(LIMITS.least_smoothed * len(rows)), SETTINGS.checks.min_rows), len(rows))
+    least = min(max(math.ceil(LIMITS.least_kept * len(rows)), SETTINGS.checks.min_rows), len(rows))
     limit = max(FAR_OUT, ordered[least - 1]) if rows else FAR_OUT
     return [row for row, value in zip(rows, worst.tolist(), strict=True) if value <= limit]

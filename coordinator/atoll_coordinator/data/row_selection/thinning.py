@@ -11,7 +11,7 @@ from atoll_coordinator.settings import SETTINGS
 
 
 def thin_searched_rows(
-    selected: SelectedRows, states: Sequence[FloatArray], most: int = SETTINGS.rows.most_searched
+    selected: SelectedRows, states: Sequence[FloatArray], most: int = SETTINGS.rows.most
 ) -> SelectedRows:
     """Return the selection with about `most` rows for the search, if there were more; `states` are (R,) each.
 

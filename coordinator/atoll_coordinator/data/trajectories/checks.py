@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,8 @@ from atoll_coordinator.settings import SETTINGS
 
 BoolArray = npt.NDArray[np.bool_]
 MIN_ROWS = SETTINGS.checks.min_rows
+_TURNS: Final = ((6.283185307179586, "2 pi", ""), (360.0, "360", ":deg"))
+"""A full turn, how it is called, and what `--angle` appends for its unit."""
 
 
 def select_usable_rows(
@@ -96,13 +99,12 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
 
     A wrapped angle stays within one turn, and where it jumps it moves on smoothly once the turn is taken out.
     """
-    limits = SETTINGS.checks
     parts = [part[np.isfinite(part)] for part in parts]
     parts = [part for part in parts if len(part)]
     low = min(float(np.min(part)) for part in parts)
     high = max(float(np.max(part)) for part in parts)
-    for turn, called, suffix in limits.turns:
-        if not limits.least_turn * turn < high - low <= limits.most_turn * turn:
+    for turn, called, suffix in _TURNS:
+        if not 0.5 * turn < high - low <= (1.0 + SETTINGS.common.negligible) * turn:
             continue
         jumps = sum(_count_turns(part, turn) for part in parts)
         if jumps:
@@ -114,14 +116,14 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
 
 
 def _count_turns(values: FloatArray, turn: float) -> int:
-    """Count isolated steps that are small only modulo `turn`."""
+    """Count isolated steps that are small only modulo `turn`: of more than half a turn, and of far more than beside."""
     steps = np.abs(np.diff(values))
-    limits, count = SETTINGS.checks, 0
+    ratio, count = SETTINGS.checks.jump_over_neighbours, 0
     for index, step in enumerate(steps.tolist()):
         near = [float(steps[other]) for other in (index - 1, index + 1) if 0 <= other < len(steps)]
-        around = max((each for each in near if each < limits.least_turn * turn), default=0.0)
-        is_alone = step > limits.least_turn * turn and step > limits.jump_over_neighbours * around
-        if is_alone and abs(step - turn) <= limits.jump_excess * around + limits.jump_rounding * turn:
+        around = max((each for each in near if each < 0.5 * turn), default=0.0)
+        is_alone = step > max(0.5 * turn, ratio * around)
+        if is_alone and abs(step - turn) <= ratio * around + SETTINGS.common.negligible * turn:
             count += 1
     return count
 
@@ -146,8 +148,7 @@ def _weighted_rows(table: Table, name: str | None, columns: Mapping[str, FloatAr
             f"the weights '{name}' hold {value_text} in {table.places(bad)}; a weight is a number from 0 (a row that "
             "is not used) up, such as 1/variance"
         )
-    least = SETTINGS.checks.smallest_weight * float(np.max(weights, initial=0.0))
-    rows = [int(row) for row in np.flatnonzero(weights > least)]
+    rows = [int(row) for row in np.flatnonzero(weights > 0.0)]
     if len(rows) < MIN_ROWS:
         raise DataError(
             f"only {len(rows)} rows of {table.files[0]} have a weight above zero in '{name}'; at least {MIN_ROWS} are "

@@ -21,9 +21,13 @@ MANY: Final = 5
 
 
 def find_pieces(times: FloatArray, span: int) -> list[Range]:
-    """Return the half-open ranges of rows between gaps longer than `span` median steps, or those always bridged."""
+    """Return the half-open ranges of rows between gaps longer than `span` median steps.
+
+    Times drawn at random come k median steps apart once in 2^k: gaps that may be chance are always bridged.
+    """
     steps = np.diff(times)
-    longest = max(span, SETTINGS.trajectories.bridged_steps) * float(np.sort(steps)[len(steps) // 2])
+    by_chance = int(1.0 / SETTINGS.quantisation.improbable).bit_length()
+    longest = max(span, by_chance) * float(np.sort(steps)[len(steps) // 2])
     ends = [0, *(int(row) + 1 for row in np.flatnonzero(steps > longest)), len(times)]
     return list(pairwise(ends))
 
@@ -42,7 +46,7 @@ def split_at_gaps(measurements: Measurements, span: int) -> Measurements:
     long_enough = [[piece for piece in each if piece[1] - piece[0] >= MIN_ROWS] for each in pieces]
     rows = sum(last - first for each in long_enough for first, last in each)
     is_any_searched = any(each and not out for each, out in zip(long_enough, measurements.held_out, strict=True))
-    if rows < SETTINGS.trajectories.least_rows_in_pieces * measurements.row_count or not is_any_searched:
+    if rows < SETTINGS.rows.least_kept * measurements.row_count or not is_any_searched:
         sentence = f"{counted} bridged although long, because the pieces between them are too short."
         return replace(measurements, warnings=(*measurements.warnings, sentence))
     return _split(measurements, long_enough, f"{counted} longer than what is smoothed at a time")

@@ -123,7 +123,7 @@ def _center_times(times: FloatArray, centre: float) -> FloatArray:
     """Return times - centre, exactly even when they are even to within their last bits."""
     precision = SETTINGS.trajectories.time_rounding * float(np.spacing(np.max(np.abs(times))))
     step = _round_step(float(times[-1]) - float(times[0]), len(times) - 1, precision)
-    is_resolved = precision < SETTINGS.trajectories.largest_rounding * step
+    is_resolved = SETTINGS.trajectories.time_rounding * precision < step
     steps: FloatArray = step * np.arange(len(times), dtype=np.float64)
     if np.all(np.abs(times - (float(times[0]) + steps)) <= precision) and is_resolved:
         return (float(times[0]) - centre) + steps

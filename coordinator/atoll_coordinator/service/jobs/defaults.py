@@ -4,10 +4,10 @@ from typing import Final
 
 from atoll.config import JobConfig
 from atoll.data.dataset import Dataset, Target
+from atoll_coordinator.data.differentiation.interpolation import STENCIL_ROWS
 from atoll_coordinator.data.prior_knowledge import resolve_prior
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.service.search.collector import Stagnation
-from atoll_coordinator.settings import SETTINGS
 
 ROWS_CLEAN: Final = 16
 ROWS_NOISY: Final = 32
@@ -68,5 +68,5 @@ def independent_rows(target: Target, recording: Recording | None) -> float:
         return rows
     smoothing = recording.smoothing[recording.states.index(target.variable)]
     if smoothing.span is None or smoothing.degree is None:
-        return rows / SETTINGS.interpolation.stencil_rows
+        return rows / STENCIL_ROWS
     return rows * min(1.0, (smoothing.degree + 1.0) / smoothing.span)

@@ -7,6 +7,7 @@ import pytest
 
 from atoll.config import PAPER, BudgetConfig, EvolutionConfig, JobConfig, PredictorConfig, SpaceConfig
 from atoll.data.dataset import Dataset, Target
+from atoll_coordinator.data.differentiation.interpolation import STENCIL_ROWS
 from atoll_coordinator.data.recording import Recording, Smoothing
 from atoll_coordinator.service.jobs.defaults import (
     RUNNERS_UP_NOISY,
@@ -18,7 +19,6 @@ from atoll_coordinator.service.jobs.defaults import (
     stagnation_of,
 )
 from atoll_coordinator.service.search.collector import Stagnation
-from atoll_coordinator.settings import SETTINGS
 
 RECORDING = Recording(("x0",), ("x0",), (), (), (), 1, 0.0, (Smoothing("x0", "interpolation", 0.0, 0.0),), ())
 
@@ -54,7 +54,7 @@ def test_the_search_for_a_noisy_target_stagnates_sooner_and_that_for_a_clean_one
 def test_rows_that_count_are_those_with_errors_of_their_own() -> None:
     target = dataset().targets[0]
     assert independent_rows(target, None) == len(target.values)
-    assert independent_rows(target, RECORDING) == len(target.values) / SETTINGS.interpolation.stencil_rows
+    assert independent_rows(target, RECORDING) == len(target.values) / STENCIL_ROWS
     smoothed = replace(RECORDING, smoothing=(Smoothing(target.variable, "loess", 0.1, 0.1, span=20, degree=3),))
     assert independent_rows(target, smoothed) == pytest.approx(len(target.values) / 5.0)
     narrow = replace(RECORDING, smoothing=(Smoothing(target.variable, "loess", 0.1, 0.1, span=4, degree=4),))
