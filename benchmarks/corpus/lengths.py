@@ -11,13 +11,17 @@ from atoll.errors import AtollError
 from atoll.expression.text.parsing import from_infix
 from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.joint_search import ModellingTask
+from atoll_coordinator.model.selection.piece_lengths import in_stretches, is_nearly_clean
 
 
 def excess_of_truth(
     table: Table, config: JobConfig, truths: Mapping[str, str], shown: Sequence[str | None]
 ) -> float | None:
     """Return how many nats longer the description is with the truth than with what was shown, constants fitted.
+
+    Pieces and errors are those by which equations were chosen.
 
     Negative: the search or the selection missed it, infinitely so where what was shown cannot be simulated; positive:
     the criterion prefers what was shown. None where the truth cannot be fitted, or something is missing.
@@ -29,17 +33,21 @@ def excess_of_truth(
         preparation = prepare(table, config)
         if preparation.recording is None:
             return None
-        task = ModellingTask(preparation.dataset, preparation.recording, config, {})
-        comparison = task.compare(task.measurements([*truths]), [*truths])
-        names = preparation.dataset.names
+        names, variables = preparation.dataset.names, [*truths]
+        task = ModellingTask(preparation.dataset, preparation.recording, config, dict.fromkeys(truths, CandidateSet()))
+        systems = [[shortest(from_infix(text, names)) for text in each] for each in (truths.values(), texts)]
         with np.errstate(all="ignore"):
-            models = [
-                comparison.fit_model([shortest(from_infix(text, names)) for text in each], 40)
-                for each in (truths.values(), texts)
-            ]
+            if is_nearly_clean(task):
+                task = in_stretches(task, systems[1])
+            comparison = task.compare(task.measurements(variables), variables)
+            models = [comparison.fit_model(each, 40) for each in systems]
+            found = [model for model in models if model is not None]
+            if found:
+                comparison.calibrate(min(found, key=lambda model: model.nats))
+                models = [None if model is None else comparison.measure(model.fit) for model in models]
     except AtollError:
         return None
-    right, found = models
+    right, other = models
     if right is None:
         return None
-    return -math.inf if found is None else right.nats - found.nats
+    return -math.inf if other is None else right.nats - other.nats

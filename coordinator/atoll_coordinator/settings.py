@@ -231,6 +231,20 @@ class SparseSettings:
     """Rows of half a window, at least: fewer integrate with errors beyond the noise."""
     least_windows: int = 4
     """Half widths in the longest trajectory, at least."""
+    pursued_rows: int = 256
+    """Rows that sums with functions are pursued on: enough to decide some twenty terms."""
+    pursued_degree: int = 3
+    """Highest degree of the polynomial that functions are added to; products with functions have one less."""
+    most_shapes: int = 600
+    """Larger dictionaries of products with functions are not tried: one of two states has about 300."""
+    pursued_functions: int = 2
+    """Products with functions that are added."""
+    pursued_beam: int = 16
+    """Sums that go on when a term is added; twice as many are fitted."""
+    pursued_constants: int = 7
+    """Larger sums are no candidates."""
+    pursued_kept: int = 8
+    """Sums of each number of constants that are candidates."""
     reweightings: int = 3
     """Fits by which the weights of windows settle, each by the law of the one before."""
 

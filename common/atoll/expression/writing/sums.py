@@ -131,9 +131,14 @@ def _factors(its: Sum, exponent: int) -> list[tuple[Atom, int] | float]:
 
 
 def bracket(its: Sum) -> tuple[float, Monomial]:
-    """Return a sum of several terms as a number times a monomial: what all terms share stands before the bracket."""
+    """Return a sum of several terms as a number times a monomial: what all terms share stands before the bracket.
+
+    Without what they share, terms may cancel: x^2 - x (x - 1) is x.
+    """
     shared = common([monomial for monomial, _ in its])
     rest = collect((divided(monomial, shared), coefficient) for monomial, coefficient in its) if shared else its
+    if len(rest) < 2:
+        return (rest[0][1], merged([*shared, *rest[0][0]])) if rest else (0.0, ONE)
     lead = next(coefficient for monomial, coefficient in rest if monomial != ONE)
     unit = tuple((monomial, cleaned(coefficient / lead)) for monomial, coefficient in rest)
     return lead, merged([*shared, ((ADD, unit), 1)])

@@ -272,25 +272,17 @@ def _without_refuted(task: ModellingTask, comparison: ModelComparison, shown: _S
 def _rounded(comparison: ModelComparison, fitted: FittedModel) -> tuple[RoundedSystem, FittedModel] | None:
     """Return a system with constants as they are shown, in as few digits as leave simulations as they are.
 
-    They are compared with those of the same simple numbers and all digits of the other constants. None when it cannot
-    be simulated.
+    None when it cannot be simulated.
     """
-    *few, most = SETTINGS.inference.error_digits
-    found = _with_digits(comparison, fitted, most)
-    limit = math.inf if found is None else found[1].misfit + SETTINGS.inference.unchanged_nats
-    for digits in few:
-        rounded = _with_digits(comparison, fitted, digits)
-        if rounded is not None and rounded[1].misfit <= limit:
-            return rounded
+    found = None
+    for digits in SETTINGS.inference.error_digits:
+        rounded = round_shown(comparison, fitted, digits)
+        fit = fit_starts(comparison, rounded.programs, fitted.fit)
+        if fit is not None:
+            found = rounded, comparison.measure(fit)
+            if found[1].misfit <= fitted.misfit + rounded.loss + SETTINGS.inference.unchanged_nats:
+                break
     return found
-
-
-def _with_digits(
-    comparison: ModelComparison, fitted: FittedModel, digits: int
-) -> tuple[RoundedSystem, FittedModel] | None:
-    rounded = round_shown(comparison, fitted, digits)
-    fit = fit_starts(comparison, rounded.programs, fitted.fit)
-    return None if fit is None else (rounded, comparison.measure(fit))
 
 
 def _shortest(task: ModellingTask, comparison: ModelComparison, equation: int, program: Program) -> Program:

@@ -36,7 +36,8 @@ class Evidence:
     `alternative` is how many nats longer the description is with the next best equation that is another function and
     has no more constants; `prediction` is how far the state can be foretold from other initial states, None where that
     is not known; `chaos` is what is known of a model whose courses
-    cannot be foretold for long; `is_known` tells that the equation was given.
+    cannot be foretold for long; `is_known` tells that the equation was given; `is_unsimulated` that there are
+    trajectories, along which it was not simulated.
     """
 
     error: float = math.inf
@@ -58,6 +59,7 @@ class Evidence:
     prediction: Prediction | None = None
     chaos: Chaos | None = None
     is_known: bool = False
+    is_unsimulated: bool = False
     convergence_threshold: float = EXACT_ERROR
 
     @property
@@ -122,7 +124,8 @@ def _loosest(evidence: Evidence) -> str | None:
 
 
 def _by_target(evidence: Evidence) -> tuple[Grade, str]:
-    if evidence.target_uncertainty <= SETTINGS.inference.clean and evidence.error <= evidence.convergence_threshold:
+    is_converged = evidence.error <= evidence.convergence_threshold
+    if evidence.target_uncertainty <= SETTINGS.inference.clean and is_converged and not evidence.is_unsimulated:
         return "exact", f"The error, {evidence.error:.1g} of the target's deviation, is at the level of rounding."
     if not math.isfinite(evidence.error):
         return "no model", "Its error is not finite."
@@ -219,6 +222,8 @@ def _where(prediction: Prediction) -> str:
 
 
 def _objections_to_target(evidence: Evidence, *, is_at_floor: bool) -> Iterator[str]:
+    if evidence.is_unsimulated:
+        yield "it was not simulated along the trajectories, and fits the derivatives alone"
     if evidence.target_r2 is not None and evidence.target_r2 < SETTINGS.inference.good_r2 and not is_at_floor:
         yield f"it explains the target with R2 {_r2(evidence.target_r2)} only"
     if evidence.target_uncertainty > SETTINGS.inference.largest_uncertainty:

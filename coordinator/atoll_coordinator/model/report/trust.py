@@ -5,6 +5,7 @@ Plain dictionaries, lists, texts and numbers for ``result.json``; a number that 
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -33,17 +34,22 @@ LEAST_POINTS: Final = 2
 MOST_CANDIDATES: Final = 20
 
 
-def verdict(shown: Refined | None, target: Target, state: JobState, *, is_known: bool = False) -> dict[str, Any]:
+def verdict(
+    shown: Refined | None, target: Target, state: JobState, *, has_trajectories: bool, is_known: bool = False
+) -> dict[str, Any]:
     """Return grade and reason of an equation; null while the job has not ended.
 
-    Where refining did not judge it, for want of trajectories, its error on the target decides.
+    Where refining did not judge it, its error on the target decides. Where there are trajectories, it is doubtful at
+    best then: it could not be simulated along them, or there was no time.
     """
     if state not in FINAL_STATES:
         return {"verdict": None, "reason": None}
     if shown is None:
         return {"verdict": "no model", "reason": "The search has found no equation."}
     grade, reason = (
-        (shown.grade, shown.reason) if shown.grade is not None else judge(_on_target(shown, target, is_known))
+        (shown.grade, shown.reason)
+        if shown.grade is not None
+        else judge(replace(_on_target(shown, target, is_known), is_unsimulated=has_trajectories))
     )
     return {"verdict": grade, "reason": reason}
 

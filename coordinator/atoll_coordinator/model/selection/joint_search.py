@@ -28,6 +28,7 @@ from atoll_coordinator.model.shooting.measurements import Measurements, measurem
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import variable_program
 from atoll_coordinator.model.sparse.laws import Law
+from atoll_coordinator.model.sparse.pursuit import pursue
 from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.term_libraries import Term, fractions, libraries
@@ -124,8 +125,16 @@ def ranked_candidates(task: ModellingTask) -> list[list[Program]]:
     found = [program for program in converged if program is not None]
     if len(found) == len(converged) and _is_exact(task, found):
         return [[program] for program in found]
-    nearest = [_compared(task, name, is_brief=True) for name in task.variables]
-    return nearest if _suffice(task, nearest) else [_compared(task, name) for name in task.variables]
+    sums = {name: _pursued(task, name) for name in task.variables if name not in task.known}
+    nearest = [_compared(task, name, sums, is_brief=True) for name in task.variables]
+    return nearest if _suffice(task, nearest) else [_compared(task, name, sums) for name in task.variables]
+
+
+def _pursued(task: ModellingTask, name: str) -> list[Program]:
+    """Return sums of a polynomial and of functions for the equation of one variable."""
+    if task.deadline is not None and task.deadline.is_over:
+        return []
+    return pursue(task.dataset.problem(name), task.columns(name), task.operators(name))
 
 
 def _suffice(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> bool:
@@ -183,14 +192,19 @@ def _converged(task: ModellingTask, name: str) -> Program | None:
     return None
 
 
-def _compared(task: ModellingTask, name: str, *, is_brief: bool = False) -> list[Program]:
-    """Return all candidates of one variable, the best first; if it `is_brief`, no libraries and few runners-up."""
+def _compared(
+    task: ModellingTask, name: str, sums: Mapping[str, Sequence[Program]], *, is_brief: bool = False
+) -> list[Program]:
+    """Return all candidates of one variable, the best first; if it `is_brief`, no libraries and few runners-up.
+
+    `sums` are those of sparse regression, by variable.
+    """
     if name in task.known:
         return [task.known[name]]
     problem = task.dataset.problem(name)
     programs = [task.settled[name].program] if name in task.settled else []
     programs += task.candidates[name].nearest if is_brief else task.candidates[name].programs
-    programs += [law.program for law in task.laws.get(name, ())]
+    programs += [*(law.program for law in task.laws.get(name, ())), *sums[name]]
     measurements = task.measurements([name]).thinned(SETTINGS.selection.compared_rows)
     comparison = task.compare(measurements, [name])
     best = ranked(comparison, problem, programs, () if is_brief else _libraries(task, name, measurements))

@@ -33,8 +33,8 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
     lists = ranked_candidates(task)
     if not all(lists):
         return None
-    if _is_nearly_clean(task):
-        return search_jointly(replace(task, piece=_stretch(task, lists)), lists)
+    if is_nearly_clean(task):
+        return search_jointly(in_stretches(task, [its[0] for its in lists]), lists)
     found: list[SelectedModel] = []
     for selection in _ever_shorter(task, lists):
         found.append(selection)
@@ -46,21 +46,20 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
 
 def in_whole(task: ModellingTask) -> ModellingTask:
     """Return the task with trajectories simulated in whole, or in the longest pieces that are ever fitted."""
-    return replace(task, piece=SETTINGS.shooting.piece) if _is_nearly_clean(task) else task
+    return replace(task, piece=SETTINGS.shooting.piece) if is_nearly_clean(task) else task
 
 
-def _is_nearly_clean(task: ModellingTask) -> bool:
+def is_nearly_clean(task: ModellingTask) -> bool:
     """Tell whether the independent errors of all states are too small to hide a term of a law."""
     return all(each.relative_noise < SETTINGS.selection.least_noise for each in task.recording.smoothing)
 
 
-def _stretch(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> int:
-    """Return in how long pieces the best candidates describe nearly clean trajectories in the fewest nats.
+def in_stretches(task: ModellingTask, programs: Sequence[Program]) -> ModellingTask:
+    """Return the task with pieces so long that a system describes nearly clean trajectories in the fewest nats.
 
     Errors of a solver add up along a trajectory; an initial state for each piece, which takes 1/2 ln N for each number,
     ends that. Of a whole trajectory, terms that do not belong to the law would describe the sum of such errors.
     """
-    programs = [its[0] for its in lists]
     lengths: dict[int, float] = {}
     for piece in (task.piece, *SETTINGS.selection.stretches):
         here = replace(task, piece=piece)
@@ -70,7 +69,8 @@ def _stretch(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> int:
         model = comparison.fit_model(programs)
         if model is not None:
             lengths[piece] = _stretch_length(comparison, model) / comparison.estimator.measurements.rows
-    return min(lengths, key=lambda piece: (lengths[piece], -piece), default=task.piece)
+    best = min(lengths, key=lambda piece: (lengths[piece], -piece), default=task.piece)
+    return replace(task, piece=best)
 
 
 def _stretch_length(comparison: ModelComparison, model: FittedModel) -> float:

@@ -23,11 +23,12 @@ from atoll_coordinator.settings import SETTINGS
 class RoundedSystem:
     """The equations with constants as they are shown; `simple` has for each of its constants the nearest simple number.
 
-    A given equation has none.
+    A given equation has none. `loss` is by how many nats simple numbers describe the trajectories worse than estimates.
     """
 
     programs: tuple[Program, ...]
     simple: tuple[tuple[SimpleNumber | None, ...], ...]
+    loss: float = 0.0
 
 
 def round_system(comparison: ModelComparison, model: FittedModel) -> tuple[Program, ...]:
@@ -71,6 +72,7 @@ def round_shown(comparison: ModelComparison, model: FittedModel, digits: int) ->
             () if index in comparison.fixed else tuple(next(simple) for _ in constant_places(program))
             for index, program in enumerate(programs)
         ),
+        rounding.loss,
     )
 
 

@@ -1,7 +1,9 @@
-"""Laws as sparse sums of products, found by regression alone: no simulation, no population, well under a second.
+"""Laws as sparse sums, found by regression alone: no simulation, no population, about a second at most.
 
 - `weak_form`: equations integrated against test functions, so that nothing is differentiated
 - `laws`: backward elimination in the weak form, or on derivatives where there is no noise; the criterion
+- `pursuit`: sums of a polynomial and of products with functions, constants inside these fitted (matching pursuit)
+- `shapes`: the products with functions that it is made of
 - `kernels`: least squares and elimination, compiled; `warmup` makes them ready
 
 Candidates for `selection`, which judges them by trajectories. The reasons and figures: ADR 0036.

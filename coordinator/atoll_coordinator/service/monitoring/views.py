@@ -171,7 +171,8 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState
         why=cast(Why | Literal["known"] | None, outcome.why),
     )
     shown = equation_of(outcome, prepared.dataset, prepared.config)
-    grade = verdict(shown, target, state, is_known=outcome.why == KNOWN)["verdict"]
+    has_trajectories = prepared.preparation.recording is not None
+    grade = verdict(shown, target, state, has_trajectories=has_trajectories, is_known=outcome.why == KNOWN)["verdict"]
     view = view.model_copy(update={"verdict": grade})
     if shown is None:
         return view

@@ -47,6 +47,7 @@ CASES = {
     "(x**2 - 1.0)/(x + 1.0)": "x - 1.0",
     "1.0/(1.0/x + 1.0/y)": "x*y/(x + y)",
     "x/(x + y) + y/(x + y)": "1.0",
+    "y/(x**2 - x*(x - 1.0))": "y/x",
     "1.0/(x + 1.0) + 1.0/(x - 1.0)": "2.0*x/(x**2 - 1.0)",
     # common factors
     "x*y + x*z": "x*(y + z)",
@@ -200,3 +201,9 @@ def test_the_writing_depends_on_no_order_of_hashes():
         for seed in ("1", "2")
     }
     assert len(found) == 1
+
+
+def test_terms_that_cancel_under_a_function_do_not_end_the_search_for_a_writing():
+    text = "0.4*((y*x - x)/((x + sin(x))/y)) + 9.9*sin(x) + 0.6*(y*x) - 9.8*x - 0.005"
+    before = from_infix(text, NAMES)
+    np.testing.assert_allclose(values_of(shortest(before), ROWS), values_of(before, ROWS), rtol=1e-9)

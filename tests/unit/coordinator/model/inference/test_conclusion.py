@@ -23,7 +23,6 @@ from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.refinement import Alternative, Pool
 from atoll_coordinator.model.selection import joint_search
 from atoll_coordinator.model.selection.candidates import collect_candidates, form
-from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import (
     DECAY,
@@ -386,19 +385,3 @@ def test_a_factor_that_is_one_as_rounded_is_left_out():
     after = _shortened(task, its, near, shown)
     assert SWING.text(after.rounded.programs[0]) == "y"
     assert _shortened(task, its, near, after) is after
-
-
-@pytest.mark.parametrize("seed", [5, 7, 10])
-def test_constants_keep_few_digits_beside_a_simple_number_that_costs_something(monkeypatch, seed):
-    """It is singled out by the covariance, which is larger where errors go together."""
-    known = Known(("x",), lambda _, z: [0.31415926535 - 0.5 * z[0]])
-    its = compare(known, measurements(known, ([2.0], [-1.0]), TIMES, noise=1e-5, seed=seed), 1e-8)
-    monkeypatch.setattr(its, "inflation", lambda _: 30.0)
-    near = its.fit_model([known.parsed("0.3 - 0.5*x")])
-    shown = _show(its, near, near.programs)
-    program = shown.rounded.programs[0]
-    offset, rate = np.abs(program.constants[constant_places(program)])
-    assert shown.fit.misfit > near.misfit + SETTINGS.inference.unchanged_nats
-    assert rate == 0.5
-    assert abs(offset - 0.31415926535) < 1e-4
-    assert len(str(offset)) <= 9

@@ -5,7 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.regression.rounding import round_estimates
+from atoll.data.dataset import Problem, Target
+from atoll.expression.evaluation import values_of
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.model.criteria import RegressionCriterion
+from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
+from atoll_coordinator.model.regression.rounding import round_constants, round_estimates
 from atoll_coordinator.model.regression.simple_numbers import continuum_density, simple_numbers
 from atoll_coordinator.settings import SETTINGS
 
@@ -94,3 +99,11 @@ def test_the_probability_of_any_number_is_that_of_the_simple_ones_of_its_decade(
         few = {number: length for number, length in few.items() if 10.0**decade <= number < 10.0 ** (decade + 1)}
         simple = sum(math.exp(-length) for length in few.values())
         assert continuum == pytest.approx(simple, rel=0.25)
+
+
+def test_a_simple_number_with_which_there_is_no_finite_value_is_not_taken():
+    program = from_infix("1.2*exp(709.0*x)", ("x",))
+    problem = Problem(("x",), np.linspace(0.0, 1.0, 5)[None], Target("x", "dx/dt", np.zeros(5), 0.0, 1.0))
+    fitted = Fitted(program, 1.0, np.diag([1e9, 4.0]))
+    kept = round_constants(fitted, RegressionCriterion(5, 1e-12), LeastSquares(problem))
+    assert np.all(np.isfinite(values_of(kept.program, problem.inputs)))

@@ -93,9 +93,14 @@ def test_correlations_name_constants() -> None:
 
 def test_a_verdict_is_given_when_the_job_has_ended() -> None:
     shown = Refined(0, from_infix("2.0*x", ("x",)), 1e-12, 1e-24)
-    assert verdict(shown, TARGET, "running") == {"verdict": None, "reason": None}
-    assert verdict(shown, TARGET, "done")["verdict"] == "exact"
-    assert verdict(replace(shown, error=0.4, mse=0.3), TARGET, "cancelled")["verdict"] == "doubtful"
-    assert verdict(None, TARGET, "done") == {"verdict": "no model", "reason": "The search has found no equation."}
+    assert verdict(shown, TARGET, "running", has_trajectories=False) == {"verdict": None, "reason": None}
+    assert verdict(shown, TARGET, "done", has_trajectories=False)["verdict"] == "exact"
+    worse = replace(shown, error=0.4, mse=0.3)
+    assert verdict(worse, TARGET, "cancelled", has_trajectories=False)["verdict"] == "doubtful"
+    missing = {"verdict": "no model", "reason": "The search has found no equation."}
+    assert verdict(None, TARGET, "done", has_trajectories=False) == missing
+    unsimulated = verdict(shown, TARGET, "done", has_trajectories=True)
+    assert unsimulated["verdict"] == "doubtful"
+    assert "not simulated" in unsimulated["reason"]
     judged = replace(shown, grade="good", reason="Because.")
-    assert verdict(judged, TARGET, "done") == {"verdict": "good", "reason": "Because."}
+    assert verdict(judged, TARGET, "done", has_trajectories=True) == {"verdict": "good", "reason": "Because."}

@@ -1,0 +1,282 @@
+"""Laws that are sums of a polynomial and of products with functions, by matching pursuit with a beam.
+
+To a polynomial, the products with functions are added that leave least of the target (orthogonal matching pursuit,
+Pati et al. 1993), all constants of the best sums are fitted, inner ones too, and the best go on; then the least
+significant terms leave one after another. With the polynomial there from the beginning, the choice of a function is not
+made by what another term would explain. A search that changes one place of an equation at a time reaches such laws only
+through worse ones.
+
+Letters: A atoms, K terms, R rows.
+"""
+
+import math
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray, Problem
+from atoll.expression.builder import Expression, ProgramBuilder
+from atoll.expression.operators import ADD, MULTIPLY
+from atoll.expression.program import Program
+from atoll.expression.writing.shortest import shortest
+from atoll_coordinator.model.criteria import constant_nats_of, structure_length
+from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes
+from atoll_coordinator.settings import SETTINGS
+
+_ROUNDING: Final = 1e-11
+"""Share of a unit column beyond others that is rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Sum:
+    """A fitted sum: its terms by shape (index), inner constants and coefficients (K,), what it leaves (R,)."""
+
+    terms: tuple[int, ...]
+    constants: FloatArray
+    coefficients: FloatArray
+    left: FloatArray
+
+    @cached_property
+    def square(self) -> float:
+        return float(self.left @ self.left)
+
+    @property
+    def key(self) -> tuple[int, ...]:
+        return tuple(sorted(self.terms))
+
+    def without(self, place: int) -> tuple[tuple[int, ...], FloatArray]:
+        return self.terms[:place] + self.terms[place + 1 :], np.delete(self.constants, place)
+
+
+def pursue(problem: Problem, columns: Sequence[int], operators: Collection[int]) -> list[Program]:
+    """Return the sums that leave least of the target, some of each number of constants, constants fitted.
+
+    Args:
+        problem: a target and its inputs; some rows are taken.
+        columns: indices of the variables that may be used.
+        operators: codes of the operators that may be used.
+    """
+    if not {ADD, MULTIPLY} <= set(operators) or not columns:
+        return []
+    its = SETTINGS.sparse
+    rows = np.unique(np.linspace(0, problem.inputs.shape[1] - 1, its.pursued_rows).astype(int))
+    inputs = np.ascontiguousarray(problem.inputs[:, rows])
+    with np.errstate(all="ignore"):
+        pursuit = _Pursuit(inputs, columns, operators, problem.target.values[rows])
+        error = problem.target.uncertainty * problem.target.standard_deviation
+        return pursuit.run(len(rows) * error * error)
+
+
+class _Pursuit:
+    def __init__(
+        self, inputs: FloatArray, columns: Sequence[int], operators: Collection[int], target: FloatArray
+    ) -> None:
+        self._target = target
+        self._plain = list(powers(inputs, columns, SETTINGS.sparse.pursued_degree))
+        self._shapes = list(self._plain)
+        for degree in range(SETTINGS.sparse.pursued_degree):
+            products = [shape for shape in self._plain if len(shape.factors) == degree]
+            found = list(shapes(inputs, columns, operators, products))
+            if degree and len(self._shapes) + len(found) > SETTINGS.sparse.most_shapes:
+                break
+            self._shapes += found
+        self._prices = np.array([self._price(shape) for shape in self._shapes])
+        self._atoms, self._columns = self._made_atoms()
+        self._limit = 0.0
+        self._fits: dict[tuple[int, ...], _Sum | None] = {}
+
+    def _price(self, shape: Shape) -> float:
+        constants = 1 + shape.has_constant
+        return structure_length(_program([(2.5, shape.expression(1.5))])) + constants * constant_nats_of(
+            len(self._target)
+        )
+
+    def _made_atoms(self) -> tuple[list[tuple[int, float]], FloatArray]:
+        """Return shapes (index) with inner constants, and their values as unit columns (A, R)."""
+        atoms, columns = [], []
+        for index, shape in enumerate(self._shapes):
+            for constant in shape.constants():
+                column = shape.value(constant)
+                size = math.sqrt(float(column @ column))
+                if 0.0 < size < math.inf:
+                    atoms.append((index, constant))
+                    columns.append(column / size)
+        return atoms, np.array(columns)
+
+    def run(self, limit: float) -> list[Program]:
+        """Return the best sums; the sum of squares `limit` is what the target's uncertainty leaves."""
+        self._limit = limit
+        found: dict[tuple[int, ...], _Sum] = {}
+        for beginning in self._beginnings():
+            for each in self._grown(beginning):
+                found |= {its.key: its for its in self._eliminated(each)}
+        kept: dict[int, list[_Sum]] = {}
+        for each in self._sorted(found.values()):
+            constants = sum(1 + self._shapes[term].has_constant for term in each.terms)
+            if len(kept.setdefault(constants, [])) < SETTINGS.sparse.pursued_kept:
+                kept[constants].append(each)
+        most = SETTINGS.sparse.pursued_constants
+        return [self._made(each) for size in sorted(kept) if size <= most for each in kept[size]]
+
+    def _beginnings(self) -> Iterator[_Sum]:
+        """Yield nothing, and all polynomials that the rows decide."""
+        yield _Sum((), np.zeros(0), np.zeros(0), self._target)
+        for degree in range(1, SETTINGS.sparse.pursued_degree + 1):
+            terms = tuple(index for index, shape in enumerate(self._plain) if len(shape.factors) <= degree)
+            if SETTINGS.sparse.rows_per_term * len(terms) <= len(self._target):
+                its = self._solved(terms, np.ones(len(terms)))
+                if its is not None:
+                    yield its
+
+    def _grown(self, beginning: _Sum) -> Iterator[_Sum]:
+        """Yield the best sums with no, one, two ... terms more than the beginning, until nothing is left to explain."""
+        beam = [beginning]
+        for _ in range(SETTINGS.sparse.pursued_functions + (not beginning.terms)):
+            yield from beam if beam[0].terms else ()
+            if beam[0].square <= self._limit:
+                return
+            beam = self._extended(beam)
+            if not beam:
+                return
+        yield from beam
+
+    def _extended(self, beam: Iterable[_Sum]) -> list[_Sum]:
+        """Return the best sums with one term more than those of the beam."""
+        promising: dict[tuple[int, ...], tuple[float, tuple[int, ...], FloatArray]] = {}
+        for parent in beam:
+            for square, term, constant in self._promises(parent):
+                key = tuple(sorted((*parent.terms, term)))
+                if key not in promising or square < promising[key][0]:
+                    promising[key] = square, (*parent.terms, term), np.append(parent.constants, constant)
+        chosen = sorted(promising.values(), key=lambda its: its[0])[: 2 * SETTINGS.sparse.pursued_beam]
+        fits = (self._fitted(terms, constants) for _, terms, constants in chosen)
+        return self._sorted(its for its in fits if its is not None)[: SETTINGS.sparse.pursued_beam]
+
+    def _promises(self, parent: _Sum) -> Iterator[tuple[float, int, float]]:
+        """Yield what the best further terms leave, inner constants as they are; each with the term and its constant."""
+        left, rest = self._target, self._columns
+        if parent.terms:
+            columns = self._values(parent.terms, parent.constants)
+            basis = np.linalg.qr((columns / np.sqrt((columns**2).sum(axis=1))[:, None]).T)[0]
+            for _ in range(2):  # the second time for what rounding left
+                left = left - basis @ (basis.T @ left)
+                rest = rest - (rest @ basis) @ basis.T
+        norms = (rest**2).sum(axis=1)
+        gains = np.where(norms > _ROUNDING**2, (rest @ left) ** 2 / np.maximum(norms, _ROUNDING**2), 0.0)
+        before, seen = float(left @ left), set[int]()
+        for atom in np.argsort(-gains).tolist():
+            term, constant = self._atoms[atom]
+            if term not in seen and (self._shapes[term].has_constant or term not in parent.terms):
+                seen.add(term)
+                yield before - float(gains[atom]), term, constant
+                if len(seen) >= 2 * SETTINGS.sparse.pursued_beam:
+                    return
+
+    def _sorted(self, sums: Iterable[_Sum]) -> list[_Sum]:
+        """Return the sums without repetitions, the shortest description first."""
+        unique = {each.key: each for each in sums}
+        return sorted(unique.values(), key=self._length)
+
+    def _length(self, its: _Sum) -> float:
+        misfit = 0.5 * len(self._target) * math.log(max(its.square, self._limit, 1e-300))
+        return misfit + float(self._prices[list(its.terms)].sum())
+
+    def _eliminated(self, its: _Sum) -> Iterator[_Sum]:
+        """Yield the sum, and those on the way to a single term, the least significant going first (Wald's test)."""
+        yield its
+        while len(its.terms) > 1:
+            jacobian = self._jacobian(its)
+            sizes = np.sqrt((jacobian**2).sum(axis=1))
+            unit = jacobian / sizes[:, None]
+            if not np.isfinite(unit).all():
+                return
+            variances = np.diag(np.linalg.pinv(unit @ unit.T, hermitian=True))[: len(its.terms)]
+            gains = (its.coefficients * sizes[: len(its.terms)]) ** 2 / np.maximum(variances, 1e-300)
+            following = self._fitted(*its.without(int(np.argmin(gains))))
+            if following is None:
+                return
+            its = following
+            yield its
+
+    def _values(self, terms: Sequence[int], constants: FloatArray) -> FloatArray:
+        return np.array([self._shapes[term].value(c) for term, c in zip(terms, constants.tolist(), strict=True)])
+
+    def _jacobian(self, its: _Sum) -> FloatArray:
+        """Return the derivatives of the sum by its coefficients, then by its inner constants."""
+        slopes = [
+            coefficient * self._shapes[term].slope(constant)
+            for term, constant, coefficient in zip(
+                its.terms, its.constants.tolist(), its.coefficients.tolist(), strict=True
+            )
+            if self._shapes[term].has_constant
+        ]
+        return np.array([*self._values(its.terms, its.constants), *slopes])
+
+    def _fitted(self, terms: tuple[int, ...], constants: FloatArray) -> _Sum | None:
+        """Return the sum of these terms with all constants fitted, None where it has no finite value on some row."""
+        key = tuple(sorted(terms))
+        if key not in self._fits:
+            self._fits[key] = self._fit(terms, constants)
+        return self._fits[key]
+
+    def _fit(self, terms: tuple[int, ...], constants: FloatArray) -> _Sum | None:
+        """Return the fitted sum: Levenberg's method for inner constants, coefficients solved for at each step."""
+        inner = [place for place, term in enumerate(terms) if self._shapes[term].has_constant]
+        its = self._solved(terms, constants)
+        damping = SETTINGS.regression.first_damping
+        for _ in range(SETTINGS.selection.regression_steps if inner else 0):
+            if its is None:
+                break
+            jacobian = self._jacobian(its)
+            normal = jacobian @ jacobian.T
+            sizes = np.sqrt(np.diag(normal))
+            if not (np.isfinite(sizes).all() and (sizes > 0.0).all()):
+                break
+            unit = normal / np.outer(sizes, sizes)
+            np.fill_diagonal(unit, 1.0 + damping)
+            try:
+                step = np.linalg.solve(unit, jacobian @ its.left / sizes) / sizes
+            except np.linalg.LinAlgError:
+                break
+            moved = its.constants.copy()
+            moved[inner] += step[len(terms) :]
+            following = self._solved(terms, moved)
+            if following is None or not following.square < its.square:
+                damping *= 10.0
+                if damping > 1.0:
+                    break
+                continue
+            is_settled = following.square > 0.999 * its.square
+            its, damping = following, 0.1 * damping
+            if is_settled:
+                break
+        return its
+
+    def _solved(self, terms: tuple[int, ...], constants: FloatArray) -> _Sum | None:
+        """Return the sum with the coefficients of least squares at these inner constants."""
+        columns = self._values(terms, constants)
+        sizes = np.sqrt((columns**2).sum(axis=1))
+        if not (np.isfinite(sizes).all() and (sizes > 0.0).all()):
+            return None
+        coefficients = np.linalg.lstsq((columns / sizes[:, None]).T, self._target, rcond=1e-12)[0] / sizes
+        return _Sum(terms, constants, coefficients, self._target - coefficients @ columns)
+
+    def _made(self, its: _Sum) -> Program:
+        parts = zip(its.terms, its.constants.tolist(), its.coefficients.tolist(), strict=True)
+        return shortest(
+            _program([(coefficient, self._shapes[term].expression(constant)) for term, constant, coefficient in parts])
+        )
+
+
+def _program(parts: Sequence[tuple[float, Expression]]) -> Program:
+    """Return the sum of expressions times their coefficients."""
+    total: Expression | None = None
+    for coefficient, expression in parts:
+        part: Expression = (MULTIPLY, coefficient, expression)
+        total = part if total is None else (ADD, total, part)
+    assert total is not None
+    builder = ProgramBuilder()
+    return builder.program(builder.build(total))

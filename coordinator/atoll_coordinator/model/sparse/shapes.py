@@ -1,0 +1,176 @@
+"""Products of variables and of a function with a constant inside: what laws other than polynomials are sums of.
+
+Letters: R rows, V variables.
+"""
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations, combinations_with_replacement
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.builder import Expression
+from atoll.expression.operators import (
+    ADD,
+    COS,
+    DIVIDE,
+    EXP,
+    LOG,
+    MULTIPLY,
+    POW,
+    SIN,
+    SQRT,
+    SUBTRACT,
+    TANH,
+    VARIABLE,
+)
+
+_RATES: Final = (0.3, 0.6, 1.2, 2.4, 4.8, 9.6)
+_BOTH_SIGNS: Final = (*_RATES, *(-rate for rate in _RATES))
+_SHIFTS: Final = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+_EXPONENTS: Final = (-1.5, -0.5, 0.3, 0.7, 1.5, 2.5)
+
+
+@dataclass(frozen=True, eq=False)
+class Function:
+    """A function of an argument u (R,) and of an inner constant.
+
+    `slope` is its derivative by the constant, None where it has none; `constants` are those to begin with, for an
+    argument u of a given root mean square.
+    """
+
+    value: Callable[[FloatArray, float], FloatArray]
+    expression: Callable[[Expression, float], Expression]
+    slope: Callable[[FloatArray, float], FloatArray] | None = None
+    constants: Callable[[float], Sequence[float]] = lambda _: (1.0,)
+    has_pole: bool = False
+
+
+def _scaled(code: int, rates: Sequence[float], value: Callable[[FloatArray], FloatArray],
+            slope: Callable[[FloatArray], FloatArray]) -> Function:  # fmt: skip
+    """Return a function of c u with the inner constant c."""
+    return Function(
+        lambda u, c: value(c * u),
+        lambda u, c: (code, (MULTIPLY, c, u)),
+        lambda u, c: u * slope(c * u),
+        lambda size: [rate / size for rate in rates],
+    )
+
+
+def _plain(code: int, value: Callable[[FloatArray], FloatArray]) -> Function:
+    return Function(lambda u, _: value(u), lambda u, _: (code, u))
+
+
+_OVER: Final = Function(lambda u, _: 1.0 / u, lambda u, _: (DIVIDE, 1.0, u), has_pole=True)
+_OVER_SUM: Final = Function(
+    lambda u, c: 1.0 / (u + c),
+    lambda u, c: (DIVIDE, 1.0, (ADD, u, c)),
+    lambda u, c: -1.0 / (u + c) ** 2,
+    lambda size: [shift * size for shift in _SHIFTS],
+    has_pole=True,
+)
+_POWER: Final = Function(
+    lambda u, c: u**c, lambda u, c: (POW, u, c), lambda u, c: u**c * np.log(u), lambda _: _EXPONENTS
+)
+_EXP: Final = _scaled(EXP, _BOTH_SIGNS, np.exp, np.exp)
+_SCALED: Final = {
+    SIN: _scaled(SIN, _RATES, np.sin, np.cos),
+    COS: _scaled(COS, _RATES, np.cos, lambda u: -np.sin(u)),
+    EXP: _EXP,
+    TANH: _scaled(TANH, _RATES, np.tanh, lambda u: 1.0 - np.tanh(u) ** 2),
+    DIVIDE: _OVER_SUM,
+}
+"""By the operator that they take, functions of any argument."""
+_OF_SQUARES: Final = {EXP: _EXP, DIVIDE: _OVER_SUM}
+_WAVES: Final = {SIN: _plain(SIN, np.sin), COS: _plain(COS, np.cos)}
+_OF_POSITIVE: Final = {LOG: _plain(LOG, np.log), SQRT: _plain(SQRT, np.sqrt), POW: _POWER}
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A product of variables (`factors` by index; `product`, (R,), their values) times a function of `u` (R,), if any.
+
+    `argument` is the expression of u.
+    """
+
+    factors: tuple[int, ...]
+    product: FloatArray
+    function: Function | None = None
+    argument: Expression = 0.0
+    u: FloatArray | None = None
+
+    @property
+    def has_constant(self) -> bool:
+        """Whether there is a constant inside."""
+        return self.function is not None and self.function.slope is not None
+
+    def constants(self) -> Sequence[float]:
+        """Return inner constants to begin with."""
+        if self.function is None or self.u is None:
+            return (1.0,)
+        size = float(np.sqrt(np.mean(self.u**2)))
+        return self.function.constants(size) if size > 0.0 else ()
+
+    def value(self, constant: float) -> FloatArray:
+        """Return the values (R,), not finite everywhere where there is a pole among the rows."""
+        if self.function is None or self.u is None:
+            return self.product
+        values = self.function.value(self.u, constant)
+        if self.function.has_pole and (values > 0.0).any() and (values < 0.0).any():
+            return np.full_like(values, np.nan)
+        return np.asarray(self.product * values)
+
+    def slope(self, constant: float) -> FloatArray:
+        """Return the derivatives (R,) by the inner constant, 0 where there is none."""
+        if self.function is None or self.function.slope is None or self.u is None:
+            return np.zeros_like(self.product)
+        return np.asarray(self.product * self.function.slope(self.u, constant))
+
+    def expression(self, constant: float) -> Expression:
+        """Return the product with this inner constant."""
+        parts: list[Expression] = [(VARIABLE, each) for each in self.factors]
+        if self.function is not None:
+            parts.append(self.function.expression(self.argument, constant))
+        found = parts[0] if parts else 1.0
+        for part in parts[1:]:
+            found = (MULTIPLY, found, part)
+        return found
+
+
+def powers(inputs: FloatArray, columns: Sequence[int], degree: int) -> Iterator[Shape]:
+    """Yield all products of the variables `columns` of `inputs` (V, R) up to a degree, the constant first."""
+    for order in range(degree + 1):
+        for factors in combinations_with_replacement(columns, order):
+            yield Shape(factors, np.prod(inputs[list(factors)], axis=0))
+
+
+def shapes(
+    inputs: FloatArray, columns: Sequence[int], operators: Collection[int], products: Sequence[Shape]
+) -> Iterator[Shape]:
+    """Yield each of the `products` times each function that the operators (codes) allow."""
+    for argument, u, functions in _arguments(inputs, columns, set(operators)):
+        for its in products:
+            for function in functions:
+                yield Shape(its.factors, its.product, function, argument, u)
+
+
+def _arguments(
+    inputs: FloatArray, columns: Sequence[int], operators: set[int]
+) -> Iterator[tuple[Expression, FloatArray, list[Function]]]:
+    """Yield arguments, their values (R,), and the functions that are tried of them."""
+
+    def allowed(functions: dict[int, Function]) -> list[Function]:
+        return [its for code, its in functions.items() if code in operators]
+
+    waves = allowed(_WAVES)
+    for each in columns:
+        u, leaf = inputs[each], (VARIABLE, each)
+        positive = allowed(_OF_POSITIVE) if (u > 0.0).all() else []
+        yield leaf, u, [*waves, *allowed(_SCALED), *([_OVER] if DIVIDE in operators else []), *positive]
+        yield (MULTIPLY, leaf, leaf), u * u, allowed(_OF_SQUARES)
+    for one, other in combinations(columns, 2):
+        for join, u in ((SUBTRACT, inputs[one] - inputs[other]), (ADD, inputs[one] + inputs[other])):
+            if join in operators:
+                yield (join, (VARIABLE, one), (VARIABLE, other)), u, waves

@@ -1,0 +1,61 @@
+"""Sums of a polynomial and of functions: laws are among the candidates, constants inside functions fitted."""
+
+import numpy as np
+import pytest
+
+from atoll.data.dataset import Problem, Target
+from atoll.expression.evaluation import values_of
+from atoll.expression.operators import BY_NAME
+from atoll.expression.program import constant_places
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.model.sparse.pursuit import pursue
+from atoll_coordinator.settings import SETTINGS
+
+NAMES = ("x", "y")
+ALL = {each.code for each in BY_NAME.values()}
+DEFAULT = {BY_NAME[name].code for name in ("+", "-", "*", "/", "sin", "cos")}
+
+
+def problem_of(law, noise=0.0):
+    rng = np.random.default_rng(1)
+    inputs = rng.uniform(0.3, 2.5, (2, 300))
+    exact = values_of(from_infix(law, NAMES), inputs)
+    values = exact + noise * exact.std() * rng.standard_normal(300)
+    return Problem(NAMES, inputs, Target("x", "dx/dt", values, noise, float(values.std()))), exact
+
+
+@pytest.mark.parametrize(
+    ("law", "constants"),
+    [
+        ("0.6*y*exp(-0.7*x) - 1.2*y**3", 3),
+        ("1.5/(1.3 + y**2) - 1.5*x**2 + 0.2*y**2", 4),
+        ("2.95*x**0.644 - 2.94*x", 3),
+        ("0.2*sin(y - x) + 0.6*y**2 - 0.2*x**3", 3),
+        ("0.6*x - 0.4*x*log(x)", 2),
+        ("1.2*x/(0.4 + x) - 0.3*x*y/(2.0 + y)", 4),
+    ],
+)
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_a_law_is_among_the_sums_of_as_many_constants(law, constants, noise):
+    problem, exact = problem_of(law, noise)
+    found = pursue(problem, (0, 1), ALL)
+    sums = [each for each in found if len(constant_places(each)) <= constants]
+    errors = [np.abs(values_of(each, problem.inputs) - exact).max() for each in sums]
+    assert min(errors) < max(1e-8, noise) * exact.std()
+
+
+def test_only_operators_and_variables_that_are_allowed_are_used():
+    problem, _ = problem_of("0.6*y*exp(-0.7*x) - 1.2*y**3")
+    found = pursue(problem, (1,), DEFAULT)
+    codes = {code for each in found for code in each.operators.tolist()} - {0, 1}
+    assert codes <= DEFAULT | {BY_NAME["neg"].code, BY_NAME["square"].code, BY_NAME["inverse"].code}
+    assert {int(each.left[node]) for each in found for node in np.flatnonzero(each.operators == 0)} == {1}
+    assert pursue(problem, (0, 1), {BY_NAME["sin"].code}) == []
+
+
+def test_sums_are_few_and_finite():
+    problem, _ = problem_of("1.0/(x - 0.25) + 0.1*y", 0.01)
+    found = pursue(problem, (0, 1), ALL)
+    assert 0 < len(found) <= SETTINGS.sparse.pursued_kept * SETTINGS.sparse.pursued_constants
+    for each in found:
+        assert np.isfinite(values_of(each, problem.inputs)).all()
