@@ -113,7 +113,7 @@ class VariableView(Model):
     point_evaluations: int = 0
     converged: bool = False
     finished: bool = False
-    why: Literal["target", "stagnation", "max-epochs", "max-time", "cancelled", "known"] | None = None
+    why: Literal["target", "law", "stagnation", "max-epochs", "max-time", "cancelled", "known"] | None = None
     verdict: Literal["exact", "good", "doubtful", "no model"] | None = None
 
 

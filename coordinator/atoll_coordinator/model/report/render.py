@@ -36,6 +36,7 @@ _COLUMNS: Final = (
 _NUMBER: Final = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[+-]?\d+)?")
 _ENDS: Final = {
     "target": "the target error was met",
+    "law": "laws by regression describe the data up to noise",
     "stagnation": "no better equation was found for long",
     "max-epochs": "the number of epochs was used up",
     "max-time": "the time was used up",

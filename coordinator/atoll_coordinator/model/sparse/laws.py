@@ -7,14 +7,17 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from atoll.config import JobConfig
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.evaluation import values_of
-from atoll.expression.operators import ADD, MULTIPLY
+from atoll.expression.operators import ADD, BY_NAME, MULTIPLY
 from atoll.expression.program import Program, constant_places, structure
 from atoll.expression.writing.shortest import collected
-from atoll_coordinator.data.recording import Recording
+from atoll_coordinator.data.recording import Preparation, Recording
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
+from atoll_coordinator.model.refinement import may_be_shown
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate
+from atoll_coordinator.model.sparse.products import products_of
 from atoll_coordinator.model.sparse.weak_form import Measured, WeakForm, measured_of, weak_form
 from atoll_coordinator.model.structure.term_libraries import Factor, Term, sum_of
 from atoll_coordinator.settings import SETTINGS
@@ -26,7 +29,8 @@ class Law:
 
     `excess` is how many times as large as the noise, or as the limit of convergence, the errors are. `is_tested` tells
     whether there are enough rows for the largest library that it was chosen from. `lead` is how many nats longer the
-    best of the other programs is that were compared with it.
+    best of the other programs is that were compared with it and are no sums of products. `probability` is that of
+    errors as large as these where all are noise.
     """
 
     program: Program
@@ -34,6 +38,7 @@ class Law:
     excess: float
     is_tested: bool
     lead: float = math.inf
+    probability: float = 1.0
 
 
 def find_laws(
@@ -57,6 +62,31 @@ def find_laws(
     if not problem.target.is_noisy and all(each.method == "interpolation" for each in recording.smoothing):
         return tuple(_without_noise(problem, columns))
     return tuple(_with_noise(problem, recording, columns, others))
+
+
+def has_laws(preparation: Preparation, config: JobConfig) -> bool:
+    """Tell whether each equation that is sought has a law that needs no long search to compare it with.
+
+    That is a law whose errors are those of noise, chosen on more rows than systems are compared on. Not where the user
+    has said when the search ends or where it begins.
+    """
+    dataset, recording, budget = preparation.dataset, preparation.recording, config.budget
+    is_asked = budget.target_error is not None or budget.stagnation is not None or bool(config.prior.guesses)
+    if recording is None or is_asked:
+        return False
+    if sum(len(each.times) for each in recording.trajectories if not each.held_out) <= SETTINGS.selection.compared_rows:
+        return False
+    for name in dataset.variables:
+        if name in config.prior.known:
+            continue
+        columns = config.space.columns_for(name, dataset.names)
+        operators = [BY_NAME[operator].code for operator in config.space.operators_for(name)]
+        laws = find_laws(dataset.problem(name), recording, columns, operators)
+        if not laws or not may_be_shown(laws[0].program, config.space.max_size):
+            return False
+        if not laws[0].is_tested or laws[0].probability < SETTINGS.inference.improbable:
+            return False
+    return True
 
 
 def _is_simple(recording: Recording) -> bool:
@@ -143,11 +173,19 @@ def _with_noise(
     form = weak_form(its, target, _half(its, recording.smoothing[place].span, len(columns)))
     if form is None:
         return
-    found = [_weighted(form, terms, is_tested) for terms, is_tested in _libraries(columns, form.independent)]
+    libraries = list(_libraries(columns, form.independent))
+    if not libraries:
+        return
+    largest, is_tested = libraries[-1]
+    regression = _Regression(form, largest)
+    summed = [products_of(program, SETTINGS.sparse.degree) for program in others]
+    begun = {tuple(terms): None for terms in (*(terms for terms, _ in libraries), *filter(None, summed))}
+    found = [regression.law(terms, is_tested=is_tested) for terms in begun if set(terms) <= set(largest)]
     laws = sorted((law for law in found if law is not None), key=lambda law: law.nats)
     if not laws:
         return
-    rival = min((_nats_of(form, program) for program in others), default=math.inf)
+    functions = (program for program, terms in zip(others, summed, strict=True) if terms is None)
+    rival = min((_nats_of(form, program) for program in functions), default=math.inf)
     structures: set[bytes] = set()
     for law in laws:
         key = structure(collected(law.program))
@@ -181,33 +219,79 @@ def _nats_of(form: WeakForm, program: Program) -> float:
 
 
 def _misfit(form: WeakForm, left: FloatArray, variances: FloatArray) -> float:
-    """Return minus the log-likelihood of what is left in the windows (W,), each counted by its share in a new one."""
+    """Return minus the log-likelihood of what is left in the windows (W,), each counted by its share in a new one.
+
+    That of the true states nearest to the measured ones for which the equation holds, to first order: half the square
+    over its variance. The variance depends on the equation, the density of the measurements about these states does
+    not: with its logarithm, sums that vary little with the states would be preferred (errors in variables, functional
+    case: Fuller 1987, section 2.3).
+    """
     if not (variances > 0.0).all():
         return math.inf
-    return 0.5 * form.independent * float((np.log(variances) + left * left / variances).mean())
+    return 0.5 * form.independent * float((left * left / variances).mean())
 
 
-def _weighted(form: WeakForm, terms: Sequence[Term], is_tested: bool) -> Law | None:
-    """Return the best sum of one library, windows weighted by the variance that the sum itself gives them."""
-    columns, sides = form.columns(terms), form.sides
-    if not np.isfinite(columns).all() or len(terms) >= len(sides):
-        return None
-    prices = np.array([structure_length(sum_of([term], [1.5])) for term in terms])
-    prices += constant_nats_of(form.independent)
-    weights = np.ones(len(sides))
-    for _ in range(SETTINGS.sparse.reweightings):
-        path = _eliminated(terms, columns * weights, sides * weights)
-        nats = [
-            0.5 * form.independent * math.log(max(float(path.squares[step]), 1e-300)) + prices[path.kept(step)].sum()
-            for step in range(len(terms))
-        ]
-        step = int(np.argmin(nats))
-        kept, coefficients = path.sum(step)
-        variances = form.variances(kept, coefficients)
-        if not (variances > 0.0).all():
+class _Regression:
+    """Sums of the products of one library, the largest, by which windows are described."""
+
+    def __init__(self, form: WeakForm, terms: Sequence[Term]) -> None:
+        self._form = form
+        self._terms = terms
+        self._places = {term: place for place, term in enumerate(terms)}
+        self._columns, self._sides = form.columns(terms), form.sides
+        prices = [structure_length(sum_of([term], [1.5])) for term in terms]
+        self._prices = np.array(prices) + constant_nats_of(form.independent)
+
+    def law(self, begun: Sequence[Term], *, is_tested: bool) -> Law | None:
+        """Return the sum that a search from all terms `begun` ends with, windows weighted by its own variances."""
+        from scipy import special
+
+        form, start = self._form, [self._places[term] for term in begun]
+        if not np.isfinite(self._columns).all() or len(start) >= len(self._sides):
             return None
-        weights = 1.0 / np.sqrt(variances)
-    left = sides - np.array(coefficients) @ columns[path.kept(step)]
-    length = _misfit(form, left, variances) + float(prices[path.kept(step)].sum())
-    excess = math.sqrt(float((left * left / variances).mean()))
-    return Law(sum_of(kept, coefficients), length, excess, is_tested)
+        weights = np.ones(len(self._sides))
+        for reweighting in range(SETTINGS.sparse.reweightings):
+            kept, coefficients = self._best_sum(start, weights, is_extended=reweighting > 0)
+            terms = [self._terms[place] for place in kept]
+            variances = form.variances(terms, coefficients)
+            if not (variances > 0.0).all():
+                return None
+            weights = 1.0 / np.sqrt(variances)
+        left = self._sides - np.array(coefficients) @ self._columns[kept]
+        length = _misfit(form, left, variances) + float(self._prices[kept].sum())
+        square = float((left * left / variances).mean())
+        probability = float(special.chdtrc(form.independent, form.independent * square))
+        return Law(sum_of(terms, coefficients), length, math.sqrt(square), is_tested, probability=probability)
+
+    def _best_sum(
+        self, start: Sequence[int], weights: FloatArray, *, is_extended: bool
+    ) -> tuple[list[int], list[float]]:
+        """Return the terms of the shortest description that is found from those of `start`, and their coefficients.
+
+        Elimination may lose a term early for others that it nearly depends on. So single terms are taken in again,
+        and what the sum can then do without eliminated, as long as that is shorter by more than the best of so many
+        tries is by chance (Bonferroni).
+        """
+        columns, sides = self._columns * weights, self._sides * weights
+        best = self._eliminated(start, columns, sides)
+        while is_extended:
+            others = [place for place in range(len(self._terms)) if place not in best[1]]
+            longer = (self._eliminated(sorted([*best[1], place]), columns, sides) for place in others)
+            found = min(longer, default=best)
+            if not others or not found[0] < best[0] - math.log(len(others)):
+                break
+            best = found
+        return best[1], best[2]
+
+    def _eliminated(
+        self, places: Sequence[int], columns: FloatArray, sides: FloatArray
+    ) -> tuple[float, list[int], list[float]]:
+        """Return the nats, terms and coefficients of the best sum on the way from these terms to none."""
+        path = _eliminated([self._terms[place] for place in places], columns[places], sides)
+        independent = self._form.independent
+        nats = []
+        for step in range(len(places)):
+            price = float(self._prices[[places[index] for index in path.kept(step)]].sum())
+            nats.append(0.5 * independent * math.log(max(float(path.squares[step]), 1e-300)) + price)
+        step = int(np.argmin(nats))
+        return nats[step], [places[index] for index in path.kept(step)], path.sum(step)[1]

@@ -75,6 +75,8 @@ def refine(preparation: Preparation, config: JobConfig, pools: Pools, deadline: 
 
 def prepare_job(preparer: Preparer, job: str, table: bytes, config: JobConfig) -> JobPrepared | PreparationFailed:
     """Prepare the table of a job, or say why that cannot be done."""
+    from atoll_coordinator.model.sparse.laws import has_laws  # loads kernels
+
     try:
         preparation = preparer(table, config)
         data = dataset_to_bytes(preparation.dataset)
@@ -82,7 +84,8 @@ def prepare_job(preparer: Preparer, job: str, table: bytes, config: JobConfig) -
         resolved = resolve(config, preparation.dataset)
         known = known_entries(preparation.dataset, resolved)
         preparation = with_remarks(preparation, resolved)
-        return JobPrepared(job, Prepared(preparation, resolved, blob, len(data), known), data)
+        is_brief = has_laws(preparation, resolved)
+        return JobPrepared(job, Prepared(preparation, resolved, blob, len(data), known, is_brief), data)
     except (DataError, UsageError, RemoteProtocolError) as error:
         return PreparationFailed(job, "data", str(error))
     except Exception as error:  # the job fails with it, the coordinator goes on

@@ -8,7 +8,7 @@ from atoll.config import Model
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.model.refinement import Pool
 
-Why = Literal["target", "stagnation", "max-epochs", "max-time", "cancelled"]
+Why = Literal["target", "law", "stagnation", "max-epochs", "max-time", "cancelled"]
 
 
 class CutEntry(Model):

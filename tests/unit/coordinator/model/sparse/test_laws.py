@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from atoll.config import BudgetConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll.expression.operators import BY_NAME
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
-from atoll_coordinator.model.sparse.laws import find_laws
+from atoll_coordinator.model.sparse.laws import find_laws, has_laws
 from tests.unit.coordinator.model.sparse.lorenz import NAMES, TERMS, monomials, prepared
 
 OPERATORS = frozenset(BY_NAME[name].code for name in ("+", "-", "*", "/"))
@@ -47,11 +48,36 @@ def test_only_allowed_variables_and_operators_are_used():
     assert find_laws(problem, preparation.recording, (0, 1, 2), {BY_NAME["sin"].code}) == ()
 
 
-def test_the_truth_among_other_programs_leaves_no_lead_and_a_wrong_one_leaves_much():
+def test_other_functions_that_describe_the_data_as_well_leave_no_lead():
     preparation = prepared(1000, 0.02, trajectories=2)
-    truth, wrong = (from_infix(text, NAMES) for text in ("10*(y - x)", "9*(y - x) + sin(x)"))
+    wrong, as_well = (from_infix(text, NAMES) for text in ("9*(y - x) + sin(x)", "10*(y - x)*cos(0.001*z)"))
     assert laws_of(preparation, "x", others=[wrong])[0].lead > 20.0
-    assert laws_of(preparation, "x", others=[wrong, truth])[0].lead < 5.0
+    assert laws_of(preparation, "x", others=[wrong, as_well])[0].lead < 15.0
+
+
+def test_sums_of_products_are_no_rivals_and_further_libraries():
+    preparation = prepared(1000, 0.02, trajectories=2)
+    truth = from_infix("10*(y - x)", NAMES)
+    alone, beside = laws_of(preparation, "x")[0], laws_of(preparation, "x", others=[truth])[0]
+    assert beside.lead == np.inf
+    assert terms(beside) == terms(alone) == TERMS["x"]
+
+
+@pytest.mark.parametrize(
+    ("rows", "changes", "expected"),
+    [
+        (1000, {}, True),
+        (150, {}, False),
+        (1000, {"budget": BudgetConfig(target_error=0.01)}, False),
+        (1000, {"budget": BudgetConfig(stagnation=5)}, False),
+        (1000, {"prior": PriorConfig(guesses={"x": ("y - x",)})}, False),
+        (1000, {"space": SpaceConfig(operators=("+", "sin"))}, False),
+        (1000, {"space": SpaceConfig(variables_of={"x": ("x", "z")})}, False),
+    ],
+)
+def test_a_long_search_is_spared_where_all_equations_have_laws_and_nothing_else_is_asked_for(rows, changes, expected):
+    preparation = prepared(rows, 0.01, trajectories=4)
+    assert has_laws(preparation, JobConfig(**changes)) == expected
 
 
 def test_weights_of_rows_are_not_taken_for_equal():
