@@ -239,7 +239,7 @@ def _simulate(
     """Return the equations as they are shown along whole trajectories, if they were fitted to pieces and can be."""
     whole = in_whole(task)
     if whole.piece != task.piece:
-        seen = whole.compare(whole.measurements(whole.variables), whole.variables)
+        seen = whole.compare(whole.measurements(whole.variables), whole.variables, is_precise=True)
         fit = fit_starts(seen, shown.rounded.programs)
         if fit is not None:
             return whole, seen, fit

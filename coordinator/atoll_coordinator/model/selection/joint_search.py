@@ -5,6 +5,7 @@ descent looks for shorter descriptions nearby; constants are made simple; what r
 by counts, never by the clock.
 """
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -94,13 +95,20 @@ class ModellingTask:
         states = [self.recording.states.index(name) for name in variables]
         return measurements_of(self.recording, states, held_out=held_out, piece=self.piece)
 
-    def compare(self, measurements: Measurements, variables: Sequence[str]) -> ModelComparison:
-        """Return a comparison over these measurements."""
-        tolerance = float(
-            np.clip(
-                SETTINGS.selection.tolerated_noise * measurements.relative_noise.min(), *SETTINGS.selection.tolerances
-            )
-        )
+    def compare(
+        self, measurements: Measurements, variables: Sequence[str], *, is_precise: bool = False
+    ) -> ModelComparison:
+        """Return a comparison over these measurements.
+
+        Steps of the integration err by a share of the noise. They all may err to one side, while the noise is averaged
+        over the rows: where it `is_precise`, that share is the one of their sum along a piece over the standard error
+        of a mean.
+        """
+        error = SETTINGS.selection.tolerated_noise * float(measurements.relative_noise.min())
+        if is_precise:
+            longest = int((measurements.bounds[:, 1] - measurements.bounds[:, 0]).max())
+            error /= longest * math.sqrt(measurements.rows)
+        tolerance = float(np.clip(error, *SETTINGS.selection.tolerances))
         fixed = [index for index, name in enumerate(variables) if name in self.known]
         return ModelComparison(
             MultipleShooting(measurements, tolerance, self.deadline), self.dataset.names, fixed,

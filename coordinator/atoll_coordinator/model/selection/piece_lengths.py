@@ -82,13 +82,24 @@ def _stretch_length(comparison: ModelComparison, model: FittedModel) -> float:
 
 
 def on_all_rows(selection: SelectedModel) -> SelectedModel | None:
-    """Return the chosen system fitted to all rows, in shorter pieces if it must be; None when it cannot be."""
-    measurements = selection.task.measurements(selection.task.variables)
-    if measurements.rows == selection.comparison.estimator.measurements.rows:
-        return selection
+    """Return the chosen system fitted to all rows, in shorter pieces if it must be; None when it cannot be.
+
+    It is integrated so precisely that its constants do not show it.
+    """
+    task = selection.task
+    measurements = task.measurements(task.variables)
+    chosen = selection.comparison.estimator
+    if measurements.rows == chosen.measurements.rows:
+        comparison = task.compare(measurements, task.variables, is_precise=True)
+        if comparison.estimator.tolerance >= chosen.tolerance:
+            return selection
+        model = comparison.fit_beside(selection.model, selection.model.programs, SETTINGS.selection.piece_steps)
+        if model is None:
+            return selection
+        return replace(selection, comparison=comparison, model=comparison.calibrate(model))
     found: list[SelectedModel] = []
-    for task in _tasks(selection.task):
-        fitted = _fitted(task, selection.model.programs, measurements.rows)
+    for here in _tasks(task):
+        fitted = _fitted(here, selection.model.programs, measurements.rows, is_precise=True)
         if fitted is not None:
             found.append(fitted)
             if fitted.comparison.excess(fitted.model) <= SETTINGS.selection.noise_excess:
@@ -155,9 +166,12 @@ def _lengthened(task: ModellingTask, selection: SelectedModel, lists: Sequence[S
     return selection
 
 
-def _fitted(task: ModellingTask, programs: Sequence[Program], rows: int) -> SelectedModel | None:
+def _fitted(
+    task: ModellingTask, programs: Sequence[Program], rows: int, *, is_precise: bool = False
+) -> SelectedModel | None:
     """Return a system fitted to at most about so many rows, None when it cannot be simulated."""
-    comparison = task.compare(task.measurements(task.variables).thinned(rows), task.variables)
+    measurements = task.measurements(task.variables).thinned(rows)
+    comparison = task.compare(measurements, task.variables, is_precise=is_precise)
     model = comparison.fit_model(programs, SETTINGS.selection.piece_steps, SETTINGS.selection.piece_lengths)
     return None if model is None else SelectedModel(task, comparison, model)
 

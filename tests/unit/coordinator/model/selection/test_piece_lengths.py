@@ -9,8 +9,11 @@ from atoll.config import JobConfig, SpaceConfig
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection import joint_search, piece_lengths
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
-from atoll_coordinator.model.selection.joint_search import ModellingTask
+from atoll_coordinator.model.selection.comparison import ModelComparison
+from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel
 from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks, select_model
+from atoll_coordinator.model.shooting.covariance import covariance
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import SWING, Known, pools, table
@@ -84,3 +87,21 @@ def test_a_choice_on_some_rows_is_fitted_to_all():
     values = np.sort(np.abs(whole.model.fit.system.values))
     assert values == pytest.approx([0.3, 2.0], rel=0.02)
     assert on_all_rows(whole) is whole
+
+
+def test_errors_of_the_integration_do_not_show_in_the_constants_of_all_rows():
+    times = np.linspace(0.0, 60.0, 150)
+    task = field_of(SWING, ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0], [0.0, 1.5]), times, 0.02, **SWING_TEXTS)
+    names, known = task.dataset.names, task.candidates
+    programs = [known[name].front[0].program for name in task.variables]
+    comparison = task.compare(task.measurements(task.variables), task.variables)
+    chosen = SelectedModel(task, comparison, comparison.fit_model(programs, 40))
+    exact = ModelComparison(MultipleShooting(task.measurements(task.variables), 1e-10), names)
+    exact = exact.fit_model(programs, 40)
+
+    def distance(model):
+        errors = np.sqrt(np.diag(covariance(exact.fit)))
+        return np.abs((model.fit.system.values - exact.fit.system.values) / errors).max()
+
+    assert distance(chosen.model) > 0.3
+    assert distance(on_all_rows(chosen).model) < 0.02
