@@ -2,7 +2,7 @@
 
 1. The programs of the search are decoded, and stand beside guesses and known equations (selection/candidates.py).
 2. Without trajectories, each variable's equation is fitted to its target, and that is all (regression/equation.py).
-3. With trajectories, equations of noise-free targets are fitted first: where they converged, they stand.
+3. With trajectories, equations of noise-free targets that converged are fitted first, and stand.
 4. Systems of candidates are fitted to the trajectories and compared; the shortest description is the model
    (selection/piece_lengths.py, which goes through selection/joint_search.py and selection/local_search.py).
 5. Its constants get errors, it is compared with its alternatives, simulated and judged (inference/conclusion.py).
@@ -58,10 +58,8 @@ def _refined(preparation: Preparation, config: JobConfig, pools: Pools, deadline
     candidates = collect_candidates(preparation.dataset, config, pools)
     if preparation.recording is None:
         return Refinement(_by_regression(preparation, config, candidates, deadline))
-    is_noisy = {target.variable: target.is_noisy for target in preparation.dataset.targets}
-    settled = _by_regression(
-        preparation, config, {name: those for name, those in candidates.items() if not is_noisy[name]}, deadline
-    )
+    converged = {name: those for name, those in candidates.items() if _has_converged(preparation, config, name, those)}
+    settled = _by_regression(preparation, config, converged, deadline)
     with ThreadPoolExecutor(usable_cores(os.environ)[0]) as executor:
         task = ModellingTask(
             preparation.dataset, preparation.recording, config, candidates, settled, executor, deadline=deadline
@@ -71,9 +69,16 @@ def _refined(preparation: Preparation, config: JobConfig, pools: Pools, deadline
         model = None if choice is None else summarize(choice)
     if model is not None:
         return model
-    unsettled = {name: those for name, those in candidates.items() if is_noisy[name]}
+    unsettled = {name: those for name, those in candidates.items() if name not in converged}
     rest = _by_regression(preparation, config, unsettled, deadline)
     return Refinement({**settled, **rest}, warnings=(NOT_SIMULATED,))
+
+
+def _has_converged(preparation: Preparation, config: JobConfig, name: str, its: CandidateSet) -> bool:
+    """Tell whether the search of a target without noise has met the error at which an equation counts as found."""
+    target = preparation.dataset.problem(name).target
+    limit = target.convergence_error(config.budget.target_error)
+    return not target.is_noisy and any(member.error <= limit for member in its.front)
 
 
 def _by_regression(

@@ -32,9 +32,8 @@ def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
     fit = model.fit
     counts = float(comparison.counts.sum())
     fitted = len(fit.system.places) + fit.starts.size
-    left = max(counts - fitted, 1.0)
-    certain = float(comparison.counts @ fit.errors.freedom) / counts
-    return Errors(fit.system.values, covariance(fit) * (counts / left), max(left * certain, 1.0))
+    freedom = max(counts - fitted, 1.0)
+    return Errors(fit.system.values, covariance(fit) * (counts / freedom), freedom)
 
 
 def describe_constants(

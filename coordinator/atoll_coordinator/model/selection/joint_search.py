@@ -182,7 +182,9 @@ def search_jointly(
         return None
     best = exchange(comparison, comparison.calibrate(best), lists)
     best = comparison.calibrate(best)
-    if not comparison.is_exact(best) and not is_hopeless(SelectedModel(task, comparison, best)):
+    if comparison.is_exact(best):
+        best = _reduced(comparison, best)
+    elif not is_hopeless(SelectedModel(task, comparison, best)):
         best = _search_locally(task, comparison, best, lists)
     best = comparison.fit_beside(best, best.programs, 40) or best
     return SelectedModel(task, comparison, best, lists)
