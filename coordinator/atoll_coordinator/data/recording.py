@@ -5,7 +5,7 @@ were measured. Pure data. Letters: R rows of one trajectory, S states, U inputs.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,9 @@ Reason = Literal["end", "gap", "jump", "outlier", "missing"]
 """Why a row is not used: near an end of its trajectory, near a gap in the times, where the state changes too fast for
 the sampling or for the smoother, as an outlier, or because the state is missing and its other rows do not tell it."""
 
+
+STENCIL_ROWS: Final = 15
+"""Rows of the widest stencil of an interpolation; here, since what counts rows is not to load kernels."""
 
 QuantisationKind = Literal["decimals", "digits", "single precision", "steps"]
 """Rounded to a decimal place, to significant digits, to float32; or multiples of a step, as of an encoder."""

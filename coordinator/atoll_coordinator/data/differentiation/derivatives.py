@@ -16,7 +16,6 @@ import numpy.typing as npt
 from atoll.data.dataset import FloatArray
 from atoll.errors import DataError
 from atoll_coordinator.data.differentiation.interpolation import (
-    STENCIL_ROWS,
     estimate_value_noise,
     interpolate_derivative,
     is_interpolation_better,
@@ -35,7 +34,7 @@ from atoll_coordinator.data.differentiation.smoothing import (
     smooth,
 )
 from atoll_coordinator.data.differentiation.standard_deviation import derivative_standard_deviation
-from atoll_coordinator.data.recording import Quantisation
+from atoll_coordinator.data.recording import STENCIL_ROWS, Quantisation
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
 

@@ -24,8 +24,6 @@ from atoll_coordinator.settings import SETTINGS
 
 LIMITS = SETTINGS.interpolation
 END_ROWS = LIMITS.end_rows
-STENCIL_ROWS: Final = 2 * HALF_WIDTHS + 1
-"""Rows of the widest stencil."""
 _LEAST_FREEDOM: Final = 1e-12
 """Guard: smallest 1 - leverage by which a residual is divided."""
 MEDIAN_ERROR: Final = 1.1664

@@ -4,9 +4,8 @@ from typing import Final
 
 from atoll.config import JobConfig
 from atoll.data.dataset import Dataset, Target
-from atoll_coordinator.data.differentiation.interpolation import STENCIL_ROWS
 from atoll_coordinator.data.prior_knowledge import resolve_prior
-from atoll_coordinator.data.recording import Recording
+from atoll_coordinator.data.recording import STENCIL_ROWS, Recording
 from atoll_coordinator.service.search.collector import Stagnation
 
 ROWS_CLEAN: Final = 16

@@ -96,3 +96,13 @@ def test_help_imports_none_of_the_heavy_libraries() -> None:
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_kernels_are_for_the_processes_that_compute():
+    script = (
+        "import sys\n"
+        "import atoll_coordinator.cli.local.local_run, atoll_coordinator.service.service\n"
+        "print(sorted({'numba', 'scipy', 'sympy', 'polars'} & set(sys.modules)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

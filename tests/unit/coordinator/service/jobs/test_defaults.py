@@ -7,8 +7,8 @@ import pytest
 
 from atoll.config import PAPER, BudgetConfig, EvolutionConfig, JobConfig, PredictorConfig, SpaceConfig
 from atoll.data.dataset import Dataset, Target
-from atoll_coordinator.data.differentiation.interpolation import STENCIL_ROWS
-from atoll_coordinator.data.recording import Recording, Smoothing
+from atoll_coordinator.data.differentiation.kernels.stencils import HALF_WIDTHS
+from atoll_coordinator.data.recording import STENCIL_ROWS, Recording, Smoothing
 from atoll_coordinator.service.jobs.defaults import (
     RUNNERS_UP_NOISY,
     STAGNATION_CLEAN,
@@ -77,3 +77,7 @@ def test_what_is_given_stands() -> None:
     assert found == [Stagnation(7), Stagnation(7)]
     assert resolve(PAPER, dataset(9, noise=0.1)) == PAPER
     assert stagnation_of(PAPER, dataset(noise=0.1).targets[1], RECORDING) == Stagnation(500)
+
+
+def test_a_clean_target_has_an_error_of_its_own_in_each_of_the_widest_stencils():
+    assert STENCIL_ROWS == 2 * HALF_WIDTHS + 1
