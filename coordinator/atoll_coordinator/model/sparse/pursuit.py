@@ -2,8 +2,8 @@
 
 To a polynomial, the products with functions are added that leave least of the target (orthogonal matching pursuit,
 Pati et al. 1993), all constants of the best sums are fitted, inner ones too, and the best go on; then the least
-significant terms leave one after another. With the polynomial there from the beginning, the choice of a function is not
-made by what another term would explain. A search that changes one place of an equation at a time reaches such laws only
+significant terms leave one after another. With the polynomial there from the beginning, what another term would explain
+does not decide which function is taken. A search that changes one place of an equation at a time reaches such laws only
 through worse ones.
 
 Letters: A atoms, K terms, R rows.
@@ -21,7 +21,7 @@ from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.builder import Expression, ProgramBuilder
 from atoll.expression.operators import ADD, MULTIPLY
 from atoll.expression.program import Program
-from atoll.expression.writing.shortest import shortest
+from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes
 from atoll_coordinator.settings import SETTINGS
@@ -266,7 +266,7 @@ class _Pursuit:
 
     def _made(self, its: _Sum) -> Program:
         parts = zip(its.terms, its.constants.tolist(), its.coefficients.tolist(), strict=True)
-        return shortest(
+        return collected(
             _program([(coefficient, self._shapes[term].expression(constant)) for term, constant, coefficient in parts])
         )
 
