@@ -42,6 +42,7 @@ from atoll_coordinator.model.refinement import (
 )
 from atoll_coordinator.model.regression.covariance import Known, student_95
 from atoll_coordinator.model.regression.errors import errors_on
+from atoll_coordinator.model.regression.rounding import ERROR_DIGITS
 from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
 from atoll_coordinator.model.selection.candidates import form
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
@@ -249,9 +250,9 @@ def _simulate(
 def _show(comparison: ModelComparison, near: FittedModel, programs: tuple[Program, ...]) -> _Shown | None:
     """Return equations of these structures as they are shown, fitted beside another model; None if they cannot be."""
     explicit, free = _freed(comparison, near, programs)
-    fitted = comparison.fit_beside(near, programs, SETTINGS.inference.shown_steps)
+    fitted = comparison.fit_beside(near, programs)
     if fitted is not None:
-        fitted = comparison.fit_correlated(fitted, SETTINGS.inference.shown_steps) or fitted
+        fitted = comparison.fit_correlated(fitted) or fitted
     found = None if fitted is None else _rounded(comparison, fitted)
     return None if free is None or found is None else _Shown(*found, explicit, free)
 
@@ -275,12 +276,12 @@ def _rounded(comparison: ModelComparison, fitted: FittedModel) -> tuple[RoundedS
     None when it cannot be simulated.
     """
     found = None
-    for digits in SETTINGS.inference.error_digits:
+    for digits in ERROR_DIGITS:
         rounded = round_shown(comparison, fitted, digits)
         fit = fit_starts(comparison, rounded.programs, fitted.fit)
         if fit is not None:
             found = rounded, comparison.measure(fit)
-            if found[1].misfit <= fitted.misfit + rounded.loss + SETTINGS.inference.unchanged_nats:
+            if found[1].misfit <= fitted.misfit + rounded.loss + SETTINGS.selection.least_gain:
                 break
     return found
 
@@ -299,10 +300,10 @@ def _freed(
         as_written(program) if equation in comparison.fixed else make_coefficients_explicit(program)
         for equation, program in enumerate(shown)
     )
-    free = comparison.fit_beside(best, [each.program for each in explicit], SETTINGS.inference.shown_steps)
+    free = comparison.fit_beside(best, [each.program for each in explicit])
     if free is not None:
-        return explicit, comparison.fit_correlated(free, SETTINGS.inference.shown_steps) or free
-    return tuple(map(as_written, shown)), comparison.fit_beside(best, shown, SETTINGS.inference.shown_steps)
+        return explicit, comparison.fit_correlated(free) or free
+    return tuple(map(as_written, shown)), comparison.fit_beside(best, shown)
 
 
 def _unseen(task: ModellingTask) -> ModelComparison | None:
@@ -465,7 +466,7 @@ def _reported_alternatives(final: _Final, index: int, held_out_r2: float | None)
         program, nats = alternative.model.programs[index], alternative.model.nats - best.nats
         r2 = r2_of(comparison.estimator.measurements, alternative.model.fit, slice(None))[index]
         held_out_r2 = None if alternative.validated is None else alternative.validated.r2[index]
-        if nats <= SETTINGS.selection.validated_nats and final.unseen is not None:
+        if nats <= SETTINGS.inference.distinct_nats and final.unseen is not None:
             held_out_r2 = _held_out(final, final.unseen, alternative.model.programs).r2[index]
         is_crossed = alternative.validated is not None
         found.append(Alternative(program, nats, r2, held_out_r2, False, is_crossed, final.origin(index, program)))

@@ -48,7 +48,7 @@ def foretell(
         tolerance: error of an integration step over a state's standard deviation.
         is_near: whether initial states are near measured ones: an attractor's box has parts that lead elsewhere.
     """
-    if len(measurements.inputs) or measurements.rows < SETTINGS.inference.foretold_rows // 4:
+    if len(measurements.inputs) or measurements.rows < SETTINGS.shooting.lengths[-1] // 4:
         return None
     elsewhere = _Elsewhere(measurements, tolerance, is_near=is_near)
     own = elsewhere.courses(model, range(len(elsewhere.starts)))
@@ -87,7 +87,7 @@ class _Elsewhere:
 
     def __init__(self, measurements: Measurements, tolerance: float, *, is_near: bool) -> None:
         self._measurements = measurements
-        rows = SETTINGS.inference.foretold_rows
+        rows = SETTINGS.shooting.lengths[-1]
         low, high = measurements.smoothed.min(axis=1), measurements.smoothed.max(axis=1)
         self._low, self._width = low, np.maximum(high - low, 1e-300)
         length = max(
@@ -100,10 +100,10 @@ class _Elsewhere:
     def starts(self) -> FloatArray:
         """Initial states (G, D), evenly spread over the box (Halton 1960), or near measured ones over all rows."""
         if self._is_near:
-            rows = np.linspace(0, self._measurements.rows - 1, SETTINGS.inference.foretold_starts).astype(int)
-            moved = SETTINGS.inference.foretold_shift * self._measurements.scales
+            rows = np.linspace(0, self._measurements.rows - 1, SETTINGS.effort.beam).astype(int)
+            moved = SETTINGS.common.negligible * self._measurements.scales
             return np.asarray(self._measurements.smoothed[:, rows].T + moved)
-        count, states = SETTINGS.inference.foretold_starts, len(self._low)
+        count, states = SETTINGS.effort.beam, len(self._low)
         unit = np.array([[_radical_inverse(index, base) for base in _primes(states)] for index in range(1, count + 1)])
         return np.asarray(self._low + unit * self._width)
 
@@ -113,11 +113,11 @@ class _Elsewhere:
 
     def horizon(self, model: System, own: Sequence[FloatArray | None], places: Sequence[int]) -> int:
         """Return for how many rows slightly different initial states lead to about the same course: chaos ends it."""
-        moved = self.starts + SETTINGS.inference.foretold_shift * self._measurements.scales
+        moved = self.starts + SETTINGS.common.negligible * self._measurements.scales
         others = [self._course(model, moved[place]) for place in places]
         pairs = [(own[place], other) for place, other in zip(places, others, strict=True) if other is not None]
-        rows = SETTINGS.inference.foretold_rows
-        least = SETTINGS.inference.good_r2
+        rows = SETTINGS.shooting.lengths[-1]
+        least = 1.0 - SETTINGS.inference.part
         while rows > 8 and not all(
             (_r2([one[:, :rows]], [other[:, :rows]]) > least).all() for one, other in pairs if one is not None
         ):
@@ -141,7 +141,7 @@ class _Elsewhere:
         values = np.concatenate([course[state] for course in courses])
         lowest, highest = float(values.min()), float(values.max())
         below, above = (low - lowest) / width, (highest - low) / width - 1.0
-        if max(below, above) <= SETTINGS.inference.beyond:
+        if max(below, above) <= SETTINGS.inference.part:
             return None
         return highest if above >= below else lowest
 
@@ -172,7 +172,7 @@ class _Misses:
         states = len(self._unlike)
         is_whole = all(course is not None for course in courses)
         agrees = (
-            _r2([course for course in courses if course is not None], self._courses) > SETTINGS.inference.good_r2
+            _r2([course for course in courses if course is not None], self._courses) > 1.0 - SETTINGS.inference.part
             if is_whole
             else np.zeros(states, np.bool_)
         )
@@ -212,7 +212,7 @@ def draws(system: System, covariance: FloatArray, group: int) -> Iterator[Rival]
         covariance: theirs (P, P), finite.
         group: of the rivals.
     """
-    count = SETTINGS.inference.foretold_starts
+    count = SETTINGS.effort.beam
     if not len(system.places):
         return
     values, vectors = np.linalg.eigh(covariance)

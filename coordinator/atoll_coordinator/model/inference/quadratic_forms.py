@@ -7,11 +7,17 @@ matrix (I - S)'(I - S) of its sum of squared residuals.
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.settings import SETTINGS
+
+_REPRESENTED: Final = 8
+"""Lengths by which those of many trajectories are represented: eigenvalues hardly differ between them."""
+_MOST_BINS: Final = 6 * SETTINGS.smoothing.least_bins_in_span
+"""Bins of a trajectory whose eigenvalues are computed; of more a stretch is taken."""
 
 
 def variance_ratio_tail(ratio: float, lengths: Sequence[int], parameters: float, span: int, degree: int) -> float:
@@ -80,7 +86,7 @@ def _residual_eigenvalues(lengths: tuple[int, ...], span: int, degree: int) -> t
     Many trajectories are represented by some of their lengths, long ones by a stretch.
     """
     values, counts = [], []
-    for group in np.array_split(np.array(lengths), min(len(lengths), SETTINGS.inference.represented_lengths)):
+    for group in np.array_split(np.array(lengths), min(len(lengths), _REPRESENTED)):
         rows = int(group[len(group) // 2])
         one, times = _eigenvalues(rows, span, degree)
         values.append(one)
@@ -99,9 +105,9 @@ def _eigenvalues(rows: int, span: int, degree: int) -> tuple[FloatArray, FloatAr
     degree = min(degree, rows - 2)
     if degree < 0:
         return np.ones(1), np.array([float(rows)])
-    thinning = max(1, min(span, rows) // SETTINGS.inference.bins_in_span)
+    thinning = max(1, min(span, rows) // SETTINGS.smoothing.least_bins_in_span)
     bins = rows // thinning
-    taken = min(bins, max(SETTINGS.inference.most_bins, 2 * (span // thinning)))
+    taken = min(bins, max(_MOST_BINS, 2 * (span // thinning)))
     rest = np.eye(taken) - _loess_matrix(taken, max(span // thinning, degree + 2), degree)
     values = np.maximum(np.linalg.eigvalsh(rest.T @ rest), 0.0)
     return np.append(values, 1.0), np.append(np.full(taken, bins / taken), float(rows - bins))

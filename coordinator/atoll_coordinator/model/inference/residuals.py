@@ -116,5 +116,5 @@ def _correlations(errors: Sequence[FloatArray], square: float, parameters: float
 
 def _clip_outliers(residuals: Sequence[FloatArray]) -> list[FloatArray]:
     """Return the residuals with those far out, by the median of their size, brought in."""
-    limit = SETTINGS.inference.far_out * float(np.median(np.abs(np.concatenate(list(residuals))))) / _NORMAL_MAD
+    limit = SETTINGS.robustness.reach * float(np.median(np.abs(np.concatenate(list(residuals)))))
     return [np.clip(each, -limit, limit) for each in residuals]

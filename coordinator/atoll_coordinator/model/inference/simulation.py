@@ -24,7 +24,7 @@ def fit_starts(
     """Return `programs`, all constants as they are, fitted to the trajectories by their initial states alone."""
     system = comparison.system(programs, [constant_places(program) for program in programs])
     starts, errors = (None, None) if near is None else (near.starts, near.errors)
-    return comparison.estimator.fit(system, None, SETTINGS.inference.start_steps, starts, errors)
+    return comparison.estimator.fit(system, None, SETTINGS.effort.steps, starts, errors)
 
 
 def simulated(

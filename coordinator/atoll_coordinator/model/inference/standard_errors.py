@@ -5,6 +5,7 @@ Letters: P fitted constants.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -15,7 +16,9 @@ from atoll_coordinator.model.regression.covariance import Known, describe, stude
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.structure.unit_coefficients import ExplicitCoefficients
-from atoll_coordinator.settings import SETTINGS
+
+_HIGH_CORRELATION: Final = 0.95
+"""Correlations of at least this size between two constants are reported."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +83,6 @@ def find_correlations(
         for second, (other, second_number) in enumerate(names)
         for first, (one, first_number) in enumerate(names[:second])
         if first_number is not None and second_number is not None
-        if SETTINGS.inference.high_correlation <= abs(unit[first, second]) <= 1.0 + 1e-6
+        if _HIGH_CORRELATION <= abs(unit[first, second]) <= 1.0 + 1e-6
     ]
     return tuple(sorted(pairs, key=lambda pair: -abs(pair.value)))

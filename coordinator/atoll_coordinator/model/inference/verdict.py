@@ -84,7 +84,7 @@ def _by_simulation(evidence: Evidence) -> tuple[Grade, str]:
     )
     left = residuals.standard_deviation / evidence.standard_deviation
     r2 = 1.0 - left * left
-    if not r2 >= SETTINGS.inference.least_r2:  # NaN explains nothing
+    if not r2 >= SETTINGS.inference.part:  # NaN explains nothing
         return "no model", f"Its simulation explains too little of the measurements (R2 {_r2(r2)})."
     objections = [
         *_objections_to_simulation(evidence, residuals),
@@ -94,7 +94,7 @@ def _by_simulation(evidence: Evidence) -> tuple[Grade, str]:
     ]
     if objections:
         return "doubtful", _sentence(objections)
-    if evidence.noise <= SETTINGS.inference.clean * evidence.standard_deviation and left <= max(
+    if evidence.noise <= SETTINGS.common.clean * evidence.standard_deviation and left <= max(
         SETTINGS.inference.exact, 2.0 * evidence.noise / evidence.standard_deviation
     ):
         missed = f"without noise, the simulation misses the measurements by {left:.1g} of their deviation"
@@ -118,20 +118,20 @@ def _loosest(evidence: Evidence) -> str | None:
         if each.std_error is not None and math.isfinite(each.std_error)
     ]
     share, value = max(known, default=(0.0, 0.0))
-    if share <= SETTINGS.inference.exact_constant:
+    if share <= SETTINGS.common.negligible:
         return None
     return f"the constant {value:.3g} is known to {_percent(share)} only: its term may follow errors of the data"
 
 
 def _by_target(evidence: Evidence) -> tuple[Grade, str]:
     is_converged = evidence.error <= evidence.convergence_threshold
-    if evidence.target_uncertainty <= SETTINGS.inference.clean and is_converged and not evidence.is_unsimulated:
+    if evidence.target_uncertainty <= SETTINGS.common.clean and is_converged and not evidence.is_unsimulated:
         return "exact", f"The error, {evidence.error:.1g} of the target's deviation, is at the level of rounding."
     if not math.isfinite(evidence.error):
         return "no model", "Its error is not finite."
     is_at_floor = evidence.error <= 2.0 * evidence.target_uncertainty
     r2 = evidence.target_r2
-    if r2 is not None and r2 < SETTINGS.inference.least_target_r2:
+    if r2 is not None and r2 < SETTINGS.inference.part:
         what = (
             "It is not much better than a constant"
             if evidence.is_known
@@ -151,23 +151,21 @@ def _objections_to_simulation(evidence: Evidence, residuals: Check) -> Iterator[
     if evidence.failed:
         trajectories = len(evidence.residuals) + evidence.failed
         yield f"it cannot be simulated to the end of {evidence.failed} of {trajectories} trajectories"
-    if evidence.held_out_r2 is not None and evidence.held_out_r2 < 1.0 - noise * noise - (
-        1.0 - SETTINGS.inference.good_r2
-    ):
+    if evidence.held_out_r2 is not None and evidence.held_out_r2 < 1.0 - noise * noise - SETTINGS.inference.part:
         yield f"{_unseen(evidence)} are simulated with R2 {_r2(evidence.held_out_r2)} only"
-    if left <= SETTINGS.inference.negligible:
+    if left <= SETTINGS.common.negligible:
         return
-    if noise <= SETTINGS.inference.clean:
-        if evidence.are_errors_summed and 1.0 - left * left >= SETTINGS.inference.good_r2:
+    if noise <= SETTINGS.common.clean:
+        if evidence.are_errors_summed and 1.0 - left * left >= 1.0 - SETTINGS.inference.part:
             return
         yield f"there is no noise, but the simulation misses the measurements by {_percent(left)} of their deviation"
         return
-    if residuals.ratio > SETTINGS.inference.too_large and residuals.too_large < SETTINGS.inference.improbable:
+    if residuals.ratio > SETTINGS.inference.excess and residuals.too_large < SETTINGS.inference.improbable:
         yield (
             f"the simulation misses the measurements by {_percent(left)} of their deviation, "
             f"{residuals.ratio:.2g} times the noise (p = {residuals.too_large:.1g})"
         )
-    if residuals.correlation > SETTINGS.inference.patterned and residuals.patterned < SETTINGS.inference.improbable:
+    if residuals.correlation > SETTINGS.inference.part and residuals.patterned < SETTINGS.inference.improbable:
         share = _percent(min(residuals.correlation, 1.0))
         yield f"about {share} of what it leaves follows a pattern (p = {residuals.patterned:.1g})"
 
@@ -224,7 +222,7 @@ def _where(prediction: Prediction) -> str:
 def _objections_to_target(evidence: Evidence, *, is_at_floor: bool) -> Iterator[str]:
     if evidence.is_unsimulated:
         yield "it was not simulated along the trajectories, and fits the derivatives alone"
-    if evidence.target_r2 is not None and evidence.target_r2 < SETTINGS.inference.good_r2 and not is_at_floor:
+    if evidence.target_r2 is not None and evidence.target_r2 < 1.0 - SETTINGS.inference.part and not is_at_floor:
         yield f"it explains the target with R2 {_r2(evidence.target_r2)} only"
     if evidence.target_uncertainty > SETTINGS.inference.largest_uncertainty:
         yield f"the target itself is uncertain by {_percent(evidence.target_uncertainty)} of its deviation"
@@ -250,7 +248,7 @@ def _merit_of_simulation(evidence: Evidence, residuals: Check) -> str:
     left = residuals.standard_deviation / evidence.standard_deviation
     held_out = f"; {_unseen(evidence)}: R2 {_r2(evidence.held_out_r2)}" if evidence.held_out_r2 is not None else ""
     held_out += _unknown(evidence.prediction) + _chaotic(evidence.chaos)
-    if left <= SETTINGS.inference.negligible:
+    if left <= SETTINGS.common.negligible:
         return f"the simulation misses the measurements by {left:.1g} of their deviation{held_out}"
     if evidence.are_errors_summed:
         return (

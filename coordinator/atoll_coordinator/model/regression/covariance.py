@@ -22,7 +22,6 @@ from atoll_coordinator.model.structure.unit_coefficients import (
     as_written,
     make_coefficients_explicit,
 )
-from atoll_coordinator.settings import SETTINGS
 
 _RIDGE: Final = 1e-14
 _FLAT: Final = 1e-100
@@ -142,4 +141,4 @@ def _constant(value: float, fitted: float, error: float, quantile: float | None)
     if quantile is None:
         return Constant(value, fitted, error)
     bounds = (fitted - quantile * error, fitted + quantile * error) if math.isfinite(error) else None
-    return Constant(value, fitted, error, bounds, error <= SETTINGS.inference.loose * abs(fitted))
+    return Constant(value, fitted, error, bounds, quantile * error < abs(fitted))

@@ -51,14 +51,14 @@ def fit_equation(
     operators = frozenset(BY_NAME[name].code for name in config.space.operators_for(variable))
     allowed = config.space.columns_for(variable, problem.names)
     shortening = Shortening(
-        _spread(problem, SETTINGS.regression.compared_rows),
+        _spread(problem, SETTINGS.rows.most),
         operators,
         allowed,
-        _spread_weights(weights, SETTINGS.regression.compared_rows),
+        _spread_weights(weights, SETTINGS.rows.most),
         deadline,
     )
     candidates = shortening.candidates([front[index].program for index in kept], looks_around=not has_converged)
-    for candidate in candidates[: SETTINGS.regression.attempts]:
+    for candidate in candidates:
         member = kept[candidate.member]
         refined = _finished(problem, candidate, member, config, weights, has_intervals=has_intervals)
         is_member = structure(shortest(front[member].program)) == structure(shortest(candidate.fitted.program))
@@ -74,12 +74,8 @@ def _finished(
 ) -> Refined:  # fmt: skip
     """Decide the constants on more rows where there are more; measure errors and standard errors."""
     program = candidate.model.program
-    decisive = _spread(problem, SETTINGS.regression.deciding_rows)
-    criterion, least_squares = (
-        RegressionCriterion.of(decisive.target),
-        LeastSquares(decisive, _spread_weights(weights, SETTINGS.regression.deciding_rows)),
-    )
-    if len(problem.target.values) > SETTINGS.regression.compared_rows:
+    criterion, least_squares = RegressionCriterion.of(problem.target), LeastSquares(problem, weights)
+    if len(problem.target.values) > SETTINGS.rows.most:
         program = round_constants(least_squares.fit(candidate.fitted.program), criterion, least_squares).program
     short = shortest_over(program, problem.inputs)
     if may_be_shown(short, config.space.max_size):
@@ -103,7 +99,7 @@ def _with_estimates(
     fitted, places = least_squares.fit(program), constant_places(program)
     if not places or not math.isfinite(fitted.mse):
         return program, (None,) * len(places)
-    is_few = len(places) <= SETTINGS.regression.most_rounded_constants
+    is_few = len(places) <= SETTINGS.effort.beam
     rounding = round_estimates(fitted.program.constants[places], covariance_of(fitted, criterion), may_be_simple=is_few)
     return with_constants(program, dict(zip(places, rounding.values.tolist(), strict=True))), rounding.simple
 

@@ -1,6 +1,7 @@
 """Errors of a program on the rows of a problem. Pure."""
 
 import math
+from typing import Final
 
 import numpy as np
 
@@ -8,15 +9,17 @@ from atoll.config import Loss
 from atoll.data.dataset import Problem
 from atoll.expression.evaluation import values_of
 from atoll.expression.program import Program
-from atoll_coordinator.settings import SETTINGS
+
+_ROWS_AT_A_TIME: Final = 100_000
+"""Rows that are evaluated at a time, to save memory."""
 
 
 def errors_on(problem: Problem, program: Program, loss: Loss) -> tuple[float, float]:
     """Return loss and mean squared error on all rows, infinite when one is not finite; in parts, to save memory."""
     rows = len(problem.target.values)
     total, square = 0.0, 0.0
-    for start in range(0, rows, SETTINGS.regression.rows_at_a_time):
-        part = slice(start, start + SETTINGS.regression.rows_at_a_time)
+    for start in range(0, rows, _ROWS_AT_A_TIME):
+        part = slice(start, start + _ROWS_AT_A_TIME)
         errors = values_of(program, problem.inputs[:, part]) - problem.target.values[part]
         total += float(np.sum(np.abs(errors)))
         square += float(errors @ errors)

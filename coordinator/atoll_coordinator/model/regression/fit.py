@@ -7,13 +7,18 @@ constants that are fitted.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.evaluation import values_and_gradient, values_of
 from atoll.expression.program import Program, constant_places
+from atoll_coordinator.model.damping import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING
 from atoll_coordinator.settings import SETTINGS
+
+_OVERHEAD_ROWS: Final = 500
+"""Rows whose evaluation takes as long as everything else about a program."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +46,7 @@ class LeastSquares:
 
     def mse(self, program: Program) -> float:
         """Return the mean squared error of `program`."""
-        self.evaluations += len(self._target) + SETTINGS.regression.overhead_rows
+        self.evaluations += len(self._target) + _OVERHEAD_ROWS
         with np.errstate(all="ignore"):
             return _mse(self._weighed(values_of(program, self._inputs) - self._target))
 
@@ -53,7 +58,7 @@ class LeastSquares:
         program: Program,
         fixed: Sequence[int] = (),
         enough: float = 0.0,
-        steps: int = SETTINGS.regression.fit_steps,
+        steps: int = SETTINGS.effort.steps,
     ) -> Fitted:
         """Return `program` with its constants fitted.
 
@@ -67,7 +72,7 @@ class LeastSquares:
         mse, gradient, normal = self._equations(program, places, np.inf)
         if not places or not math.isfinite(mse):
             return Fitted(program, mse, normal)
-        damping = SETTINGS.regression.first_damping
+        damping = FIRST_DAMPING
         for step in range(steps):
             constants = program.constants.copy()
             constants[places] += _solved(normal, gradient, damping)
@@ -75,16 +80,13 @@ class LeastSquares:
             new_mse, new_gradient, new_normal = self._equations(moved, places, mse)
             if not new_mse <= mse:
                 damping *= 10.0
-                if damping > SETTINGS.regression.most_damping:
+                if damping > MOST_DAMPING:
                     break
                 continue
-            is_settled = new_mse >= mse * (1.0 - SETTINGS.regression.settled)
-            is_hopeless = (
-                step >= SETTINGS.regression.steps_before_giving_up
-                and _projected(mse, new_mse, steps - step) > enough > 0.0
-            )
+            is_settled = new_mse >= mse * (1.0 - SETTINGS.effort.settled)
+            is_hopeless = step >= SETTINGS.effort.brief_steps and _projected(mse, new_mse, steps - step) > enough > 0.0
             program, mse, gradient, normal = moved, new_mse, new_gradient, new_normal
-            damping = max(0.1 * damping, SETTINGS.regression.least_damping)
+            damping = max(0.1 * damping, LEAST_DAMPING)
             if is_settled or is_hopeless:
                 break
         return Fitted(program, mse, normal)
@@ -94,7 +96,7 @@ class LeastSquares:
         values, slopes = values_and_gradient(program, self._inputs, places)
         with np.errstate(all="ignore"):
             errors = self._weighed(values - self._target)
-        self.evaluations += len(errors) + SETTINGS.regression.overhead_rows
+        self.evaluations += len(errors) + _OVERHEAD_ROWS
         mse = _mse(errors)
         if not mse <= limit or math.isinf(mse):
             return mse, np.zeros(0), np.zeros((0, 0))

@@ -5,12 +5,14 @@ neighbourhood; before the data both are as likely (`simple_numbers`). Near its m
 the constants, so that what the data say of each of these decisions is known: constants are decided one after another,
 each by a few simple numbers near where it lies once the earlier ones are fixed, and a beam of the most probable
 decisions is kept (a sequential decoding, as in integer least squares). A simple number takes the place of an estimate
-when its odds, against all other decisions together, are at least `SETTINGS.regression.simple_odds`.
+when its odds, against all other decisions together, are at least those of `InferenceSettings.distinct_nats`.
 """
 
 import math
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -24,6 +26,9 @@ from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.simple_numbers import continuum_density, fitted_length, simple_numbers
 from atoll_coordinator.settings import SETTINGS
 
+ERROR_DIGITS: Final = tuple(1 + 2**power for power in range(5))
+"""Digits of standard errors to which estimates may be rounded, all of a double at last: the first with which
+simulations stay as they are. With two they are off by at most a twentieth of a standard error."""
 _ROUNDING = 2.0**-50
 """Standard errors below this share of a constant are those of arithmetic."""
 
@@ -66,7 +71,7 @@ class Rounding:
 def round_estimates(
     means: FloatArray,
     covariance: FloatArray,
-    digits: int = SETTINGS.inference.error_digits[0],
+    digits: int = ERROR_DIGITS[0],
     *,
     may_be_simple: bool = True,
 ) -> Rounding:
@@ -101,11 +106,11 @@ def round_constants(fitted: Fitted, criterion: RegressionCriterion, least_square
     """
     best = Model(fitted.program, description_length(fitted, criterion), fitted.mse)
     places = constant_places(fitted.program)
-    if not 0 < len(places) <= SETTINGS.regression.most_rounded_constants or not math.isfinite(best.length):
+    if not 0 < len(places) <= SETTINGS.effort.beam or not math.isfinite(best.length):
         return best
     found = decisions(fitted.program.constants[places], covariance_of(fitted, criterion))
     probable = sorted((each for each in found if each.numbers), key=lambda each: -each.nats)
-    for decision in probable[: SETTINGS.regression.decisions_measured]:
+    for decision in probable[: SETTINGS.effort.beam]:
         model = _measured(fitted.program, places, dict(decision.numbers), criterion, least_squares)
         if model.length <= best.length:
             best = model
@@ -123,7 +128,9 @@ def _singled_out(means: FloatArray, covariance: FloatArray) -> tuple[dict[int, f
             shares[number] = shares.get(number, 0.0) + weight
     total = sum(weights)
     odds = {number: share / max(total - share, 1e-300) for number, share in shares.items()}
-    return {index: value for (index, value), its in odds.items() if its >= SETTINGS.regression.simple_odds}, odds
+    return {
+        index: value for (index, value), its in odds.items() if its >= math.exp(SETTINGS.inference.distinct_nats)
+    }, odds
 
 
 def decisions(means: FloatArray, covariance: FloatArray) -> list[Decision]:
@@ -131,7 +138,7 @@ def decisions(means: FloatArray, covariance: FloatArray) -> list[Decision]:
     found = beam = [_start(means, covariance)]
     while beam:
         following = {each.numbers: each for decision in beam for each in _next(decision)}
-        beam = sorted(following.values(), key=lambda each: -each.nats)[: SETTINGS.regression.beam]
+        beam = sorted(following.values(), key=lambda each: -each.nats)[: SETTINGS.effort.beam]
         found = [*found, *beam]
     return found
 
@@ -147,7 +154,7 @@ def _next(decision: Decision) -> Iterator[Decision]:
     """Yield `decision` with one more constant decided."""
     for k in range(len(decision.open)):
         gains = _gains(float(decision.means[k]), math.sqrt(float(decision.covariance[k, k])))
-        for number in sorted(gains, key=lambda each: -gains[each])[: SETTINGS.regression.numbers_per_constant]:
+        for number in sorted(gains, key=lambda each: -gains[each])[: SETTINGS.effort.beam]:
             yield _decided(decision, k, number, gains[number])
 
 
@@ -183,7 +190,7 @@ def _rounded(value: float, error: float, digits: int) -> float:
         return value
     size = min(error, abs(value)) if error > 0.0 else abs(value)
     places = math.floor(math.log10(abs(value))) - math.floor(math.log10(size)) + digits
-    return float(f"{value:.{min(places, SETTINGS.regression.most_digits) - 1}e}") if places < 17 else value
+    return float(f"{value:.{min(places, sys.float_info.dig) - 1}e}") if places < 17 else value
 
 
 def _simple_number(

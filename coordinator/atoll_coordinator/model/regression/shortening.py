@@ -92,7 +92,7 @@ class Shortening:
 
     def _simplicity(self, candidate: Candidate, best: Candidate) -> tuple[bool, int, tuple[float, int, bytes]]:
         """Return what the smallest program has the least of whose model is nearly as short as the best."""
-        is_far = candidate.model.length > best.model.length + SETTINGS.regression.simple_margin
+        is_far = candidate.model.length > best.model.length + SETTINGS.regression.margin
         return is_far, len(candidate.model.program), candidate.rank
 
     def _members(self, front: Sequence[Program]) -> list[tuple[int, Fitted]]:
@@ -103,10 +103,7 @@ class Shortening:
             ((description_length(fitted, self.criterion), index, fitted) for index, fitted in polished),
             key=lambda each: each[:2],
         )
-        limit = priced[0][0] + SETTINGS.regression.front_margin if priced else 0.0
-        return [
-            (index, fitted) for length, index, fitted in priced[: SETTINGS.regression.most_members] if length <= limit
-        ]
+        return [(index, fitted) for _, index, fitted in priced[: SETTINGS.effort.beam]]
 
     def _take_in(self, found: dict[bytes, Candidate], member: int, fits: Sequence[Fitted]) -> None:
         for fitted in fits:
@@ -120,11 +117,7 @@ class Shortening:
         known = self._fits.get(key)
         if known is None or (known[0].mse > known[1] > 0.0 and not 0.0 < enough <= known[1]):
             known = (
-                self.least_squares.fit(
-                    program,
-                    enough=enough,
-                    steps=SETTINGS.regression.trial_steps if enough else SETTINGS.regression.shortening_steps,
-                ),
+                self.least_squares.fit(program, enough=enough),
                 enough,
             )
             self._fits[key] = known
@@ -165,7 +158,7 @@ class Shortening:
         Of those with equal errors, which say the same in other words, the shortest is taken; but of those that say the
         same as `best`, the shortest for each collection of operators, since their constants may be simpler.
         """
-        most = description_length(best.fitted, self.criterion) + SETTINGS.regression.neighbour_margin
+        most = description_length(best.fitted, self.criterion) + SETTINGS.regression.margin
         found: dict[tuple[str, bytes], tuple[float, Fitted]] = {}
         for program in neighbours(best.fitted.program, self._variables, self._operators):
             if self._is_exhausted():
@@ -176,9 +169,7 @@ class Shortening:
                 meaning = (meaning[0], np.sort(fitted.program.operators).tobytes())
             if length < most and (meaning not in found or length < found[meaning][0]):
                 found[meaning] = (length, fitted)
-        nearest = sorted(found.values(), key=lambda each: (each[0], structure(each[1].program)))[
-            : SETTINGS.regression.most_neighbours
-        ]
+        nearest = sorted(found.values(), key=lambda each: (each[0], structure(each[1].program)))[: SETTINGS.effort.beam]
         return [fitted for _, one in nearest for fitted in (one, self._reduced(one))]
 
     def _is_exhausted(self) -> bool:

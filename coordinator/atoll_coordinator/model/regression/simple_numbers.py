@@ -5,6 +5,7 @@ fitted constant counts as a decimal, too: one with as many digits as its standar
 """
 
 import math
+import sys
 from collections.abc import Iterator
 from functools import cache
 from typing import Final
@@ -30,7 +31,7 @@ def decimal_length(mantissa: int, exponent: int) -> float:
 
 def fitted_length(value: float, error: float) -> float:
     """Return the length in nats of `value` written with the digits that its standard error leaves it."""
-    error = min(max(error, abs(value) * 10.0**-SETTINGS.regression.most_digits), abs(value))
+    error = min(max(error, abs(value) * 10.0**-sys.float_info.dig), abs(value))
     if error == 0.0:
         return 0.0
     return math.log1p(abs(value) / error) + _POWER * abs(math.log10(error)) + _FINER
@@ -75,7 +76,7 @@ def _probability_of_decade(exponent: int) -> float:
         for mantissa in range(10 ** (exponent - power), 10 ** (exponent - power + 1)):
             if mantissa % 10 or mantissa == 0:
                 lengths[float(f"{mantissa}e{power}")] = decimal_length(mantissa, exponent - power)
-    finer = range(2, SETTINGS.regression.most_digits)
+    finer = range(2, sys.float_info.dig)
     total = sum(0.9 * math.log(10.0) * math.exp(-_POWER * more) for more in finer)
     for denominator in SETTINGS.regression.denominators:
         first, last = math.ceil(denominator * 10.0**exponent), math.ceil(denominator * 10.0 ** (exponent + 1))
@@ -103,11 +104,9 @@ def _fractions(value: float) -> Iterator[tuple[float, float]]:
 
 
 def _multiples_of_pi(value: float) -> Iterator[tuple[float, float]]:
-    if abs(value) > SETTINGS.regression.most_of_pi * math.pi:
-        return
     for denominator in SETTINGS.regression.denominators:
         numerator = round(value * denominator / math.pi)
-        if 0 < abs(numerator) <= SETTINGS.regression.most_of_pi and math.gcd(numerator, denominator) == 1:
+        if numerator and math.gcd(numerator, denominator) == 1:
             yield (
                 numerator * math.pi / denominator,
                 fraction_length(numerator, denominator) + SETTINGS.regression.pi_nats,
@@ -118,8 +117,8 @@ def _decimals(value: float, error: float, *, in_any_unit: bool) -> Iterator[tupl
     if value == 0.0:
         return
     first = math.floor(math.log10(abs(value))) + 1
-    finest = max(error / 10.0, abs(value) * 10.0**-SETTINGS.regression.most_digits)
-    for exponent in range(first, first - SETTINGS.regression.most_digits - 1, -1):
+    finest = max(error / 10.0, abs(value) * 10.0**-sys.float_info.dig)
+    for exponent in range(first, first - sys.float_info.dig - 1, -1):
         if 10.0**exponent < finest:
             return
         nearest = round(value / 10.0**exponent) if exponent > -300 else 0

@@ -96,9 +96,9 @@ def _winner(
 
     Those with more constants are left out: what these gain on few trajectories is chance as often as not.
     """
-    best, winner = validated_length(own.misfit, model.programs) - SETTINGS.selection.clearly_better_nats, None
+    best, winner = validated_length(own.misfit, model.programs) - SETTINGS.inference.distinct_nats, None
     for each in (alternative for its in alternatives for alternative in its):
-        if each.validated is None or each.model.nats > model.nats + SETTINGS.selection.undecided_nats:
+        if each.validated is None or each.model.nats > model.nats + SETTINGS.inference.distinct_nats:
             continue
         if len(each.model.fit.system.places) > len(model.fit.system.places):
             continue
@@ -114,11 +114,9 @@ def _validated(
     return [
         RankedAlternative(
             each,
-            validation.of(each)
-            if rank < SETTINGS.selection.validated and each.nats <= best.nats + SETTINGS.selection.validated_nats
-            else None,
+            validation.of(each) if each.nats <= best.nats + SETTINGS.inference.distinct_nats else None,
         )
-        for rank, each in enumerate(alternatives)
+        for each in alternatives
     ]
 
 
@@ -139,8 +137,8 @@ def _alternatives(comparison: ModelComparison, best: FittedModel, index: int, in
     near = comparison.narrow_down(
         best,
         index,
-        list(programs.values())[: 4 * SETTINGS.selection.alternatives],
-        SETTINGS.selection.alternative_rounds,
+        list(programs.values())[: SETTINGS.effort.kept],
+        ((SETTINGS.effort.steps, SETTINGS.effort.kept),),
     )
     functions = [values_of(best.programs[index], inputs)]
     found: list[FittedModel] = []
@@ -149,10 +147,10 @@ def _alternatives(comparison: ModelComparison, best: FittedModel, index: int, in
         if all(_differ(values, other) for other in functions):
             functions.append(values)
             found.append(each)
-    return found[: SETTINGS.selection.alternatives]
+    return found[: SETTINGS.effort.beam]
 
 
 def _differ(first: FloatArray, second: FloatArray) -> bool:
     with np.errstate(all="ignore"):
         difference = float(np.sqrt(np.mean((first - second) ** 2)))
-        return not difference <= SETTINGS.selection.same_function * float(np.std(second))
+        return not difference <= SETTINGS.common.negligible * float(np.std(second))

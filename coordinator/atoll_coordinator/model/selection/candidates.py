@@ -109,22 +109,20 @@ def ranked(
     unique = {structure(program): program for program in reversed([shortest(each) for each in programs])}
     deadline = comparison.estimator.deadline
     polished = [
-        least_squares.fit(program, steps=0 if deadline.is_over else SETTINGS.selection.regression_steps)
+        least_squares.fit(program, steps=0 if deadline.is_over else SETTINGS.effort.steps)
         for program in reversed(unique.values())
     ]
     started = [each.program for each in polished if np.isfinite(each.mse)]
-    found = comparison.fit_all(
-        lambda program: comparison.fit_model([program], 4, (SETTINGS.selection.short_segment,)), started
-    )[: SETTINGS.selection.kept_candidates]
+    steps, (short, longer, _) = SETTINGS.effort.brief_steps, SETTINGS.shooting.lengths
+    found = comparison.fit_all(lambda program: comparison.fit_model([program], steps, (short,)), started)
+    found = found[: SETTINGS.effort.kept]
     for terms in libraries:
-        if comparison.estimator.work < SETTINGS.selection.library_work:
+        if comparison.estimator.work < SETTINGS.effort.work:
             found += eliminated(comparison, problem, terms)
     chosen = {structure(each.programs[0]): each.programs[0] for each in found}
-    longer = comparison.fit_all(
-        lambda program: comparison.fit_model([program], 6, (SETTINGS.selection.longer_segment,)), chosen.values()
-    )
-    best = [each.programs[0] for each in distinct(longer)]
-    first = SETTINGS.selection.exchanged_again
+    refitted = comparison.fit_all(lambda program: comparison.fit_model([program], steps, (longer,)), chosen.values())
+    best = [each.programs[0] for each in distinct(refitted)]
+    first = SETTINGS.effort.kept
     best = [*map(shortest, best[:first]), *best[first:]]
     known = {structure(program) for program in best}
     return [*best, *(program for program in started if structure(program) not in known)]

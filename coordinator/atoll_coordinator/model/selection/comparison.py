@@ -29,6 +29,8 @@ from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
 
 Item = TypeVar("Item")
+_REPEATED: Final = 10.0 * SETTINGS.effort.settled
+"""Misfits that differ by less, relative to their size, are of the same function in other words: fits settle so far."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +66,7 @@ class ModelComparison:
         self.leading: Final = tuple(leading)
         self.tried: Final[dict[tuple[int, bytes], FittedModel]] = {}
         self.counts: Final = measurements.weights.sum(axis=1)
-        self.least_errors: Final = SETTINGS.selection.exact * measurements.scales[measurements.observed]
+        self.least_errors: Final = SETTINGS.shooting.exact * measurements.scales[measurements.observed]
         self.pieces: Final = np.minimum(
             np.maximum(count_pieces(measurements), SETTINGS.selection.systematic_numbers), self.counts
         )
@@ -90,10 +92,10 @@ class ModelComparison:
     ) -> list[FittedModel]:
         """Return what `map` does, of the first items as far as the estimator's work is less than `until`."""
         found: list[FittedModel] = []
-        for first in range(0, len(items), SETTINGS.selection.batch):
+        for first in range(0, len(items), SETTINGS.effort.kept):
             if first and self.estimator.work >= until:
                 break
-            found += self.fit_all(work, items[first : first + SETTINGS.selection.batch])
+            found += self.fit_all(work, items[first : first + SETTINGS.effort.kept])
         return sorted(found, key=lambda model: model.nats)
 
     def system(self, programs: Sequence[Program], fixed_nodes: Sequence[Iterable[int]] = ()) -> System:
@@ -109,15 +111,15 @@ class ModelComparison:
     def fit_model(
         self,
         programs: Sequence[Program],
-        steps: int = 20,
-        lengths: Sequence[int | None] = SETTINGS.selection.first_lengths,
+        steps: int = SETTINGS.effort.steps,
+        lengths: Sequence[int | None] = (*SETTINGS.shooting.lengths[:2], None),
     ) -> FittedModel | None:
         """Return the fitted system of `programs`, None when it cannot be simulated."""
         fit = fit_in_stages(self.estimator, self.system(programs), lengths, steps)
         return None if fit is None else self.measure(fit)
 
     def fit_beside(
-        self, near: FittedModel, programs: Sequence[Program], steps: int = 20,
+        self, near: FittedModel, programs: Sequence[Program], steps: int = SETTINGS.effort.steps,
         fixed_nodes: Sequence[Iterable[int]] = (),
     ) -> FittedModel | None:  # fmt: skip
         """Return the fitted `system` of `programs` and `fixed_nodes`, begun with the initial states of `near`."""
@@ -125,11 +127,11 @@ class ModelComparison:
         fit = self.estimator.fit(system, None, steps, its.starts, its.errors, is_stiff=its.is_stiff)
         return None if fit is None else self.measure(fit)
 
-    def fit_correlated(self, model: FittedModel, steps: int) -> FittedModel | None:
+    def fit_correlated(self, model: FittedModel) -> FittedModel | None:
         """Return `model` fitted once more, with errors of neighbouring rows that go together as its residuals do."""
         its = model.fit
         errors = replace(its.errors, is_correlation_sought=True)
-        fit = self.estimator.fit(its.system, None, steps, its.starts, errors, is_stiff=its.is_stiff)
+        fit = self.estimator.fit(its.system, None, SETTINGS.effort.steps, its.starts, errors, is_stiff=its.is_stiff)
         return None if fit is None else self.measure(fit)
 
     def fit_exchanged(self, near: FittedModel, equation: int, program: Program, steps: int) -> FittedModel | None:
@@ -250,7 +252,7 @@ class ModelComparison:
         Where smoothed states are inputs, their errors are taken to leave as much as the noise again.
         """
         measurements = self.estimator.measurements
-        noise = np.maximum(measurements.noise, SETTINGS.selection.slight * measurements.scales[measurements.observed])
+        noise = np.maximum(measurements.noise, SETTINGS.common.negligible * measurements.scales[measurements.observed])
         allowed = noise * (2.0 if measurements.has_smoothed_inputs else 1.0)
         return float(np.max(np.sqrt(model.fit.squares) / allowed))
 
@@ -267,9 +269,9 @@ def distinct(models: Iterable[FittedModel]) -> list[FittedModel]:
     misfits: list[float] = []
     for each in models:
         its = each.misfit
-        reach = 2.0 * SETTINGS.selection.repeated * (1.0 + abs(its))  # no other one can be near enough
+        reach = 2.0 * _REPEATED * (1.0 + abs(its))  # no other one can be near enough
         near = misfits[bisect_left(misfits, its - reach) : bisect_right(misfits, its + reach)]
-        if all(abs(its - other) > SETTINGS.selection.repeated * (1.0 + abs(other)) for other in near):
+        if all(abs(its - other) > _REPEATED * (1.0 + abs(other)) for other in near):
             kept.append(each)
             insort(misfits, its)
     return kept

@@ -34,7 +34,7 @@ class Validation:
         self._comparison = comparison
         measurements = comparison.estimator.measurements
         owners = sorted(set(measurements.owners.tolist()))
-        count = min(len(owners), SETTINGS.selection.most_folds)
+        count = min(len(owners), SETTINGS.effort.beam)
         self._folds = [frozenset(owners[fold::count]) for fold in range(count)]
         self.is_possible: Final = count >= SETTINGS.selection.least_folds
         """Whether there are enough trajectories."""
@@ -63,7 +63,7 @@ class Validation:
         fitted = others.fit(
             comparison.system(model.programs),
             None,
-            SETTINGS.selection.validation_steps,
+            SETTINGS.effort.steps,
             fit.starts[~is_out],
             fit.errors,
         )
@@ -71,7 +71,7 @@ class Validation:
             return None
         rest = self._shooter(measurements.part(left_out))
         fixed = fitted.system.with_fixed_constants()
-        predicted = rest.fit(fixed, None, SETTINGS.selection.validation_steps, fit.starts[is_out], fit.errors)
+        predicted = rest.fit(fixed, None, SETTINGS.effort.steps, fit.starts[is_out], fit.errors)
         if predicted is None:
             return None
         return np.asarray((rest.measurements.weights * predicted.residuals**2).sum(axis=1))

@@ -16,9 +16,10 @@ from atoll.expression.program import Program
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.structure.term_libraries import Factor, Term, column_of, sum_of
+from atoll_coordinator.settings import SETTINGS
 
 
-def eliminated(comparison: ModelComparison, problem: Problem, terms: list[Term], steps: int = 6) -> list[FittedModel]:
+def eliminated(comparison: ModelComparison, problem: Problem, terms: list[Term]) -> list[FittedModel]:
     """Return the fits on the way from the sum of all `terms` to a single one; `comparison` is for this state alone.
 
     Nothing where a term has no value somewhere.
@@ -30,7 +31,8 @@ def eliminated(comparison: ModelComparison, problem: Problem, terms: list[Term],
             break
         scales = [max(float(np.abs(column).max()), 1e-300) for column in columns]
         coefficients = _fitted(columns, scales, problem.target.values)
-        model = comparison.fit_model([sum_of(terms, coefficients)], steps, (10,))
+        program = sum_of(terms, coefficients)
+        model = comparison.fit_model([program], SETTINGS.effort.brief_steps, SETTINGS.shooting.lengths[:1])
         if model is not None:
             found.append(model)
         index = _least(model, columns, coefficients)

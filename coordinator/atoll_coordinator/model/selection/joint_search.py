@@ -11,8 +11,6 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import cached_property
 
-import numpy as np
-
 from atoll.config import JobConfig
 from atoll.data.dataset import Dataset
 from atoll.expression.operators import BY_NAME
@@ -104,11 +102,13 @@ class ModellingTask:
         over the rows: where it `is_precise`, that share is the one of their sum along a piece over the standard error
         of a mean.
         """
-        error = SETTINGS.selection.tolerated_noise * float(measurements.relative_noise.min())
+        error = SETTINGS.selection.tolerated_noise * max(
+            float(measurements.relative_noise.min()), SETTINGS.shooting.exact
+        )
         if is_precise:
             longest = int((measurements.bounds[:, 1] - measurements.bounds[:, 0]).max())
             error /= longest * math.sqrt(measurements.rows)
-        tolerance = float(np.clip(error, *SETTINGS.selection.tolerances))
+        tolerance = max(error, SETTINGS.selection.tolerated_noise * SETTINGS.shooting.exact)
         fixed = [index for index, name in enumerate(variables) if name in self.known]
         return ModelComparison(
             MultipleShooting(measurements, tolerance, self.deadline), self.dataset.names, fixed,
@@ -186,7 +186,7 @@ def search_jointly(
         best = _reduced(comparison, best)
     elif not is_hopeless(SelectedModel(task, comparison, best)):
         best = _search_locally(task, comparison, best, lists)
-    best = comparison.fit_beside(best, best.programs, 40) or best
+    best = comparison.fit_beside(best, best.programs) or best
     return SelectedModel(task, comparison, best, lists)
 
 
@@ -243,9 +243,9 @@ def _combined(comparison: ModelComparison, lists: Sequence[Sequence[Program]]) -
     systems = [first] + [
         [*first[:index], program, *first[index + 1 :]]
         for index, its in enumerate(lists)
-        for program in its[1 : SETTINGS.selection.combined + 1]
+        for program in its[1 : SETTINGS.effort.rounds[1][1] + 1]
     ]
-    systems += [[its[min(rank, len(its) - 1)] for its in lists] for rank in range(1, SETTINGS.selection.combined + 1)]
+    systems += [[its[min(rank, len(its) - 1)] for its in lists] for rank in range(1, SETTINGS.effort.rounds[1][1] + 1)]
     found = comparison.fit_all(comparison.fit_model, systems)
     return found[0] if found else None
 
@@ -257,17 +257,12 @@ def exchange(comparison: ModelComparison, best: FittedModel, lists: Sequence[Seq
         before = best.nats
         for equation, programs in enumerate(tried):
             if len(programs) > 1:
-                found = comparison.narrow_down(
-                    best, equation, programs, SETTINGS.selection.exchange_rounds, SETTINGS.selection.exchange_work
-                )
+                found = comparison.narrow_down(best, equation, programs, SETTINGS.effort.rounds, SETTINGS.effort.work)
                 if found and found[0].nats < best.nats - SETTINGS.selection.least_gain:
                     best = found[0]
-        if (
-            best.nats > before - SETTINGS.selection.least_gain
-            or comparison.estimator.work >= SETTINGS.selection.exchange_work
-        ):
+        if best.nats > before - SETTINGS.selection.least_gain or comparison.estimator.work >= SETTINGS.effort.work:
             return best
-        tried = [programs[: SETTINGS.selection.exchanged_again] for programs in lists]
+        tried = [programs[: SETTINGS.effort.kept] for programs in lists]
 
 
 def _search_locally(
@@ -295,7 +290,7 @@ def _search_locally(
         most = comparison.length(program) + room
         return (each for each in others if comparison.length(each) < most and task.may_be_shown(each))
 
-    descent = LocalSearch(comparison, around, comparison.estimator.work + SETTINGS.selection.search_work, beyond)
+    descent = LocalSearch(comparison, around, comparison.estimator.work + SETTINGS.effort.work, beyond)
     equations = [index for index, its in enumerate(lists) if index not in comparison.fixed]
     best = descent.improve(best, equations)
     for equation in equations if has_room else ():
@@ -306,7 +301,7 @@ def _search_locally(
 
 def _reduced(comparison: ModelComparison, best: FittedModel) -> FittedModel:
     """Return a system with whatever its equations can do without left out."""
-    last = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work + SETTINGS.selection.reduction_work)
+    last = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work + SETTINGS.effort.work)
     for equation in range(len(best.programs)):
         if equation not in comparison.fixed:
             best = last.reduce(best, equation)
@@ -317,9 +312,9 @@ def _restarted(
     comparison: ModelComparison, descent: LocalSearch, best: FittedModel, equation: int, programs: Sequence[Program]
 ) -> FittedModel:
     """Return the best end of descents that begin with other programs for one equation, all others as they are."""
-    others = comparison.narrow_down(
-        best, equation, programs, SETTINGS.selection.restart_rounds, SETTINGS.selection.exchange_work
-    )
+    effort = SETTINGS.effort
+    rounds = (effort.rounds[0], (effort.brief_steps, effort.beam))
+    others = comparison.narrow_down(best, equation, programs, rounds, effort.work)
     by_kind = {_kind(other.programs[equation]): other for other in reversed(others)}
     for other in sorted(by_kind.values(), key=lambda model: model.nats):
         if descent.is_exhausted:
@@ -330,11 +325,9 @@ def _restarted(
     return best
 
 
-def _kind(program: Program) -> tuple[bool, bool]:
-    """Return whether a program has functions, and whether it is large: descents from other kinds end elsewhere."""
-    return any(is_function(code) for code in program.operators.tolist()), len(
-        program
-    ) > SETTINGS.selection.small_program
+def _kind(program: Program) -> bool:
+    """Return whether a program has functions: descents from other kinds end elsewhere."""
+    return any(is_function(code) for code in program.operators.tolist())
 
 
 def _scales(task: ModellingTask, measurements: Measurements) -> list[float]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from atoll.expression.program import Program, constant_places, with_constants
 from atoll.expression.writing.shortest import collected
+from atoll_coordinator.model.criteria import least_term_length
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.structure.moves.reductions import reductions
@@ -31,7 +32,7 @@ class LocalSearch:
         self._around = around
         self._leaps = leaps
         self._budget = budget
-        self._until = budget + SETTINGS.selection.overdraft
+        self._until = budget + SETTINGS.effort.work
 
     @property
     def is_exhausted(self) -> bool:
@@ -55,9 +56,7 @@ class LocalSearch:
         while not self.is_exhausted:
             model = self.prune(model, equation)
             programs = reductions(model.programs[equation])
-            found = self._comparison.narrow_down(
-                model, equation, programs, SETTINGS.selection.reduction_rounds, self._until
-            )
+            found = self._comparison.narrow_down(model, equation, programs, SETTINGS.effort.rounds, self._until)
             if not found or found[0].nats > model.nats - SETTINGS.selection.least_gain:
                 break
             model = found[0]
@@ -73,7 +72,7 @@ class LocalSearch:
         while True:
             following = None
             for program in self._needless(model, equation)[:2]:
-                following = self._comparison.fit_exchanged(model, equation, program, SETTINGS.selection.pruning_steps)
+                following = self._comparison.fit_exchanged(model, equation, program, SETTINGS.effort.brief_steps)
                 if following is not None and following.nats < model.nats - SETTINGS.selection.least_gain:
                     break
                 following = None
@@ -97,17 +96,21 @@ class LocalSearch:
         ):
             for neutral in _NEUTRAL:
                 nats = 0.5 * (value - neutral) ** 2 / max(inflation * variance, 1e-300)
-                if nats < SETTINGS.selection.most_saved:
-                    priced.append((nats, abs(value - neutral), place, neutral))
-        return [collected(with_constants(program, {place: neutral})) for _, _, place, neutral in sorted(priced)]
+                priced.append((nats, abs(value - neutral), place, neutral))
+        length, found = self._comparison.length(program), []
+        for nats, _, place, neutral in sorted(priced):
+            shorter = collected(with_constants(program, {place: neutral}))
+            if nats < length - self._comparison.length(shorter):
+                found.append(shorter)
+        return found
 
     def _improved(self, model: FittedModel, equation: int) -> FittedModel:
         best = self.reduce(model, equation)
         programs = self._around(equation, best.programs[equation])
-        found = self._comparison.narrow_down(best, equation, programs, SETTINGS.selection.extension_rounds, self._until)
-        near = [each for each in found if each.nats < best.nats + SETTINGS.selection.far]
+        found = self._comparison.narrow_down(best, equation, programs, SETTINGS.effort.rounds, self._until)
+        near = [each for each in found if each.nats < best.nats + least_term_length(self._comparison.constant_nats)]
         leaps = self._leaps(equation, best.programs[equation])
-        near += self._comparison.narrow_down(best, equation, leaps, SETTINGS.selection.leap_rounds, self._until)
+        near += self._comparison.narrow_down(best, equation, leaps, SETTINGS.effort.rounds[1:], self._until)
         return min(
             [best, *(self.reduce(each, equation) for each in near)],
             key=lambda model: model.nats + SETTINGS.selection.least_gain * (model is not best),

@@ -38,9 +38,8 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
     found: list[SelectedModel] = []
     for selection in _ever_shorter(task, lists):
         found.append(selection)
-        if selection.comparison.excess(selection.model) <= SETTINGS.selection.noise_excess:
-            work = sum(each.comparison.estimator.work for each in found)
-            return selection if work >= SETTINGS.selection.pieces_work else _lengthened(task, selection, lists)
+        if selection.comparison.excess(selection.model) <= SETTINGS.inference.excess:
+            return _lengthened(task, selection, lists)
     return found[0] if found else None
 
 
@@ -61,7 +60,7 @@ def in_stretches(task: ModellingTask, programs: Sequence[Program]) -> ModellingT
     ends that. Of a whole trajectory, terms that do not belong to the law would describe the sum of such errors.
     """
     lengths: dict[int, float] = {}
-    for piece in (task.piece, *SETTINGS.selection.stretches):
+    for piece in (task.piece, *reversed(SETTINGS.shooting.lengths)):
         here = replace(task, piece=piece)
         comparison = here.compare(
             here.measurements(task.variables).thinned(SETTINGS.selection.compared_rows), task.variables
@@ -93,7 +92,7 @@ def on_all_rows(selection: SelectedModel) -> SelectedModel | None:
         comparison = task.compare(measurements, task.variables, is_precise=True)
         if comparison.estimator.tolerance >= chosen.tolerance:
             return selection
-        model = comparison.fit_beside(selection.model, selection.model.programs, SETTINGS.selection.piece_steps)
+        model = comparison.fit_beside(selection.model, selection.model.programs)
         if model is None:
             return selection
         return replace(selection, comparison=comparison, model=comparison.calibrate(model))
@@ -102,7 +101,7 @@ def on_all_rows(selection: SelectedModel) -> SelectedModel | None:
         fitted = _fitted(here, selection.model.programs, measurements.rows, is_precise=True)
         if fitted is not None:
             found.append(fitted)
-            if fitted.comparison.excess(fitted.model) <= SETTINGS.selection.noise_excess:
+            if fitted.comparison.excess(fitted.model) <= SETTINGS.inference.excess:
                 return fitted
     return found[0] if found else None
 
@@ -126,32 +125,26 @@ def remarks(task: ModellingTask) -> Iterator[str]:
 def _ever_shorter(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Iterator[SelectedModel]:
     """Yield the best system for whole trajectories, then, as long as that helps, for shorter pieces."""
     tasks = _tasks(task)
-    work = 0
     for index, here in enumerate(tasks):
         shorter = tasks[index + 1 :]
 
         def is_hopeless(selection: SelectedModel, shorter: Sequence[ModellingTask] = shorter) -> bool:
-            may_be = (
-                longest(selection.task) > SETTINGS.selection.long_trajectory
-                or selection.comparison.estimator.work >= SETTINGS.selection.dear_work
-            )
-            return may_be and _is_better_in(shorter, selection)
+            return _is_better_in(shorter, selection)
 
         selection = search_jointly(here, lists, is_hopeless=is_hopeless)
         if selection is not None:
             yield selection
-            work += selection.comparison.estimator.work
-            if work >= SETTINGS.selection.pieces_work or not _is_better_in(shorter, selection):
+            if not _is_better_in(shorter, selection):
                 return
 
 
 def _is_better_in(tasks: Sequence[ModellingTask], selection: SelectedModel) -> bool:
     """Tell whether a system that does not fit well does so in shorter pieces."""
-    if selection.comparison.excess(selection.model) <= SETTINGS.selection.noise_excess:
+    if selection.comparison.excess(selection.model) <= SETTINGS.inference.excess:
         return False
     rows = selection.comparison.estimator.measurements.rows
     fits = (_fitted(task, selection.model.programs, rows) for task in tasks)
-    return any(fit is not None and fit.comparison.excess(fit.model) <= SETTINGS.selection.noise_excess for fit in fits)
+    return any(fit is not None and fit.comparison.excess(fit.model) <= SETTINGS.inference.excess for fit in fits)
 
 
 def _lengthened(task: ModellingTask, selection: SelectedModel, lists: Sequence[Sequence[Program]]) -> SelectedModel:
@@ -161,7 +154,7 @@ def _lengthened(task: ModellingTask, selection: SelectedModel, lists: Sequence[S
         if longer.piece <= selection.task.piece:
             break
         fit = _fitted(longer, selection.model.programs, rows)
-        if fit is not None and fit.comparison.excess(fit.model) <= SETTINGS.selection.noise_excess:
+        if fit is not None and fit.comparison.excess(fit.model) <= SETTINGS.inference.excess:
             return search_jointly(longer, lists, selection.model.programs) or selection
     return selection
 
@@ -172,11 +165,11 @@ def _fitted(
     """Return a system fitted to at most about so many rows, None when it cannot be simulated."""
     measurements = task.measurements(task.variables).thinned(rows)
     comparison = task.compare(measurements, task.variables, is_precise=is_precise)
-    model = comparison.fit_model(programs, SETTINGS.selection.piece_steps, SETTINGS.selection.piece_lengths)
+    model = comparison.fit_model(programs, lengths=(SETTINGS.shooting.lengths[1], None))
     return None if model is None else SelectedModel(task, comparison, model)
 
 
 def _tasks(task: ModellingTask) -> list[ModellingTask]:
     """Return the task with its own pieces, and with shorter ones that are at most half of the longest trajectory."""
     most = min(task.piece, longest(task))
-    return [task, *(replace(task, piece=rows) for rows in SETTINGS.selection.shorter_pieces if 2 * rows <= most)]
+    return [task, *(replace(task, piece=rows) for rows in reversed(SETTINGS.shooting.lengths[1:]) if 2 * rows <= most)]

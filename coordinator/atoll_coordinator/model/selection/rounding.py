@@ -37,14 +37,14 @@ def round_system(comparison: ModelComparison, model: FittedModel) -> tuple[Progr
     As they are where there are too many, or where that does not describe the trajectories as well as it should.
     """
     fit = model.fit
-    if not 0 < len(fit.system.places) <= SETTINGS.selection.most_rounded_constants:
+    if not 0 < len(fit.system.places) <= SETTINGS.effort.beam:
         return model.programs
     means, spread = fit.system.values, _covariance(comparison, model)
     numbers = find_simple(means, spread)
     if not numbers:
         return model.programs
     programs, fixed = _decided(comparison, model.programs, numbers)
-    after = comparison.fit_beside(model, programs, SETTINGS.selection.rounding_steps, fixed)
+    after = comparison.fit_beside(model, programs, SETTINGS.effort.steps, fixed)
     if after is None or after.misfit > model.misfit + _allowed(means, spread, numbers):
         return model.programs
     return tuple(
@@ -78,7 +78,7 @@ def round_shown(comparison: ModelComparison, model: FittedModel, digits: int) ->
 
 def _rounding(comparison: ModelComparison, model: FittedModel, digits: int) -> Rounding:
     means, spread = model.fit.system.values, _covariance(comparison, model)
-    is_many = len(means) > SETTINGS.selection.most_rounded_constants
+    is_many = len(means) > SETTINGS.effort.beam
     return round_estimates(means, spread, digits, may_be_simple=not is_many)
 
 

@@ -44,7 +44,7 @@ def select_by_laws(task: ModellingTask) -> SelectedModel | None:
     lists = [_programs(task, name) for name in task.variables]
     if not all(lists) or not any(task.laws.values()):
         return None
-    short = replace(task, piece=min(task.piece, SETTINGS.shooting.least_piece))
+    short = replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1]))
     begun = _begun(short, lists)
     if begun is None:
         return None
@@ -57,13 +57,13 @@ def select_by_laws(task: ModellingTask) -> SelectedModel | None:
     if best is None:
         return None
     best = comparison.calibrate(exchange(comparison, comparison.calibrate(best), lists))
-    descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work + SETTINGS.selection.search_work)
+    descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work + SETTINGS.effort.work)
     for equation in range(len(lists)):
         if equation not in comparison.fixed:
             best = descent.prune(best, equation)
-    best = comparison.fit_beside(best, best.programs, 40) or best
+    best = comparison.fit_beside(best, best.programs) or best
     selection = SelectedModel(task, comparison, best, lists)
-    return selection if comparison.excess(best) <= SETTINGS.selection.noise_excess else None
+    return selection if comparison.excess(best) <= SETTINGS.inference.excess else None
 
 
 def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison) -> int:
@@ -78,7 +78,7 @@ def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison) -> int:
     if not rate > 0.0:
         return SETTINGS.shooting.piece
     rows = 0.5 * math.log(1.0 / size) / rate / max(step, 1e-300)
-    return int(min(max(rows, SETTINGS.selection.longer_segment), SETTINGS.shooting.piece))
+    return int(min(max(rows, SETTINGS.shooting.lengths[1]), SETTINGS.shooting.piece))
 
 
 def _programs(task: ModellingTask, name: str) -> list[Program]:
@@ -89,7 +89,7 @@ def _programs(task: ModellingTask, name: str) -> list[Program]:
     if name in task.known:
         return [task.known[name]]
     laws = [law for law in task.laws[name] if task.may_be_shown(law.program)]
-    if not laws or not laws[0].is_tested or not laws[0].excess <= SETTINGS.selection.noise_excess:
+    if not laws or not laws[0].is_tested or not laws[0].excess <= SETTINGS.inference.excess:
         return []
     target, settled = task.dataset.problem(name).target, task.settled.get(name)
     has_converged = settled is not None and settled.error <= target.convergence_error(task.config.budget.target_error)

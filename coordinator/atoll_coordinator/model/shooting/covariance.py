@@ -1,12 +1,19 @@
 """The covariance of the constants of a multiple-shooting fit, from its normal equations. Pure."""
 
 import math
+from typing import Final
 
 import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
-from atoll_coordinator.settings import SETTINGS
+
+_LEAST_EIGENVALUE: Final = 1e-11
+"""Smaller eigenvalues of the normal matrix with a unit diagonal are those of rounding."""
+_OPEN_LOADING: Final = 1e-6
+"""Squared component of a constant along a direction that is not determined, from which it is not determined itself."""
+_CANCELLED: Final = 1e-13
+"""Share of its diagonal that rounding leaves of the normal matrix where initial states stand in for a constant."""
 
 
 def covariance(fit: TrajectoryFit) -> FloatArray:
@@ -27,7 +34,7 @@ def bounded_covariance(fit: TrajectoryFit) -> FloatArray:
 def _spread(fit: TrajectoryFit) -> tuple[FloatArray, FloatArray]:
     """Return the bounded covariance, and which constants load on directions that the data do not determine."""
     normal, reduced = np.diag(fit.normal), fit.reduced
-    least = np.maximum(SETTINGS.shooting.cancelled * np.nan_to_num(normal), 1e-100)
+    least = np.maximum(_CANCELLED * np.nan_to_num(normal), 1e-100)
     scale = np.sqrt(np.clip(np.nan_to_num(np.diag(reduced)), least, 1e100))
     with np.errstate(all="ignore"):
         unit = np.nan_to_num(reduced / np.outer(scale, scale), posinf=0.0, neginf=0.0)
@@ -35,9 +42,7 @@ def _spread(fit: TrajectoryFit) -> tuple[FloatArray, FloatArray]:
         values, vectors = np.linalg.eigh(unit)
     except np.linalg.LinAlgError:
         values, vectors = np.zeros(len(scale)), np.eye(len(scale))
-    is_open = (vectors[:, values < SETTINGS.shooting.least_eigenvalue] ** 2 > SETTINGS.shooting.open_loading).any(
-        axis=1
-    )
+    is_open = (vectors[:, values < _LEAST_EIGENVALUE] ** 2 > _OPEN_LOADING).any(axis=1)
     with np.errstate(all="ignore"):
-        found = (vectors / np.maximum(values, SETTINGS.shooting.least_eigenvalue)) @ vectors.T / np.outer(scale, scale)
+        found = (vectors / np.maximum(values, _LEAST_EIGENVALUE)) @ vectors.T / np.outer(scale, scale)
     return np.asarray(found), np.asarray(is_open)

@@ -10,7 +10,9 @@ from typing import Final, Generic, TypeVar
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.system import System
-from atoll_coordinator.settings import SETTINGS
+
+_ROOM_BYTES: Final = 64_000_000
+"""Fits that are remembered take about so much together; beyond, the oldest go."""
 
 Key = tuple[object, ...]
 Fit = TypeVar("Fit")
@@ -26,7 +28,7 @@ def key_of(system: System, starts: FloatArray | None, errors: ErrorModel | None,
 class FitCache(Generic[Fit]):
     """Remembers fits by their keys. Any thread may use it."""
 
-    def __init__(self, size_bytes: int, room_bytes: int = SETTINGS.shooting.cache_bytes) -> None:
+    def __init__(self, size_bytes: int, room_bytes: int = _ROOM_BYTES) -> None:
         """`size_bytes` is about what one fit takes."""
         self._most: Final = max(1, room_bytes // size_bytes)
         self._fits: Final[OrderedDict[Key, Fit]] = OrderedDict()

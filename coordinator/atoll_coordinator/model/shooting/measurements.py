@@ -104,7 +104,7 @@ class Measurements:
         """Return pieces of the trajectories, spread evenly, of at most about `most` rows together."""
         if self.rows <= most:
             return self
-        length = min(SETTINGS.shooting.piece // 2, max(SETTINGS.shooting.least_piece, most // len(self.bounds)))
+        length = min(SETTINGS.shooting.piece // 2, max(SETTINGS.shooting.lengths[-1], most // len(self.bounds)))
         pieces = [
             (first, min(first + length, end), owner)
             for (first, end), owner in zip(self.bounds.tolist(), self.owners.tolist(), strict=True)

@@ -16,6 +16,7 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
+from atoll_coordinator.model.damping import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
 from atoll_coordinator.model.shooting.fit_cache import FitCache, key_of
@@ -27,6 +28,19 @@ from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
+
+_FREE_STEPS: Final = (4.0, 12.0, 1.0)
+"""Steps for each row that do not count as more work, by the quick, the precise and the implicit method."""
+_QUICK_STEPS: Final = 8
+"""Steps for each row beyond which implicit ones take less time than quick ones."""
+_FINEST_IMPLICIT: Final = 1e-6
+"""Errors of an implicit step, over a state's standard deviation, are not made smaller: its order is low."""
+_OVERHEAD_NUMBERS: Final = 10
+"""Numbers whose carrying along takes as long as everything else about a row."""
+_FIT_BYTES: Final = 8_000
+"""What a remembered fit takes beside its states and residuals."""
+_STEEPEST: Final = 1e60
+"""Guard: sensitivities beyond this have no squares to compute with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,25 +90,23 @@ class MultipleShooting:
         """
         self.deadline: Final = deadline or Deadline()
         self.tolerance: Final = tolerance
-        quick, precise, implicit = SETTINGS.shooting.free_steps
-        is_quick = tolerance >= SETTINGS.shooting.quick_enough
-        explicit = (
-            (QUICK, SETTINGS.shooting.quick_steps_per_row, quick)
-            if is_quick
-            else (PRECISE, SETTINGS.shooting.steps_per_row, precise)
-        )
+        quick, precise, implicit = _FREE_STEPS
+        is_quick = tolerance >= SETTINGS.common.clean
+        explicit = (QUICK, _QUICK_STEPS, quick) if is_quick else (PRECISE, SETTINGS.shooting.steps_per_row, precise)
         self._methods: Final = (
             _Method(*explicit, tolerance * measurements.scales),
             _Method(
                 STIFF,
                 SETTINGS.shooting.steps_per_row,
                 implicit,
-                max(tolerance, SETTINGS.shooting.finest_implicit) * measurements.scales,
+                max(tolerance, _FINEST_IMPLICIT) * measurements.scales,
             ),
         )
         self.measurements: Final = measurements
         self._measured = np.where(measurements.weights > 0.0, measurements.measured, 0.0)
-        self._smallest = np.maximum(SETTINGS.shooting.least_noise * measurements.scales[measurements.observed], 1e-300)
+        self._smallest = np.maximum(
+            SETTINGS.interpolation.smallest_noise * measurements.scales[measurements.observed], 1e-300
+        )
         totals = measurements.weights.sum(axis=1)
         self._totals: Final = np.where(totals > 0.0, totals, 1.0)
         self._layouts: Final[dict[int | None, Innovations]] = {}
@@ -102,7 +114,7 @@ class MultipleShooting:
         self.work = 0
         self._lock = threading.Lock()
         self._own = threading.local()
-        self._cache: Final = FitCache[_Done](SETTINGS.shooting.fit_bytes + 8 * 2 * measurements.smoothed.size)
+        self._cache: Final = FitCache[_Done](_FIT_BYTES + 8 * 2 * measurements.smoothed.size)
 
     def fit(
         self, system: System, length: int | None, steps: int, starts: FloatArray | None = None,
@@ -144,13 +156,13 @@ class MultipleShooting:
         starts = self._at_rest(self._with_offsets(starts, len(system.outputs), in_whole=length is None), segments)
         if errors is None:
             errors = ErrorModel.independent(np.maximum(its.noise, 1e-4 * its.scales[its.observed]))
-        may_be_stiff = is_stiff or steps > SETTINGS.shooting.brief_steps
+        may_be_stiff = is_stiff or steps > SETTINGS.effort.brief_steps
         here, method = self._begun(system, layout, starts, errors, may_be_stiff=may_be_stiff)
         if here is None:
             return None
         if errors.is_correlation_sought:
             errors, here = self._reweighted(here, layout, errors)
-        damping = SETTINGS.shooting.first_damping
+        damping = FIRST_DAMPING
         for _ in takewhile(lambda _: not self.deadline.is_over, range(steps)):
             step = _solved(here, damping)
             there = None
@@ -159,12 +171,12 @@ class MultipleShooting:
                 there, _ = self._equations(method, moved, layout, new_starts, errors, here.cost)
             if there is None:
                 damping *= 10.0
-                if damping > SETTINGS.shooting.most_damping:
+                if damping > MOST_DAMPING:
                     break
                 continue
-            is_settled = there.cost >= here.cost * (1.0 - SETTINGS.shooting.settled)
+            is_settled = there.cost >= here.cost * (1.0 - SETTINGS.effort.settled)
             system, starts, here = moved, new_starts, there
-            damping = max(damping * 0.1, 1e-12)
+            damping = max(damping * 0.1, LEAST_DAMPING)
             errors, here = self._reweighted(here, layout, errors)
             if is_settled:
                 break
@@ -250,13 +262,8 @@ class MultipleShooting:
         its, segments = self.measurements, layout.segments
         states, fitted, local = len(system.outputs), len(system.places), starts.shape[1]
         done, taken, simulated, gradients = self._integrated(method, system, segments, starts)
-        self._own.work += method.work(taken, its.rows) * (
-            SETTINGS.shooting.overhead_numbers + states * (1 + fitted + local)
-        )
-        if (
-            done < len(segments)
-            or not max(gradients.max(initial=0.0), -gradients.min(initial=0.0)) < SETTINGS.shooting.steepest
-        ):
+        self._own.work += method.work(taken, its.rows) * (_OVERHEAD_NUMBERS + states * (1 + fitted + local))
+        if done < len(segments) or not max(gradients.max(initial=0.0), -gradients.min(initial=0.0)) < _STEEPEST:
             return None, done < 0
         residuals = self._measured - simulated[its.observed]
         for place, state in enumerate(its.offset.tolist() if local > states else []):
@@ -336,7 +343,7 @@ def _solved(here: _Equations, damping: float) -> tuple[FloatArray, FloatArray] |
         here.normal, here.coupling, here.own, here.gradient, here.own_gradient, damping, change, moves
     )  # fmt: skip
     promise = 2.0 * float((here.gradient * change).sum() + (here.own_gradient * moves).sum()) if solved else 0.0
-    return (change, moves) if SETTINGS.shooting.settled * here.cost <= promise < math.inf else None
+    return (change, moves) if SETTINGS.effort.settled * here.cost <= promise < math.inf else None
 
 
 def fit_in_stages(

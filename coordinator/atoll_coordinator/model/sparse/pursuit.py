@@ -23,6 +23,7 @@ from atoll.expression.operators import ADD, MULTIPLY
 from atoll.expression.program import Program
 from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
+from atoll_coordinator.model.damping import FIRST_DAMPING
 from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes
 from atoll_coordinator.settings import SETTINGS
 
@@ -226,8 +227,8 @@ class _Pursuit:
         """Return the fitted sum: Levenberg's method for inner constants, coefficients solved for at each step."""
         inner = [place for place, term in enumerate(terms) if self._shapes[term].has_constant]
         its = self._solved(terms, constants)
-        damping = SETTINGS.regression.first_damping
-        for _ in range(SETTINGS.selection.regression_steps if inner else 0):
+        damping = FIRST_DAMPING
+        for _ in range(SETTINGS.effort.steps if inner else 0):
             if its is None:
                 break
             jacobian = self._jacobian(its)

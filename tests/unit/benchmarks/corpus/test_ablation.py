@@ -9,16 +9,16 @@ from benchmarks.corpus.ablation import JOBS, Replay, changed, differences, summa
 
 
 def test_numbers_are_changed_for_a_while_only():
-    before = SETTINGS.regression.beam, SETTINGS.smoothing.patience, criteria.SMALLEST_UNCERTAINTY
+    before = SETTINGS.effort.beam, SETTINGS.smoothing.patience, criteria.SMALLEST_UNCERTAINTY
     with changed({
-        "regression.beam": 1, "smoothing.patience": 2, "atoll_coordinator.model.criteria:SMALLEST_UNCERTAINTY": 3.0,
+        "effort.beam": 1, "smoothing.patience": 2, "atoll_coordinator.model.criteria:SMALLEST_UNCERTAINTY": 3.0,
     }):  # fmt: skip
-        assert (SETTINGS.regression.beam, SETTINGS.smoothing.patience, criteria.SMALLEST_UNCERTAINTY) == (1, 2, 3.0)
-    assert (SETTINGS.regression.beam, SETTINGS.smoothing.patience, criteria.SMALLEST_UNCERTAINTY) == before
+        assert (SETTINGS.effort.beam, SETTINGS.smoothing.patience, criteria.SMALLEST_UNCERTAINTY) == (1, 2, 3.0)
+    assert (SETTINGS.effort.beam, SETTINGS.smoothing.patience, criteria.SMALLEST_UNCERTAINTY) == before
 
 
 def test_a_number_that_is_not_there_is_refused():
-    with pytest.raises(UsageError, match="no setting"), changed({"regression.beams": 1}):
+    with pytest.raises(UsageError, match="no setting"), changed({"effort.beams": 1}):
         pass
 
 

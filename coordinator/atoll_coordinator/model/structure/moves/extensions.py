@@ -55,7 +55,7 @@ def leaps(program: Program, operators: Collection[int]) -> Iterator[Program]:
 
 def _joined(node: int, scales: Sequence[float], size: float) -> Iterator[Expression]:
     """Yield what a node of that size may become."""
-    little = SETTINGS.structure.new_part_size * size
+    little = SETTINGS.common.negligible * size
     yield (ADD, node, little)
     for v, scale in enumerate(scales):
         if not scale > 0.0:
@@ -64,8 +64,8 @@ def _joined(node: int, scales: Sequence[float], size: float) -> Iterator[Express
         yield (ADD, node, (MULTIPLY, little / scale, leaf))
         factor: Expression = (
             ADD,
-            SETTINGS.structure.extension_factor,
-            (MULTIPLY, SETTINGS.structure.new_part_size / scale, leaf),
+            1.0 + SETTINGS.common.negligible,
+            (MULTIPLY, SETTINGS.common.negligible / scale, leaf),
         )
         yield (DIVIDE, node, factor)
         yield (MULTIPLY, node, factor)
@@ -131,6 +131,6 @@ def _leaps_at(nodes: list[Node], index: int) -> Iterator[Expression]:
     if code == VARIABLE:
         yield from ((function, index) for function in (SIN, COS))
     if code == COS:
-        yield (ADD, SETTINGS.structure.extension_factor, (MULTIPLY, -0.5, (MULTIPLY, u, u)))
+        yield (ADD, 1.0 + SETTINGS.common.negligible, (MULTIPLY, -0.5, (MULTIPLY, u, u)))
     if code == SIN:
-        yield (MULTIPLY, u, (ADD, SETTINGS.structure.extension_factor, (MULTIPLY, -1.0 / 6.0, (MULTIPLY, u, u))))
+        yield (MULTIPLY, u, (ADD, 1.0 + SETTINGS.common.negligible, (MULTIPLY, -1.0 / 6.0, (MULTIPLY, u, u))))

@@ -44,11 +44,11 @@ def _exchanged(nodes: list[Node], index: int, variables: Collection[int]) -> Ite
 
 
 def _joined(node: int, variables: Collection[int]) -> Iterator[Expression]:
-    yield (ADD, node, SETTINGS.structure.neighbour_summand)
-    yield (MULTIPLY, SETTINGS.structure.neighbour_factor, node)
+    yield (ADD, node, SETTINGS.common.negligible)
+    yield (MULTIPLY, 1.0 + SETTINGS.common.negligible, node)
     for variable in variables:
         leaf = (VARIABLE, variable)
-        yield (ADD, node, (MULTIPLY, SETTINGS.structure.neighbour_summand, leaf))
-        yield (ADD, node, (DIVIDE, SETTINGS.structure.neighbour_summand, leaf))
+        yield (ADD, node, (MULTIPLY, SETTINGS.common.negligible, leaf))
+        yield (ADD, node, (DIVIDE, SETTINGS.common.negligible, leaf))
         for join in (MULTIPLY, DIVIDE, ADD, SUBTRACT):
             yield (join, node, leaf)

@@ -51,7 +51,7 @@ LOTKA_POOL = {
 @pytest.fixture(autouse=True)
 def _little_work(monkeypatch):
     """Few neighbours are looked at, so that a test takes a second or two."""
-    monkeypatch.setattr(joint_search, "SETTINGS", settings("selection", search_work=2_000_000))
+    monkeypatch.setattr(joint_search, "SETTINGS", settings("effort", work=2_000_000))
 
 
 def refined(known, starts, pool, *, times=TIMES, noise=0.0, seed=0, config=None):
@@ -91,7 +91,7 @@ def is_near(known, refinement, **truths):
 def noisy():
     """Five percent of noise; one trajectory is held out."""
     with pytest.MonkeyPatch.context() as patch, np.errstate(all="raise", under="ignore"):
-        patch.setattr(joint_search, "SETTINGS", settings("selection", search_work=2_000_000))
+        patch.setattr(joint_search, "SETTINGS", settings("effort", work=2_000_000))
         config = JobConfig(space=ARITHMETIC, data=DataConfig(holdout=1))
         return refined(LOTKA, LOTKA_STARTS, LOTKA_POOL, noise=0.05, seed=101, config=config)
 

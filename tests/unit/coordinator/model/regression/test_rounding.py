@@ -14,7 +14,7 @@ from atoll_coordinator.model.regression.rounding import round_constants, round_e
 from atoll_coordinator.model.regression.simple_numbers import continuum_density, simple_numbers
 from atoll_coordinator.settings import SETTINGS
 
-ODDS = SETTINGS.regression.simple_odds
+ODDS = math.exp(SETTINGS.inference.distinct_nats)
 
 
 def shown(value, error):

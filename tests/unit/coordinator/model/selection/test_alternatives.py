@@ -51,13 +51,13 @@ def test_rivals_are_other_functions_and_no_better():
     nats = [each.model.nats for each in ranking.alternatives[1]]
     assert nats == sorted(nats)
     assert nats[0] > its.model.nats
-    assert len(forms) <= SETTINGS.selection.alternatives
+    assert len(forms) <= SETTINGS.effort.beam
 
 
 def test_only_close_ones_are_validated():
     its = selection()
     for each in ranked_by(its).alternatives[1]:
-        is_close = each.model.nats <= its.model.nats + SETTINGS.selection.validated_nats
+        is_close = each.model.nats <= its.model.nats + SETTINGS.inference.distinct_nats
         assert (each.validated is not None) == is_close
 
 

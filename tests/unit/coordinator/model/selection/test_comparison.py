@@ -86,7 +86,7 @@ def test_halving_keeps_the_best_and_notes_them():
 
 
 def test_beyond_the_work_that_is_allowed_no_more_programs_are_taken_in(monkeypatch):
-    monkeypatch.setattr(comparison, "SETTINGS", settings("selection", batch=2))
+    monkeypatch.setattr(comparison, "SETTINGS", settings("effort", kept=2))
     its = lotka()
     near = its.fit_model([RIVALS[2], OTHER])
     programs = [RIVALS[0], RIVALS[3], TRUTH]

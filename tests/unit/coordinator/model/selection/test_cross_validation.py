@@ -77,7 +77,7 @@ def test_many_trajectories_are_left_out_several_at_a_time(monkeypatch):
 
     monkeypatch.setattr(validation, "_squared_errors", left)
     validation.of(model(its, "y", "-1.9*x - 0.2*y"))
-    assert len(seen) == SETTINGS.selection.most_folds
+    assert len(seen) == SETTINGS.effort.beam
     assert sorted(owner for fold in seen for owner in fold) == list(range(25))
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from atoll.config import JobConfig, SpaceConfig
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.selection import joint_search, piece_lengths
+from atoll_coordinator.model.selection import joint_search
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel
@@ -24,7 +24,7 @@ CONFIG = JobConfig(space=SpaceConfig(operators=("-", "*")))
 
 @pytest.fixture(autouse=True)
 def _little_work(monkeypatch):
-    monkeypatch.setattr(joint_search, "SETTINGS", settings("selection", search_work=300_000))
+    monkeypatch.setattr(joint_search, "SETTINGS", settings("effort", work=300_000))
 
 
 def lorenz(_, z):
@@ -60,16 +60,10 @@ def chaotic():
 
 def test_chaotic_ones_are_simulated_in_pieces_and_that_is_said():
     selection = select_model(chaotic())
-    assert selection.task.piece in SETTINGS.selection.shorter_pieces
+    assert selection.task.piece in SETTINGS.shooting.lengths
     (remark,) = remarks(selection.task)
     assert f"pieces of {selection.task.piece} rows" in remark
     assert "500 rows" in remark
-
-
-def test_when_the_work_is_used_up_no_shorter_pieces_are_tried(monkeypatch):
-    monkeypatch.setattr(piece_lengths, "SETTINGS", settings("selection", pieces_work=1))
-    task = chaotic()
-    assert select_model(task).task.piece == task.piece
 
 
 def test_no_candidate_is_no_choice():

@@ -105,13 +105,11 @@ def test_with_nothing_to_decide_programs_stay():
 
 def test_too_many_constants_are_left_as_fitted():
     known, its, _ = decayed(0.3, 0.01)
-    text = " - ".join(
-        f"{0.2 + 0.001 * index}*x**{index}" for index in range(1, SETTINGS.selection.most_rounded_constants + 2)
-    )
+    text = " - ".join(f"{0.2 + 0.001 * index}*x**{index}" for index in range(1, SETTINGS.effort.beam + 2))
     system = its.system([known.parsed(text)])
     fit = its.estimator.fit(system, 5, 0)
     model = its.measure(fit)
-    assert len(constant_places(model.programs[0])) > SETTINGS.selection.most_rounded_constants
+    assert len(constant_places(model.programs[0])) > SETTINGS.effort.beam
     assert round_system(its, model) == model.programs
 
 

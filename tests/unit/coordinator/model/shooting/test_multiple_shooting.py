@@ -149,7 +149,7 @@ def test_a_stiff_system_is_simulated():
 
 
 @pytest.mark.parametrize(
-    ("steps", "is_fitted"), [(SETTINGS.shooting.brief_steps, False), (SETTINGS.shooting.brief_steps + 1, True)]
+    ("steps", "is_fitted"), [(SETTINGS.effort.brief_steps, False), (SETTINGS.effort.brief_steps + 1, True)]
 )
 def test_what_seems_stiff_gets_implicit_steps_in_a_long_fit_alone(steps, is_fitted):
     """Most candidates that seem so are bad ones."""

@@ -45,7 +45,7 @@ def test_each_has_nearly_the_values_of_the_original_in_smaller_units_too(text, p
         if is_wrapped(program, extended):
             continue
         change = np.abs(values_of(extended, inputs) - before).max()
-        assert 0.0 < change <= 300.0 * SETTINGS.structure.new_part_size * (1.0 + np.abs(before).max())
+        assert 0.0 < change <= 300.0 * SETTINGS.common.negligible * (1.0 + np.abs(before).max())
 
 
 def names(program):
@@ -66,7 +66,7 @@ def test_every_kind_of_part_is_tried():
     made = {shown(each) for each in extensions(parsed("x"), [1.0, 1.0], ALL)}
     wanted = (
         "x + 0.001", "x + 0.001*y", "x + 0.001*x*x", "x + 0.001*y*x", "x + 0.001*y*y", "x + 0.001/y",
-        "x + 0.001*sin(y)", "x + 0.001*cos(x)", "x*(1.0001 + 0.001*y)", "x/(1.0001 + 0.001*y)",
+        "x + 0.001*sin(y)", "x + 0.001*cos(x)", "x*(1.001 + 0.001*y)", "x/(1.001 + 0.001*y)",
         "x*sin(y)", "x/cos(y)",
     )  # fmt: skip
     for text in wanted:
@@ -130,5 +130,5 @@ def test_new_parts_are_small_beside_what_they_are_joined_to_whatever_the_units(u
         assert (
             0.0
             < np.abs(values_of(extended, inputs) - before).max()
-            <= 20.0 * SETTINGS.structure.new_part_size * np.abs(before).max()
+            <= 20.0 * SETTINGS.common.negligible * np.abs(before).max()
         )
