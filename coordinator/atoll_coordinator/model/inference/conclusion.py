@@ -150,7 +150,7 @@ def summarize(selection: SelectedModel) -> Refinement | None:
     spread = bands(
         final.comparison.estimator.measurements,
         final.free.fit,
-        *scaled_covariance(final.comparison, final.free.fit, errors),
+        *scaled_covariance(final.free.fit, errors),
     )
     measurements = final.seen.estimator.measurements
     trajectories = simulated(measurements, final.seen_fit, spread, task.variables, held_out=False)
@@ -338,11 +338,7 @@ def _carried_bands(final: _Final, unseen: ModelComparison, fit: TrajectoryFit, e
     system = unseen.system([each.program for each in final.explicit])
     free = final.free.fit
     near = unseen.estimator.fit(system, None, 0, fit.starts, free.errors, is_stiff=fit.is_stiff)
-    return (
-        None
-        if near is None
-        else bands(unseen.estimator.measurements, near, *scaled_covariance(final.comparison, free, errors))
-    )
+    return None if near is None else bands(unseen.estimator.measurements, near, *scaled_covariance(free, errors))
 
 
 def _chaos(final: _Final) -> Chaos | None:
@@ -355,14 +351,14 @@ def _chaos(final: _Final) -> Chaos | None:
 
 def _predictions(final: _Final, errors: Errors, *, is_near: bool) -> list[Prediction] | None:
     """Return how far each state can be foretold from other initial states, see `foretell`."""
-    comparison, ranking = final.comparison, final.ranking
+    ranking = final.ranking
     least = ranking.selection.model.nats
     rivals = [
         Rival(each.model.fit.system, equation, math.exp(-max(each.model.nats - least, 0.0)))
         for equation, alternatives in enumerate(ranking.alternatives)
         for each in alternatives
     ]
-    rivals += draws(final.free.fit.system, scaled_covariance(comparison, final.free.fit, errors)[0], len(final.shown))
+    rivals += draws(final.free.fit.system, scaled_covariance(final.free.fit, errors)[0], len(final.shown))
     seen = final.seen.estimator
     return foretell(seen.measurements, final.seen_fit.system, rivals, seen.tolerance, is_near=is_near)
 

@@ -96,11 +96,10 @@ def r2_of(measurements: Measurements, fit: TrajectoryFit, rows: FloatArray | sli
     return found
 
 
-def scaled_covariance(comparison: ModelComparison, fit: TrajectoryFit, errors: Errors) -> tuple[FloatArray, float]:
-    """Return the covariance (P, P) of the constants, large where it is infinite, and what variances are to be scaled
-    by: the sum of weights over the rows left to judge by."""
-    scale = float(comparison.estimator.measurements.weights.sum()) / errors.freedom
-    return scale * bounded_covariance(fit), scale
+def scaled_covariance(fit: TrajectoryFit, errors: Errors) -> tuple[FloatArray, float]:
+    """Return the covariance (P, P) of the constants, large where it is infinite, and what variances of initial states
+    are to be scaled by."""
+    return errors.scale * np.outer(errors.widening, errors.widening) * bounded_covariance(fit), errors.scale
 
 
 def bands(measurements: Measurements, fit: TrajectoryFit, spread: FloatArray, scale: float) -> FloatArray:

@@ -15,6 +15,7 @@ from atoll_coordinator.model.refinement import Constant, Correlation
 from atoll_coordinator.model.regression.covariance import Known, describe, student_95
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import covariance
+from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.structure.unit_coefficients import ExplicitCoefficients
 
 _HIGH_CORRELATION: Final = 0.95
@@ -23,20 +24,51 @@ _HIGH_CORRELATION: Final = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """What the fit of all constants says of them: their joint covariance (P, P), and the rows left to judge it by."""
+    """What the fit of all constants says of them.
+
+    `values` (P,) have the joint `covariance` (P, P), which is that of the normal equations times `scale`, rows over
+    those left to judge by, and at least that of `widening` (P,) times as large standard errors. Student's t has so many
+    degrees of `freedom`.
+    """
 
     values: FloatArray
     covariance: FloatArray
     freedom: float
+    scale: float
+    widening: FloatArray
 
 
 def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
-    """Return the errors of the constants of a fit, variances corrected for the numbers fitted."""
+    """Return the errors of the constants of a fit, variances corrected for the numbers fitted.
+
+    Errors that go together are weighed as AR(1) ones in the fit. What an equation leaves out varies more slowly, as the
+    states do: where the residuals are larger than independent errors, variances are at least those of independent
+    errors times the rows over those that decide.
+    """
     fit = model.fit
     counts = float(comparison.counts.sum())
     fitted = len(fit.system.places) + fit.starts.size
-    freedom = max(counts - fitted, 1.0)
-    return Errors(fit.system.values, covariance(fit) * (counts / freedom), freedom)
+    left = max(counts - fitted, 1.0)
+    certain = float(comparison.counts @ fit.errors.freedom) / counts
+    found, scale = covariance(fit), counts / left
+    widening = _widening(comparison, model, np.diag(found))
+    return Errors(
+        fit.system.values, found * scale * np.outer(widening, widening), max(left * certain, 1.0), scale, widening
+    )
+
+
+def _widening(comparison: ModelComparison, model: FittedModel, variances: FloatArray) -> FloatArray:
+    """Return by how many times (P,) what the equations leave out makes standard errors larger than the fit's."""
+    its = model.fit
+    alike = None
+    if np.any(its.errors.shares > 0.0):
+        independent = ErrorModel.independent(np.sqrt(its.squares))
+        alike = its.estimator.fit(its.system, None, 0, its.starts, independent, is_stiff=its.is_stiff)
+    if alike is None:
+        return np.ones(len(variances))
+    with np.errstate(all="ignore"):
+        ratios = comparison.inflation(model) * np.diag(covariance(alike)) / variances
+    return np.sqrt(np.where(np.isfinite(ratios), np.maximum(ratios, 1.0), 1.0))
 
 
 def describe_constants(

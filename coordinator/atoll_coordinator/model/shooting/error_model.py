@@ -44,6 +44,15 @@ class ErrorModel:
         return numbers + bytes([self.is_correlation_sought])
 
     @property
+    def freedom(self) -> FloatArray:
+        """Degrees of freedom of a variance of each state (O,) over its rows: 1 where errors are independent.
+
+        An estimated correlation r, of variance (1 - r^2)/n, makes the logarithm of (1 + r)/(1 - r), which the variance
+        of a mean is multiplied by, uncertain by 4/(n (1 - r^2)), that of the innovations by 2/n (Satterthwaite 1946).
+        """
+        return np.asarray(1.0 / (1.0 + (self.shares > 0.0) * 2.0 / (1.0 - self.decays**2)))
+
+    @property
     def lengths(self) -> FloatArray:
         """Rows that count as one independent row each (O,): (1 + r) / (1 - r) where all errors go together, 1 where
         none do; between them, the variance of a mean over that of independent rows."""
@@ -78,14 +87,18 @@ class Innovations:
     def _innovate(self, state: int, residuals: FloatArray, share: float, decay: float, sums: FloatArray) -> None:
         innovate(self.segments, self._steps, residuals[state], self._weights[state], share, decay, sums)
 
-    def estimate(self, residuals: FloatArray, model: ErrorModel) -> tuple[FloatArray, FloatArray]:
+    def estimate(self, residuals: FloatArray, model: ErrorModel, fitted: float) -> tuple[FloatArray, FloatArray]:
         """Return the shares and decays (O,) of least description length for these residuals, begun with `model`'s.
 
-        A correlation is described by two numbers more, which take ln n nats (Schwarz 1978).
+        A correlation is described by two numbers more, which take ln n nats (Schwarz 1978). What is left when slow
+        curves are fitted is less correlated than the errors were: with `fitted` numbers for each state, the decay d is
+        too small by (2 d + (1 + d) `fitted`)/n, which is added (for a mean, `fitted` 1, Marriott & Pope 1954).
         """
         shares, decays = model.shares.copy(), model.decays.copy()
         for state in range(len(residuals)):
-            shares[state], decays[state] = self._estimated(state, residuals, float(shares[state]), float(decays[state]))
+            share, decay = self._estimated(state, residuals, float(shares[state]), float(decays[state]))
+            missed = (2.0 * decay + (1.0 + decay) * fitted) / float(self._counts[state]) if share else 0.0
+            shares[state], decays[state] = share, min(decay + missed, max(decay, self._decays[-1]))
         return shares, decays
 
     def _estimated(self, state: int, residuals: FloatArray, share: float, decay: float) -> tuple[float, float]:

@@ -226,7 +226,9 @@ class MultipleShooting:
         The states' errors may be of very different size.
         """
         shares, decays = (
-            layout.estimate(here.residuals, errors) if errors.is_correlation_sought else (errors.shares, errors.decays)
+            layout.estimate(here.residuals, errors, (len(here.gradient) + here.own_gradient.size) / len(here.residuals))
+            if errors.is_correlation_sought
+            else (errors.shares, errors.decays)
         )
         new = replace(errors, shares=shares, decays=decays)
         squares, _ = layout.squares(here.residuals, new)

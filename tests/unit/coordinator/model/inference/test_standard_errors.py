@@ -40,7 +40,7 @@ def find_correlations(its, variables, shown, errors):
 
 
 def banded(its, rows, model):
-    return bands(rows, model.fit, *scaled_covariance(its, model.fit, estimate_errors(its, model)))
+    return bands(rows, model.fit, *scaled_covariance(model.fit, estimate_errors(its, model)))
 
 
 def drawn(seed, noise=NOISE):
@@ -117,7 +117,7 @@ def test_bands_integrate_once_however_many_pieces_there_are(monkeypatch):
     model = its.fit_model([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
     integrate, times = MultipleShooting.sensitivities, []
     monkeypatch.setattr(MultipleShooting, "sensitivities", lambda self, fit: times.append(1) or integrate(self, fit))
-    spread, scale = scaled_covariance(its, model.fit, estimate_errors(its, model))
+    spread, scale = scaled_covariance(model.fit, estimate_errors(its, model))
     times.clear()
     bands(rows, model.fit, spread, scale)
     assert len(times) == 1

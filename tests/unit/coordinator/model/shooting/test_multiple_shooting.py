@@ -218,9 +218,9 @@ def test_correlated_errors_are_found_and_widen_what_they_should():
     times, draw, scores, found = np.linspace(0.0, 12.0, 200), np.random.default_rng(3), [], []
     exact = measurements(DECAY, [[2.0]], times, noise=0.0)
     for _ in range(60):
-        errors = np.zeros(200)
-        for row in range(200):
-            errors[row] = 0.8 * (errors[row - 1] if row else 0.0) + 0.03 * draw.standard_normal()
+        errors = 0.05 * draw.standard_normal(200)
+        for row in range(1, 200):
+            errors[row] = 0.8 * errors[row - 1] + 0.6 * errors[row]
         its = replace(exact, measured=exact.measured + errors, noise=np.array([0.05]))
         estimator = MultipleShooting(its, 1e-8)
         first = estimator.fit(system(DECAY, "-0.5*x"), None, 20)
