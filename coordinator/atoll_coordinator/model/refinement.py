@@ -81,6 +81,11 @@ class Constant:
     identifiable: bool = True
     simple: SimpleNumber | None = None
 
+    @property
+    def is_within(self) -> bool:
+        """Whether what is printed lies in the interval, if there is one."""
+        return self.interval is None or self.interval[0] <= self.value <= self.interval[1]
+
 
 @dataclass(frozen=True)
 class UnitCoefficient:

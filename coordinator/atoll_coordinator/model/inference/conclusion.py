@@ -1,7 +1,7 @@
 """From the chosen system to what is reported: constants with errors, alternatives, verdicts, simulations."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -253,8 +253,18 @@ def _show(comparison: ModelComparison, near: FittedModel, programs: tuple[Progra
     fitted = comparison.fit_beside(near, programs)
     if fitted is not None:
         fitted = comparison.fit_correlated(fitted) or fitted
-    found = None if fitted is None else _rounded(comparison, fitted)
-    return None if free is None or found is None else _Shown(*found, explicit, free)
+    if free is None or fitted is None:
+        return None
+    errors, is_exact = estimate_errors(comparison, free), comparison.is_exact(free)
+
+    def is_within(rounded: RoundedSystem) -> bool:
+        if is_exact:
+            return True  # intervals are those of the integration's errors
+        known = describe_constants(comparison, explicit, rounded.programs, errors)
+        return all(its.is_within for each in known for its in each.written)
+
+    found = _rounded(comparison, fitted, is_within)
+    return None if found is None else _Shown(*found, explicit, free)
 
 
 def _without_refuted(task: ModellingTask, comparison: ModelComparison, shown: _Shown) -> tuple[Program, ...] | None:
@@ -270,18 +280,23 @@ def _without_refuted(task: ModellingTask, comparison: ModelComparison, shown: _S
     return tuple(opened)
 
 
-def _rounded(comparison: ModelComparison, fitted: FittedModel) -> tuple[RoundedSystem, FittedModel] | None:
+def _rounded(
+    comparison: ModelComparison, fitted: FittedModel, is_within: Callable[[RoundedSystem], bool]
+) -> tuple[RoundedSystem, FittedModel] | None:
     """Return a system with constants as they are shown, in as few digits as leave simulations as they are.
 
-    None when it cannot be simulated.
+    None when it cannot be simulated. Where constants would lie outside of their intervals, none are made simple.
     """
     found = None
     for digits in ERROR_DIGITS:
         rounded = round_shown(comparison, fitted, digits)
+        if not is_within(rounded):
+            rounded = round_shown(comparison, fitted, digits, may_be_simple=False)
         fit = fit_starts(comparison, rounded.programs, fitted.fit)
         if fit is not None:
             found = rounded, comparison.measure(fit)
-            if found[1].misfit <= fitted.misfit + rounded.loss + SETTINGS.selection.least_gain:
+            is_same = found[1].misfit <= fitted.misfit + rounded.loss + SETTINGS.selection.least_gain
+            if is_same and is_within(rounded):
                 break
     return found
 

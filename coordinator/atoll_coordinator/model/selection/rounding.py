@@ -52,18 +52,21 @@ def round_system(comparison: ModelComparison, model: FittedModel) -> tuple[Progr
     )
 
 
-def round_shown(comparison: ModelComparison, model: FittedModel, digits: int) -> RoundedSystem:
+def round_shown(
+    comparison: ModelComparison, model: FittedModel, digits: int, *, may_be_simple: bool = True
+) -> RoundedSystem:
     """Return the programs of `model`, all constants fitted, with constants as they are shown.
 
     Args:
         comparison: where it was fitted.
         model: its structure is the one that is shown.
         digits: of their standard errors to which estimates are rounded.
+        may_be_simple: whether simple numbers take the place of estimates where they are singled out.
     """
     count = len(model.fit.system.places)
     if not count:
         return RoundedSystem(model.programs, tuple(() for _ in model.programs))
-    rounding = _rounding(comparison, model, digits)
+    rounding = _rounding(comparison, model, digits, may_be_simple=may_be_simple)
     programs, _ = _decided(comparison, model.programs, dict(enumerate(rounding.values.tolist())))
     simple = iter(rounding.simple)
     return RoundedSystem(
@@ -76,10 +79,10 @@ def round_shown(comparison: ModelComparison, model: FittedModel, digits: int) ->
     )
 
 
-def _rounding(comparison: ModelComparison, model: FittedModel, digits: int) -> Rounding:
+def _rounding(comparison: ModelComparison, model: FittedModel, digits: int, *, may_be_simple: bool) -> Rounding:
     means, spread = model.fit.system.values, _covariance(comparison, model)
     is_many = len(means) > SETTINGS.effort.beam
-    return round_estimates(means, spread, digits, may_be_simple=not is_many)
+    return round_estimates(means, spread, digits, may_be_simple=may_be_simple and not is_many)
 
 
 def _covariance(comparison: ModelComparison, model: FittedModel) -> FloatArray:

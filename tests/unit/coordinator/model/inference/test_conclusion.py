@@ -19,6 +19,7 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference import conclusion
 from atoll_coordinator.model.inference.conclusion import _no_elaborations, _shortened, _show, _standard_deviation
 from atoll_coordinator.model.inference.simulation import fit_starts
+from atoll_coordinator.model.inference.standard_errors import describe_constants, estimate_errors
 from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.refinement import Alternative, Pool
 from atoll_coordinator.model.selection import joint_search
@@ -385,3 +386,20 @@ def test_a_factor_that_is_one_as_rounded_is_left_out():
     after = _shortened(task, its, near, shown)
     assert SWING.text(after.rounded.programs[0]) == "y"
     assert _shortened(task, its, near, after) is after
+
+
+def test_constants_are_shown_within_their_intervals(monkeypatch):
+    """Where intervals are narrower than what constants are rounded by, a simple number does not take their place."""
+    its = compare(SWING, measurements(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES, noise=0.02, seed=110), 1e-5)
+    near = its.fit_model([from_infix(text, SWING.names) for text in ("1.1*y", "-2.1*x - 0.3*y")])
+    shown = _show(its, near, near.programs)
+    assert 2.0 in np.abs(shown.rounded.programs[1].constants)
+    monkeypatch.setattr(conclusion, "estimate_errors", lambda *given: narrow(estimate_errors(*given)))
+    shown = _show(its, near, near.programs)
+    assert 2.0 not in np.abs(shown.rounded.programs[1].constants)
+    known = describe_constants(its, shown.explicit, shown.rounded.programs, narrow(estimate_errors(its, shown.free)))
+    assert all(constant.is_within for each in known for constant in each.written)
+
+
+def narrow(errors):
+    return replace(errors, covariance=1e-6 * errors.covariance)
