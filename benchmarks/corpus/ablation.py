@@ -73,7 +73,7 @@ JOBS: Final = (
 )
 
 _EPOCHS: Final = 30
-_PREPARING: Final = ("checks", "trajectories", "smoothing", "robustness", "interpolation", "quantisation", "rows")
+_PREPARING: Final = ("checks", "smoothing", "robustness", "interpolation", "quantisation", "rows")
 _RECORDING: Final = "from benchmarks.corpus.ablation import record_refinings\nrecord_refinings({folder!r})\n"
 
 

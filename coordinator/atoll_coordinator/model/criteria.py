@@ -5,7 +5,7 @@ data are, in how operators are priced and in how constants are; a number of one 
 
 - `front_length`: errors on the target; each node costs ln 8, each constant 1/2 ln n. It says which member of a front
   is shown while the search runs, and whether the search stagnates.
-- `RegressionCriterion`: errors on the target; each node costs ln 8, each further use of one 1, each constant the
+- `RegressionCriterion`: errors on the target; each node costs ln 8, each further use of one 1.4, each constant the
   digits that its standard error leaves it. It says which equation is shown where there are no trajectories.
 - `system_length`: errors of simulated states; operators cost by their kind (`structure_length`), each constant
   1/2 ln N. It says which equations together are the model.
@@ -23,9 +23,10 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray, Target
-from atoll.expression.operators import ARITY, CONSTANT, DIVIDE, INVERSE, MULTIPLY, NEGATE, POW, SQUARE, VARIABLE
+from atoll.expression.operators import ARITY, CONSTANT, DIVIDE, INVERSE, NEGATE, POW, SQUARE
 from atoll.expression.program import Program, structure
 from atoll.search.pareto import FrontEntry
+from atoll_coordinator.settings import SETTINGS
 
 SMALLEST_UNCERTAINTY: Final = 1e-12
 """Errors below this share of the target's standard deviation are rounding, not merit."""
@@ -33,7 +34,6 @@ SMALLEST_UNCERTAINTY: Final = 1e-12
 # ------------------------------------------------------------------------------------------ a member of a front
 
 _LN2: Final = 0.6931471805599453
-_LN8: Final = 2.0794415416798357
 _SQRT_HALF: Final = 0.7071067811865476
 _SMALLEST: Final = 2.2250738585072014e-308
 
@@ -57,7 +57,7 @@ def front_length(
     """
     limit = max(uncertainty, SMALLEST_UNCERTAINTY) * standard_deviation
     misfit = max(entry.mse, limit * limit, _SMALLEST)
-    return 0.5 * rows * _log(misfit) + entry.complexity * _LN8 + 0.5 * constants * _log(float(rows))
+    return 0.5 * rows * _log(misfit) + entry.complexity * SETTINGS.criterion.node + 0.5 * constants * _log(float(rows))
 
 
 def select_member(front: Sequence[FrontEntry], rows: int, target: Target, target_error: float | None = None) -> int:
@@ -98,23 +98,21 @@ def _log(value: float) -> float:
 
 # ------------------------------------------------------------------------------------ an equation without trajectories
 
-_NODE_NATS: Final = math.log(8.0)
-_USE_NATS: Final = 1.0
 _TINY: Final = 1e-290
 
 
 def program_length(program: Program) -> float:
-    """Return nodes ln 8 + 1 for each further use of a node: a program without the values of its constants, in nats."""
+    """Return the nats of a program without the values of its constants: nodes ln 8 + 1.4 for each further use."""
     codes: list[int] = program.operators.tolist()
     uses = sum(ARITY[code] for code in codes)
-    return _NODE_NATS * len(program) + _USE_NATS * (uses + 1 - len(program))
+    return SETTINGS.criterion.node * len(program) + SETTINGS.criterion.common * (uses + 1 - len(program))
 
 
 @dataclass(frozen=True)
 class RegressionCriterion:
     """Description lengths of the models of one target with n `rows` (Rissanen 1978).
 
-        n/2 (ln v + MSE/v - 1) + nodes ln 8 + 1 for each further use of a node + length of each constant
+        n/2 (ln v + MSE/v - 1) + nodes ln 8 + 1.4 for each further use of a node + length of each constant
 
     The misfit is minus the log-likelihood of independent Gaussian errors, up to a constant; their variance v is fitted,
     but not less than `least_variance`, the square of the target's uncertainty: v = max(MSE, least variance).
@@ -166,7 +164,7 @@ def system_length(misfit: float, programs: Sequence[Program], constants: int, co
 
 def least_term_length(constant_nats: float) -> float:
     """Return the length of the cheapest term that can be added to an equation, a constant times a variable."""
-    return 2.0 * _LEAF + 2.0 * _SIMPLE + constant_nats
+    return 4.0 * SETTINGS.criterion.common + constant_nats
 
 
 def constant_nats_of(rows: float) -> float:
@@ -243,15 +241,6 @@ def validated_length(misfit: float, programs: Sequence[Program]) -> float:
 
 # --------------------------------------------------------------------------------------------- the price of operators
 
-_PLAIN: Final = range(2, 5)
-
-_LEAF: Final = 1.4
-_SIMPLE: Final = 1.4
-_QUOTIENT: Final = 2.1
-_FUNCTION: Final = 3.5
-_NESTED: Final = 5.0
-_FURTHER_USE: Final = 1.4
-
 
 def structure_length(program: Program) -> float:
     """Return the nats of a program without the values of its constants: the simpler, the more plausible.
@@ -275,13 +264,10 @@ def _structure_length(key: bytes, size: int) -> float:
         inner = any(has_function[argument] for argument in arguments)
         calls = is_function(code)
         has_function.append(inner or calls)
-        total += _operator_length(code) + (_NESTED if inner and calls else 0.0)
+        total += _operator_length(code) + (SETTINGS.criterion.nested if inner and calls else 0.0)
         for argument in arguments:
             uses[argument] += 1
-    leaves = [code in (VARIABLE, CONSTANT) for code in codes]
-    return total + sum(
-        (_LEAF if leaf else _FURTHER_USE) * max(count - 1, 0) for count, leaf in zip(uses, leaves, strict=True)
-    )
+    return total + SETTINGS.criterion.common * sum(max(count - 1, 0) for count in uses)
 
 
 def is_function(code: int) -> bool:
@@ -290,12 +276,9 @@ def is_function(code: int) -> bool:
 
 
 def _operator_length(code: int) -> float:
-    if not ARITY[code]:
-        return _LEAF
+    prices = SETTINGS.criterion
     if code == NEGATE:
         return 0.0
     if code in (DIVIDE, INVERSE):
-        return _QUOTIENT
-    if code in _PLAIN or code in (SQUARE, MULTIPLY):
-        return _SIMPLE
-    return _FUNCTION if is_function(code) or code == POW else _SIMPLE
+        return prices.quotient
+    return prices.function if is_function(code) or code == POW else prices.common

@@ -17,6 +17,9 @@ from atoll_coordinator.settings import SETTINGS
 
 BoolArray = npt.NDArray[np.bool_]
 MIN_ROWS = SETTINGS.checks.min_rows
+_JUMP: Final = 3.0
+"""A jump of a wrapped angle is this many times as large as the steps beside it, and differs from a turn by as many."""
+
 _TURNS: Final = ((6.283185307179586, "2 pi", ""), (360.0, "360", ":deg"))
 """A full turn, how it is called, and what `--angle` appends for its unit."""
 
@@ -118,7 +121,7 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
 def _count_turns(values: FloatArray, turn: float) -> int:
     """Count isolated steps that are small only modulo `turn`: of more than half a turn, and of far more than beside."""
     steps = np.abs(np.diff(values))
-    ratio, count = SETTINGS.checks.jump_over_neighbours, 0
+    ratio, count = _JUMP, 0
     for index, step in enumerate(steps.tolist()):
         near = [float(steps[other]) for other in (index - 1, index + 1) if 0 <= other < len(steps)]
         around = max((each for each in near if each < 0.5 * turn), default=0.0)

@@ -16,7 +16,10 @@ from atoll.data.table import Table
 from atoll_coordinator.data.roles.roles import Roles
 from atoll_coordinator.data.trajectories.angles import unwrap
 from atoll_coordinator.data.trajectories.checks import check_no_turns, check_trajectory, check_varies
-from atoll_coordinator.settings import SETTINGS
+
+_TIME_ROUNDING: Final = 4.0
+"""Times are even when they are so within this many units in the last place of the largest one, and steps are this many
+times as long as that: rounding."""
 
 LARGEST_PLAIN: Final = 1e15
 """Whole numbers below this are written without an exponent."""
@@ -121,9 +124,9 @@ def _letters(number: int) -> str:
 
 def _center_times(times: FloatArray, centre: float) -> FloatArray:
     """Return times - centre, exactly even when they are even to within their last bits."""
-    precision = SETTINGS.trajectories.time_rounding * float(np.spacing(np.max(np.abs(times))))
+    precision = _TIME_ROUNDING * float(np.spacing(np.max(np.abs(times))))
     step = _round_step(float(times[-1]) - float(times[0]), len(times) - 1, precision)
-    is_resolved = SETTINGS.trajectories.time_rounding * precision < step
+    is_resolved = _TIME_ROUNDING * precision < step
     steps: FloatArray = step * np.arange(len(times), dtype=np.float64)
     if np.all(np.abs(times - (float(times[0]) + steps)) <= precision) and is_resolved:
         return (float(times[0]) - centre) + steps

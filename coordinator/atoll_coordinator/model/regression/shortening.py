@@ -26,6 +26,10 @@ from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.settings import SETTINGS
 
+_MARGIN: Final = 2.0 * SETTINGS.inference.distinct_nats
+"""Neighbours are rounded whose description, constants as fitted, is longer than the best by at most so many nats (odds
+of 400), and the smallest model that is not longer by more has its neighbours tried, too."""
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -92,7 +96,7 @@ class Shortening:
 
     def _simplicity(self, candidate: Candidate, best: Candidate) -> tuple[bool, int, tuple[float, int, bytes]]:
         """Return what the smallest program has the least of whose model is nearly as short as the best."""
-        is_far = candidate.model.length > best.model.length + SETTINGS.regression.margin
+        is_far = candidate.model.length > best.model.length + _MARGIN
         return is_far, len(candidate.model.program), candidate.rank
 
     def _members(self, front: Sequence[Program]) -> list[tuple[int, Fitted]]:
@@ -158,7 +162,7 @@ class Shortening:
         Of those with equal errors, which say the same in other words, the shortest is taken; but of those that say the
         same as `best`, the shortest for each collection of operators, since their constants may be simpler.
         """
-        most = description_length(best.fitted, self.criterion) + SETTINGS.regression.margin
+        most = description_length(best.fitted, self.criterion) + _MARGIN
         found: dict[tuple[str, bytes], tuple[float, Fitted]] = {}
         for program in neighbours(best.fitted.program, self._variables, self._operators):
             if self._is_exhausted():

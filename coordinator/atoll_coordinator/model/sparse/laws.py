@@ -199,7 +199,7 @@ def _half(its: Measured, span: int | None, variables: int) -> int:
     terms = min(math.comb(variables + SETTINGS.sparse.degree, variables), SETTINGS.sparse.largest_library)
     most = int(len(its.times) / (SETTINGS.sparse.rows_per_term * terms + 2 * len(its.ranges) + 1))
     longest = max(end - start for start, end in its.ranges)
-    return max(min(span or most, most, longest // SETTINGS.sparse.least_windows), SETTINGS.sparse.least_half)
+    return max(min(span or most, most, longest // SETTINGS.sparse.least_windows), 2 * SETTINGS.sparse.smoothness)
 
 
 def _nats_of(form: WeakForm, program: Program) -> float:

@@ -27,6 +27,9 @@ from atoll_coordinator.model.damping import FIRST_DAMPING
 from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes
 from atoll_coordinator.settings import SETTINGS
 
+_DEGREE: Final = SETTINGS.sparse.degree - 1
+"""Highest degree of the polynomial that functions are added to; products with functions have one less."""
+
 _ROUNDING: Final = 1e-11
 """Share of a unit column beyond others that is rounding."""
 
@@ -76,9 +79,9 @@ class _Pursuit:
         self, inputs: FloatArray, columns: Sequence[int], operators: Collection[int], target: FloatArray
     ) -> None:
         self._target = target
-        self._plain = list(powers(inputs, columns, SETTINGS.sparse.pursued_degree))
+        self._plain = list(powers(inputs, columns, _DEGREE))
         self._shapes = list(self._plain)
-        for degree in range(SETTINGS.sparse.pursued_degree):
+        for degree in range(_DEGREE):
             products = [shape for shape in self._plain if len(shape.factors) == degree]
             found = list(shapes(inputs, columns, operators, products))
             if degree and len(self._shapes) + len(found) > SETTINGS.sparse.most_shapes:
@@ -125,7 +128,7 @@ class _Pursuit:
     def _beginnings(self) -> Iterator[_Sum]:
         """Yield nothing, and all polynomials that the rows decide."""
         yield _Sum((), np.zeros(0), np.zeros(0), self._target)
-        for degree in range(1, SETTINGS.sparse.pursued_degree + 1):
+        for degree in range(1, _DEGREE + 1):
             terms = tuple(index for index, shape in enumerate(self._plain) if len(shape.factors) <= degree)
             if SETTINGS.sparse.rows_per_term * len(terms) <= len(self._target):
                 its = self._solved(terms, np.ones(len(terms)))

@@ -6,7 +6,7 @@ from typing import Final
 from atoll.expression.builder import Expression
 from atoll.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
 from atoll.expression.program import Node, Program
-from atoll_coordinator.model.structure.moves.replacement import cofunctions, replace_each
+from atoll_coordinator.model.structure.moves.replacement import FRESH_CONSTANT, cofunctions, replace_each
 from atoll_coordinator.settings import SETTINGS
 
 _EXCHANGED: Final = {ADD: SUBTRACT, SUBTRACT: ADD, MULTIPLY: DIVIDE, DIVIDE: MULTIPLY, SIN: COS, COS: SIN}
@@ -34,7 +34,7 @@ def _exchanged(nodes: list[Node], index: int, variables: Collection[int]) -> Ite
     if code in (VARIABLE, CONSTANT):
         yield from ((VARIABLE, other) for other in variables if (code, left) != (VARIABLE, other))
     if code == VARIABLE:
-        yield SETTINGS.structure.fresh_constant
+        yield FRESH_CONSTANT
     if code in _EXCHANGED:
         yield (_EXCHANGED[code], *(left, right)[: ARITY[code]])
     if code in (SUBTRACT, DIVIDE):

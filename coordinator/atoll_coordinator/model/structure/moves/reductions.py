@@ -6,8 +6,7 @@ from typing import Final
 from atoll.expression.builder import Expression
 from atoll.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SUBTRACT
 from atoll.expression.program import Node, Program, structure
-from atoll_coordinator.model.structure.moves.replacement import cofunctions, replace_node
-from atoll_coordinator.settings import SETTINGS
+from atoll_coordinator.model.structure.moves.replacement import FRESH_CONSTANT, cofunctions, replace_node
 
 _NEUTRAL: Final = (0.0, 1.0, -1.0)
 
@@ -41,7 +40,7 @@ def _reduced_at(nodes: list[Node], index: int) -> Iterator[Expression]:
     if not ARITY[code]:
         return
     yield from dict.fromkeys((left, right)[: ARITY[code]])
-    yield SETTINGS.structure.fresh_constant
+    yield FRESH_CONSTANT
     if code == SUBTRACT:
         yield (NEGATE, right)
     if code in (ADD, SUBTRACT):

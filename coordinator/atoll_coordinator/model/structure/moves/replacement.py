@@ -1,11 +1,15 @@
 """One node of a program replaced by an expression, which every structural move does."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator
+from typing import Final
 
 from atoll.expression.builder import Expression, ProgramBuilder, operators_in
 from atoll.expression.operators import ADD, COS, MULTIPLY, NEGATE, SIN, SUBTRACT
 from atoll.expression.program import Node, Program, structure
 from atoll.expression.writing.shortest import collected
+
+FRESH_CONSTANT: Final = 1.5
+"""Where the fit of a constant begins that has no old value: a neutral one would not stay."""
 
 
 def replace_node(nodes: list[Node], index: int, replacement: Expression) -> Program:
