@@ -32,6 +32,10 @@ _DEGREE: Final = SETTINGS.sparse.degree - 1
 
 _ROUNDING: Final = 1e-11
 """Share of a unit column beyond others that is rounding."""
+_NEARLY_ALIKE: Final = 1e-8
+"""Atoms are not paired whose squared sine is smaller: rounding would decide."""
+_RANKED_PAIRS: Final = 2000
+"""Pairs that are put in order: of one pair of terms there are dozens, which differ in inner constants."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +76,23 @@ def pursue(problem: Problem, columns: Sequence[int], operators: Collection[int])
         pursuit = _Pursuit(inputs, columns, operators, problem.target.values[rows])
         error = problem.target.uncertainty * problem.target.standard_deviation
         return pursuit.run(len(rows) * error * error)
+
+
+_Promise = tuple[float, tuple[int, ...], FloatArray]
+"""A sum that is not fitted yet: about the sum of squares that it leaves, its terms and inner constants."""
+
+
+def _best(
+    promises: Iterable[Iterable[_Promise]], count: int
+) -> dict[tuple[int, ...], tuple[tuple[int, ...], FloatArray]]:
+    """Return the terms and inner constants of those that leave least, by their terms in order."""
+    found: dict[tuple[int, ...], _Promise] = {}
+    for square, terms, constants in (each for those in promises for each in those):
+        key = tuple(sorted(terms))
+        if key not in found or square < found[key][0]:
+            found[key] = square, terms, constants
+    best = sorted(found.items(), key=lambda item: item[1][0])[:count]
+    return {key: (terms, constants) for key, (_, terms, constants) in best}
 
 
 class _Pursuit:
@@ -142,25 +163,62 @@ class _Pursuit:
             yield from beam if beam[0].terms else ()
             if beam[0].square <= self._limit:
                 return
-            beam = self._extended(beam)
+            beam = self._extended(beam, beginning if beam[0] is not beginning else None)
             if not beam:
                 return
         yield from beam
 
-    def _extended(self, beam: Iterable[_Sum]) -> list[_Sum]:
-        """Return the best sums with one term more than those of the beam."""
-        promising: dict[tuple[int, ...], tuple[float, tuple[int, ...], FloatArray]] = {}
-        for parent in beam:
-            for square, term, constant in self._promises(parent):
-                key = tuple(sorted((*parent.terms, term)))
-                if key not in promising or square < promising[key][0]:
-                    promising[key] = square, (*parent.terms, term), np.append(parent.constants, constant)
-        chosen = sorted(promising.values(), key=lambda its: its[0])[: 2 * SETTINGS.sparse.pursued_beam]
-        fits = (self._fitted(terms, constants) for _, terms, constants in chosen)
+    def _extended(self, beam: Sequence[_Sum], beginning: _Sum | None) -> list[_Sum]:
+        """Return the best sums with one term more than those of the beam, or with two more than the `beginning`."""
+        width = 2 * SETTINGS.sparse.pursued_beam
+        chosen = _best((self._promises(parent) for parent in beam), width)
+        if beginning is not None and len(beam[0].terms) == len(beginning.terms) + 1:
+            chosen |= _best([self._pairs(beginning)], width)
+        fits = (self._fitted(*each) for each in chosen.values())
         return self._sorted(its for its in fits if its is not None)[: SETTINGS.sparse.pursued_beam]
 
-    def _promises(self, parent: _Sum) -> Iterator[tuple[float, int, float]]:
-        """Yield what the best further terms leave, inner constants as they are; each with the term and its constant."""
+    def _promises(self, parent: _Sum) -> Iterator[_Promise]:
+        """Yield the best further terms, inner constants as they are."""
+        left, rest, norms = self._beside(parent)
+        gains = np.where(norms > _ROUNDING, rest @ left, 0.0) ** 2
+        seen = set[int]()
+        for atom in np.argsort(-gains).tolist():
+            term, constant = self._atoms[atom]
+            if term not in seen and (self._shapes[term].has_constant or term not in parent.terms):
+                seen.add(term)
+                yield float(-gains[atom]) + parent.square, (*parent.terms, term), np.append(parent.constants, constant)
+                if len(seen) >= 2 * SETTINGS.sparse.pursued_beam:
+                    return
+
+    def _pairs(self, parent: _Sum) -> Iterator[_Promise]:
+        """Yield the best pairs of further terms, inner constants as they are.
+
+        Unit columns u and v with the products a and b with what is left explain (a^2 + b^2 - 2 a b c)/(1 - c^2)
+        together, with c the product of the two.
+        """
+        left, rest, norms = self._beside(parent)
+        usable = np.flatnonzero(norms > _ROUNDING)
+        unit = rest[usable]
+        products = unit @ left
+        cosines = unit @ unit.T
+        free = 1.0 - cosines * cosines
+        gains = (products[:, None] ** 2 + products**2 - 2.0 * np.outer(products, products) * cosines) / free
+        gains[~(free > _NEARLY_ALIKE)] = 0.0
+        gains = np.triu(gains, 1)
+        count = min(_RANKED_PAIRS, gains.size - 1)
+        best = np.argpartition(-gains, count, axis=None)[:count]
+        seen = set[tuple[int, int]]()
+        for place in best[np.argsort(-gains.ravel()[best])].tolist():
+            (one, first), (other, second) = (self._atoms[usable[each]] for each in divmod(place, len(usable)))
+            if (one, other) not in seen:
+                seen.add((one, other))
+                constants = np.append(parent.constants, (first, second))
+                yield parent.square - float(gains.flat[place]), (*parent.terms, one, other), constants
+                if len(seen) >= 2 * SETTINGS.sparse.pursued_beam:
+                    return
+
+    def _beside(self, parent: _Sum) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what a sum leaves, the atoms beside its terms as unit columns (A, R), and their sizes (A,) before."""
         left, rest = self._target, self._columns
         if parent.terms:
             columns = self._values(parent.terms, parent.constants)
@@ -168,16 +226,8 @@ class _Pursuit:
             for _ in range(2):  # the second time for what rounding left
                 left = left - basis @ (basis.T @ left)
                 rest = rest - (rest @ basis) @ basis.T
-        norms = (rest**2).sum(axis=1)
-        gains = np.where(norms > _ROUNDING**2, (rest @ left) ** 2 / np.maximum(norms, _ROUNDING**2), 0.0)
-        before, seen = float(left @ left), set[int]()
-        for atom in np.argsort(-gains).tolist():
-            term, constant = self._atoms[atom]
-            if term not in seen and (self._shapes[term].has_constant or term not in parent.terms):
-                seen.add(term)
-                yield before - float(gains[atom]), term, constant
-                if len(seen) >= 2 * SETTINGS.sparse.pursued_beam:
-                    return
+        norms = np.sqrt((rest**2).sum(axis=1))
+        return left, rest / np.maximum(norms, _ROUNDING)[:, None], norms
 
     def _sorted(self, sums: Iterable[_Sum]) -> list[_Sum]:
         """Return the sums without repetitions, the shortest description first."""
