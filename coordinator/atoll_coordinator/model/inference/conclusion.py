@@ -285,20 +285,31 @@ def _rounded(
 ) -> tuple[RoundedSystem, FittedModel] | None:
     """Return a system with constants as they are shown, in as few digits as leave simulations as they are.
 
-    None when it cannot be simulated. Where constants would lie outside of their intervals, none are made simple.
+    They are compared with those of the same simple numbers and all digits of the other constants. None when it cannot
+    be simulated. Where constants would lie outside of their intervals, none are made simple.
     """
-    found = None
-    for digits in ERROR_DIGITS:
-        rounded = round_shown(comparison, fitted, digits)
-        if not is_within(rounded):
-            rounded = round_shown(comparison, fitted, digits, may_be_simple=False)
-        fit = fit_starts(comparison, rounded.programs, fitted.fit)
-        if fit is not None:
-            found = rounded, comparison.measure(fit)
-            is_same = found[1].misfit <= fitted.misfit + rounded.loss + SETTINGS.selection.least_gain
-            if is_same and is_within(rounded):
-                break
-    return found
+    *few, most = ERROR_DIGITS
+    limit, exact = fitted.misfit + SETTINGS.selection.least_gain, None
+    for digits in few:
+        rounded = _with_digits(comparison, fitted, digits, is_within)
+        if rounded is None:
+            continue
+        if rounded[1].misfit > limit and exact is None:
+            exact = _with_digits(comparison, fitted, most, is_within)
+            limit = math.inf if exact is None else exact[1].misfit + SETTINGS.selection.least_gain
+        if rounded[1].misfit <= limit and is_within(rounded[0]):
+            return rounded
+    return exact or _with_digits(comparison, fitted, most, is_within)
+
+
+def _with_digits(
+    comparison: ModelComparison, fitted: FittedModel, digits: int, is_within: Callable[[RoundedSystem], bool]
+) -> tuple[RoundedSystem, FittedModel] | None:
+    rounded = round_shown(comparison, fitted, digits)
+    if not is_within(rounded):
+        rounded = round_shown(comparison, fitted, digits, may_be_simple=False)
+    fit = fit_starts(comparison, rounded.programs, fitted.fit)
+    return None if fit is None else (rounded, comparison.measure(fit))
 
 
 def _shortest(task: ModellingTask, comparison: ModelComparison, equation: int, program: Program) -> Program:

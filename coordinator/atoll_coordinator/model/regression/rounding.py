@@ -58,14 +58,10 @@ class Decision:
 
 @dataclass(frozen=True, eq=False)
 class Rounding:
-    """What becomes of constants: their `values` (K,) as they are shown, and the nearest simple number of each.
-
-    `loss` is by how many nats the simple numbers that are shown describe the data worse.
-    """
+    """What becomes of constants: their `values` (K,) as they are shown, and the nearest simple number of each."""
 
     values: FloatArray
     simple: tuple[SimpleNumber | None, ...]
-    loss: float
 
 
 def round_estimates(
@@ -81,17 +77,15 @@ def round_estimates(
     earlier ones are: so the last of several constants that only together are determined keeps the digits it needs.
     """
     numbers, odds = _singled_out(means, covariance) if may_be_simple else ({}, {})
-    decision, loss = _start(means, covariance), 0.0
+    decision = _start(means, covariance)
     for index, number in numbers.items():
-        k = decision.open.index(index)
-        loss += 0.5 * (number - float(decision.means[k])) ** 2 / float(decision.covariance[k, k])
-        decision = _decided(decision, k, number, 0.0)
+        decision = _decided(decision, decision.open.index(index), number, 0.0)
     while decision.open:
         number = _rounded(float(decision.means[0]), math.sqrt(float(decision.covariance[0, 0])), digits)
         decision = _decided(decision, 0, number, 0.0)
     values = np.array([value for _, value in decision.numbers])
     remarks = [_simple_number(*each, odds) for each in zip(range(len(means)), means, np.diag(covariance), strict=True)]
-    return Rounding(values, tuple(remarks), loss)
+    return Rounding(values, tuple(remarks))
 
 
 def find_simple(means: FloatArray, covariance: FloatArray) -> dict[int, float]:

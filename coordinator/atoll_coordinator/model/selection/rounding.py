@@ -23,12 +23,11 @@ from atoll_coordinator.settings import SETTINGS
 class RoundedSystem:
     """The equations with constants as they are shown; `simple` has for each of its constants the nearest simple number.
 
-    A given equation has none. `loss` is by how many nats simple numbers describe the trajectories worse than estimates.
+    A given equation has none.
     """
 
     programs: tuple[Program, ...]
     simple: tuple[tuple[SimpleNumber | None, ...], ...]
-    loss: float = 0.0
 
 
 def round_system(comparison: ModelComparison, model: FittedModel) -> tuple[Program, ...]:
@@ -75,7 +74,6 @@ def round_shown(
             () if index in comparison.fixed else tuple(next(simple) for _ in constant_places(program))
             for index, program in enumerate(programs)
         ),
-        rounding.loss,
     )
 
 

@@ -24,6 +24,7 @@ from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.refinement import Alternative, Pool
 from atoll_coordinator.model.selection import joint_search
 from atoll_coordinator.model.selection.candidates import collect_candidates, form
+from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import (
     DECAY,
@@ -403,3 +404,19 @@ def test_constants_are_shown_within_their_intervals(monkeypatch):
 
 def narrow(errors):
     return replace(errors, covariance=1e-6 * errors.covariance)
+
+
+@pytest.mark.parametrize("seed", [5, 7, 10])
+def test_constants_keep_few_digits_beside_a_simple_number_that_costs_something(monkeypatch, seed):
+    """It is singled out by the covariance, which is larger where errors go together."""
+    known = Known(("x",), lambda _, z: [0.31415926535 - 0.5 * z[0]])
+    its = compare(known, measurements(known, ([2.0], [-1.0]), TIMES, noise=1e-5, seed=seed), 1e-8)
+    monkeypatch.setattr(its, "inflation", lambda _: 30.0)
+    near = its.fit_model([known.parsed("0.3 - 0.5*x")])
+    shown = _show(its, near, near.programs)
+    program = shown.rounded.programs[0]
+    offset, rate = np.abs(program.constants[constant_places(program)])
+    assert shown.fit.misfit > near.misfit + SETTINGS.selection.least_gain
+    assert rate == 0.5
+    assert abs(offset - 0.31415926535) < 1e-4
+    assert len(str(offset)) <= 9
