@@ -17,7 +17,7 @@ def test_only_a_small_offset_is_left_out():
 
 def test_a_law_is_found_and_read(monkeypatch):
     pytest.importorskip("pyoperon")
-    monkeypatch.setattr(operon_models, "LIMIT_S", 2)
+    monkeypatch.setattr(operon_models, "EVALUATIONS", 50_000)
     case = make_case(Key("lotka_volterra", 2, 1, "even", "noise-1e-4", 0))
     answer = solve(case.table, ("+", "-", "*", "/"), 0)
     for equation in answer["equations"]:
