@@ -1,8 +1,9 @@
 """Where the seconds of ``coordinator run`` go: start-up, search and refining of tables that are a user's first try.
 
 ``python -m benchmarks.operations.seconds`` simulates the tables, runs the command on each, and prints wall seconds by
-phase as the command tells them, the processor seconds of all its processes, and what was found. Kernels should have
-been compiled before (``make demo``). Wall seconds depend on what else the machine does; processor seconds hardly.
+phase as the command tells them, the processor seconds of all its processes, and what was found. Kernels and modules
+should have been compiled before (``make demo``); bytecode is written whatever the environment says. Wall seconds depend
+on what else the machine does; processor seconds hardly.
 """
 
 import argparse
@@ -102,8 +103,9 @@ def run(name: str, case: Case | None, folder: Path) -> dict[str, Any]:
         data = folder / "data.csv"
         write(case, data)
     words = [sys.executable, "-m", "atoll_coordinator", "run", str(data), "--out", str(out)]
+    environment = {each: value for each, value in os.environ.items() if each != "PYTHONDONTWRITEBYTECODE"}
     before = os.times()
-    done = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT_S, check=False, env=environment)
     after = os.times()
     if done.returncode:
         raise AtollError(f"{name} ended with exit code {done.returncode}: {done.stderr.strip()[-300:]}")
