@@ -8,7 +8,7 @@ by counts, never by the clock.
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from atoll.config import JobConfig
@@ -26,8 +26,8 @@ from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import variable_program
-from atoll_coordinator.model.sparse.laws import Law
 from atoll_coordinator.model.sparse.pursuit import pursue
+from atoll_coordinator.model.sparse.regression import Law
 from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.term_libraries import Term, fractions, libraries
@@ -127,7 +127,8 @@ def ranked_candidates(task: ModellingTask) -> list[list[Program]]:
     """Return the candidates of each variable, the best first.
 
     Where the equations of converged searches give the trajectories up to errors of integration, there are no others;
-    where a system of the fronts and of some runners-up leaves noise alone, there are none but these.
+    where a system of the fronts and of some runners-up leaves noise alone, or none can be simulated however short the
+    pieces, there are none but these.
     """
     converged = [_converged(task, name) for name in task.variables]
     found = [program for program in converged if program is not None]
@@ -135,7 +136,20 @@ def ranked_candidates(task: ModellingTask) -> list[list[Program]]:
         return [[program] for program in found]
     sums = {name: _pursued(task, name) for name in task.variables if name not in task.known}
     nearest = [_compared(task, name, sums, is_brief=True) for name in task.variables]
-    return nearest if _suffice(task, nearest) else [_compared(task, name, sums) for name in task.variables]
+    shortest_pieces = replace(task, piece=min(task.piece, *SETTINGS.selection.shorter_pieces))
+    comparison, best = _begun(task, nearest)
+    if best is None and _begun(shortest_pieces, nearest)[1] is None:
+        return nearest
+    if best is not None and _suffices(task, comparison, best):
+        return nearest
+    return [_compared(task, name, sums) for name in task.variables]
+
+
+def _begun(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> tuple[ModelComparison, FittedModel | None]:
+    """Return the best of a few systems of these candidates, None where none can be simulated, and how it was found."""
+    measurements = task.measurements(task.variables).thinned(SETTINGS.selection.compared_rows)
+    comparison = task.compare(measurements, task.variables)
+    return comparison, _combined(comparison, lists) if all(lists) else None
 
 
 def _pursued(task: ModellingTask, name: str) -> list[Program]:
@@ -145,8 +159,8 @@ def _pursued(task: ModellingTask, name: str) -> list[Program]:
     return pursue(task.dataset.problem(name), task.columns(name), task.operators(name))
 
 
-def _suffice(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> bool:
-    """Tell whether a system of these candidates leaves nothing that a longer one could be worth its length for.
+def _suffices(task: ModellingTask, comparison: ModelComparison, best: FittedModel) -> bool:
+    """Tell whether a system leaves nothing that a longer one could be worth its length for.
 
     Not where targets are too uncertain for the search to tell a law from others of the same error: a shorter one may be
     missing then (bar magnets at 5 % of noise).
@@ -154,11 +168,7 @@ def _suffice(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> bool:
     targets = (task.dataset.problem(name).target for name in task.variables if name not in task.known)
     if any(target.uncertainty > SETTINGS.inference.largest_uncertainty for target in targets):
         return False
-    comparison = task.compare(
-        task.measurements(task.variables).thinned(SETTINGS.selection.compared_rows), task.variables
-    )
-    best = _combined(comparison, lists) if all(lists) else None
-    return best is not None and not comparison.has_room(comparison.calibrate(best))
+    return not comparison.has_room(comparison.calibrate(best))
 
 
 def search_jointly(

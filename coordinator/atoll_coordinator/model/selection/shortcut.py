@@ -9,6 +9,7 @@ long way is taken.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -21,6 +22,10 @@ from atoll_coordinator.model.shooting.lyapunov import growth_rate
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.sparse.laws import find_laws
 from atoll_coordinator.settings import SETTINGS
+
+_LEAST_SIZE: Final = 1e-6
+"""Errors are taken to be so large, at least. They grow to the root of that, g-fold; the normal equations of constants
+and initial states lose the share g^4 of their double precision, here to 1e-4."""
 
 
 def with_laws(task: ModellingTask) -> ModellingTask:
@@ -73,7 +78,7 @@ def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison) -> int:
     """
     rate = growth_rate(fit)
     measurements = comparison.estimator.measurements
-    size = float(np.clip(measurements.relative_noise.max(), comparison.estimator.tolerance, 0.1))
+    size = float(np.clip(measurements.relative_noise.max(), _LEAST_SIZE, 0.1))
     step = float(np.median(np.diff(measurements.times)))
     if not rate > 0.0:
         return SETTINGS.shooting.piece

@@ -1,7 +1,9 @@
 """Laws as sparse sums, found by regression alone: no simulation, no population, about a second at most.
 
 - `weak_form`: equations integrated against test functions, so that nothing is differentiated
-- `laws`: backward elimination in the weak form, or on derivatives where there is no noise; the criterion
+- `regression`: libraries of products, backward elimination, terms taken in again; the criterion
+- `laws`: the laws of one state in the weak form, or on derivatives where there is no noise, beside other programs
+- `products`: programs as sums of products, where they are such
 - `pursuit`: sums of a polynomial and of products with functions, constants inside these fitted (matching pursuit)
 - `shapes`: the products with functions that it is made of
 - `kernels`: least squares and elimination, compiled; `warmup` makes them ready

@@ -8,6 +8,7 @@ from atoll.expression.program import structure
 from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.refinement import Refined
+from atoll_coordinator.model.selection import joint_search
 from atoll_coordinator.model.selection.candidates import collect_candidates
 from atoll_coordinator.model.selection.joint_search import ModellingTask, ranked_candidates
 from tests.unit.coordinator.model.shooting.made import Known, pools, table
@@ -43,3 +44,21 @@ def test_unless_the_trajectories_show_that_it_only_comes_close(prepared):
     first, *others = candidates(prepared, CLOSE)
     assert others
     assert "cos" not in DRAG.text(first)
+
+
+def test_where_no_system_can_be_simulated_no_libraries_are_tried(monkeypatch):
+    """1e9 v^2 leaves the measured range within a row, wherever it begins."""
+    decay = Known(("v",), lambda _, z: [-0.05 * z[0] ** 2])
+    config = JobConfig(space=SpaceConfig(operators=("-", "*")))
+    measured = prepare(table(decay, ([3.0], [2.0]), 0.1 * np.arange(60.0)), config)
+    tried = []
+
+    def libraries(*_):
+        tried.append(True)
+        return iter(())
+
+    monkeypatch.setattr(joint_search, "_libraries", libraries)
+    for text, is_tried in (("1e9*v*v", False), ("1.5*v - 2.1*v", True)):
+        found = collect_candidates(measured.dataset, config, pools(measured, v=(text,)))
+        ranked_candidates(ModellingTask(measured.dataset, measured.recording, config, found))
+        assert bool(tried) == is_tried, text

@@ -8,6 +8,8 @@ from atoll.expression.operators import BY_NAME
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.sparse.laws import find_laws, has_laws
+from atoll_coordinator.model.sparse.regression import Regression, products
+from atoll_coordinator.model.sparse.weak_form import Measured, weak_form
 from tests.unit.coordinator.model.sparse.lorenz import NAMES, TERMS, monomials, prepared
 
 OPERATORS = frozenset(BY_NAME[name].code for name in ("+", "-", "*", "/"))
@@ -61,6 +63,20 @@ def test_sums_of_products_are_no_rivals_and_further_libraries():
     alone, beside = laws_of(preparation, "x")[0], laws_of(preparation, "x", others=[truth])[0]
     assert beside.lead == np.inf
     assert terms(beside) == terms(alone) == TERMS["x"]
+
+
+def test_terms_that_the_weights_of_a_wrong_sum_favour_are_left_out():
+    """Of z in bursts, windows of small variance decide: weighted by a sum with further terms, they keep these."""
+    generator = np.random.default_rng(1)
+    times = np.linspace(0.0, 30.0, 3000)
+    values = np.array([6.0 * np.sin(times), np.exp(-6.0 * np.cos(times) + 0.1 * times - 3.0), np.cos(0.37 * times)])
+    sizes = 0.02 * values.std(axis=1)
+    noisy = values + sizes[:, None] * generator.normal(size=values.shape)
+    its = Measured(times, ((0, len(times)),), noisy, values, sizes)
+    form = weak_form(its, 1, 12)
+    wrong = [term for degree in range(3) for term in products((0, 1, 2), degree)]
+    law = Regression(form, wrong).law(wrong, is_tested=True)
+    assert terms(law) == {"y", "x*y"}
 
 
 @pytest.mark.parametrize(

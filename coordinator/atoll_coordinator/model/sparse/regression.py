@@ -1,0 +1,191 @@
+"""Sums of products that describe one state's equation: libraries, elimination of terms, the search among sums."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.program import Program
+from atoll_coordinator.model.criteria import constant_nats_of, structure_length
+from atoll_coordinator.model.sparse.kernels.elimination import eliminate
+from atoll_coordinator.model.sparse.weak_form import WeakForm
+from atoll_coordinator.model.structure.term_libraries import Factor, Term, sum_of
+from atoll_coordinator.settings import SETTINGS
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """A sum of products: its `program`, the `nats` by which laws of one state compare, and how well it fits.
+
+    `excess` is how many times as large as the noise, or as the limit of convergence, the errors are. `is_tested` tells
+    whether there are enough rows for the largest library that it was chosen from. `lead` is how many nats longer the
+    best of the other programs is that were compared with it and are no sums of products. `probability` is that of
+    errors as large as these where all are noise.
+    """
+
+    program: Program
+    nats: float
+    excess: float
+    is_tested: bool
+    lead: float = math.inf
+    probability: float = 1.0
+
+
+def libraries(columns: Sequence[int], rows: float) -> Iterator[tuple[list[Term], bool]]:
+    """Yield all products up to each degree, as far as so many rows decide them, and whether the largest is among them.
+
+    Each term of a library takes `rows_per_term` rows that know nothing of each other.
+    """
+    degrees = range(1, SETTINGS.sparse.degree + 1)
+    found = [[term for order in range(degree + 1) for term in products(columns, order)] for degree in degrees]
+    allowed = [
+        terms
+        for terms in found
+        if len(terms) <= SETTINGS.sparse.largest_library and SETTINGS.sparse.rows_per_term * len(terms) <= rows
+    ]
+    for terms in allowed:
+        yield terms, len(allowed) == len(found)
+
+
+def products(columns: Sequence[int], order: int) -> list[Term]:
+    return list(combinations_with_replacement([Factor(column) for column in columns], order))
+
+
+@dataclass(frozen=True, eq=False)
+class Elimination:
+    """The sums on the way from a library to nothing: which terms each has, its coefficients, what it leaves."""
+
+    terms: Sequence[Term]
+    order: Sequence[int]
+    squares: FloatArray
+    coefficients: FloatArray
+
+    def kept(self, step: int) -> list[int]:
+        return sorted(self.order[step:])
+
+    def sum(self, step: int) -> tuple[list[Term], list[float]]:
+        kept = self.kept(step)
+        return [self.terms[index] for index in kept], [float(self.coefficients[step, index]) for index in kept]
+
+
+def eliminated(terms: Sequence[Term], columns: FloatArray, sides: FloatArray) -> Elimination:
+    count = len(terms)
+    order, squares = np.zeros(count, np.int64), np.zeros(count + 1)
+    coefficients = np.zeros((count, count))
+    eliminate(np.ascontiguousarray(columns), np.ascontiguousarray(sides), order, squares, coefficients)
+    return Elimination(terms, order.tolist(), squares, coefficients)
+
+
+def misfit(form: WeakForm, left: FloatArray, variances: FloatArray) -> float:
+    """Return minus the log-likelihood of what is left in the windows (W,), each counted by its share in a new one.
+
+    That of the true states nearest to the measured ones for which the equation holds, to first order: half the square
+    over its variance. The variance depends on the equation, the density of the measurements about these states does
+    not: with its logarithm, sums that vary little with the states would be preferred (errors in variables, functional
+    case: Fuller 1987, section 2.3).
+    """
+    if not (variances > 0.0).all():
+        return math.inf
+    return 0.5 * form.independent * float((left * left / variances).mean())
+
+
+class Regression:
+    """Sums of the products of one library, the largest, by which windows are described."""
+
+    def __init__(self, form: WeakForm, terms: Sequence[Term]) -> None:
+        self._form = form
+        self._terms = terms
+        self._places = {term: place for place, term in enumerate(terms)}
+        self._columns, self._sides = form.columns(terms), form.sides
+        prices = [structure_length(sum_of([term], [1.5])) for term in terms]
+        self._prices = np.array(prices) + constant_nats_of(form.independent)
+
+    def law(self, begun: Sequence[Term], *, is_tested: bool) -> Law | None:
+        """Return the sum that a search from all terms `begun` ends with, windows weighted by its own variances.
+
+        Weights are those of the sum before, which may be a wrong one that they favour: so at last terms are left out as
+        long as the description by the weights of what remains is shorter.
+        """
+        start = [self._places[term] for term in begun]
+        if not np.isfinite(self._columns).all() or len(start) >= len(self._sides):
+            return None
+        weights = np.ones(len(self._sides))
+        for reweighting in range(SETTINGS.sparse.reweightings):
+            kept, coefficients = self._best_sum(start, weights, is_extended=reweighting > 0)
+            its_own = self._weights(kept, coefficients)
+            if its_own is None:
+                return None
+            weights = its_own
+        best = self._refitted(kept, weights, is_tested=is_tested)
+        while best is not None and len(kept) > 1:
+            fewer = [[place for place in kept if place != left_out] for left_out in kept]
+            found = [(law.nats, its, law) for its in fewer
+                     if (law := self._refitted(its, weights, is_tested=is_tested)) is not None]  # fmt: skip
+            nats, its, law = min(found, key=lambda each: each[:2], default=(math.inf, kept, best))
+            if not nats < best.nats:
+                break
+            kept, best = its, law
+        return best
+
+    def _weights(self, places: Sequence[int], coefficients: Sequence[float]) -> FloatArray | None:
+        """Return the weights of windows that a sum itself gives them, None where it leaves one without a variance."""
+        variances = self._form.variances([self._terms[place] for place in places], coefficients)
+        return 1.0 / np.sqrt(variances) if (variances > 0.0).all() else None
+
+    def _refitted(self, places: Sequence[int], weights: FloatArray, *, is_tested: bool) -> Law | None:
+        """Return the sum of these terms, fitted and weighted by turns."""
+        from scipy import special
+
+        terms, its = [self._terms[place] for place in places], weights
+        for _ in range(SETTINGS.sparse.reweightings - 1):
+            path = eliminated(terms, self._columns[places] * its, self._sides * its)
+            coefficients = path.coefficients[0].tolist()
+            found = self._weights(places, coefficients)
+            if found is None:
+                return None
+            its = found
+        left = (self._sides - np.array(coefficients) @ self._columns[places]) * its
+        square, independent = float((left * left).mean()), self._form.independent
+        return Law(
+            sum_of(terms, coefficients),
+            0.5 * independent * square + float(self._prices[places].sum()),
+            math.sqrt(square),
+            is_tested,
+            probability=float(special.chdtrc(independent, independent * square)),
+        )
+
+    def _best_sum(
+        self, start: Sequence[int], weights: FloatArray, *, is_extended: bool
+    ) -> tuple[list[int], list[float]]:
+        """Return the terms of the shortest description that is found from those of `start`, and their coefficients.
+
+        Elimination may lose a term early for others that it nearly depends on. So single terms are taken in again,
+        and what the sum can then do without eliminated, as long as that is shorter by more than the best of so many
+        tries is by chance (Bonferroni).
+        """
+        columns, sides = self._columns * weights, self._sides * weights
+        best = self._eliminated(start, columns, sides)
+        while is_extended:
+            others = [place for place in range(len(self._terms)) if place not in best[1]]
+            longer = (self._eliminated(sorted([*best[1], place]), columns, sides) for place in others)
+            found = min(longer, default=best)
+            if not others or not found[0] < best[0] - math.log(len(others)):
+                break
+            best = found
+        return best[1], best[2]
+
+    def _eliminated(
+        self, places: Sequence[int], columns: FloatArray, sides: FloatArray
+    ) -> tuple[float, list[int], list[float]]:
+        """Return the nats, terms and coefficients of the best sum on the way from these terms to none."""
+        path = eliminated([self._terms[place] for place in places], columns[places], sides)
+        independent = self._form.independent
+        nats = []
+        for step in range(len(places)):
+            price = float(self._prices[[places[index] for index in path.kept(step)]].sum())
+            nats.append(0.5 * independent * math.log(max(float(path.squares[step]), 1e-300)) + price)
+        step = int(np.argmin(nats))
+        return nats[step], [places[index] for index in path.kept(step)], path.sum(step)[1]
