@@ -136,7 +136,7 @@ def ranked_candidates(task: ModellingTask) -> list[list[Program]]:
         return [[program] for program in found]
     sums = {name: _pursued(task, name) for name in task.variables if name not in task.known}
     nearest = [_compared(task, name, sums, is_brief=True) for name in task.variables]
-    shortest_pieces = replace(task, piece=min(task.piece, *SETTINGS.selection.shorter_pieces))
+    shortest_pieces = replace(task, piece=min(task.piece, *SETTINGS.shooting.lengths))
     comparison, best = _begun(task, nearest)
     if best is None and _begun(shortest_pieces, nearest)[1] is None:
         return nearest

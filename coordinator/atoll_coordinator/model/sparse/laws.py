@@ -91,7 +91,7 @@ def _without_noise(problem: Problem, columns: Sequence[int]) -> Iterator[Law]:
         if not np.isfinite(values).all():
             break
         paths.append((eliminated(terms, values, problem.target.values), values, is_tested))
-    for allowed in (1.0, SETTINGS.selection.noise_excess):
+    for allowed in (1.0, SETTINGS.inference.excess):
         for path, values, is_tested in paths:
             law = _converged(problem, path, values, allowed)
             if law is not None:
