@@ -1,5 +1,6 @@
 """The jobs of real measurements: a file, the options with which a user would hand it over, and some of its rows."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,24 +17,28 @@ from atoll_coordinator.data.reading.files import read_table
 class Case:
     """A job: `file` in the folder of data, fields of the configuration's data section, and a range of its rows.
 
-    `share` is the first and the last row, as shares of all.
+    `share` is the first and the last row, as shares of all. `operators` are those of the search, none the default ones.
+    `shift` is subtracted from columns: what they are at rest.
     """
 
     name: str
     file: str
     options: Mapping[str, Any] = field(default_factory=dict)
     share: tuple[float, float] = (0.0, 1.0)
+    operators: tuple[str, ...] = ()
+    shift: Mapping[str, float] = field(default_factory=dict)
 
     def config(self, seed: int, max_time: float | None) -> JobConfig:
         """Return the configuration of the job."""
         config = PRESETS["default"]
         budget = config.budget.model_copy(update={"max_time": max_time})
         data = config.data.model_copy(update=dict(self.options))
-        return config.model_copy(update={"seed": seed, "data": data, "budget": budget})
+        space = config.space.model_copy(update={"operators": self.operators or config.space.operators})
+        return config.model_copy(update={"seed": seed, "data": data, "space": space, "budget": budget})
 
     def table(self, folder: Path) -> Table:
         """Return the rows of the job; raises DataError where the file cannot be read."""
-        whole = read_table([folder / self.file], self.config(0, None).data)
+        whole = self._shifted(read_table([folder / self.file], self.config(0, None).data))
         first, last = (round(share * whole.rows) for share in self.share)
         if (first, last) == (0, whole.rows):
             return whole
@@ -47,14 +52,29 @@ class Case:
             line_of_row=whole.line_of_row[rows],
         )
 
+    def _shifted(self, table: Table) -> Table:
+        columns = np.array(table.columns)
+        for name, rest in self.shift.items():
+            columns[table.names.index(name)] -= rest
+        return replace(table, columns=columns)
+
 
 _PENDULUM: Final = ("pendulum_small_swing.csv", {"order": 2})
+_FRICTION: Final[Mapping[str, Any]] = {
+    "operators": ("+", "-", "*", "/", "sin", "cos", "tanh"),
+    "shift": {"theta": math.pi},
+}
+"""Dry friction is a hyperbolic tangent of a steep slope; a small swing is told by the angle from rest."""
 
 CASES: Final = (
     Case("pendulum", *_PENDULUM),
     Case("pendulum, first half", *_PENDULUM, (0.0, 0.5)),
     Case("pendulum, second half", *_PENDULUM, (0.5, 1.0)),
+    Case("small swing with tanh", *_PENDULUM, **_FRICTION),
+    Case("small swing with tanh, first half", *_PENDULUM, (0.0, 0.5), **_FRICTION),
+    Case("small swing with tanh, second half", *_PENDULUM, (0.5, 1.0), **_FRICTION),
     Case("Gause", "gause_paramecium.csv", {"trajectory": "run", "time": "day", "missing": "drop"}),
     Case("double pendulum", "double_pendulum.csv", {"trajectory": "run", "order": 2}),
 )
-"""A real pendulum near its rest position, whole and by halves; three runs of Paramecium; a double pendulum."""
+"""A real pendulum near its rest position, whole and by halves, as measured and with dry friction; three runs of
+Paramecium; a double pendulum."""
