@@ -257,13 +257,16 @@ def _show(comparison: ModelComparison, near: FittedModel, programs: tuple[Progra
         return None
     errors, is_exact = estimate_errors(comparison, free), comparison.is_exact(free)
 
-    def is_within(rounded: RoundedSystem) -> bool:
+    def outside(rounded: RoundedSystem) -> frozenset[int]:
+        """Return the fitted constants, by number, that lie outside of their intervals as they are shown."""
         if is_exact:
-            return True  # intervals are those of the integration's errors
+            return frozenset()  # intervals are those of the integration's errors
         known = describe_constants(comparison, explicit, rounded.programs, errors)
-        return all(its.is_within for each in known for its in each.written)
+        sought = (each for equation, each in enumerate(known) if equation not in comparison.fixed)
+        written = (its for each in sought for its in each.written)
+        return frozenset(number for number, its in enumerate(written) if not its.is_within)
 
-    found = _rounded(comparison, fitted, is_within)
+    found = _rounded(comparison, fitted, outside)
     return None if found is None else _Shown(*found, explicit, free)
 
 
@@ -280,34 +283,39 @@ def _without_refuted(task: ModellingTask, comparison: ModelComparison, shown: _S
     return tuple(opened)
 
 
+_Outside = Callable[[RoundedSystem], frozenset[int]]
+"""Tells the constants, by number, that lie outside of their intervals."""
+
+
 def _rounded(
-    comparison: ModelComparison, fitted: FittedModel, is_within: Callable[[RoundedSystem], bool]
+    comparison: ModelComparison, fitted: FittedModel, outside: _Outside
 ) -> tuple[RoundedSystem, FittedModel] | None:
     """Return a system with constants as they are shown, in as few digits as leave simulations as they are.
 
     They are compared with those of the same simple numbers and all digits of the other constants. None when it cannot
-    be simulated. Where constants would lie outside of their intervals, none are made simple.
+    be simulated. Constants that would lie outside of their intervals are not made simple.
     """
     *few, most = ERROR_DIGITS
     limit, exact = fitted.misfit + SETTINGS.selection.least_gain, None
     for digits in few:
-        rounded = _with_digits(comparison, fitted, digits, is_within)
+        rounded = _with_digits(comparison, fitted, digits, outside)
         if rounded is None:
             continue
         if rounded[1].misfit > limit and exact is None:
-            exact = _with_digits(comparison, fitted, most, is_within)
+            exact = _with_digits(comparison, fitted, most, outside)
             limit = math.inf if exact is None else exact[1].misfit + SETTINGS.selection.least_gain
-        if rounded[1].misfit <= limit and is_within(rounded[0]):
+        if rounded[1].misfit <= limit and not outside(rounded[0]):
             return rounded
-    return exact or _with_digits(comparison, fitted, most, is_within)
+    return exact or _with_digits(comparison, fitted, most, outside)
 
 
 def _with_digits(
-    comparison: ModelComparison, fitted: FittedModel, digits: int, is_within: Callable[[RoundedSystem], bool]
+    comparison: ModelComparison, fitted: FittedModel, digits: int, outside: _Outside
 ) -> tuple[RoundedSystem, FittedModel] | None:
-    rounded = round_shown(comparison, fitted, digits)
-    if not is_within(rounded):
-        rounded = round_shown(comparison, fitted, digits, may_be_simple=False)
+    rounded, estimates = round_shown(comparison, fitted, digits), frozenset[int]()
+    while not (further := outside(rounded)) <= estimates:
+        estimates |= further
+        rounded = round_shown(comparison, fitted, digits, estimates)
     fit = fit_starts(comparison, rounded.programs, fitted.fit)
     return None if fit is None else (rounded, comparison.measure(fit))
 

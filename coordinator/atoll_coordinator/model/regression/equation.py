@@ -99,8 +99,8 @@ def _with_estimates(
     fitted, places = least_squares.fit(program), constant_places(program)
     if not places or not math.isfinite(fitted.mse):
         return program, (None,) * len(places)
-    is_few = len(places) <= SETTINGS.effort.beam
-    rounding = round_estimates(fitted.program.constants[places], covariance_of(fitted, criterion), may_be_simple=is_few)
+    many = range(len(places)) if len(places) > SETTINGS.effort.beam else ()
+    rounding = round_estimates(fitted.program.constants[places], covariance_of(fitted, criterion), estimates=many)
     return with_constants(program, dict(zip(places, rounding.values.tolist(), strict=True))), rounding.simple
 
 

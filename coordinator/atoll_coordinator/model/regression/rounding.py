@@ -10,7 +10,7 @@ when its odds, against all other decisions together, are at least those of `Infe
 
 import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -68,15 +68,17 @@ def round_estimates(
     means: FloatArray,
     covariance: FloatArray,
     digits: int = ERROR_DIGITS[0],
-    *,
-    may_be_simple: bool = True,
+    estimates: Collection[int] = (),
 ) -> Rounding:
     """Return fitted constants, `means` (K,) with this `covariance`, as they are shown.
 
     Estimates are rounded to so many digits of their standard errors, one after another, each where it lies once the
     earlier ones are: so the last of several constants that only together are determined keeps the digits it needs.
+    Simple numbers that are singled out take their place, but for those of the `estimates`, by number.
     """
-    numbers, odds = _singled_out(means, covariance) if may_be_simple else ({}, {})
+    is_open = len(estimates) < len(means)
+    numbers, odds = _singled_out(means, covariance) if is_open else ({}, {})
+    numbers = {index: number for index, number in numbers.items() if index not in estimates}
     decision = _start(means, covariance)
     for index, number in numbers.items():
         decision = _decided(decision, decision.open.index(index), number, 0.0)

@@ -4,7 +4,7 @@ As `atoll_coordinator.model.regression.rounding` does for one equation: near its
 of the constants, which tells what simple numbers the data single out and how many digits estimates deserve.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,7 +52,7 @@ def round_system(comparison: ModelComparison, model: FittedModel) -> tuple[Progr
 
 
 def round_shown(
-    comparison: ModelComparison, model: FittedModel, digits: int, *, may_be_simple: bool = True
+    comparison: ModelComparison, model: FittedModel, digits: int, estimates: Collection[int] = ()
 ) -> RoundedSystem:
     """Return the programs of `model`, all constants fitted, with constants as they are shown.
 
@@ -60,12 +60,12 @@ def round_shown(
         comparison: where it was fitted.
         model: its structure is the one that is shown.
         digits: of their standard errors to which estimates are rounded.
-        may_be_simple: whether simple numbers take the place of estimates where they are singled out.
+        estimates: constants, by number, whose place no simple number takes although one is singled out.
     """
     count = len(model.fit.system.places)
     if not count:
         return RoundedSystem(model.programs, tuple(() for _ in model.programs))
-    rounding = _rounding(comparison, model, digits, may_be_simple=may_be_simple)
+    rounding = _rounding(comparison, model, digits, estimates)
     programs, _ = _decided(comparison, model.programs, dict(enumerate(rounding.values.tolist())))
     simple = iter(rounding.simple)
     return RoundedSystem(
@@ -77,10 +77,10 @@ def round_shown(
     )
 
 
-def _rounding(comparison: ModelComparison, model: FittedModel, digits: int, *, may_be_simple: bool) -> Rounding:
+def _rounding(comparison: ModelComparison, model: FittedModel, digits: int, estimates: Collection[int]) -> Rounding:
     means, spread = model.fit.system.values, _covariance(comparison, model)
     is_many = len(means) > SETTINGS.effort.beam
-    return round_estimates(means, spread, digits, may_be_simple=may_be_simple and not is_many)
+    return round_estimates(means, spread, digits, range(len(means)) if is_many else estimates)
 
 
 def _covariance(comparison: ModelComparison, model: FittedModel) -> FloatArray:

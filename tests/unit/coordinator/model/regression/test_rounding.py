@@ -83,10 +83,16 @@ def test_constants_that_are_determined_together_are_singled_out_together():
 def test_the_last_of_correlated_estimates_keeps_the_digits_that_it_needs():
     covariance = 0.05**2 * np.ones((2, 2)) + np.diag([0.0, 1e-10])
     means = np.array([2.0314159, 3.0271828])
-    rounding = round_estimates(means, covariance, may_be_simple=False)
+    rounding = round_estimates(means, covariance, estimates=(0, 1))
     away = rounding.values - means
     assert str(rounding.values[0]) == "2.031"
     assert 0.5 * away @ np.linalg.solve(covariance, away) < 0.01
+
+
+def test_one_constant_stays_an_estimate_while_another_becomes_simple():
+    rounding = round_estimates(np.array([2.000001, 3.000001]), np.diag([1e-12, 1e-12]), estimates=(1,))
+    assert rounding.values.tolist() == [2.0, 3.000001]
+    assert rounding.simple[1].value == 3.0
 
 
 def test_the_probability_of_any_number_is_that_of_the_simple_ones_of_its_decade():
