@@ -8,16 +8,12 @@ all, p fitted parameters.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.inference.quadratic_forms import variance_ratio_tail
 from atoll_coordinator.settings import SETTINGS
-
-_NORMAL_MAD: Final = 0.6744897501960817
-"""Median of the absolute value of a standard normal number."""
 
 
 @dataclass(frozen=True)

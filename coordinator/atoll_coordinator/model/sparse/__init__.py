@@ -1,4 +1,4 @@
-"""Laws as sparse sums, found by regression alone: no simulation, no population, about a second at most.
+"""Laws as sparse sums, found by regression alone: no simulation, no population, seconds at most.
 
 - `weak_form`: equations integrated against test functions, so that nothing is differentiated
 - `regression`: libraries of products, backward elimination, terms taken in again; the criterion
@@ -8,5 +8,5 @@
 - `shapes`: the products with functions that it is made of
 - `kernels`: least squares and elimination, compiled; `warmup` makes them ready
 
-Candidates for `selection`, which judges them by trajectories. The reasons and figures: ADR 0036.
+Candidates for `selection`, which judges them by trajectories. The reasons and figures: ADR 0036 and ADR 0041.
 """

@@ -50,12 +50,13 @@ def _added(left: _Sum, right: _Sum, one: float, other: float) -> _Sum:
 
 
 def _multiplied(left: _Sum, right: _Sum, degree: int) -> _Sum | None:
-    found = [
+    if max(map(len, left)) + max(map(len, right)) > degree:
+        return None
+    return _collected(
         (tuple(sorted((*one, *other))), factor * value)
         for one, factor in left.items()
         for other, value in right.items()
-    ]
-    return None if any(len(key) > degree for key, _ in found) else _collected(found)
+    )
 
 
 def _collected(products: Iterable[tuple[tuple[int, ...], float]]) -> _Sum:

@@ -36,6 +36,8 @@ _NEARLY_ALIKE: Final = 1e-8
 """Atoms are not paired whose squared sine is smaller: rounding would decide."""
 _RANKED_PAIRS: Final = 2000
 """Pairs that are put in order: of one pair of terms there are dozens, which differ in inner constants."""
+_MOST_PAIRED: Final = 4000
+"""Of more atoms no pairs are tried, whose gains would take gigabytes: 128 MB a matrix; twenty states have so many."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +174,8 @@ class _Pursuit:
         """Return the best sums with one term more than those of the beam, or with two more than the `beginning`."""
         width = 2 * SETTINGS.sparse.pursued_beam
         chosen = _best((self._promises(parent) for parent in beam), width)
-        if beginning is not None and len(beam[0].terms) == len(beginning.terms) + 1:
+        are_few = len(self._atoms) <= _MOST_PAIRED
+        if are_few and beginning is not None and len(beam[0].terms) == len(beginning.terms) + 1:
             chosen |= _best([self._pairs(beginning)], width)
         fits = (self._fitted(*each) for each in chosen.values())
         return self._sorted(its for its in fits if its is not None)[: SETTINGS.sparse.pursued_beam]
