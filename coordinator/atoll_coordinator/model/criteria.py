@@ -57,7 +57,7 @@ def front_length(
     """
     limit = max(uncertainty, SMALLEST_UNCERTAINTY) * standard_deviation
     misfit = max(entry.mse, limit * limit, _SMALLEST)
-    return 0.5 * rows * _log(misfit) + entry.complexity * SETTINGS.criterion.node + 0.5 * constants * _log(float(rows))
+    return 0.5 * rows * log(misfit) + entry.complexity * SETTINGS.criterion.node + 0.5 * constants * log(float(rows))
 
 
 def select_member(front: Sequence[FrontEntry], rows: int, target: Target, target_error: float | None = None) -> int:
@@ -83,7 +83,7 @@ def count_constants(program: bytes) -> int:
     return program[1 : 1 + program[0]].count(CONSTANT)
 
 
-def _log(value: float) -> float:
+def log(value: float) -> float:
     """Return ln(value), value > 0, by the series of artanh; equal on every machine, unlike the C library's."""
     mantissa, exponent = math.frexp(value)
     if mantissa < _SQRT_HALF:
@@ -169,7 +169,7 @@ def least_term_length(constant_nats: float) -> float:
 
 def constant_nats_of(rows: float) -> float:
     """Return the nats of a fitted constant that so many rows decide, each counted over its correlation length."""
-    return 0.5 * math.log(max(rows, 2.0))
+    return 0.5 * log(max(rows, 2.0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,8 +104,10 @@ def _converged(problem: Problem, path: Elimination, values: FloatArray, allowed:
     limit = problem.target.convergence_error()
     for step in range(len(path.terms) - 1, -1, -1):
         kept, coefficients = path.sum(step)
-        errors = np.array(coefficients) @ values[path.kept(step)] - problem.target.values
-        excess = float(np.abs(errors).mean()) / limit
+        errors = -problem.target.values
+        for coefficient, place in zip(coefficients, path.kept(step), strict=True):
+            errors += coefficient * values[place]
+        excess = math.fsum(np.abs(errors).tolist()) / len(errors) / limit
         if excess <= allowed:
             program = sum_of(kept, coefficients)
             return Law(program, structure_length(program), excess, is_tested=False)

@@ -9,7 +9,7 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program
-from atoll_coordinator.model.criteria import constant_nats_of, structure_length
+from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate
 from atoll_coordinator.model.sparse.weak_form import WeakForm
 from atoll_coordinator.model.structure.term_libraries import Factor, Term, sum_of
@@ -147,8 +147,10 @@ class Regression:
             if found is None:
                 return None
             its = found
-        left = (self._sides - np.array(coefficients) @ self._columns[places]) * its
-        square, independent = float((left * left).mean()), self._form.independent
+        left = self._sides.copy()
+        for coefficient, place in zip(coefficients, places, strict=True):
+            left -= coefficient * self._columns[place]
+        square, independent = math.fsum((left * left * its * its).tolist()) / len(left), self._form.independent
         return Law(
             sum_of(terms, coefficients),
             0.5 * independent * square + float(self._prices[places].sum()),
@@ -172,7 +174,7 @@ class Regression:
             others = [place for place in range(len(self._terms)) if place not in best[1]]
             longer = (self._eliminated(sorted([*best[1], place]), columns, sides) for place in others)
             found = min(longer, default=best)
-            if not others or not found[0] < best[0] - math.log(len(others)):
+            if not others or not found[0] < best[0] - log(len(others)):
                 break
             best = found
         return best[1], best[2]
@@ -186,6 +188,6 @@ class Regression:
         nats = []
         for step in range(len(places)):
             price = float(self._prices[[places[index] for index in path.kept(step)]].sum())
-            nats.append(0.5 * independent * math.log(max(float(path.squares[step]), 1e-300)) + price)
+            nats.append(0.5 * independent * log(max(float(path.squares[step]), 1e-300)) + price)
         step = int(np.argmin(nats))
         return nats[step], [places[index] for index in path.kept(step)], path.sum(step)[1]

@@ -98,12 +98,17 @@ class WeakForm:
         return self.variances_of(np.array([_slope(terms, coefficients, powers, place) for place in places]))
 
     def variances_of(self, slopes: FloatArray) -> FloatArray:
-        """Return the same for a function with these derivatives (V, N) by the variables."""
+        """Return the same for a function with these derivatives (V, N) by the variables.
+
+        What decides which laws there are is summed in a fixed order: they may end a search.
+        """
         squares = self.its.noise * self.its.noise
         own = squares[self.target]
-        found = own * (self.slope * self.slope).sum(axis=1)
+        found = own * self._sums(self.slope * self.slope, np.ones((1, slopes.shape[1])))[0]
         found += 2.0 * own * self._sums(self.slope * self.bump, slopes[self.target : self.target + 1])[0]
-        return np.asarray(found + squares @ self._sums(self.bump * self.bump, slopes * slopes))
+        for square, each in zip(squares.tolist(), self._sums(self.bump * self.bump, slopes * slopes), strict=True):
+            found += square * each
+        return np.asarray(found)
 
     def _sums(self, factors: FloatArray, values: FloatArray) -> FloatArray:
         sums = np.zeros((len(values), len(self.first)))
