@@ -149,11 +149,12 @@ class _Pursuit:
         return [self._made(each) for size in sorted(kept) if size <= most for each in kept[size]]
 
     def _beginnings(self) -> Iterator[_Sum]:
-        """Yield nothing, and all polynomials that are not too large to be eliminated."""
+        """Yield nothing, and all polynomials that the rows decide and that are not too large to be eliminated."""
         yield _Sum((), np.zeros(0), np.zeros(0), self._target)
         for degree in range(1, _DEGREE + 1):
             terms = tuple(index for index, shape in enumerate(self._plain) if len(shape.factors) <= degree)
-            if len(terms) <= SETTINGS.structure.largest_library:
+            most = min(SETTINGS.structure.largest_library, len(self._target) / SETTINGS.sparse.rows_per_term)
+            if len(terms) <= most:
                 its = self._solved(terms, np.ones(len(terms)))
                 if its is not None:
                     yield its
