@@ -10,9 +10,9 @@ from atoll.data.dataset import Target
 from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.model.criteria import (
-    _log,
     count_constants,
     front_length,
+    log,
     select_member,
 )
 from atoll_coordinator.model.refinement import may_be_shown
@@ -79,7 +79,7 @@ def test_scaling_the_target_does_not_change_the_choice():
 
 def test_the_logarithm_is_right_to_a_few_units_in_the_last_place():
     values = [2.0**k * m for k in range(-1000, 1000, 37) for m in (1.0, 1.1, 1.41, 1.42, 1.99)]
-    assert all(abs(_log(v) - math.log(v)) <= 4.5e-16 * max(1.0, abs(math.log(v))) for v in values)
+    assert all(abs(log(v) - math.log(v)) <= 4.5e-16 * max(1.0, abs(math.log(v))) for v in values)
 
 
 @pytest.mark.parametrize(("largest", "may"), [(None, True), (3, True), (2, False)])
