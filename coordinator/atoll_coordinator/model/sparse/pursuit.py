@@ -202,6 +202,8 @@ class _Pursuit:
         """
         left, rest, norms = self._beside(parent)
         usable = np.flatnonzero(norms > _ROUNDING)
+        if len(usable) < 2:
+            return
         unit = rest[usable]
         products = unit @ left
         cosines = unit @ unit.T

@@ -59,3 +59,12 @@ def test_sums_are_few_and_finite():
     assert 0 < len(found) <= SETTINGS.sparse.pursued_kept * SETTINGS.sparse.pursued_constants
     for each in found:
         assert np.isfinite(values_of(each, problem.inputs)).all()
+
+
+@pytest.mark.parametrize("rows", [8, 40])
+def test_inputs_that_do_not_vary_have_constant_sums(rows):
+    values = np.random.default_rng(1).standard_normal(rows)
+    for inputs in (np.ones((2, rows)), np.zeros((2, rows))):
+        found = pursue(Problem(NAMES, inputs, Target("x", "dx/dt", values, 0.0, 1.0)), (0, 1), ALL)
+        assert found
+        assert all(np.ptp(values_of(each, inputs)) == 0.0 for each in found)
