@@ -13,7 +13,7 @@ from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.joint_search import ModellingTask
-from atoll_coordinator.model.selection.piece_lengths import in_stretches, is_nearly_clean
+from atoll_coordinator.model.selection.stretches import in_stretches, is_nearly_clean
 
 
 def excess_of_truth(

@@ -88,6 +88,17 @@ class ModellingTask:
         """Return the indices of the variables that the equation of `variable` may use."""
         return self.config.space.columns_for(variable, self.dataset.names)
 
+    def converged(self, name: str) -> Program | None:
+        """Return the equation that is known, or that a search of a target without noise has converged to."""
+        if name in self.known:
+            return self.known[name]
+        target = self.dataset.problem(name).target
+        if name in self.settled and not target.is_noisy:
+            its = self.settled[name]
+            if its.error <= target.convergence_error(self.config.budget.target_error):
+                return shortest(its.program)
+        return None
+
     def measurements(self, variables: Sequence[str], *, held_out: bool = False) -> Measurements:
         """Return the measurements of a system for these variables."""
         states = [self.recording.states.index(name) for name in variables]
@@ -130,7 +141,7 @@ def ranked_candidates(task: ModellingTask) -> list[list[Program]]:
     where a system of the fronts and of some runners-up leaves noise alone, or none can be simulated however short the
     pieces, there are none but these.
     """
-    converged = [_converged(task, name) for name in task.variables]
+    converged = [task.converged(name) for name in task.variables]
     found = [program for program in converged if program is not None]
     if len(found) == len(converged) and _is_exact(task, found):
         return [[program] for program in found]
@@ -198,18 +209,6 @@ def search_jointly(
         best = _search_locally(task, comparison, best, lists)
     best = comparison.fit_beside(best, best.programs) or best
     return SelectedModel(task, comparison, best, lists)
-
-
-def _converged(task: ModellingTask, name: str) -> Program | None:
-    """Return the equation that is known, or that a search of a target without noise has converged to."""
-    if name in task.known:
-        return task.known[name]
-    target = task.dataset.problem(name).target
-    if name in task.settled and not target.is_noisy:
-        its = task.settled[name]
-        if its.error <= target.convergence_error(task.config.budget.target_error):
-            return shortest(its.program)
-    return None
 
 
 def _compared(

@@ -18,12 +18,13 @@ from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel, exchange
 from atoll_coordinator.model.selection.local_search import LocalSearch
+from atoll_coordinator.model.selection.stretches import in_stretches, is_nearly_clean
 from atoll_coordinator.model.shooting.lyapunov import growth_rate
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.sparse.laws import find_laws
 from atoll_coordinator.settings import SETTINGS
 
-_LEAST_SIZE: Final = 1e-6
+_LEAST_SIZE: Final = 1e-4
 """Errors are taken to be so large, at least. They grow to the root of that, g-fold; the normal equations of constants
 and initial states lose the share g^4 of their double precision, here to 1e-4."""
 
@@ -47,7 +48,7 @@ def with_laws(task: ModellingTask) -> ModellingTask:
 def select_by_laws(task: ModellingTask) -> SelectedModel | None:
     """Return the model that the laws give, None where one of them does not stand at the noise level."""
     lists = [_programs(task, name) for name in task.variables]
-    if not all(lists) or not any(task.laws.values()):
+    if not all(lists) or not task.laws:
         return None
     short = replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1]))
     begun = _begun(short, lists)
@@ -57,6 +58,8 @@ def select_by_laws(task: ModellingTask) -> SelectedModel | None:
     if _rows(task) <= SETTINGS.selection.compared_rows and rows >= longest(task):
         return None
     task = replace(task, piece=min(task.piece, rows))
+    if is_nearly_clean(task):
+        task = in_stretches(task, begun.model.programs)
     comparison = _comparison(task)
     best = comparison.fit_model(begun.model.programs)
     if best is None:
@@ -67,8 +70,11 @@ def select_by_laws(task: ModellingTask) -> SelectedModel | None:
         if equation not in comparison.fixed:
             best = descent.prune(best, equation)
     best = comparison.fit_beside(best, best.programs) or best
-    selection = SelectedModel(task, comparison, best, lists)
-    return selection if comparison.excess(best) <= SETTINGS.inference.excess else None
+    if all(task.laws.values()):
+        is_held = comparison.excess(best) <= SETTINGS.inference.excess
+    else:
+        is_held = comparison.is_exact(best)
+    return SelectedModel(task, comparison, best, lists) if is_held else None
 
 
 def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison) -> int:
@@ -89,18 +95,20 @@ def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison) -> int:
 def _programs(task: ModellingTask, name: str) -> list[Program]:
     """Return the laws of one variable, the best first; none where there is none at the noise level.
 
-    Nor where the search has found a shorter equation, or one that describes the rows about as well.
+    An equation that the search of a target without noise has converged to comes before them if it is shorter, and
+    stands alone where there is no law. There are none where the search has found another one that describes the rows
+    about as well.
     """
     if name in task.known:
         return [task.known[name]]
+    converged = task.converged(name)
     laws = [law for law in task.laws[name] if task.may_be_shown(law.program)]
     if not laws or not laws[0].is_tested or not laws[0].excess <= SETTINGS.inference.excess:
-        return []
-    target, settled = task.dataset.problem(name).target, task.settled.get(name)
-    has_converged = settled is not None and settled.error <= target.convergence_error(task.config.budget.target_error)
-    if settled is not None and has_converged and structure_length(settled.program) < structure_length(laws[0].program):
-        return []
-    return [law.program for law in laws] if laws[0].lead >= SETTINGS.inference.distinct_nats else []
+        return [] if converged is None else [converged]
+    programs = [law.program for law in laws]
+    if converged is not None and structure_length(converged) < structure_length(programs[0]):
+        return [converged, *programs]
+    return programs if laws[0].lead >= SETTINGS.inference.distinct_nats else []
 
 
 def _begun(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
