@@ -64,6 +64,7 @@ class DataConfig(Model):
     order: Literal[1, 2] = Field(1, description="2: positions are measured, the second derivative is sought")
     angles: tuple[Angle, ...] = ()
     only: tuple[str, ...] | None = Field(None, description="search these equations only")
+    stochastic: bool = Field(False, description="seek the drift and the diffusion of a process with noise of its own")
     robust: bool = Field(False, description="smooth so that outliers lose their weight")
     holdout: Annotated[int, Field(ge=1)] | Annotated[str, Field(pattern=r"^.+=.+$")] | None = Field(
         None, description="trajectories kept from the search: so many last ones, or COLUMN=VALUE"

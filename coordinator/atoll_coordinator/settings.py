@@ -276,6 +276,27 @@ class InferenceSettings:
 
 
 @dataclass(frozen=True)
+class ProcessSettings:
+    """Stochastic processes, whose noise is part of the law."""
+
+    fewest_steps: int = 100
+    """Steps from row to row without which no process is sought: a variance is known to 14 % then."""
+    significant: float = 3.0
+    """Standard errors beyond which measurement noise, and a correlation between states, count as seen (p = 0.003)."""
+    bins: int = 512
+    """Bins of steps by which candidates are fitted: enough to decide some twenty terms of two or three states."""
+    compared: int = 4
+    """Candidates of regression that the likelihood compares: it moves them by nats, regression has ranked them."""
+    rounds: int = 4
+    """Most passes over all equations; nearly all end after the second, which changes nothing."""
+    relinearisations: int = 2
+    """Times that a process is linearised about states smoothed by itself, after which its constants move by less than
+    a hundredth of their standard errors."""
+    settled: float = 1e-3
+    """Nats: a fit of the likelihood ends when a step gains less, a hundredth of what counts in a description."""
+
+
+@dataclass(frozen=True)
 class Settings:
     """The numbers of all stages: preparing data, then choosing the model."""
 
@@ -294,6 +315,7 @@ class Settings:
     shooting: ShootingSettings = ShootingSettings()
     selection: SelectionSettings = SelectionSettings()
     inference: InferenceSettings = InferenceSettings()
+    process: ProcessSettings = ProcessSettings()
 
 
 SETTINGS: Final = Settings()

@@ -6,6 +6,7 @@
 - `trajectories`: `Table` and `Roles` -> `Measurements`: rows, trajectories, times, states, split at gaps
 - `differentiation`: `Measurements` -> one `StateEstimate` for each state: values, derivatives, uncertainties
 - `row_selection`: estimates -> `SelectedRows`, and why others are excluded
+- `increments`: `Measurements` of a stochastic process -> `Preparation`, without smoothing
 - `assembly`: all of these -> `Preparation`, which `recording` defines: the dataset of the search and the recording
 
 Data go down this list. Which stage may import which is a contract in pyproject.toml.

@@ -1,13 +1,14 @@
 """From a raw table to the regression problems of a job: the stages of preparation, in order. Pure.
 
 Roles of columns, checks, trajectories; smoothing and differentiation, and once more where gaps in the times split
-trajectories; selection of rows; the `Dataset` of the search and the recording.
+trajectories; selection of rows; the `Dataset` of the search and the recording. A stochastic process is not smoothed.
 """
 
 from atoll.config import JobConfig
 from atoll.data.table import Table
 from atoll_coordinator.data.assembly.datasets import assemble_differentiated, assemble_given
 from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_states
+from atoll_coordinator.data.increments.targets import assemble_process
 from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.data.roles.roles import assign_roles
@@ -31,6 +32,8 @@ def prepare(table: Table, config: JobConfig) -> Preparation:
     measurements = take_measurements(table, roles, options)
     _, equations = resolve_equations(config.model_copy(update={"data": options}), roles, symbols)
 
+    if options.stochastic:
+        return assemble_process(measurements, equations, symbols)
     weights = normalize_weights(measurements.weights)
     if measurements.trajectories is None:
         rows = select_weighty_rows(weights, measurements.searched_rows)

@@ -4,6 +4,7 @@ What cannot be used is refused in one sentence, before anything is searched.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from itertools import combinations_with_replacement
 from typing import Final
 
 from atoll.config import JobConfig, PriorConfig, SpaceConfig
@@ -15,6 +16,7 @@ from atoll.expression.program import Program
 from atoll.expression.simplification import complexity, simplify_program
 from atoll.expression.text.infix import PRINTABLE_SIZE, tree_size
 from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.data.recording import component_name
 from atoll_coordinator.data.roles.left_hand_sides import LeftSides
 from atoll_coordinator.data.roles.roles import Roles
 
@@ -25,11 +27,15 @@ _INDIVIDUALS_PER_GUESS: Final = 4
 def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str]) -> tuple[JobConfig, tuple[str, ...]]:
     """Return the resolved configuration (see `resolve_prior`) and the equations of the job, in order.
 
-    Those are the ones sought, all unless ``--only`` names some, and the known ones. Raises UsageError.
+    Those are the ones sought, all unless ``--only`` names some, and the known ones; of a stochastic process also every
+    component of its diffusion, some of which the data may not show. Raises UsageError.
     """
-    known = _sides(config, roles.equations, symbols).single("--known", config.prior.known)
+    names = roles.equations
+    if config.data.stochastic:
+        names = (*names, *(component_name(*pair) for pair in combinations_with_replacement(roles.states, 2)))
+    known = _sides(config, names, symbols).single("--known", config.prior.known)
     only = config.data.only
-    equations = tuple(name for name in roles.equations if not only or name in only or name in known)
+    equations = tuple(name for name in names if not only or name in only or name in known)
     return resolve_prior(config, equations, symbols), equations
 
 

@@ -4,7 +4,7 @@ The search sees a `atoll.data.dataset.Dataset` of smoothed rows; everything afte
 were measured. Pure data. Letters: R rows of one trajectory, S states, U inputs.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -124,10 +124,59 @@ class Recording:
 
 
 @dataclass(frozen=True, eq=False)
+class SampledPath:
+    """One trajectory of a stochastic process; arrays in C order.
+
+    `name` and `times` (R,) are as in `Trajectory`; `states` (S, R) and `inputs` (U, R) are as they were measured, all
+    finite. `held_out` paths were kept from the search and from every fit.
+    """
+
+    name: str
+    times: FloatArray
+    states: FloatArray
+    inputs: FloatArray
+    held_out: bool = False
+
+
+def component_name(one: str, other: str) -> str:
+    """Return the name of a component of the diffusion: quadratic variation ``[x]`` or covariation ``[x,y]``."""
+    return f"[{one}]" if one == other else f"[{one},{other}]"
+
+
+@dataclass(frozen=True, eq=False)
+class ProcessRecording:
+    """All trajectories of a job whose noise is part of the law: dx = f dt + g dW.
+
+    Names and `offset` are as in `Recording`. `noise` (S,) is a first estimate of the variance of errors of measurement,
+    0 where none are seen; `pairs` are the components of the diffusion g g' that are sought: two indices of states, the
+    first not above the second.
+    """
+
+    states: tuple[str, ...]
+    state_symbols: tuple[str, ...]
+    inputs: tuple[str, ...]
+    input_symbols: tuple[str, ...]
+    offset: float
+    paths: tuple[SampledPath, ...]
+    noise: FloatArray | None = None
+    pairs: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of the components of the diffusion: quadratic variations ``[x]`` and covariations ``[x,y]``."""
+        return tuple(component_name(self.states[i], self.states[j]) for i, j in self.pairs)
+
+    def with_findings(self, noise: FloatArray, pairs: tuple[tuple[int, int], ...]) -> "ProcessRecording":
+        """Return the same with the noise and the components of the diffusion that the data show."""
+        return replace(self, noise=noise, pairs=pairs)
+
+
+@dataclass(frozen=True, eq=False)
 class Preparation:
     """What preparing a table gives.
 
-    `dataset` is what the search sees; `recording` is None where the left-hand sides were given; `held_out` has the same
+    `dataset` is what the search sees; `recording` is None where the left-hand sides were given, and where noise is part
+    of the law, of which `process` has the trajectories (None elsewhere); `held_out` has the same
     targets over rows of held-out trajectories, with uncertainty, standard deviation and noise of `dataset`, None where
     there are none. `weights` say how much each row of `dataset` counts where the left-hand sides were given; None: all
     are 1.
@@ -137,3 +186,4 @@ class Preparation:
     recording: Recording | None = None
     held_out: Dataset | None = None
     weights: FloatArray | None = None
+    process: ProcessRecording | None = None

@@ -1,11 +1,12 @@
 """From the fronts of a search to the model that is shown and its verdict: the whole way on one page.
 
 1. The programs of the search are decoded, and stand beside guesses and known equations (selection/candidates.py).
-2. Without trajectories, each variable's equation is fitted to its target, and that is all (regression/equation.py).
-3. With trajectories, equations of noise-free targets that converged are fitted first, and stand.
-4. Systems of candidates are fitted to the trajectories and compared; the shortest description is the model
+2. A stochastic process goes its own way from there (stochastic/).
+3. Without trajectories, each variable's equation is fitted to its target, and that is all (regression/equation.py).
+4. With trajectories, equations of noise-free targets that converged are fitted first, and stand.
+5. Systems of candidates are fitted to the trajectories and compared; the shortest description is the model
    (selection/piece_lengths.py, which goes through selection/joint_search.py and selection/local_search.py).
-5. Its constants get errors, it is compared with its alternatives, simulated and judged (inference/conclusion.py).
+6. Its constants get errors, it is compared with its alternatives, simulated and judged (inference/conclusion.py).
 """
 
 import os
@@ -24,6 +25,8 @@ from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.joint_search import ModellingTask
 from atoll_coordinator.model.selection.piece_lengths import select_model
+from atoll_coordinator.model.stochastic.choice import ProcessChoice
+from atoll_coordinator.model.stochastic.conclusion import summarize_process
 
 NOT_SIMULATED: Final = (
     "No system of equations could be simulated along the measured trajectories; those shown fit the derivatives alone."
@@ -56,6 +59,11 @@ def refine_all(
 
 def _refined(preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline) -> Refinement:
     candidates = collect_candidates(preparation.dataset, config, pools)
+    if preparation.process is not None:
+        choice = ProcessChoice(preparation.dataset, preparation.process, config, candidates, deadline)
+        chosen = choice.choose()
+        deadline.begin_last_stage()
+        return summarize_process(chosen, preparation.dataset, config, candidates)
     if preparation.recording is None:
         return Refinement(_by_regression(preparation, config, candidates, deadline))
     converged = {name: those for name, those in candidates.items() if _has_converged(preparation, config, name, those)}
@@ -64,9 +72,9 @@ def _refined(preparation: Preparation, config: JobConfig, pools: Pools, deadline
         task = ModellingTask(
             preparation.dataset, preparation.recording, config, candidates, settled, executor, deadline=deadline
         )
-        choice = select_model(task)
+        selected = select_model(task)
         deadline.begin_last_stage()
-        model = None if choice is None else summarize(choice)
+        model = None if selected is None else summarize(selected)
     if model is not None:
         return model
     unsettled = {name: those for name, those in candidates.items() if name not in converged}

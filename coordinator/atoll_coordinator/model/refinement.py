@@ -232,6 +232,59 @@ class Simulation:
 
 
 @dataclass(frozen=True, eq=False)
+class Ensemble:
+    """Paths of a process from where the trajectory of this `name` begins, at its `times` (R,), centred.
+
+    `kept` of so many `paths` have finite states to the end. `mean`, `lower`, `median` and `upper` (S, R) are theirs,
+    the bounds those that 5 % lie beyond on either side.
+    """
+
+    name: str
+    kept: int
+    paths: int
+    times: FloatArray
+    mean: FloatArray
+    lower: FloatArray
+    median: FloatArray
+    upper: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class StationaryDensity:
+    """The density of each state that a process settles into.
+
+    `edges` (S, B + 1) bound the bins of `density` and of `measured` (S, B), the density of the measurements; `overlap`
+    (S,) is the integral of the lesser of both, `mean` and `deviation` (S,) are those of the process.
+    """
+
+    edges: FloatArray
+    density: FloatArray
+    measured: FloatArray
+    overlap: FloatArray
+    mean: FloatArray
+    deviation: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ProcessFindings:
+    """What is known of a stochastic process as a whole.
+
+    `steps` were measured, of this median `length`; `log_likelihood` is the mean of a step in nats, `held_out` that of
+    steps that took no part (None without). `noise` has the standard deviation of the errors of measurement of the
+    states that show any; `stationary` is None where the process does not settle.
+    """
+
+    states: tuple[str, ...]
+    steps: int
+    length: float
+    log_likelihood: float
+    held_out: float | None
+    noise: Mapping[str, Constant]
+    ensemble: Ensemble | None
+    stationary: StationaryDensity | None
+
+
+@dataclass(frozen=True, eq=False)
 class Refinement:
     """Everything that refining a job gives; `equations` lacks variables of which the front has nothing better."""
 
@@ -241,6 +294,7 @@ class Refinement:
     errors: Mapping[str, StateErrors] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     chaos: Chaos | None = None
+    process: ProcessFindings | None = None
     end: RefiningEnd = "finished"
 
 

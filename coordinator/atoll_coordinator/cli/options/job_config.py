@@ -138,8 +138,9 @@ def _given(options: argparse.Namespace) -> dict[str, Any]:
         text = getattr(options, option)
         if text is not None:
             values[key] = read(text, _flag(option))
-    if options.robust:
-        values["data.robust"] = True
+    for switch in ("robust", "stochastic"):
+        if getattr(options, switch):
+            values[f"data.{switch}"] = True
     if options.angle is not None:
         values["data.angles"] = [_angle(text) for text in options.angle]
     values |= prior_settings({_flag(option): getattr(options, option) for option in _PRIOR})

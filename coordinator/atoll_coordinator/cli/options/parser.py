@@ -201,6 +201,11 @@ def _add_data(group: Any) -> None:
     group.add_argument("--missing", metavar="refuse|drop", help="what to do with NaN and infinity (default: refuse)")
     group.add_argument("--robust", action="store_true", help="smooth so that outliers lose their weight")
     group.add_argument(
+        "--stochastic",
+        action="store_true",
+        help="noise is part of the law: seek drift and diffusion of dx = f dt + g dW",
+    )
+    group.add_argument(
         "--holdout", metavar="K|run=4", help="keep K last trajectories, or that one, from the search, to judge by them"
     )
     group.add_argument(

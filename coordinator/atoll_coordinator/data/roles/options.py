@@ -73,7 +73,24 @@ def check_options(config: DataConfig) -> None:
     if config.offsets and (config.target is not None or config.derivatives is not None):
         other = "--target" if config.target is not None else "--derivatives"
         raise UsageError(f"--offsets and {other} exclude each other; offsets belong to states measured in time")
+    _check_stochastic(config)
     _check_parts(config)
+
+
+def _check_stochastic(config: DataConfig) -> None:
+    """Raise UsageError when an option is given that means nothing where noise is part of the law."""
+    reasons = {
+        "--target": (config.target is not None, "an explicit regression has no process"),
+        "--derivatives": (config.derivatives is not None, "the steps of a process are those of its states"),
+        "--order 2": (config.order == 2, "name the velocities among the states instead"),
+        "--only": (config.only is not None, "the likelihood of a step is that of all states"),
+        "--robust": (config.robust, "nothing is smoothed"),
+        "--weights": (config.weights is not None, "the diffusion says how much each step counts"),
+        "--offsets": (bool(config.offsets), "increments know nothing of offsets"),
+    }
+    for option, (is_given, reason) in reasons.items():
+        if config.stochastic and is_given:
+            raise UsageError(f"--stochastic and {option} exclude each other; {reason}")
 
 
 def _check_parts(config: DataConfig) -> None:

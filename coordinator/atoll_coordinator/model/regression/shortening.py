@@ -55,11 +55,15 @@ class Shortening:
         variables: Collection[int] | None = None,
         weights: FloatArray | None = None,
         deadline: Deadline | None = None,
+        *,
+        has_simple_numbers: bool = True,
     ) -> None:
         """`operators` (codes) and `variables` (indices, all unless given) are what new programs may bring in.
 
-        `weights` (R,) of the rows are 1 on average; None: all alike.
+        `weights` (R,) of the rows are 1 on average; None: all alike. Without `has_simple_numbers`, constants stay as
+        they are fitted.
         """
+        self._has_simple_numbers = has_simple_numbers
         self.criterion: Final = RegressionCriterion.of(problem.target)
         self.least_squares: Final = LeastSquares(problem, weights)
         self._variables = range(len(problem.names)) if variables is None else variables
@@ -113,7 +117,12 @@ class Shortening:
         for fitted in fits:
             key = structure(fitted.program)
             if key not in found:
-                found[key] = Candidate(member, fitted, round_constants(fitted, self.criterion, self.least_squares))
+                found[key] = Candidate(member, fitted, self._model(fitted))
+
+    def _model(self, fitted: Fitted) -> Model:
+        if self._has_simple_numbers:
+            return round_constants(fitted, self.criterion, self.least_squares)
+        return Model(fitted.program, description_length(fitted, self.criterion), fitted.mse)
 
     def _fitted(self, program: Program, enough: float = 0.0) -> Fitted:
         """Return `program` fitted; less well when it is not going to come near the mean squared error `enough`."""

@@ -14,6 +14,7 @@ from atoll.expression.text.export import to_latex
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.report import tables
+from atoll_coordinator.model.report.process import process_lines
 
 FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
 DIGITS: Final = 6
@@ -99,6 +100,7 @@ def render_text(result: Mapping[str, Any], *, fronts: bool = False) -> str:
         blocks += [*tables.noise_lines(result), *tables.simulation_table(result), *tables.correlation_lines(result)]
     else:
         blocks += tables.summary(result)
+    blocks += process_lines(result)
     blocks += [f"warning: {warning}" for warning in result.get("warnings", ())]
     evaluations, seconds = result["point_evaluations"], result["search_seconds"]
     blocks.append(f"{_count(evaluations)} point evaluations in {_number(seconds)} s of search, seed {result['seed']}")

@@ -29,6 +29,7 @@ from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.report.diagnostics import noise, smoothing
 from atoll_coordinator.model.report.digest import result_digest
 from atoll_coordinator.model.report.numbers import finite
+from atoll_coordinator.model.report.process import process
 from atoll_coordinator.model.report.trust import candidates, chaos, correlations, prediction, simulation, verdict
 
 SCHEMA: Final = 1
@@ -107,6 +108,7 @@ def build_result(
         "correlations": correlations(model.correlations),
         "simulation": simulation(model.simulation, preparation.recording),
         "chaos": chaos(model.chaos),
+        "process": process(model.process, preparation.process),
         "symbols": dict(dataset.symbols),
         "refining": model.end if account.state == "done" else None,
         "warnings": [*dataset.warnings, *model.warnings],

@@ -1,0 +1,102 @@
+"""What a result says of a stochastic process as a whole: as a dictionary for ``result.json``, and in lines of text."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from atoll_coordinator.data.recording import ProcessRecording
+from atoll_coordinator.model.refinement import Ensemble, ProcessFindings, StationaryDensity
+from atoll_coordinator.model.report.numbers import curve, finite, thinned
+from atoll_coordinator.model.report.tables import percent, plus_minus
+
+MOST_POINTS: Final = 101
+"""Times at which an ensemble is reported."""
+_BLOCKS: Final = " ▁▂▃▄▅▆▇█"
+
+
+def process(its: ProcessFindings | None, recording: ProcessRecording | None) -> dict[str, Any] | None:
+    """Return what is known of the process, times as in the user's file; None when the job seeks none."""
+    if its is None or recording is None:
+        return None
+    return {
+        "steps": its.steps,
+        "step": finite(its.length),
+        "log_likelihood": finite(its.log_likelihood),
+        "held_out_log_likelihood": finite(its.held_out),
+        "measurement_noise": {
+            state: {
+                "sd": finite(sd.value),
+                "std_error": finite(sd.std_error),
+                "interval": None if sd.interval is None else [finite(bound) for bound in sd.interval],
+            }
+            for state, sd in its.noise.items()
+        },
+        "ensemble": _ensemble(its.ensemble, its.states, recording.offset),
+        "stationary": _stationary(its.stationary, its.states),
+    }
+
+
+def _ensemble(its: Ensemble | None, states: tuple[str, ...], offset: float) -> dict[str, Any] | None:
+    if its is None:
+        return None
+    rows = thinned(len(its.times), MOST_POINTS)
+    curves = {"mean": its.mean, "lower": its.lower, "median": its.median, "upper": its.upper}
+    return {
+        "trajectory": its.name,
+        "paths": its.paths,
+        "finite_paths": its.kept,
+        "times": curve(its.times[rows] + offset, digits=12),
+        **{
+            key: {state: curve(values[index, rows]) for index, state in enumerate(states)}
+            for key, values in curves.items()
+        },
+    }
+
+
+def _stationary(its: StationaryDensity | None, states: tuple[str, ...]) -> dict[str, Any] | None:
+    if its is None:
+        return None
+    return {
+        state: {
+            "mean": finite(float(its.mean[index])),
+            "sd": finite(float(its.deviation[index])),
+            "overlap": finite(float(its.overlap[index])),
+            "edges": curve(its.edges[index]),
+            "density": curve(its.density[index]),
+            "measured": curve(its.measured[index]),
+        }
+        for index, state in enumerate(states)
+    }
+
+
+def process_lines(result: Mapping[str, Any]) -> list[str]:
+    """Return lines about the process of a result; none when it has none."""
+    its = result.get("process")
+    if its is None:
+        return []
+    lines = [
+        f"errors of measurement of {state}: {plus_minus(noise['sd'], noise['std_error'] or 0.0)}"
+        for state, noise in its["measurement_noise"].items()
+    ]
+    ensemble = its["ensemble"]
+    if ensemble is not None:
+        ranges = [
+            f"{state} from {ensemble['lower'][state][-1]:.3g} to {ensemble['upper'][state][-1]:.3g}"
+            for state in ensemble["mean"]
+        ]
+        start = f"{ensemble['finite_paths']} paths from the beginning of trajectory {ensemble['trajectory']}"
+        lines.append(f"ensemble: {start}; at t = {ensemble['times'][-1]:.6g} 90 % have {', '.join(ranges)}")
+    if its["stationary"] is None:
+        return [*lines, "stationary density: none that simulations settle into"]
+    for state, density in its["stationary"].items():
+        edges = density["edges"]
+        lines.append(
+            f"stationary density of {state}: {density['mean']:.3g} ± {density['sd']:.3g}, overlaps the measured one by "
+            f"{percent(density['overlap'])}"
+        )
+        lines.append(f"    {edges[0]:.3g} {_bars(density['density'])} {edges[-1]:.3g}")
+    return lines
+
+
+def _bars(values: list[float]) -> str:
+    most = max(values) or 1.0
+    return "".join(_BLOCKS[round((len(_BLOCKS) - 1) * value / most)] for value in values)

@@ -1,0 +1,146 @@
+"""Which equations together are the law of a process: one after another exchanged, the shortest description wins.
+
+The description length is minus the log-likelihood of all steps, the prices of the programs and the digits that their
+standard errors leave the constants. Candidates come from regression by the model so far, and are fitted by the
+likelihood, the other equations as they are; then all together, and so on until none is exchanged.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from atoll.config import JobConfig
+from atoll.data.dataset import Dataset
+from atoll.expression.builder import ProgramBuilder
+from atoll.expression.program import Program, constant_places, structure
+from atoll_coordinator.data.increments.steps import Steps, take_steps
+from atoll_coordinator.data.recording import ProcessRecording
+from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.deadline import Deadline
+from atoll_coordinator.model.regression.simple_numbers import fitted_length
+from atoll_coordinator.model.selection.candidates import CandidateSet
+from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
+from atoll_coordinator.model.stochastic.regression import CandidateFinder
+from atoll_coordinator.model.structure.moves.reductions import reductions
+from atoll_coordinator.settings import SETTINGS
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A program in the place of one equation of a model, its constants fitted, and its description length in nats."""
+
+    program: Program
+    nats: float
+
+
+@dataclass(frozen=True, eq=False)
+class ChosenProcess:
+    """The law of a process: `fitted`, all constants free but those of known equations; `rivals` of each equation.
+
+    `variables` are the names of the equations in their order, `free` the numbers of those that were sought.
+    """
+
+    process: ProcessRecording
+    variables: tuple[str, ...]
+    free: tuple[int, ...]
+    likelihood: ProcessLikelihood
+    fitted: FittedProcess
+    rivals: tuple[Sequence[Rival], ...]
+
+
+class ProcessChoice:
+    """Chooses the equations of one process."""
+
+    def __init__(
+        self, dataset: Dataset, process: ProcessRecording, config: JobConfig, candidates: Mapping[str, CandidateSet],
+        deadline: Deadline,
+    ) -> None:  # fmt: skip
+        self._deadline = deadline
+        self._process, self._candidates = process, candidates
+        self._variables = (*process.states, *process.components)
+        self._steps: Steps = take_steps(process)
+        self._likelihood = ProcessLikelihood(self._steps)
+        self._finder = CandidateFinder(self._steps, dataset.names, self._variables, config, deadline)
+        known = [each for each, its in candidates.items() if its.known is not None]
+        self._free = tuple(k for k, name in enumerate(self._variables) if name not in known)
+        self._rivals: list[dict[bytes, Rival]] = [{} for _ in self._variables]
+
+    def choose(self) -> ChosenProcess:
+        """Return the law of the process."""
+        model = self._first_model()
+        length = math.inf
+        for number_of_round in range(SETTINGS.process.rounds):
+            before = length
+            for number in self._free:
+                model, length = self._exchanged(model, number, looks_around=number_of_round == 0)
+            fitted = self._refitted(model)
+            model = fitted.model
+            if before - length < SETTINGS.inference.distinct_nats or self._deadline.is_over:
+                break
+        rivals = tuple(sorted(each.values(), key=lambda rival: rival.nats) for each in self._rivals)
+        return ChosenProcess(self._process, self._variables, self._free, self._likelihood, fitted, rivals)
+
+    def _first_model(self) -> ProcessModel:
+        """Return the model of Brownian motion: no equation depends on anything, but for known ones."""
+        time = float(self._steps.lengths.sum())
+        states = len(self._process.states)
+        drift = [_constant(float(its.sum()) / time) for its in self._steps.increments]
+        rates = [float((self._steps.increments[i] * self._steps.increments[j]).sum()) / time
+                 for i, j in self._process.pairs]  # fmt: skip
+        programs = [*drift, *map(_constant, rates)]
+        for number, name in enumerate(self._variables):
+            known = self._candidates[name].known if name in self._candidates else None
+            programs[number] = programs[number] if known is None else known
+        noise = np.zeros(states) if self._process.noise is None else self._process.noise
+        return ProcessModel(
+            tuple(programs[:states]), tuple(programs[states:]), self._process.pairs, tuple(noise.tolist())
+        )
+
+    def _refitted(self, model: ProcessModel) -> FittedProcess:
+        """Return the model with all its constants fitted; where there is noise, about states smoothed by itself."""
+        fitted = self._likelihood.fit(model, self._free)
+        for _ in range(SETTINGS.process.relinearisations if any(model.noise) else 0):
+            self._likelihood = ProcessLikelihood(self._steps, self._likelihood.smoothed(fitted.model))
+            fitted = self._likelihood.fit(fitted.model, self._free)
+        return fitted
+
+    def _exchanged(self, model: ProcessModel, number: int, *, looks_around: bool) -> tuple[ProcessModel, float]:
+        """Return the model with the best candidate for one equation, itself when there is none better, and its length.
+
+        That is the length of the steps and of this equation.
+        """
+        rivals = self._rivals[number] = {}
+        name = self._variables[number]
+        begun = self._candidates[name].programs if name in self._candidates else []
+        found = self._finder.find(number, model, begun, looks_around=looks_around)
+        best, length = model, self._taken_in(rivals, model, number)[1]
+        for program in found[: SETTINGS.process.compared]:
+            tried, its = self._taken_in(rivals, model.with_program(number, program), number)
+            if its < length:
+                best, length = tried, its
+        while not self._deadline.is_over:
+            reduced = [each for each in reductions(best.programs[number]) if structure(each) not in rivals]
+            shorter = [self._taken_in(rivals, best.with_program(number, program), number) for program in reduced]
+            tried, its = min(shorter, key=lambda each: each[1], default=(best, math.inf))
+            if not its < length:
+                break
+            best, length = tried, its
+        return best, length
+
+    def _taken_in(self, rivals: dict[bytes, Rival], model: ProcessModel, number: int) -> tuple[ProcessModel, float]:
+        """Return the model with one equation fitted, and its description length, which the rivals keep."""
+        fitted = self._likelihood.fit(model, (number,), SETTINGS.effort.brief_steps)
+        program = fitted.model.programs[number]
+        places = constant_places(program)
+        errors = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0)).tolist()
+        constants = sum(map(fitted_length, program.constants[places].tolist(), errors))
+        nats = fitted.misfit + structure_length(program) + constants
+        rivals[structure(program)] = Rival(program, nats)
+        return fitted.model, nats
+
+
+def _constant(value: float) -> Program:
+    builder = ProgramBuilder()
+    return builder.program(builder.build(value))

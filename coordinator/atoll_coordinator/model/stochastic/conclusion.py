@@ -1,0 +1,301 @@
+"""From the chosen law of a process to what is reported: constants with errors, rivals, verdicts, ensembles.
+
+Of a right law the whitened steps are independent, normal and of variance one, whatever the state. Each is tested:
+neighbours (Ljung & Box 1978), means and squares in bins of the states (chi-square), and the fourth moment.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll.config import JobConfig
+from atoll.data.dataset import Dataset, FloatArray
+from atoll.expression.evaluation import values_of
+from atoll.expression.program import Program, constant_places, with_constants
+from atoll_coordinator.data.increments.bins import Rows, split_into_bins
+from atoll_coordinator.data.increments.steps import take_steps
+from atoll_coordinator.model.inference.residuals import check
+from atoll_coordinator.model.refinement import (
+    Alternative,
+    Constant,
+    Grade,
+    Origin,
+    ProcessFindings,
+    Refined,
+    Refinement,
+)
+from atoll_coordinator.model.regression.covariance import Known, describe, student_95
+from atoll_coordinator.model.regression.errors import errors_on
+from atoll_coordinator.model.regression.rounding import round_estimates
+from atoll_coordinator.model.selection.candidates import CandidateSet, form
+from atoll_coordinator.model.stochastic.choice import ChosenProcess
+from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
+from atoll_coordinator.model.stochastic.simulation import Simulator, settle, simulate_ensemble
+from atoll_coordinator.model.structure.unit_coefficients import (
+    ExplicitCoefficients,
+    as_written,
+    make_coefficients_explicit,
+    write_factors,
+)
+from atoll_coordinator.settings import SETTINGS
+
+
+@dataclass(frozen=True, eq=False)
+class _Equation:
+    """One equation as it is shown: what is known of its constants."""
+
+    program: Program
+    known: Known
+
+
+def summarize_process(
+    chosen: ChosenProcess, dataset: Dataset, config: JobConfig, candidates: Mapping[str, CandidateSet]
+) -> Refinement:
+    """Return the refinement that the chosen law gives."""
+    fitted, equations = _written(chosen)
+    shown = fitted.model
+    for number, equation in enumerate(equations):
+        shown = shown.with_program(number, equation.program)
+    verdicts = _judge(chosen, fitted.model, equations)
+    refined = {}
+    for number, (name, equation) in enumerate(zip(chosen.variables, equations, strict=True)):
+        if number not in chosen.free:
+            continue
+        its = candidates.get(name, CandidateSet())
+        error, mse = errors_on(dataset.problem(name), equation.program, config.evolution.loss)
+        grade, reason = verdicts[number]
+        refined[name] = Refined(
+            None,
+            equation.program,
+            error,
+            mse,
+            equation.known.written,
+            equation.known.unit_coefficients,
+            _alternatives(chosen, number, equation.program, its),
+            grade,
+            reason,
+            _origin(equation.program, its),
+        )
+    return Refinement(refined, process=_findings(chosen, fitted, shown, config.seed))
+
+
+def _written(chosen: ChosenProcess) -> tuple[FittedProcess, list[_Equation]]:
+    """Return the law with all its factors as constants, fitted, and its equations as they are written.
+
+    Factors of one are written where their intervals do not hold one.
+    """
+    programs = list(chosen.fitted.model.programs)
+    for _ in range(2):
+        opened = [
+            make_coefficients_explicit(program) if number in chosen.free else as_written(program)
+            for number, program in enumerate(programs)
+        ]
+        fitted = _fitted(chosen, opened)
+        described = _described(chosen, fitted, opened, programs)
+        refuted = [each.refuted_factors for each in described]
+        if not any(refuted):
+            break
+        programs = [
+            write_factors(explicit, its, factors) if factors else program
+            for explicit, its, factors, program in zip(opened, fitted.model.programs, refuted, programs, strict=True)
+        ]
+    places = _slices(chosen, fitted.model)
+    covariance, equations = fitted.covariance, []
+    for number, (program, explicit) in enumerate(zip(programs, opened, strict=True)):
+        if number in chosen.free:
+            origins = {origin: k for k, origin in enumerate(explicit.origins) if origin is not None}
+            written = [origins[constant] for constant in range(len(origins))]
+            values = fitted.model.parameters(chosen.free)[places[number]][written]
+            its = covariance[places[number], places[number]][np.ix_(written, written)]
+            program = _rounded(program, values, its)
+        equations.append(program)
+    described = _described(chosen, fitted, opened, equations)
+    return fitted, [_Equation(*each) for each in zip(equations, described, strict=True)]
+
+
+def _fitted(chosen: ChosenProcess, opened: Sequence[ExplicitCoefficients]) -> FittedProcess:
+    model = chosen.fitted.model
+    for number, explicit in enumerate(opened):
+        model = model.with_program(number, explicit.program)
+    return chosen.likelihood.fit(model, chosen.free)
+
+
+def _slices(chosen: ChosenProcess, model: ProcessModel) -> dict[int, slice]:
+    """Return where the constants of each equation stand among the parameters."""
+    found, first = {}, 0
+    for number in chosen.free:
+        count = len(constant_places(model.programs[number]))
+        found[number] = slice(first, first + count)
+        first += count
+    return found
+
+
+def _described(
+    chosen: ChosenProcess, fitted: FittedProcess, opened: Sequence[ExplicitCoefficients], programs: Sequence[Program]
+) -> list[Known]:
+    """Return what is known of the constants of `programs`, as they are written."""
+    errors = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
+    values, places = fitted.model.parameters(chosen.free), _slices(chosen, fitted.model)
+    quantile = student_95(float(len(chosen.likelihood.steps.lengths) - len(values)))
+    found = []
+    for number, (explicit, program) in enumerate(zip(opened, programs, strict=True)):
+        if number in chosen.free:
+            its = places[number]
+            found.append(describe(explicit, program, values[its].tolist(), errors[its].tolist(), quantile))
+        else:
+            constants = program.constants[constant_places(program)].tolist()
+            found.append(Known(tuple(map(Constant, constants)), ()))
+    return found
+
+
+def _rounded(program: Program, values: FloatArray, covariance: FloatArray) -> Program:
+    """Return `program` with its constants as far as their standard errors leave them digits."""
+    places = constant_places(program)
+    if not places:
+        return program
+    rounded = round_estimates(values, covariance, estimates=range(len(places))).values
+    return with_constants(program, dict(zip(places, rounded.tolist(), strict=True)))
+
+
+def _alternatives(
+    chosen: ChosenProcess, number: int, program: Program, candidates: CandidateSet
+) -> tuple[Alternative, ...]:
+    rivals = [each for each in chosen.rivals[number] if math.isfinite(each.nats)]
+    best = rivals[0].nats if rivals else 0.0
+    first = Alternative(program, 0.0, None, is_shown=True, origin=_origin(program, candidates))
+    rest = [
+        Alternative(its.program, its.nats - best, None, origin=_origin(its.program, candidates)) for its in rivals[1:]
+    ]
+    return (first, *rest)
+
+
+def _origin(program: Program, candidates: CandidateSet) -> Origin:
+    """Return where an equation comes from, whatever its constants and factors are."""
+    sources: dict[Origin, Sequence[Program]] = {
+        "front": [member.program for member in candidates.front],
+        "runner-up": candidates.runners_up,
+        "guess": candidates.guesses,
+    }
+    key = form(make_coefficients_explicit(program).program)
+    for origin, programs in sources.items():
+        if any(form(make_coefficients_explicit(each).program) == key for each in programs):
+            return origin
+    return "descent"
+
+
+# ------------------------------------------------------------------------------------------------- verdicts
+
+
+def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equation]) -> list[tuple[Grade, str]]:
+    """Return grade and reason of each equation."""
+    residuals = chosen.likelihood.whitened(model).residuals
+    steps = chosen.likelihood.steps
+    bins = split_into_bins(steps.points, SETTINGS.effort.kept)
+    states = len(model.drift)
+    found: list[tuple[Grade, str]] = []
+    for number, equation in enumerate(equations):
+        if number < states:
+            clauses = _drift_objections(residuals[number], bins, steps.follows)
+        else:
+            i, j = model.pairs[number - states]
+            clauses = _diffusion_objections(residuals[i], residuals[j], bins, is_variance=i == j)
+        clauses += _doubts(chosen, number, equation)
+        if not clauses:
+            good = "The steps it leaves are independent and without a pattern over the states"
+            found.append(("good", good + (", and their sizes are normal." if number >= states else ".")))
+        else:
+            text = ", and ".join(clauses[:2])
+            found.append(("doubtful", text[0].upper() + text[1:] + "."))
+    return found
+
+
+def _drift_objections(residuals: FloatArray, bins: Sequence[Rows], follows: npt.NDArray[np.bool_]) -> list[str]:
+    """Return what speaks against the drift of one state, from the whitened steps (N,)."""
+    clauses = []
+    pattern = _pattern([residuals[rows] for rows in bins])
+    if pattern < SETTINGS.inference.improbable:
+        clauses.append(f"the steps it leaves follow a pattern over the states (p = {pattern:.1g})")
+    pieces = np.split(residuals, np.flatnonzero(~follows)[1:])
+    serial = check(pieces, 1.0).patterned
+    if min(serial, 1.0 - serial) < SETTINGS.inference.improbable / 2.0:
+        clauses.append(f"steps go together with those before them (p = {2.0 * min(serial, 1.0 - serial):.1g})")
+    return clauses
+
+
+def _diffusion_objections(one: FloatArray, other: FloatArray, bins: Sequence[Rows], *, is_variance: bool) -> list[str]:
+    """Return what speaks against a component of the diffusion, from the whitened steps (N,) of its two states."""
+    from scipy import special
+
+    products = one * other - (1.0 if is_variance else 0.0)
+    clauses = []
+    pattern = _pattern([products[rows] for rows in bins])
+    if pattern < SETTINGS.inference.improbable:
+        clauses.append(f"the squares of the steps it leaves follow a pattern over the states (p = {pattern:.1g})")
+    kurtosis = float(np.mean(one**4)) - 3.0
+    chance = float(special.ndtr(-kurtosis / math.sqrt(24.0 / len(one))))
+    if is_variance and chance < SETTINGS.inference.improbable:
+        clauses.append(f"steps are larger now and then than normal ones (excess kurtosis {kurtosis:.2g})")
+    return clauses
+
+
+def _pattern(parts: Sequence[FloatArray]) -> float:
+    """Return the probability of means of `parts` as large as these if all have mean zero."""
+    from scipy import special
+
+    variance = float(np.var(np.concatenate(parts)))
+    squares = [len(part) * float(np.mean(part)) ** 2 / variance for part in parts if len(part)]
+    return float(special.chdtrc(len(squares), math.fsum(squares)))
+
+
+def _doubts(chosen: ChosenProcess, number: int, equation: _Equation) -> list[str]:
+    """Return what makes an equation doubtful beside its residuals: constants, and rivals that say something else."""
+    clauses = []
+    if any(not each.identifiable for each in equation.known.written) and len(equation.known.written) > 1:
+        clauses.append("a constant is not determined: its interval holds zero")
+    rivals = chosen.rivals[number]
+    points = chosen.likelihood.steps.points
+    values = values_of(equation.program, points)
+    for rival in rivals[1:]:
+        apart = rival.nats - rivals[0].nats
+        if not apart < SETTINGS.inference.distinct_nats:
+            break
+        away = values_of(rival.program, points) - values
+        if float(np.mean(away * away)) > SETTINGS.inference.part**2 * float(np.mean(values * values)):
+            clauses.append(f"another equation describes the data about as well ({apart:.1f} nats apart)")
+            break
+    return clauses
+
+
+# ------------------------------------------------------------------------------------------------- simulations
+
+
+def _findings(chosen: ChosenProcess, fitted: FittedProcess, shown: ProcessModel, seed: int) -> ProcessFindings:
+    """Return what is known of the process as a whole."""
+    process, steps = chosen.process, chosen.likelihood.steps
+    errors = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
+    noisy = [state for state, variance in zip(process.states, shown.noise, strict=True) if variance > 0.0]
+    relative = errors[len(errors) - len(noisy) :].tolist()
+    noise = {}
+    for state, its in zip(noisy, relative, strict=True):
+        sd = math.sqrt(fitted.model.noise[process.states.index(state)])
+        bounds = (sd * math.exp(-1.96 * its), sd * math.exp(1.96 * its)) if its < 50.0 else None
+        noise[state] = Constant(sd, sd, sd * its, bounds)
+    simulator = Simulator(shown, np.random.default_rng(seed))
+    unseen = take_steps(process, held_out=True)
+    held_out = None
+    if len(unseen.lengths):
+        misfit = ProcessLikelihood(unseen).whitened(shown).misfit
+        held_out = -misfit / len(unseen.lengths)
+    return ProcessFindings(
+        process.states,
+        len(steps.lengths),
+        float(np.median(steps.lengths)),
+        -fitted.misfit / len(steps.lengths),
+        held_out,
+        noise,
+        simulate_ensemble(simulator, process),
+        settle(simulator, process, steps),
+    )

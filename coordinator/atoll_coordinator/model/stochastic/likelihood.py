@@ -1,0 +1,233 @@
+"""The likelihood of a sampled process, and the fit of its constants: independent Gaussian steps, or a Kalman smoother.
+
+Without errors of measurement, steps are independent given where they begin (`moments`). With errors e of variance Q
+a step from y = x + e leaves, to first order in the errors, r_k = w_k + e_k+1 - A_k e_k, A_k being the Jacobian of a
+step: all steps together are normal with a covariance that is block tridiagonal,
+
+    cov(r_k) = V_k + Q + A_k Q A_k',    cov(r_k, r_k+1) = - Q A_k+1'
+
+which is the likelihood of the extended Kalman filter, linearised about smoothed states (Särkkä 2013, section 9.1). Its
+factor L of Cholesky is banded. Whitened residuals z = L^-1 r and logarithms l of the diagonal of L give minus the
+log-likelihood as sum(z^2)/2 + sum(l), and the information of a constant pair as the sum of products of the derivatives
+of z and of l: for the covariance part, E |dz|^2 + |dl|^2 = 1/2 tr (C^-1 dC)^2. Letters: S states, N steps, K constants.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.program import Program, constant_places, with_constants
+from atoll_coordinator.data.increments.steps import Steps
+from atoll_coordinator.model.damping import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING
+from atoll_coordinator.model.stochastic.moments import Pair, StepMoments, step_moments
+from atoll_coordinator.settings import SETTINGS
+
+_DIFFERENCE = 1e-5
+"""Share of a constant by which it is moved to find derivatives: central differences err by its square."""
+
+
+@dataclass(frozen=True, eq=False)
+class ProcessModel:
+    """A process: programs of the `drift` (S) and of the components of the diffusion, in the order of their `pairs`.
+
+    `noise` has the variance of the errors of measurement of each state (S).
+    """
+
+    drift: tuple[Program, ...]
+    diffusion: tuple[Program, ...]
+    pairs: tuple[Pair, ...]
+    noise: tuple[float, ...]
+
+    @property
+    def programs(self) -> tuple[Program, ...]:
+        """All equations: drifts, then components of the diffusion."""
+        return (*self.drift, *self.diffusion)
+
+    def with_program(self, number: int, program: Program) -> "ProcessModel":
+        """Return the model with another equation in one place."""
+        programs = [*self.programs]
+        programs[number] = program
+        return replace(self, drift=tuple(programs[: len(self.drift)]), diffusion=tuple(programs[len(self.drift) :]))
+
+    def moments(self, points: FloatArray, lengths: FloatArray) -> StepMoments:
+        """Return the moments of steps of these `lengths` (N,) from `points` (V, N)."""
+        return step_moments(self.drift, dict(zip(self.pairs, self.diffusion, strict=True)), points, lengths)
+
+    def parameters(self, free: Sequence[int]) -> FloatArray:
+        """Return the constants of the equations `free`, by number, and the logarithms of standard errors of noise."""
+        constants = [program.constants[constant_places(program)] for program in (self.programs[k] for k in free)]
+        return np.concatenate([*constants, [0.5 * math.log(each) for each in self.noise if each > 0.0]])
+
+    def with_parameters(self, free: Sequence[int], values: FloatArray) -> "ProcessModel":
+        """Return the model with other values of its parameters."""
+        model, rest = self, values.tolist()
+        for number in free:
+            places = constant_places(model.programs[number])
+            moved = with_constants(model.programs[number], dict(zip(places, rest, strict=False)))
+            model, rest = model.with_program(number, moved), rest[len(places) :]
+        noise = [math.exp(min(2.0 * rest.pop(0), 300.0)) if each > 0.0 else 0.0 for each in self.noise]
+        return replace(model, noise=tuple(noise))
+
+
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """Residuals of steps in standard errors, independent (S, N), and the logarithms of these errors (S, N)."""
+
+    residuals: FloatArray
+    logarithms: FloatArray
+
+    @property
+    def misfit(self) -> float:
+        """Minus the log-likelihood in nats, up to N S/2 ln 2 pi; infinite where a covariance is not positive."""
+        total = float(0.5 * np.sum(self.residuals * self.residuals) + np.sum(self.logarithms))
+        return total if math.isfinite(total) else math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class FittedProcess:
+    """A model with its constants fitted: its `misfit` in nats, and the `information` (K, K) of its parameters."""
+
+    model: ProcessModel
+    misfit: float
+    information: FloatArray
+
+    @property
+    def covariance(self) -> FloatArray:
+        """The covariance (K, K) of the parameters; of those that the data do not determine it is huge."""
+        scale = np.sqrt(np.maximum(np.diag(self.information), 1e-200))
+        unit = self.information / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
+        return np.asarray(np.linalg.pinv(unit, hermitian=True) / np.outer(scale, scale))
+
+
+class ProcessLikelihood:
+    """The likelihood of one process's steps; `smoothed` says where they are linearised if there is noise."""
+
+    def __init__(self, steps: Steps, smoothed: FloatArray | None = None) -> None:
+        self.steps = steps
+        self._points = steps.points if smoothed is None else np.concatenate([smoothed, steps.points[len(smoothed) :]])
+
+    def whitened(self, model: ProcessModel) -> Whitened:
+        """Return the whitened residuals of all steps."""
+        moments = model.moments(self._points, self.steps.lengths)
+        if not any(model.noise):
+            return _independent(self.steps.increments - moments.mean, moments.covariance)
+        return _banded(*self._system(model, moments))
+
+    def smoothed(self, model: ProcessModel) -> FloatArray:
+        """Return the states (S, N) where steps begin, without the errors of measurement as far as can be told."""
+        from scipy import linalg
+
+        moments = model.moments(self._points, self.steps.lengths)
+        residuals, band = self._system(model, moments)
+        states, count = residuals.shape
+        if not np.isfinite(band).all():
+            return self._points[:states]
+        solved = linalg.solveh_banded(band, residuals.T.ravel(), lower=True).reshape(count, states).T
+        errors = -np.einsum("jir,jr->ir", moments.jacobian, solved)
+        follows = np.flatnonzero(self.steps.follows)
+        errors[:, follows] += solved[:, follows - 1]
+        return np.asarray(self.steps.points[:states] - np.array(model.noise)[:, None] * errors)
+
+    def _system(self, model: ProcessModel, moments: StepMoments) -> tuple[FloatArray, FloatArray]:
+        """Return residuals (S, N) and their covariance, as the lower bands of a matrix of S N rows."""
+        states, count = moments.mean.shape
+        noise, jacobian = np.array(model.noise), moments.jacobian
+        away = self.steps.points[:states] - self._points[:states]
+        ends = self.steps.points[:states] + self.steps.increments
+        residuals = ends - self._points[:states] - moments.mean - np.einsum("ijr,jr->ir", jacobian, away)
+        block = moments.covariance + np.einsum("ijr,j,kjr->ikr", jacobian, noise, jacobian)
+        block[range(states), range(states)] += noise[:, None]
+        beside = -noise[:, None, None] * jacobian.transpose(1, 0, 2)
+        beside = np.where(self.steps.follows, beside, 0.0)
+        band = np.zeros((2 * states, states * count))
+        for i in range(states):
+            for j in range(i + 1):
+                band[i - j, j::states] = block[i, j]
+            for j in range(states):
+                band[states + i - j, j::states][: count - 1] = beside[j, i, 1:]
+        return residuals, band
+
+    def fit(self, model: ProcessModel, free: Sequence[int], steps: int = SETTINGS.effort.steps) -> FittedProcess:
+        """Return `model` with the constants of the equations `free` and its noise fitted by damped Fisher scoring."""
+        values = model.parameters(free)
+        at, damping = self.whitened(model), FIRST_DAMPING
+        if not math.isfinite(at.misfit):
+            return FittedProcess(model, math.inf, np.zeros((len(values), len(values))))
+        gradient, information = self._derivatives(model, free, values)
+        for _ in range(steps if len(values) else 0):
+            moved = values + _solved(information, gradient, damping)
+            tried = model.with_parameters(free, moved)
+            found = self.whitened(tried)
+            if not found.misfit < at.misfit:
+                damping *= 10.0
+                if damping > MOST_DAMPING:
+                    break
+                continue
+            is_settled = at.misfit - found.misfit < SETTINGS.process.settled
+            model, values, at, damping = tried, moved, found, max(0.1 * damping, LEAST_DAMPING)
+            gradient, information = self._derivatives(model, free, values)
+            if is_settled:
+                break
+        return FittedProcess(model, at.misfit, information)
+
+    def _derivatives(
+        self, model: ProcessModel, free: Sequence[int], values: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the gradient (K,) of the misfit by the parameters and their information (K, K)."""
+        at = self.whitened(model)
+        residuals, logarithms = [], []
+        for k, value in enumerate(values.tolist()):
+            step = np.zeros(len(values))
+            step[k] = _DIFFERENCE * max(abs(value), _DIFFERENCE)
+            up, down = (self.whitened(model.with_parameters(free, values + sign * step)) for sign in (1.0, -1.0))
+            residuals.append((up.residuals - down.residuals).ravel() / (2.0 * step[k]))
+            logarithms.append((up.logarithms - down.logarithms).ravel() / (2.0 * step[k]))
+        shape = (len(values), at.residuals.size)
+        slopes = np.array(residuals).reshape(shape), np.array(logarithms).reshape(shape)
+        with np.errstate(all="ignore"):
+            gradient = slopes[0] @ at.residuals.ravel() + slopes[1].sum(axis=1)
+            return gradient, slopes[0] @ slopes[0].T + slopes[1] @ slopes[1].T
+
+
+def _solved(information: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
+    """Return the step of (I + damping diag I) step = - gradient; none where a derivative is not finite."""
+    scale = np.sqrt(np.diag(information))
+    scale[scale == 0.0] = 1.0
+    unit = information / np.outer(scale, scale)
+    np.fill_diagonal(unit, 1.0 + damping)
+    if not np.isfinite(unit).all():
+        return np.zeros_like(gradient)
+    return np.asarray(np.linalg.lstsq(unit, -gradient / scale, rcond=None)[0] / scale)
+
+
+def _independent(residuals: FloatArray, covariance: FloatArray) -> Whitened:
+    """Return residuals (S, N) of independent steps whitened by Cholesky's factors of their covariances (S, S, N)."""
+    states = len(residuals)
+    factor, logarithms, whitened = np.zeros_like(covariance), np.zeros_like(residuals), np.zeros_like(residuals)
+    with np.errstate(all="ignore"):
+        for i in range(states):
+            for j in range(i + 1):
+                rest = covariance[i, j] - (factor[i, :j] * factor[j, :j]).sum(axis=0)
+                factor[i, j] = np.sqrt(rest) if i == j else rest / factor[j, j]
+            logarithms[i] = np.log(factor[i, i])
+            whitened[i] = (residuals[i] - (factor[i, :i] * whitened[:i]).sum(axis=0)) / factor[i, i]
+    return Whitened(whitened, logarithms)
+
+
+def _banded(residuals: FloatArray, band: FloatArray) -> Whitened:
+    """Return residuals (S, N) whitened by the banded factor of their covariance."""
+    from scipy import linalg
+
+    nothing = Whitened(np.full_like(residuals, np.nan), np.full_like(residuals, np.nan))
+    if not (np.isfinite(band).all() and np.isfinite(residuals).all()):
+        return nothing
+    try:
+        factor = linalg.cholesky_banded(band, lower=True, check_finite=False)
+    except np.linalg.LinAlgError:
+        return nothing
+    white = linalg.blas.dtbsv(len(band) - 1, factor, residuals.T.ravel().copy(), lower=1)
+    shape = (residuals.shape[1], residuals.shape[0])
+    return Whitened(white.reshape(shape).T, np.log(factor[0]).reshape(shape).T)

@@ -1,0 +1,142 @@
+"""Candidates for one equation of a process, by weighted regression on bins of steps. Pure.
+
+A step is linear in the drift and the product of residuals in the diffusion, but for what the moments of a step add to
+their leading terms; that is taken from the model so far:
+
+    drift       (increment - (mean - h f)) / h              variance B / h
+    diffusion   (r_i r_j - (covariance_ij - h B_ij)) / h    variance B_ii B_jj + B_ij^2
+
+so that, equation by equation, what is found by regression is what the likelihood asks for. Letters: V variables, N
+steps, M bins.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from atoll.config import JobConfig
+from atoll.data.dataset import FloatArray, Problem, Target
+from atoll.expression.evaluation import values_of
+from atoll.expression.operators import ADD, BY_NAME, MULTIPLY
+from atoll.expression.program import Program, structure
+from atoll.expression.writing.shortest import shortest
+from atoll_coordinator.data.increments.bins import split_into_bins
+from atoll_coordinator.data.increments.moments import lagged, products
+from atoll_coordinator.data.increments.steps import Steps
+from atoll_coordinator.model.criteria import constant_nats_of, structure_length
+from atoll_coordinator.model.deadline import Deadline
+from atoll_coordinator.model.regression.shortening import Shortening
+from atoll_coordinator.model.sparse.regression import eliminated, libraries
+from atoll_coordinator.model.stochastic.likelihood import ProcessModel
+from atoll_coordinator.model.structure.term_libraries import Term, sum_of
+from atoll_coordinator.model.structure.unit_coefficients import make_coefficients_explicit
+from atoll_coordinator.settings import SETTINGS
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedProblem:
+    """A regression problem over M bins, and the weights of these (M,), 1 on average."""
+
+    problem: Problem
+    weights: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateFinder:
+    """Finds candidates for the equations of one process.
+
+    `steps` are all of them, `names` the symbols of variables and `variables` the names of equations; `config` says what
+    equations may be made of. After the `deadline` nothing new is tried.
+    """
+
+    steps: Steps
+    names: tuple[str, ...]
+    variables: tuple[str, ...]
+    config: JobConfig
+    deadline: Deadline
+
+    def find(self, number: int, model: ProcessModel, begun: Sequence[Program], *, looks_around: bool) -> list[Program]:
+        """Return the most promising programs for one equation, factors of one as constants, the best first.
+
+        Args:
+            number: of the equation among those of `model`.
+            model: the other equations, and what moments add to leading terms.
+            begun: programs of the search.
+            looks_around: whether programs beside the best ones are tried as well.
+        """
+        weighted, space = _problem(number, model, self.steps, self.names), self.config.space
+        operators = frozenset(BY_NAME[name].code for name in space.operators_for(self.variables[number]))
+        columns = space.columns_for(self.variables[number], self.names)
+        sums = _sparse_sums(weighted, columns) if {ADD, MULTIPLY} <= operators else []
+        shortening = Shortening(
+            weighted.problem, operators, columns, weighted.weights, self.deadline, has_simple_numbers=False
+        )
+        found = shortening.candidates([*begun, *sums], looks_around)
+        programs = [make_coefficients_explicit(shortest(each.fitted.program)).program for each in found]
+        distinct = {structure(program): program for program in programs}
+        return [*distinct.values()][: SETTINGS.effort.beam]
+
+
+def _problem(number: int, model: ProcessModel, steps: Steps, names: tuple[str, ...]) -> WeightedProblem:
+    """Return the problem of one equation; steps begin where the one before them does if there is noise."""
+    is_noisy = any(model.noise)
+    states = len(model.drift)
+    moments = model.moments(steps.points, steps.lengths)
+    if number < states:
+        leading = steps.lengths * values_of(model.drift[number], steps.points)
+        sides = steps.increments[number] - (moments.mean[number] - leading)
+        variances = _diagonal(model, number, steps.points)
+    else:
+        i, j = model.pairs[number - states]
+        leading = steps.lengths * values_of(model.diffusion[number - states], steps.points)
+        residuals = steps.increments - moments.mean
+        sides = products(residuals, steps, (i, j), corrected=is_noisy) - (moments.covariance[i, j] - leading)
+        variances = steps.lengths * (
+            _diagonal(model, i, steps.points) * _diagonal(model, j, steps.points)
+            + values_of(model.diffusion[number - states], steps.points) ** 2
+        )
+    points, lengths = steps.points, steps.lengths
+    if is_noisy:
+        rows = np.flatnonzero(steps.follows)
+        points, lengths, sides, variances = lagged(steps).points, lengths[rows], sides[rows], variances[rows]
+    weights = lengths / variances
+    is_used = np.isfinite(sides) & np.isfinite(weights) & (weights > 0.0)
+    return _binned(points[:, is_used], sides[is_used] / lengths[is_used], weights[is_used], names)
+
+
+def _diagonal(model: ProcessModel, state: int, points: FloatArray) -> FloatArray:
+    return values_of(model.diffusion[model.pairs.index((state, state))], points)
+
+
+def _binned(points: FloatArray, sides: FloatArray, weights: FloatArray, names: tuple[str, ...]) -> WeightedProblem:
+    bins = split_into_bins(points, SETTINGS.process.bins)
+    total = np.array([weights[rows].sum() for rows in bins])
+    means = np.array([(points[:, rows] * weights[rows]).sum(axis=1) for rows in bins]).T / total
+    values = np.array([(sides[rows] * weights[rows]).sum() for rows in bins]) / total
+    target = Target("", "", values, 0.0, float(values.std()) or 1.0, 1.0)
+    return WeightedProblem(Problem(names, np.ascontiguousarray(means), target), total / total.mean())
+
+
+def _sparse_sums(weighted: WeightedProblem, columns: Sequence[int]) -> list[Program]:
+    """Return the best sums of products on the way from each library of them to nothing, by Schwarz's criterion."""
+    inputs, roots = weighted.problem.inputs, np.sqrt(weighted.weights)
+    sides = weighted.problem.target.values * roots
+    rows = len(sides)
+    found: list[tuple[float, Program]] = []
+    for terms, _ in libraries(columns, rows):
+        values = np.array([_values(term, inputs) for term in terms]) * roots
+        path = eliminated(terms, values, sides)
+        prices = np.array([structure_length(sum_of([term], [1.5])) for term in terms]) + constant_nats_of(rows)
+        for step in range(len(terms)):
+            nats = 0.5 * rows * np.log(max(float(path.squares[step]), 1e-300)) + prices[path.kept(step)].sum()
+            found.append((float(nats), sum_of(*path.sum(step))))
+    found.sort(key=lambda each: each[0])
+    return [program for _, program in found[: SETTINGS.effort.beam // 2]]
+
+
+def _values(term: Term, inputs: FloatArray) -> FloatArray:
+    values = np.ones(inputs.shape[1])
+    for factor in term:
+        values = values * inputs[factor.variable]
+    return values

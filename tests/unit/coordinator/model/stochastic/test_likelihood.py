@@ -1,0 +1,63 @@
+import numpy as np
+from scipy import stats
+
+from atoll_coordinator.model.stochastic.likelihood import ProcessLikelihood, ProcessModel
+from atoll_coordinator.model.stochastic.moments import step_moments
+from tests.unit.coordinator.model.stochastic.processes import model_of, ornstein_uhlenbeck, steps_of
+
+
+def test_the_misfit_is_minus_the_logarithm_of_the_transition_densities() -> None:
+    states = ornstein_uhlenbeck(200, 0.02, seed=1)
+    found = ProcessLikelihood(steps_of(states[None], 0.02)).whitened(model_of("-1*x", "0.25"))
+    decay, spread = np.exp(-0.02), 0.5 * np.sqrt((1.0 - np.exp(-0.04)) / 2.0)
+    exact = -stats.norm.logpdf(states[1:], decay * states[:-1], spread).sum() - 199 * 0.5 * np.log(2.0 * np.pi)
+    assert abs(found.misfit - exact) < 1e-3
+
+
+def test_with_errors_of_measurement_it_is_that_of_all_rows_together() -> None:
+    states = ornstein_uhlenbeck(40, 0.1, seed=2, noise=0.2)
+    model = model_of("-1*x", "0.25", noise=0.04)
+    steps = steps_of(states[None], 0.1)
+    moments = step_moments(model.drift, {(0, 0): model.diffusion[0]}, steps.points, steps.lengths)
+    decay, variance = float(moments.jacobian[0, 0, 0]), float(moments.covariance[0, 0, 0])
+    move = np.eye(39, 40, 1) - decay * np.eye(39, 40)
+    covariance = variance * np.eye(39) + 0.04 * move @ move.T
+    exact = -stats.multivariate_normal(np.zeros(39), covariance).logpdf(move @ states) - 39 * 0.5 * np.log(2.0 * np.pi)
+    found = ProcessLikelihood(steps).whitened(model)
+    assert abs(found.misfit - exact) < 0.05, "the mean of a step and its Jacobian differ in the third order"
+
+
+def test_constants_and_both_noises_lie_in_their_intervals() -> None:
+    states = ornstein_uhlenbeck(8000, 0.1, seed=3, noise=0.1)
+    likelihood, model = ProcessLikelihood(steps_of(states[None], 0.1)), model_of("-0.3*x", "0.7", noise=0.1)
+    for _ in range(3):
+        fitted = likelihood.fit(model, (0, 1))
+        likelihood, model = ProcessLikelihood(likelihood.steps, likelihood.smoothed(fitted.model)), fitted.model
+    truth = np.array([-1.0, 0.25, np.log(0.1)])
+    away = (model.parameters((0, 1)) - truth) / np.sqrt(np.diag(fitted.covariance))
+    assert (np.abs(away) < 3.0).all()
+
+
+def test_smoothed_states_are_nearer_to_the_truth() -> None:
+    clean = ornstein_uhlenbeck(2000, 0.02, seed=4)
+    noisy = clean + 0.2 * np.random.default_rng(5).standard_normal(2000)
+    smoothed = ProcessLikelihood(steps_of(noisy[None], 0.02)).smoothed(model_of("-1*x", "0.25", noise=0.04))
+    assert np.std(smoothed[0] - clean[:-1]) < 0.65 * np.std(noisy - clean)
+
+
+def test_the_information_is_that_of_the_scatter_of_estimates() -> None:
+    estimates, errors = [], []
+    for seed in range(30):
+        likelihood = ProcessLikelihood(steps_of(ornstein_uhlenbeck(1000, 0.1, seed)[None], 0.1))
+        fitted = likelihood.fit(model_of("-0.7*x", "0.4"), (0, 1))
+        estimates.append(fitted.model.parameters((0, 1)))
+        errors.append(np.sqrt(np.diag(fitted.covariance)))
+    ratio = np.std(estimates, axis=0) / np.mean(errors, axis=0)
+    assert ((ratio > 0.65) & (ratio < 1.4)).all(), "30 estimates tell their deviation to 13 %"
+
+
+def test_a_diffusion_that_is_not_positive_is_no_model() -> None:
+    likelihood = ProcessLikelihood(steps_of(ornstein_uhlenbeck(100, 0.1, seed=1)[None], 0.1))
+    model: ProcessModel = model_of("-1*x", "0.25*x")
+    assert likelihood.whitened(model).misfit == np.inf
+    assert likelihood.fit(model, (0, 1)).misfit == np.inf

@@ -1,0 +1,42 @@
+import numpy as np
+
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.model.stochastic.moments import step_moments
+
+
+def test_a_step_of_ornstein_and_uhlenbeck_is_their_transition_density_to_third_order() -> None:
+    drift, diffusion = from_infix("-2*x", ["x"]), from_infix("0.25", ["x"])
+    points = np.array([[1.0, 1.0, -3.0]])
+    steps = np.array([0.01, 0.1, 0.1])
+    found = step_moments([drift], {(0, 0): diffusion}, points, steps)
+    mean, variance = points[0] * (np.exp(-2.0 * steps) - 1.0), 0.25 * (1.0 - np.exp(-4.0 * steps)) / 4.0
+    assert np.allclose(found.mean[0], mean, rtol=(2.0 * 0.1) ** 3 / 20.0)
+    assert np.allclose(found.covariance[0, 0], variance, rtol=(2.0 * 0.1) ** 3 / 4.0)
+    assert np.allclose(found.jacobian[0, 0], np.exp(-2.0 * steps), rtol=(2.0 * 0.1) ** 3 / 3.0)
+
+
+def test_a_step_of_geometric_brownian_motion_is_right_to_second_order() -> None:
+    names = ["x"]
+    points, step = np.array([[0.5, 2.0]]), 0.05
+    found = step_moments(
+        [from_infix("0.3*x", names)], {(0, 0): from_infix("0.16*x*x", names)}, points, np.full(2, step)
+    )
+    x = points[0]
+    assert np.allclose(found.mean[0], x * (np.exp(0.3 * step) - 1.0), rtol=1e-5)
+    variance = x * x * np.exp(0.6 * step) * (np.exp(0.16 * step) - 1.0)
+    assert np.allclose(found.covariance[0, 0], variance, rtol=3e-4)
+    leading = 0.16 * x * x * step
+    assert (np.abs(leading - variance) > 50.0 * np.abs(found.covariance[0, 0] - variance)).all()
+
+
+def test_noise_that_acts_on_a_velocity_alone_reaches_the_position() -> None:
+    """The covariance of x' = v, dv = s dW is s^2 (h^3/3, h^2/2; h^2/2, h), which Euler's is not."""
+    names = ["x", "v"]
+    found = step_moments(
+        [from_infix("v", names), from_infix("0*v", names)],
+        {(1, 1): from_infix("4", names)},
+        np.zeros((2, 1)),
+        np.array([0.2]),
+    )
+    expected = 4.0 * np.array([[0.2**3 / 3.0, 0.2**2 / 2.0], [0.2**2 / 2.0, 0.2]])
+    assert np.allclose(found.covariance[:, :, 0], expected)
