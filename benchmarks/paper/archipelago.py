@@ -64,6 +64,7 @@ class Archipelago:
         self._variable = problem.target.variable
         self._evaluations = [0] * len(self.islands)
         self._past = 0
+        self.deviation = problem.target.standard_deviation
 
     def strides(self, generations: int) -> Iterator[Stride]:
         """Advance every island in turn by `generations`, without end, and yield after each turn.

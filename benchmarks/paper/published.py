@@ -13,7 +13,8 @@ What is compared with:
 * GGGP and TAG3P: N. X. Hoai, R. I. McKay, D. Essam and R. Chau, "Solving the symbolic regression problem with
   tree-adjunct grammar guided genetic programming: the comparative results", CEC 2002; the identity also in N. X. Hoai,
   R. I. McKay and D. Essam, "Some experimental results with tree adjunct grammar guided genetic programming",
-  EuroGP 2002. Later work with the same problems takes a population of 500, 30 generations and 20 points from them.
+  EuroGP 2002. Later work with the same problems takes a population of 500, 30 generations and 20 points from them, and
+  counts a run as successful when its error is below 0.01 at each of the 20 points.
 * The Gaussian: B. Dolin, F. H. Bennett III and E. G. Rieffel, "Co-evolving an effective fitness sample: experiments in
   symbolic regression and distributed robot control", SAC 2002: two ways to coevolve the sample, and a random one.
 """
@@ -38,7 +39,10 @@ FRESH: Final = 1000
 """Points that decide whether a run has converged; the search never sees them."""
 
 LARGEST_ERROR: Final = 1e-6
-"""A run has converged when its error at every fresh point is smaller."""
+"""A run has converged when its error at every fresh point is smaller, unless its row counts hits."""
+
+HIT: Final = 0.01
+"""Largest error of a hit, as Koza (1992) and those after him count them."""
 
 ARITHMETIC: Final = ("+", "-", "*", "/")
 
@@ -67,6 +71,8 @@ class Row:
     is_cost: bool = False
     islands: int = 1
     interval: int = 2
+    counts_hits: bool = False
+    """Whether a run has converged when each of its own points is a hit, as in the publication compared with."""
 
     @property
     def bar(self) -> float:
@@ -91,7 +97,9 @@ def _weighted(name: str, truth: str, paper: float, other: float) -> Row:
 def _grammar(degree: int, paper: float, gggp: float, tag3p: float) -> Row:
     truth = " + ".join(f"x**{n}" for n in range(degree, 1, -1)) + " + x"
     published = {"GGGP": gggp, "TAG3P": tag3p}
-    return Row(f"P{degree}", truth, (-1.0, 1.0), 20, ARITHMETIC, 50, paper, published, marked=GENETIC_BUDGET)
+    return Row(
+        f"P{degree}", truth, (-1.0, 1.0), 20, ARITHMETIC, 50, paper, published, marked=GENETIC_BUDGET, counts_hits=True
+    )
 
 
 _COSTS: Final = {"coevolved tractable": 3.384e7, "distinction": 5.070e7, "random sampling": 6.006e8}
@@ -113,6 +121,7 @@ _ROWS: Final = (
         76.0,
         {"GGGP": 20.0, "TAG3P": 36.0},
         marked=GENETIC_BUDGET,
+        counts_hits=True,
     ),
     Row(
         "gaussian",

@@ -12,6 +12,10 @@ from pydantic_core import CoreSchema
 
 Preset = Literal["default", "paper"]
 Loss = Literal["mae", "rmse"]
+ConstantSteps = Literal["relative", "normal", "log-uniform", "log-uniform relative"]
+Arguments = Literal["any node", "terminal or operator"]
+MutationUnit = Literal["node", "list"]
+CrowdingDistance = Literal["live nodes", "live nodes and constants", "all nodes"]
 
 PAPER_TERMINALS = 7
 TERMINALS_BEYOND_VARIABLES = 5
@@ -83,6 +87,10 @@ class SpaceConfig(Model):
         default_factory=dict, description="per equation, the variables that it may use; all unless named"
     )
     terminals: PositiveInt | None = Field(None, description="first nodes of a list; None: max(7, variables + 5)")
+    fixed_terminals: bool = Field(
+        False, description="the terminals are each variable once and constants; else each is drawn"
+    )
+    arguments: Arguments = Field("any node", description="what an argument is drawn from: earlier nodes")
     operator_nodes: Annotated[int, Field(ge=1, le=100)] = 25
     max_size: Annotated[int, Field(ge=1, le=120)] | None = Field(None, description="largest complexity on the front")
 
@@ -118,7 +126,10 @@ class EvolutionConfig(Model):
     islands: Annotated[int, Field(ge=1, le=1024)] = 8
     population: Annotated[int, Field(ge=4, le=4096, multiple_of=2)] = 64
     crossover: Probability = 0.75
-    mutation: Probability = Field(0.05, description="per node")
+    mutation: Probability = Field(0.05, description="per node, or per list, of which one node is then changed")
+    mutation_unit: MutationUnit = "node"
+    crowding_distance: CrowdingDistance = Field("live nodes", description="what tells children and parents apart")
+    ties_replace: bool = Field(True, description="a child that is as good as its parent takes its place")
     loss: Loss = "mae"
     constant_fit_steps: Annotated[int, Field(ge=0, le=100)] = Field(4, description="Levenberg-Marquardt steps a child")
     constant_fit_gate: Annotated[float, Field(gt=0.0)] = Field(
@@ -126,6 +137,8 @@ class EvolutionConfig(Model):
     )
     linear_terms: Annotated[int, Field(ge=0, le=4)] = Field(4, description="top-level terms fitted linearly; 0: none")
     scaled_constants: bool = Field(True, description="draw constants over the data's scales, not from [-10, 10]")
+    constant_steps: ConstantSteps = Field("relative", description="how the mutation of a constant moves it")
+    constant_moves: Probability = Field(0.5, description="share of mutated constants moved; the others are redrawn")
     refit_interval: Annotated[int, Field(ge=1)] = Field(10, description="generations between offers to the front")
     runners_up: Annotated[int, Field(ge=0, le=64)] | None = Field(
         None, description="next best of each complexity kept beside the front; None: 0, or 8 with noisy targets"
@@ -179,7 +192,9 @@ class JobConfig(Model):
 PAPER = JobConfig(
     preset="paper",
     space=SpaceConfig(terminals=PAPER_TERMINALS),
-    evolution=EvolutionConfig(constant_fit_steps=0, linear_terms=0, scaled_constants=False, runners_up=0),
+    evolution=EvolutionConfig(
+        constant_fit_steps=0, linear_terms=0, scaled_constants=False, constant_steps="normal", runners_up=0
+    ),
     predictors=PredictorConfig(rows=16),
     migration=MigrationConfig(joining=None),
     budget=BudgetConfig(max_epochs=5000, stagnation=500),

@@ -1,5 +1,7 @@
 """Spaces and populations for tests of the evolution."""
 
+from typing import Any
+
 import numpy as np
 
 from atoll.expression.operators import BY_NAME
@@ -18,10 +20,14 @@ def space_of(
     scales: tuple[float, ...] = (1.0,),
     mutation: float = 0.05,
     crossover: float = 0.75,
+    steps: int = 0,
+    **reading: Any,
 ) -> Space:
     """Return a space as an island's setting makes it."""
     codes = np.array(sorted(BY_NAME[name].code for name in names), np.int64)
-    return Space(terminals, terminals + operators, variables, codes, np.array(scales), crossover, mutation)
+    return Space(
+        terminals, terminals + operators, variables, codes, np.array(scales), crossover, mutation, steps, **reading
+    )
 
 
 def stream_of(seed: int) -> Stream:

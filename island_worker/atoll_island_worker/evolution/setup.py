@@ -3,10 +3,11 @@
 import math
 import threading
 from functools import lru_cache
+from typing import get_args
 
 import numpy as np
 
-from atoll.config import JobConfig
+from atoll.config import Arguments, ConstantSteps, CrowdingDistance, JobConfig, MutationUnit
 from atoll.data.dataset import FloatArray, Problem, Target
 from atoll.errors import LocalProtocolError
 from atoll.expression.kernels.tape import functions_address
@@ -137,7 +138,7 @@ def target_error(config: JobConfig, target: Target) -> float:
 
 
 def _space(problem: Problem, config: JobConfig) -> Space:
-    terminals = config.space.terminals
+    terminals, evolution = config.space.terminals, config.evolution
     if terminals is None:
         raise LocalProtocolError("space.terminals is not resolved")
     return Space(
@@ -145,9 +146,16 @@ def _space(problem: Problem, config: JobConfig) -> Space:
         nodes=terminals + config.space.operator_nodes,
         variables=problem.inputs.shape[0],
         operators=np.array(operator_codes(config.space.operators_for(problem.target.variable)), np.int64),
-        scales=_scales(problem) if config.evolution.scaled_constants else np.zeros(0),
-        crossover=config.evolution.crossover,
-        mutation=config.evolution.mutation,
+        scales=_scales(problem) if evolution.scaled_constants else np.zeros(0),
+        crossover=evolution.crossover,
+        mutation=evolution.mutation,
+        steps=get_args(ConstantSteps).index(evolution.constant_steps),
+        moves=evolution.constant_moves,
+        fixed=int(config.space.fixed_terminals),
+        arguments=get_args(Arguments).index(config.space.arguments),
+        unit=get_args(MutationUnit).index(evolution.mutation_unit),
+        distance=get_args(CrowdingDistance).index(evolution.crowding_distance),
+        ties=int(evolution.ties_replace),
     )
 
 

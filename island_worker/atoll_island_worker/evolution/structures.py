@@ -47,6 +47,20 @@ class Space(NamedTuple):
     """Scales of columns and target (powers of two, 1 when of order 1), for drawing constants; empty: [-10, 10]."""
     crossover: float
     mutation: float
+    steps: int = 0
+    """How a constant is moved, see `variation`."""
+    moves: float = 0.5
+    """Share of mutated constants that are moved; the others are drawn anew."""
+    fixed: int = 0
+    """1: the first terminals are the variables, one each, and the others constants."""
+    unit: int = 0
+    """What `mutation` is the probability of: 0: a change of each node, 1: a change of one node of the list."""
+    distance: int = 0
+    """What crowding compares: 0: live nodes, 1: live nodes with the values of constants, 2: all nodes."""
+    arguments: int = 0
+    """0: an argument is any earlier node; 1: a terminal or an operator node, with equal odds."""
+    ties: int = 1
+    """1: a child as good as its parent replaces it; 0: only a better one."""
 
 
 class Fit(NamedTuple):
@@ -198,7 +212,7 @@ class Scratch(NamedTuple):
     child_loss: Floats
     child_settled: Booleans
     signature: Ints
-    """(4, L) signatures of the two parents and the two children."""
+    """(P + 2, L) signatures of the population, while generations advance, and of the two children."""
     tape: Tape
     canonical: Tape
     near: Work
@@ -274,7 +288,7 @@ def empty_scratch(population: int, nodes: int, variables: int, sample: int, rows
         children=empty_lists(2, nodes),
         child_loss=np.zeros(2),
         child_settled=np.zeros(2, np.bool_),
-        signature=np.zeros((4, nodes), np.int64),
+        signature=np.zeros((population + 2, nodes), np.int64),
         tape=empty_tape(space),
         canonical=empty_tape(space),
         near=empty_work(space, sample),

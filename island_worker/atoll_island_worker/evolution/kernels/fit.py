@@ -203,6 +203,24 @@ def measure_tape(
 
 
 @inlined
+def measure_plainly(tape: Tape, count: Int, rows: Rows, work: Work, result: Floats) -> None:
+    """Evaluate the tape on `rows` as it stands and set the errors; nothing of it could be fitted further."""
+    for i in range(count):
+        tape.wanted[i] = True
+    forward(
+        count, tape.code, tape.left, tape.right, tape.constants, tape.wanted, rows.inputs, rows.waves, rows.length,
+        work.values, work.functions,
+    )  # fmt: skip
+    for start in range(_ZERO, rows.length, LANES):
+        out = place(work.residual, _ZERO, start)
+        copy(out, place(rows.target, _ZERO, start))
+        add_scaled(out, -1.0, place(work.values, count - 1, start))
+    centre_into(work.residual, _ZERO, work.residual, _ZERO, 0.0, rows)
+    errors(rows, work, result)
+    work.settled[0] = True
+
+
+@inlined
 def _jacobian(tape: Tape, count: Int, fitted: Int, is_linear: bool, rows: Rows, scale: Floats, work: Work) -> None:
     """Fill `work.columns` with the derivatives of the output by the fitted constants, the a_j held."""
     adjoints = work.adjoints

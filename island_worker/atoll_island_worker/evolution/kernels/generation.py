@@ -9,13 +9,22 @@ from typing import Final
 import numpy as np
 
 from atoll.compilation.jit import inlined, kernel
+from atoll.expression.kernels.lanes import move
 from atoll.expression.kernels.tape import Int, forward
 from atoll.expression.operators import CONSTANT
-from atoll_island_worker.evolution.kernels.fit import collect_terms, fit, residual_of
+from atoll_island_worker.evolution.kernels.fit import collect_terms, fit, measure_plainly, residual_of
 from atoll_island_worker.evolution.kernels.predictors import predictor_generation
 from atoll_island_worker.evolution.kernels.random import Stream, below
 from atoll_island_worker.evolution.kernels.tape import compile_tape, sign
-from atoll_island_worker.evolution.kernels.variation import copy_list, cross, distance, mutate, random_list
+from atoll_island_worker.evolution.kernels.variation import (
+    copy_list,
+    cross,
+    differing_constants,
+    differing_nodes,
+    distance,
+    mutate,
+    random_list,
+)
 from atoll_island_worker.evolution.structures import (
     Coevolution,
     Coevolving,
@@ -69,6 +78,10 @@ def develop(
     further steps would be of no use; see `fit` for `ceiling`.
     """
     count = compile_tape(lists, p, tape)
+    if options.steps == 0 and options.terms == 0:
+        measure_plainly(tape, count, rows, work, result)
+        counters[part] += rows.length
+        return result[options.loss]
     used = fit(tape, count, rows, options, rows.length // 4, options.steps, ceiling, work, lists.scale[p], result)
     counters[part] += rows.length
     counters[FITTING] += used - rows.length
@@ -122,34 +135,44 @@ def _shuffle(order: Ints, stream: Stream) -> None:
 
 
 @inlined
-def _sign_families(parents: Lists, first: Int, second: Int, children: Lists, signature: Ints, bits: Hashes) -> bool:
-    """Sign two parents and the two children; return whether the children face the parents they began as.
+def _sign_families(
+    parents: Lists, first: Int, second: Int, children: Lists, kind: Int, signature: Ints, bits: Hashes
+) -> bool:
+    """Sign the two children; return whether they face the parents they began as, who are signed already.
 
     Parents and children are matched by their distances; a tie goes uncrossed.
     """
-    sign(parents, first, bits, signature, 0)
-    sign(parents, second, bits, signature, 1)
-    sign(children, 0, bits, signature, 2)
-    sign(children, 1, bits, signature, 3)
-    straight = distance(signature, 0, 2) + distance(signature, 1, 3)
-    return straight <= distance(signature, 0, 3) + distance(signature, 1, 2)
+    one = np.int64(parents.code.shape[0])
+    sign(children, 0, bits, signature, one)
+    sign(children, 1, bits, signature, one + 1)
+    straight = distance(signature, first, one) + distance(signature, second, one + 1)
+    across = distance(signature, first, one + 1) + distance(signature, second, one)
+    if kind == 1:
+        straight += differing_constants(parents, first, children, _ZERO, signature, first, one)
+        straight += differing_constants(parents, second, children, _ONE, signature, second, one + 1)
+        across += differing_constants(parents, first, children, _ONE, signature, first, one + 1)
+        across += differing_constants(parents, second, children, _ZERO, signature, second, one)
+    elif kind == 2:
+        straight = differing_nodes(parents, first, children, _ZERO) + differing_nodes(parents, second, children, _ONE)
+        across = differing_nodes(parents, first, children, _ONE) + differing_nodes(parents, second, children, _ZERO)
+    return straight <= across
 
 
 @inlined
-def _is_same(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints, i: Int) -> bool:
-    """Return whether child `q` computes just what individual `p` does, whose signature is in row `i`."""
-    if distance(signature, i, 2 + q) > 0:
+def _is_same(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints) -> bool:
+    """Return whether child `q` computes just what individual `p` does; both are signed."""
+    if distance(signature, p, lists.code.shape[0] + q) > 0:
         return False
     for k in range(signature.shape[1]):
-        if signature[i, k] == CONSTANT + 1 and lists.constants[p, k] != children.constants[q, k]:
+        if signature[p, k] == CONSTANT + 1 and lists.constants[p, k] != children.constants[q, k]:
             return False
     return True
 
 
 @inlined
-def _inherits(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints, i: Int) -> bool:
+def _inherits(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints) -> bool:
     """Return whether child `q` computes just what parent `p` does; its scaling is then the parent's."""
-    if not _is_same(lists, p, children, q, signature, i):
+    if not _is_same(lists, p, children, q, signature):
         return False
     for j in range(lists.scale.shape[1]):
         children.scale[q, j] = lists.scale[p, j]
@@ -174,10 +197,10 @@ def advance(
     """Advance the population on the current predictor's `rows`, and the predictors of the `length` rows in all.
 
     A child that computes what one of its parents does is not measured again (and not counted), unless its constants
-    can still be fitted better; in preset `paper`, which fits nothing, every child is measured. Steps for constants are
-    spent on the few children that are much better than their worse parent already without them (ADR 0014). Return after
-    so many generations, or sooner when a trainer is to be renewed or the best predictor has changed: `coevolution.due`
-    tells which.
+    can still be fitted better; in preset `paper`, which fits nothing, every child is counted all the same. Steps for
+    constants are spent on the few children that are much better than their worse parent already without them (ADR
+    0014). Return after so many generations, or sooner when a trainer is to be renewed or the best predictor has
+    changed: `coevolution.due` tells which.
 
     Returns:
         The generations done.
@@ -188,8 +211,11 @@ def advance(
     child_settled, settled = scratch.child_settled, scratch.settled
     due[0] = due[1] = False
     inherits = options.terms > 0 or options.steps > 0
+    population = order.shape[0]
+    for p in range(population):
+        sign(lists, p, tape.bits, signature, p)
     for done in range(generations):
-        for p in range(order.shape[0]):
+        for p in range(population):
             order[p] = p
         _shuffle(order, stream)
         for pair in range(0, order.shape[0], 2):
@@ -197,21 +223,24 @@ def advance(
             cross(children, lists, first, second, space, stream)
             for q in range(2):
                 mutate(children, q, space, stream)
-            is_straight = _sign_families(lists, first, second, children, signature, tape.bits)
+            is_straight = _sign_families(lists, first, second, children, space.distance, signature, tape.bits)
             ceiling = options.gate * max(fitness[first], fitness[second])
             for q in range(2):
                 child_settled[q] = True
-                if inherits and settled[first] and _inherits(lists, first, children, q, signature, _ZERO):
+                if settled[first] and _inherits(lists, first, children, q, signature):
                     loss[q] = fitness[first]
-                elif inherits and settled[second] and _inherits(lists, second, children, q, signature, _ONE):
+                    counters[OFFSPRING] += 0 if inherits else rows.length
+                elif settled[second] and _inherits(lists, second, children, q, signature):
                     loss[q] = fitness[second]
+                    counters[OFFSPRING] += 0 if inherits else rows.length
                 else:
                     loss[q] = develop(children, q, rows, options, ceiling, tape, near, result, counters, OFFSPRING)
                     child_settled[q] = near.settled[0]
             for q in range(2):
                 p = first if (q == 0) == is_straight else second
-                if loss[q] <= fitness[p]:
+                if loss[q] < fitness[p] or (loss[q] == fitness[p] and space.ties == 1):
                     copy_list(lists, p, children, q)
+                    move(signature, p, signature, population + q, 0, space.nodes)
                     fitness[p] = loss[q]
                     settled[p] = child_settled[q]
         total = 0

@@ -170,6 +170,31 @@ def donors(options, first, second):
     return (first, second) if options is not PLAIN else ()
 
 
+@pytest.mark.parametrize(("kind", "ties"), [(0, 0), (1, 1), (2, 1)])
+def test_crowding_is_that_of_the_definition_in_other_readings(kind, ties):
+    arena, reference = Arena(PLAIN, distance=kind, ties=ties), Arena(PLAIN)
+    moved = 0
+    for _ in range(60 if kind == 1 else 8):
+        stream, before = Stream(int(arena.stream[0])), arena.members()
+        arena.generation()
+        after = arena.members()
+        order = stream.permutation(POPULATION)
+        children = empty_lists(2, SPACE.nodes)
+        for first, second in zip(order[::2], order[1::2], strict=True):
+            cross(children, reference.lists, first, second, SPACE, reference_stream := stream_of(stream._state))
+            for q in range(2):
+                mutate(children, q, SPACE, reference_stream)
+            stream = Stream(int(reference_stream[0]))
+            losses = [float(reference.develop(children, q, math.inf)) for q in range(2)]
+            born = tuple(oracle.Member(oracle.nodes_of(children, q), losses[q]) for q in range(2))
+            expected = oracle.survivors((before[first], before[second]), born, kind, ties)
+            assert (after[first], after[second]) == expected
+            moved += expected != oracle.survivors((before[first], before[second]), born)
+        for mine, theirs in zip(reference.lists, arena.lists, strict=True):
+            mine[...] = theirs
+    assert moved > 0
+
+
 def test_inheriting_a_loss_saves_evaluations_and_changes_nothing_else():
     """Without steps for constants a child's loss is its parent's when it computes the same."""
     heirs, measured = Arena(TERMS), Arena(TERMS)

@@ -1,0 +1,233 @@
+"""Readings of the paper: under which of them do its published figures come out?
+
+``python -m benchmarks.paper.readings --reading first --reading log+fixed --resume readings.jsonl`` runs rows of Table I
+and equations of Table III under each reading (`benchmarks.paper.readings_runs`), one island after the other in this
+process, on several processes. A run of Table III has converged when an equation on its front has the right form with
+constants within 1 %, one of Table I when its error at 1,000 fresh points is below 1e-6; nothing is refined. The journal
+holds every run, so that a second call goes on where the first one ended.
+
+Of Table I the budget is not published. So the table gives, for rows that were compared with one publication and
+therefore have one budget, the range of budgets at which each row agrees with the paper's column within its binomial
+error, and the budget at which most of them do.
+"""
+
+import argparse
+import itertools
+import json
+import math
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from atoll.errors import DataError, UsageError
+from atoll_coordinator.cli.terminal.output import clipped, count, note, say, table
+from benchmarks.harness.command_line import add_run_options, plain_errors, positive, seeds
+from benchmarks.harness.parallel import in_parallel
+from benchmarks.harness.record import head
+from benchmarks.paper.published import ROWS
+from benchmarks.paper.readings_runs import TABLE_III, Run, Task, run
+from benchmarks.paper.table1 import difference
+from benchmarks.paper.table3 import EQUATIONS, PAPER
+
+BUDGETS: Final = {"PSAW": ("quintic", "sextic"), "grammars": ("P2", "P3", "P4", "P5", "cos2x")}
+"""Rows of Table I that were compared with one publication, and so were given one budget."""
+
+SIGNIFICANT: Final = 1.96
+PAPER_COSTS: Final = {f"{system} {variable}": PAPER[system, variable][1] for system, variable in EQUATIONS}
+
+
+class Journal:
+    """The runs that have ended, by task, in a file of JSON lines."""
+
+    def __init__(self, path: Path | None, arguments: Sequence[str]) -> None:
+        """Read `path` if it exists, and go on with it; raises DataError when it is something else."""
+        self.runs: dict[Task, Run] = {}
+        self._path = path
+        if path is not None and path.exists():
+            self._read(path)
+        self._write({"head": head("readings", arguments)})
+
+    def add(self, its: Run) -> None:
+        """Take in a run that has ended."""
+        self.runs[its.task] = its
+        self._write({"run": asdict(its)})
+
+    def known(self, task: Task) -> Run | None:
+        """Return what came of a task, known also from the same run with a larger budget, or None."""
+        same = (each for each in self.runs.values() if _same(each.task, task))
+        return next((each for each in same if each.task.budget >= task.budget or each.cost is not None), None)
+
+    def _write(self, value: Mapping[str, object]) -> None:
+        if self._path is None:
+            return
+        try:
+            with self._path.open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps(value, ensure_ascii=False) + "\n")
+        except OSError as error:
+            raise UsageError(f"{self._path} cannot be written ({error.strerror}); name another file") from error
+
+    def _read(self, path: Path) -> None:
+        try:
+            whole, _, _ = path.read_text("utf-8").rpartition("\n")
+            for line in whole.splitlines():
+                value = json.loads(line)
+                if "run" in value:
+                    its = Run(**{**value["run"], "task": Task(**value["run"]["task"])})
+                    self.runs[its.task] = its
+        except (OSError, ValueError, TypeError, KeyError) as error:
+            raise DataError(f"{path} is no journal of this benchmark; name one that --resume has written") from error
+
+
+def _same(one: Task, other: Task) -> bool:
+    return (one.reading, one.problem, one.seed) == (other.reading, other.problem, other.seed)
+
+
+def tasks(options: argparse.Namespace) -> list[Task]:
+    """Return all runs that are asked for: by reading, then by problem."""
+    asked = itertools.product(options.reading, options.problem or (*TABLE_III, *_rows()))
+    return [
+        Task(reading, problem, seed, budget_of(problem, options))
+        for reading, problem in asked
+        for seed in (options.row_seeds if problem in ROWS else options.seeds)
+    ]
+
+
+def _rows() -> list[str]:
+    return [name for names in BUDGETS.values() for name in names]
+
+
+def budget_of(problem: str, options: argparse.Namespace) -> int:
+    """Return the point evaluations of a run: of Table III a multiple of the paper's, of Table I a number."""
+    if problem in ROWS:
+        return int(options.row_budget)
+    return int(min(options.share * PAPER_COSTS[problem], options.most))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run what the journal does not hold, print the tables; return 0."""
+    options = _parser().parse_args(arguments)
+    with plain_errors("benchmarks.paper.readings"):
+        journal = Journal(options.resume, sys.argv[1:] if arguments is None else arguments)
+        asked = tasks(options)
+        missing = [task for task in asked if journal.known(task) is None]
+        for number, each in enumerate(in_parallel(run, missing, options.workers) if missing else (), start=1):
+            journal.add(each)
+            note(f"{number} of {len(missing)}: {_told(each)}")
+        runs = [its for its in map(journal.known, asked) if its is not None]
+        _show(runs)
+    return 0
+
+
+def _told(its: Run) -> str:
+    task = its.task
+    end = "not converged" if its.cost is None else f"converged at {count(its.cost)}"
+    return f"{task.reading}, {task.problem}, seed {task.seed}: {end}, error {its.error:.1e}, {its.seconds:.1f} s"
+
+
+def _show(runs: Sequence[Run]) -> None:
+    for reading in dict.fromkeys(its.task.reading for its in runs):
+        group = [its for its in runs if its.task.reading == reading]
+        say(f"\nreading {reading}")
+        rows = list(equation_rows(group))
+        if rows:
+            say(table(("equation", "converged", "median", "paper", "share", "s", "first found"), rows))
+        for name, problems in BUDGETS.items():
+            _show_budget(name, [its for its in group if its.task.problem in problems])
+
+
+def equation_rows(runs: Sequence[Run]) -> Iterable[tuple[str, ...]]:
+    """Yield what came of each equation of Table III; a run that did not converge costs infinitely much."""
+    for problem in TABLE_III:
+        group = [its for its in runs if its.task.problem == problem]
+        if not group:
+            continue
+        costs = [math.inf if its.cost is None else float(its.cost) for its in group]
+        median = float(np.median(costs))
+        found = next((its.expression for its in group if its.expression), None)
+        yield (
+            problem,
+            f"{sum(map(math.isfinite, costs))} of {len(group)}",
+            count(median) if math.isfinite(median) else "-",
+            count(PAPER_COSTS[problem]),
+            f"{median / PAPER_COSTS[problem]:.3f}" if math.isfinite(median) else "-",
+            f"{np.median([its.seconds for its in group]):.1f}",
+            clipped(found or f"least error {min(its.error for its in group):.1e}", 70),
+        )
+
+
+def _show_budget(name: str, runs: Sequence[Run]) -> None:
+    if not runs:
+        return
+    budget, agreeing = best_budget(runs)
+    problems = list(dict.fromkeys(its.task.problem for its in runs))
+    say(f"{name}: {agreeing} of {len(problems)} rows agree at {count(budget)}")
+    rows = []
+    for problem in problems:
+        group = [its for its in runs if its.task.problem == problem]
+        first, last = agreement(group)
+        at, end = share(group, budget), share(group, math.inf)
+        paper = f"{ROWS[problem].paper:g}"
+        rows.append((problem, str(len(group)), f"{at:.0f}", f"{end:.0f}", paper, _range(first, last)))
+    say(table(("row", "runs", "% there", "% at the end", "paper", "agrees at"), rows))
+
+
+def _range(first: float, last: float) -> str:
+    if math.isinf(first):
+        return "no budget"
+    return f"{count(first)} to {'the end' if math.isinf(last) else count(last)}"
+
+
+def share(runs: Sequence[Run], budget: float) -> float:
+    """Return the percentage of runs that converged within `budget`."""
+    return 100.0 * sum(its.cost is not None and its.cost <= budget for its in runs) / len(runs)
+
+
+def agrees(runs: Sequence[Run], budget: float) -> bool:
+    """Whether the share converged within `budget` cannot be told from the paper's (5 %, both binomial errors)."""
+    row = ROWS[runs[0].task.problem]
+    return abs(difference(share(runs, budget), len(runs), row.paper, row.runs)) < SIGNIFICANT
+
+
+def _steps(runs: Iterable[Run]) -> list[float]:
+    return sorted({0.0, *(float(its.cost) for its in runs if its.cost is not None)})
+
+
+def agreement(runs: Sequence[Run]) -> tuple[float, float]:
+    """Return the least budget at which a row agrees, and the one from which on it no longer does; inf for never."""
+    steps = _steps(runs)
+    met = [budget for budget in steps if agrees(runs, budget)]
+    if not met:
+        return math.inf, math.inf
+    return met[0], min((budget for budget in steps if budget > met[-1]), default=math.inf)
+
+
+def best_budget(runs: Sequence[Run]) -> tuple[float, int]:
+    """Return the least budget at which most rows agree with the paper, and how many do."""
+    groups = [[its for its in runs if its.task.problem == name] for name in {its.task.problem for its in runs}]
+    counted = [(sum(agrees(group, budget) for group in groups), -budget) for budget in _steps(runs)]
+    most, least = max(counted)
+    return -least, most
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.paper.readings", description=__doc__.split("\n")[0])
+    parser.add_argument("--reading", action="append", required=True, help="names joined by +; repeat for several")
+    parser.add_argument(
+        "--problem", action="append", choices=(*TABLE_III, *ROWS), help="repeat for several; default: all but densities"
+    )
+    parser.add_argument("--share", type=positive, default=2.0, help="budget, in the paper's evaluations (%(default)g)")
+    parser.add_argument("--most", type=positive, default=1e12, help="point evaluations of a run at most (%(default)g)")
+    parser.add_argument("--row-budget", type=positive, default=3e6, help="the same for rows of Table I (%(default)g)")
+    parser.add_argument("--row-seeds", type=seeds, default=seeds("0-29"), help="of rows of Table I (0-29)")
+    parser.add_argument("--resume", type=Path, metavar="FILE", help="journal of JSON lines, gone on with if it exists")
+    add_run_options(parser)
+    parser.set_defaults(seeds=[0, 1])
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

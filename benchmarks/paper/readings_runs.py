@@ -1,0 +1,193 @@
+"""Runs of Tables I and III under readings of the paper: what each reading changes, and one search until it converges.
+
+A reading is a set of fields of the configuration. Those that change one thing have a name; several are joined by `+`,
+and what comes later wins. All of them begin from `FIRST`, the reading that was taken before any was measured.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.config import JobConfig
+from atoll.data.dataset import Problem, Target
+from atoll.errors import UsageError
+from atoll.expression.program import Program
+from atoll.expression.text.infix import to_infix
+from atoll.search.pareto import FrontEntry
+from benchmarks.harness.systems import SYSTEMS, TRUTH, Sampled, trajectories
+from benchmarks.judging.forms import compare
+from benchmarks.paper.archipelago import Archipelago, configured, problem_of
+from benchmarks.paper.published import FRESH, ROWS
+from benchmarks.paper.table1 import converged
+from benchmarks.paper.table3 import EQUATIONS, STEP
+
+Changes = Mapping[str, Mapping[str, Any]]
+
+FIRST: Final[Changes] = {
+    "space": {"terminals": 7, "fixed_terminals": False, "operator_nodes": 25, "arguments": "any node"},
+    "evolution": {
+        "mutation": 0.05,
+        "mutation_unit": "node",
+        "crossover": 0.75,
+        "crowding_distance": "live nodes",
+        "ties_replace": True,
+        "constant_steps": "normal",
+        "constant_moves": 0.5,
+        "scaled_constants": False,
+        "population": 64,
+        "islands": 8,
+    },
+    "predictors": {"rows": 16, "predictors": 8, "trainers": 8, "renewal": 50, "effort": 0.05, "enabled": True},
+    "migration": {"generations": 100},
+}
+
+READINGS: Final[Mapping[str, Changes]] = {
+    "first": {},
+    "relative": {"evolution": {"constant_steps": "relative"}},
+    "log": {"evolution": {"constant_steps": "log-uniform"}},
+    "log-relative": {"evolution": {"constant_steps": "log-uniform relative"}},
+    "moved": {"evolution": {"constant_moves": 1.0}},
+    "scaled": {"evolution": {"scaled_constants": True}},
+    "fixed": {"space": {"fixed_terminals": True}},
+    "arguments": {"space": {"arguments": "terminal or operator"}},
+    "nodes32": {"space": {"operator_nodes": 32}},
+    "list": {"evolution": {"mutation_unit": "list"}},
+    "one": {"evolution": {"mutation_unit": "list", "mutation": 1.0}},
+    "one-half": {"evolution": {"mutation_unit": "list", "mutation": 0.5}},
+    "constants-count": {"evolution": {"crowding_distance": "live nodes and constants"}},
+    "all-nodes": {"evolution": {"crowding_distance": "all nodes"}},
+    "no-ties": {"evolution": {"ties_replace": False}},
+    "all-rows": {"predictors": {"enabled": False}},
+    "rows4": {"predictors": {"rows": 4}},
+    "rows8": {"predictors": {"rows": 8}},
+    "trainers": {"predictors": {"predictors": 8, "trainers": 10, "renewal": 100}},
+    "quick-renewal": {"predictors": {"renewal": 10}},
+    "effort": {"predictors": {"effort": 0.2}},
+}
+"""By name, what each changes in `FIRST`."""
+
+CLOSE: Final = 0.03
+"""Normalized error below which an equation of Table III is compared with the truth."""
+
+UNREACHABLE: Final = 1e-300
+"""A normalized error that no island meets: the benchmark ends a run, not the search."""
+
+STRIDE: Final = 10
+"""Generations of one island between two looks at its front in Table III."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One run: a reading, a row of Table I or an equation of Table III, a seed and a budget of point evaluations."""
+
+    reading: str
+    problem: str
+    seed: int
+    budget: int
+
+
+@dataclass(frozen=True)
+class Run:
+    """How it ended: `cost` is the point evaluations until it converged, None when the budget was used up before.
+
+    `seconds` are those of the processor, `error` the least normalized error on all rows at the end.
+    """
+
+    task: Task
+    cost: int | None
+    evaluations: int
+    seconds: float
+    error: float
+    expression: str | None
+
+
+def config_of(reading: str, seed: int, operators: tuple[str, ...], **evolution: Any) -> JobConfig:
+    """Return the configuration of a run; `evolution` replaces what the reading says.
+
+    Raises:
+        UsageError: there is no such reading.
+    """
+    config = configured("paper", seed, operators, UNREACHABLE)
+    for changes in (FIRST, *(_reading(name) for name in reading.split("+")), {"evolution": evolution}):
+        update = {group: getattr(config, group).model_copy(update=dict(fields)) for group, fields in changes.items()}
+        config = config.model_copy(update=update)
+    return config
+
+
+def _reading(name: str) -> Changes:
+    if name not in READINGS:
+        raise UsageError(f"there is no reading {name!r}; the readings are {', '.join(READINGS)}, joined by +")
+    return READINGS[name]
+
+
+def run(task: Task) -> Run:
+    """Search until convergence or the end of the budget. Pure but for the seconds: the task decides the rest."""
+    began = time.process_time()
+    archipelago, stride, is_right = _of_table1(task) if task.problem in ROWS else _of_table3(task)
+    cost, expression, evaluations, least = None, None, 0, np.inf
+    for each in archipelago.strides(stride):
+        if each.evaluations > task.budget:
+            break
+        evaluations = each.evaluations
+        least = min((least, *(entry.error for entry in each.additions)))
+        expression = next((text for text in map(is_right, each.additions) if text is not None), None)
+        if expression is not None:
+            cost = evaluations
+            break
+    seconds = time.process_time() - began
+    return Run(task, cost, evaluations, seconds, float(least / archipelago.deviation), expression)
+
+
+Judge = Callable[[FrontEntry], str | None]
+
+
+def _of_table1(task: Task) -> tuple[Archipelago, int, Judge]:
+    """Return the search for a row of Table I, and what writes down a program that is right at fresh points."""
+    row = ROWS[task.problem]
+    x, fresh = row.points(task.seed, "points", row.rows), row.points(task.seed, "fresh points", FRESH)
+    config = config_of(task.reading, task.seed, row.operators, islands=row.islands, refit_interval=row.interval)
+
+    def is_right(entry: FrontEntry) -> str | None:
+        program = converged(row, entry, x, fresh)
+        return None if program is None else to_infix(program, ("x",))
+
+    return Archipelago(problem_of(x, row.values(x)), config), row.interval, is_right
+
+
+def _of_table3(task: Task) -> tuple[Archipelago, int, Judge]:
+    """Return the search for an equation of Table III, and what writes down a program that has its form."""
+    system, variable = task.problem.split()
+    problem = _problem(system, variable, task.seed)
+    data = dict(zip(problem.names, problem.inputs, strict=True))
+    deviation = problem.target.standard_deviation
+
+    def is_right(entry: FrontEntry) -> str | None:
+        if not entry.error < CLOSE * deviation:
+            return None
+        text = to_infix(Program.from_bytes(entry.program, len(data)), problem.names)
+        return text if compare(text, TRUTH[system][variable], data, deviation).exact else None
+
+    config = config_of(task.reading, task.seed, ("+", "-", "*", "/", "sin", "cos"))
+    return Archipelago(problem, config), STRIDE, is_right
+
+
+def _problem(system: str, variable: str, seed: int) -> Problem:
+    """Return four trajectories of 100 points with the exact derivative of `variable`."""
+    states = np.concatenate([values.T for values in _sampled(system, seed).values], axis=1)
+    index = SYSTEMS[system].states.index(variable)
+    slopes = np.array([SYSTEMS[system].field(*state)[index] for state in states.T])
+    target = Target(variable, f"d{variable}/dt", slopes, 0.0, float(slopes.std()))
+    return Problem(SYSTEMS[system].states, np.ascontiguousarray(states), target)
+
+
+@cache
+def _sampled(system: str, seed: int) -> Sampled:
+    return trajectories(system, STEP, seed)
+
+
+TABLE_III: Final = tuple(f"{system} {variable}" for system, variable in EQUATIONS)
+"""The equations, as problems are named."""
