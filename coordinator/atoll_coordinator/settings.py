@@ -285,7 +285,7 @@ class ProcessSettings:
     """Standard errors beyond which measurement noise, and a correlation between states, count as seen (p = 0.003)."""
     bins: int = 512
     """Bins of steps by which candidates are fitted: enough to decide some twenty terms of two or three states."""
-    compared: int = 4
+    compared: int = 8
     """Candidates of regression that the likelihood compares: it moves them by nats, regression has ranked them."""
     rounds: int = 4
     """Most passes over all equations; nearly all end after the second, which changes nothing."""

@@ -20,6 +20,7 @@ from atoll.machine.cores import usable_cores
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference.conclusion import summarize
+from atoll_coordinator.model.inference.random_walk import stochastic_remarks
 from atoll_coordinator.model.refinement import Pools, Refined, Refinement
 from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
@@ -76,10 +77,12 @@ def _refined(preparation: Preparation, config: JobConfig, pools: Pools, deadline
         deadline.begin_last_stage()
         model = None if selected is None else summarize(selected)
     if model is not None:
-        return model
+        remarks = stochastic_remarks(preparation.recording, model.simulation)
+        return replace(model, warnings=(*model.warnings, *remarks))
     unsettled = {name: those for name, those in candidates.items() if name not in converged}
     rest = _by_regression(preparation, config, unsettled, deadline)
-    return Refinement({**settled, **rest}, warnings=(NOT_SIMULATED,))
+    warnings = (NOT_SIMULATED, *stochastic_remarks(preparation.recording, None))
+    return Refinement({**settled, **rest}, warnings=warnings)
 
 
 def _has_converged(preparation: Preparation, config: JobConfig, name: str, its: CandidateSet) -> bool:

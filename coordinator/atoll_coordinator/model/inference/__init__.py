@@ -6,6 +6,7 @@
 - `attractor`: whether a long simulation of a chaotic model keeps the measured averages
 - `prediction`: whether model and rivals foretell the same from other initial states
 - `residuals`: whether what a simulation leaves is as large as the noise, and without a pattern
+- `random_walk`: whether it grows like a random walk, so that noise is part of the law
 - `quadratic_forms`: how large it may be by chance
 - `verdict`: the grade of an equation, and the reason in one sentence
 

@@ -8,6 +8,7 @@ likelihood, the other equations as they are; then all together, and so on until 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from atoll_coordinator.model.stochastic.likelihood import FittedProcess, Process
 from atoll_coordinator.model.stochastic.regression import CandidateFinder
 from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.settings import SETTINGS
+
+_MARGIN: Final = 2.0 * SETTINGS.inference.distinct_nats
+"""Programs are reduced whose description is longer than the best by at most so many nats (odds of 400)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,19 +119,22 @@ class ProcessChoice:
         name = self._variables[number]
         begun = self._candidates[name].programs if name in self._candidates else []
         found = self._finder.find(number, model, begun, looks_around=looks_around)
-        best, length = model, self._taken_in(rivals, model, number)[1]
+        models = {structure(model.programs[number]): self._taken_in(rivals, model, number)}
         for program in found[: SETTINGS.process.compared]:
-            tried, its = self._taken_in(rivals, model.with_program(number, program), number)
-            if its < length:
-                best, length = tried, its
+            models[structure(program)] = self._taken_in(rivals, model.with_program(number, program), number)
+        reduced: set[bytes] = set()
         while not self._deadline.is_over:
-            reduced = [each for each in reductions(best.programs[number]) if structure(each) not in rivals]
-            shorter = [self._taken_in(rivals, best.with_program(number, program), number) for program in reduced]
-            tried, its = min(shorter, key=lambda each: each[1], default=(best, math.inf))
-            if not its < length:
+            least = min(length for _, length in models.values())
+            near = [key for key, (_, length) in models.items() if key not in reduced and length < least + _MARGIN]
+            if not near:
                 break
-            best, length = tried, its
-        return best, length
+            reduced.update(near)
+            for start in [models[key][0] for key in near]:
+                for program in reductions(start.programs[number]):
+                    key = structure(program)
+                    if key not in models:
+                        models[key] = self._taken_in(rivals, start.with_program(number, program), number)
+        return min(models.values(), key=lambda each: each[1])
 
     def _taken_in(self, rivals: dict[bytes, Rival], model: ProcessModel, number: int) -> tuple[ProcessModel, float]:
         """Return the model with one equation fitted, and its description length, which the rivals keep."""

@@ -24,9 +24,9 @@ from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.increments.bins import split_into_bins
 from atoll_coordinator.data.increments.moments import lagged, products
 from atoll_coordinator.data.increments.steps import Steps
-from atoll_coordinator.model.criteria import constant_nats_of, structure_length
+from atoll_coordinator.model.criteria import constant_nats_of, program_length, structure_length
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.regression.shortening import Shortening
+from atoll_coordinator.model.regression.shortening import Candidate, Shortening
 from atoll_coordinator.model.sparse.regression import eliminated, libraries
 from atoll_coordinator.model.stochastic.likelihood import ProcessModel
 from atoll_coordinator.model.structure.term_libraries import Term, sum_of
@@ -72,10 +72,16 @@ class CandidateFinder:
         shortening = Shortening(
             weighted.problem, operators, columns, weighted.weights, self.deadline, has_simple_numbers=False
         )
-        found = shortening.candidates([*begun, *sums], looks_around)
+        found = sorted(shortening.candidates([*begun, *sums], looks_around), key=_length)
         programs = [make_coefficients_explicit(shortest(each.fitted.program)).program for each in found]
         distinct = {structure(program): program for program in programs}
         return [*distinct.values()][: SETTINGS.effort.beam]
+
+
+def _length(candidate: Candidate) -> float:
+    """Return the description length of a candidate with the prices of structures that the likelihood is told, too."""
+    program = candidate.fitted.program
+    return candidate.model.length - program_length(program) + structure_length(program)
 
 
 def _problem(number: int, model: ProcessModel, steps: Steps, names: tuple[str, ...]) -> WeightedProblem:

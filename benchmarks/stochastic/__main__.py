@@ -1,0 +1,92 @@
+"""``python -m benchmarks.stochastic``: drift and diffusion of six processes, 10,000 steps each, through the service.
+
+``--peer PYTHON`` names the interpreter of an environment with the packages ``kramersmoyal`` and ``pysindy``, by which
+the same paths are then treated as well.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from atoll.config import DataConfig, JobConfig
+from atoll_coordinator.cli.terminal.output import note, say, table
+from benchmarks.harness.command_line import plain_errors, seeds
+from benchmarks.harness.record import Record, load
+from benchmarks.harness.service import searching
+from benchmarks.stochastic.judging import Judged, judge
+from benchmarks.stochastic.peers import METHODS, Estimate, estimate
+from benchmarks.stochastic.processes import PROCESSES, simulate
+from benchmarks.stochastic.processes import table as table_of
+
+HEADS = ("process", "equation", "seeds", "right", "said good", "good but wrong", "covered", "of", "error")
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run what the command line asks for."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.stochastic", description=__doc__)
+    parser.add_argument("--seeds", type=seeds, default=seeds("1000-1009"), help="such as 0-4 (1000-1009)")
+    parser.add_argument("--processes", nargs="*", choices=[*PROCESSES], default=[*PROCESSES], metavar="NAME")
+    parser.add_argument("--workers", type=int, default=2, help="worker processes (%(default)s); 0: peers alone")
+    parser.add_argument("--peer", metavar="PYTHON", help="interpreter with kramersmoyal and pysindy")
+    parser.add_argument("--out", type=Path, help="file for all figures as JSON")
+    options = parser.parse_args(arguments)
+    record = Record("stochastic", arguments, options.out)
+    judged: list[Judged] = []
+    estimates: list[Estimate] = []
+    if options.workers:
+        with searching(options.workers) as searches:
+            for case in options.processes:
+                process = PROCESSES[case]
+                for seed in options.seeds:
+                    paths = simulate(process, seed)
+                    config = JobConfig(seed=seed, data=DataConfig(stochastic=True))
+                    result = searches.solve(f"{case} {seed}", table_of(process, paths), config)
+                    found = judge(case, process, seed, np.concatenate(paths, axis=1), result["equations"])
+                    judged += found
+                    right = sum(each.is_right for each in found)
+                    note(f"{case} seed {seed}: {right} of {len(found)} right in {result['seconds']:.1f} s")
+                    for each in found:
+                        if not each.is_right:
+                            note(f"  {each.equation} = {each.found} ({each.verdict})")
+                    record.write(judged=[asdict(each) for each in judged])
+    for case in options.processes if options.peer else ():
+        for seed in options.seeds:
+            estimates += estimate(options.peer, case, seed)
+            record.write(judged=[asdict(each) for each in judged], peers=[asdict(each) for each in estimates])
+    say(table(HEADS, _rows(judged)) if judged else "")
+    if estimates:
+        say(table(("process", "equation", "method", "seeds", "right", "error"), _peer_rows(estimates)))
+    say(f"load {load():.1f}")
+
+
+def _rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
+    rows = []
+    for case, equation in dict.fromkeys((each.case, each.equation) for each in judged):
+        its = [each for each in judged if (each.case, each.equation) == (case, equation)]
+        intervals = [is_covered for each in its for is_covered in each.is_covered]
+        good = [each for each in its if each.verdict == "good"]
+        wrong = sum(not each.is_right for each in good)
+        counts = (len(its), sum(each.is_right for each in its), len(good), wrong, sum(intervals), len(intervals))
+        error = float(np.median([each.error for each in its]))
+        rows.append((case, equation, *map(str, counts), f"{100.0 * error:.1f} %"))
+    return rows
+
+
+def _peer_rows(estimates: Sequence[Estimate]) -> list[tuple[str, ...]]:
+    rows = []
+    for case, equation in dict.fromkeys((each.case, each.equation) for each in estimates):
+        for method in METHODS:
+            its = [e for e in estimates if (e.case, e.equation, e.method) == (case, equation, method)]
+            right = "-" if any(each.is_right is None for each in its) else str(sum(bool(each.is_right) for each in its))
+            error = float(np.median([each.error for each in its]))
+            rows.append((case, equation, method, str(len(its)), right, f"{100.0 * error:.1f} %"))
+    return rows
+
+
+if __name__ == "__main__":
+    with plain_errors("benchmarks.stochastic"):
+        main(sys.argv[1:])

@@ -1,0 +1,87 @@
+"""What was found of a process beside the truth: form and error of each equation, intervals of its constants."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.program import constant_places, with_constants
+from atoll.expression.text.infix import to_infix
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.model.structure.unit_coefficients import make_coefficients_explicit
+from benchmarks.judging.coverage import covered
+from benchmarks.judging.forms import compare
+from benchmarks.stochastic.processes import Process
+
+ANY_CONSTANT: Final = 0.99
+"""Relative difference of coefficients within one form: the form is asked for, the constants by their intervals."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One equation of one search.
+
+    `is_right` tells whether it has the truth's terms and no others; `error` is the root mean square difference of both
+    on the measured rows over the root mean square of the truth. `is_covered` tells of each constant, factors of one
+    that are not written among them, whether its interval holds the truth; empty where the form is not the truth's.
+    """
+
+    case: str
+    seed: int
+    equation: str
+    found: str | None
+    verdict: str | None
+    is_right: bool
+    error: float
+    is_covered: tuple[bool, ...]
+
+
+def judge(
+    case: str, process: Process, seed: int, states: FloatArray, equations: Sequence[Mapping[str, Any]]
+) -> list[Judged]:
+    """Return what is to be said of each component of the truth, and of each one that it does not have.
+
+    Args:
+        case: name of the process.
+        process: the truth.
+        seed: of the paths.
+        states: (S, R), where errors are measured.
+        equations: those of a result.
+    """
+    found = {each["variable"]: each for each in equations}
+    judged = []
+    for name in dict.fromkeys([*process.truth, *found]):
+        truth = process.truth.get(name)
+        its = found.get(name)
+        if its is None or its["expression"] is None or truth is None:
+            text = None if its is None else its["expression"]
+            judged.append(Judged(case, seed, name, text, None, False, 1.0, ()))
+            continue
+        values = process.values(truth, states)
+        columns = dict(zip(process.names, states, strict=True))
+        rms = float(np.sqrt(np.mean(values * values)))
+        away = process.values(its["expression"], states) - values
+        is_right = compare(its["expression"], truth, columns, rms, ANY_CONSTANT).exact
+        its_intervals = _covered(its, process.names, columns, values) if is_right else ()
+        error = float(np.sqrt(np.mean(away * away))) / rms
+        judged.append(Judged(case, seed, name, its["expression"], its["verdict"], is_right, error, its_intervals))
+    return judged
+
+
+def _covered(
+    equation: Mapping[str, Any], names: Sequence[str], columns: Mapping[str, FloatArray], truth: FloatArray
+) -> tuple[bool, ...]:
+    """Return of each constant whether its interval holds the truth; factors of one that are not written count as well.
+
+    All constants are written out with their estimates, so that each is told from the others by its value.
+    """
+    explicit = make_coefficients_explicit(from_infix(equation["expression"], names))
+    implied, known = iter(equation["implied"]), equation["constants"]
+    constants = [next(implied) if origin is None else known[origin] for origin in explicit.origins]
+    fitted = [{**each, "value": each["fitted"]} for each in constants]
+    values = {place: its["value"] for place, its in zip(constant_places(explicit.program), fitted, strict=True)}
+    text = to_infix(with_constants(explicit.program, values), names)
+    found = covered(text, fitted, columns, truth)
+    return () if found is None else tuple(each.is_covered for each in found)

@@ -1,0 +1,100 @@
+"""Processes dx = f dt + g dW as text, and paths of them: 10,000 steps, in small steps of Euler and Maruyama."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.data.table import Table
+from atoll.expression.text.parsing import from_infix
+from benchmarks.harness.systems import Sampled
+from benchmarks.judging.evaluation import evaluate
+from benchmarks.kernels.derivatives import table_of
+
+SUBSTEPS: Final = 50
+STEPS: Final = 10_000
+SETTLING: Final = 100
+"""Rows that are left out before the first one."""
+
+
+@dataclass(frozen=True)
+class Process:
+    """A process: by state its `drift` and the square of its own noise, `diffusion`.
+
+    `starts` of the states, one path for each `paths`, sampled at every `step`; `noise` is the standard deviation of
+    errors of measurement. A process that does not settle begins at `starts`.
+    """
+
+    drift: Mapping[str, str]
+    diffusion: Mapping[str, str]
+    starts: Sequence[float]
+    step: float = 0.05
+    paths: int = 1
+    noise: float = 0.0
+    settles: bool = True
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The states."""
+        return tuple(self.drift)
+
+    @cached_property
+    def truth(self) -> dict[str, str]:
+        """The equations by the names that a result gives them."""
+        return {**self.drift, **{f"[{name}]": text for name, text in self.diffusion.items()}}
+
+    def values(self, text: str, states: FloatArray) -> FloatArray:
+        """Return an expression at states (S, R)."""
+        found = evaluate(from_infix(text, self.names), tuple(states))
+        return np.broadcast_to(np.asarray(found, dtype=np.float64), states.shape[1:]).copy()
+
+
+_WELL: Final = {"x": "x-x**3"}
+PROCESSES: Final = {
+    "Ornstein-Uhlenbeck": Process({"x": "-x"}, {"x": "0.25"}, [0.0]),
+    "double well": Process(_WELL, {"x": "0.25"}, [1.0]),
+    "double well, multiplicative": Process(_WELL, {"x": "0.25+0.25*x**2"}, [1.0]),
+    "van der Pol": Process({"x": "y", "y": "(1-x**2)*y-x"}, {"x": "0.09", "y": "0.09"}, [1.0, 0.0]),
+    "geometric Brownian motion": Process({"x": "0.15*x"}, {"x": "0.09*x**2"}, [1.0], paths=20, settles=False),
+    "Lotka-Volterra": Process(
+        {"x": "x-0.5*x*y", "y": "0.5*x*y-y"}, {"x": "0.01*x**2", "y": "0.01*y**2"}, [2.0, 2.0], settles=False
+    ),
+    "Ornstein-Uhlenbeck, errors of 0.1": Process({"x": "-x"}, {"x": "0.25"}, [0.0], noise=0.1),
+}
+
+
+def simulate(process: Process, seed: int) -> list[FloatArray]:
+    """Return the paths (S, R) of one seed, as they are measured: 10,000 steps in all."""
+    random = np.random.default_rng(seed)
+    count = STEPS // process.paths
+    settling = SETTLING if process.settles else 0
+    paths = [_path(process, settling + count + 1, random)[:, settling:] for _ in range(process.paths)]
+    return [path + process.noise * random.standard_normal(path.shape) for path in paths]
+
+
+def _path(process: Process, rows: int, random: np.random.Generator) -> FloatArray:
+    """Return one path (S, R), in plain numbers: there are half a million small steps."""
+    names = ", ".join(process.names)
+    rates = eval(f"lambda {names}: ({', '.join([*process.drift.values(), *process.diffusion.values()])},)")
+    small, size = process.step / SUBSTEPS, len(process.names)
+    states, found = [*process.starts], [[*process.starts]]
+    for _ in range(rows - 1):
+        normal = (random.standard_normal((SUBSTEPS, size)) * np.sqrt(small)).tolist()
+        for each in normal:
+            its = rates(*states)
+            states = [
+                state + small * rate + math.sqrt(square) * draw
+                for state, rate, square, draw in zip(states, its, its[size:], each, strict=False)
+            ]
+        found.append(states)
+    return np.ascontiguousarray(np.array(found).T)
+
+
+def table(process: Process, paths: Sequence[FloatArray]) -> Table:
+    """Return the table that a file with these paths would be read as."""
+    times = tuple(process.step * np.arange(path.shape[1]) for path in paths)
+    return table_of(Sampled(process.names, times, tuple(path.T for path in paths)))

@@ -1,0 +1,76 @@
+"""Does what a model leaves of a state grow like a random walk? Then noise is part of the law. Pure.
+
+The mean square of second differences of rows l apart is constant for errors of measurement, grows with l for a random
+walk and with l^4 for what is smooth (compare variograms, Matheron 1963). An exponent between 1/2 and 5/2 is nearest to
+that of a walk; a mixture of the other two passes through these values, but not over three doublings of the lag.
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll_coordinator.data.recording import Recording
+from atoll_coordinator.model.refinement import Simulation
+from atoll_coordinator.settings import SETTINGS
+
+_LAGS: Final = (1, 2, 4, 8)
+
+
+def stochastic_remarks(recording: Recording, simulation: Simulation | None) -> list[str]:
+    """Return a sentence that proposes ``--stochastic``, if what is left of states by a simulation looks like it.
+
+    Without a simulation that is what was measured: of a process, hardly a model can be simulated.
+    """
+    walking = [
+        state for index, state in enumerate(recording.states) if _walks(*_residuals(recording, simulation, index))
+    ]
+    if not walking:
+        return []
+    named = ", ".join(f"'{state}'" for state in walking)
+    what = "What was measured of" if simulation is None else "What the model leaves of"
+    return [
+        f"{what} {named} grows like a random walk, as where noise moves the system itself: with --stochastic, drift "
+        "and diffusion are sought."
+    ]
+
+
+def _residuals(
+    recording: Recording, simulation: Simulation | None, index: int
+) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Return measured values of a state along each trajectory, and what the simulation leaves of them."""
+    measured = [each.measured[index] for each in recording.trajectories if not each.held_out]
+    if simulation is None:
+        return measured, measured
+    place = simulation.states.index(recording.states[index]) if recording.states[index] in simulation.states else None
+    simulated = [each.values for each in simulation.trajectories if not each.held_out]
+    if place is None or len(simulated) != len(measured):
+        return measured, []
+    pairs = zip(measured, simulated, strict=True)
+    return measured, [
+        its - values[place] for its, values in pairs if values is not None and len(values[place]) == len(its)
+    ]
+
+
+def _walks(measured: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> bool:
+    """Tell whether residuals grow like a walk that leaves a tenth of the state's variance behind in a trajectory."""
+    values, rows = np.concatenate(measured), max(map(len, residuals), default=0)
+    if rows <= SETTINGS.process.fewest_steps:
+        return False
+    squares = [_mean_square(residuals, lag) for lag in _LAGS]
+    variance = float(np.nanvar(values))
+    if not all(0.0 < square < math.inf for square in squares) or rows * squares[0] < SETTINGS.inference.part * variance:
+        return False
+    exponents = [math.log2(after / before) for before, after in pairwise(squares)]
+    return all(0.5 < exponent < 2.5 for exponent in exponents)
+
+
+def _mean_square(residuals: Sequence[FloatArray], lag: int) -> float:
+    """Return the mean square of second differences of rows so far apart, over that of one walk; NaN left out."""
+    parts = [each[2 * lag :] - 2.0 * each[lag:-lag] + each[: -2 * lag] for each in residuals if len(each) > 2 * lag]
+    differences = np.concatenate(parts) / math.sqrt(2.0)
+    known = differences[np.isfinite(differences)]
+    return float(np.mean(known * known)) if len(known) else math.nan

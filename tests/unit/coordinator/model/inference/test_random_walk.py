@@ -1,0 +1,42 @@
+import numpy as np
+import pytest
+
+from atoll_coordinator.data.recording import Recording, Trajectory
+from atoll_coordinator.model.inference.random_walk import stochastic_remarks
+from atoll_coordinator.model.refinement import Simulated, Simulation
+
+TIMES = 0.05 * np.arange(1000)
+
+
+def recording(states: np.ndarray) -> Recording:
+    nothing = np.zeros((0, len(TIMES)))
+    its = Trajectory("1", TIMES, states[None], states[None], states[None], nothing, nothing)
+    return Recording(("x",), ("x",), (), (), (), 1, 0.0, (), (its,))
+
+
+def simulation(values: np.ndarray) -> Simulation:
+    return Simulation(("x",), (Simulated("1", False, TIMES, values[None], None, (0.5,)),), 1.96)
+
+
+def walk(seed: int) -> np.ndarray:
+    return np.cumsum(np.random.default_rng(seed).standard_normal(len(TIMES))) * 0.1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_walk_about_a_simulation_proposes_the_option(seed: int) -> None:
+    wave = 2.0 * np.sin(TIMES)
+    assert "with --stochastic" in stochastic_remarks(recording(wave + walk(seed)), simulation(wave))[0]
+    assert "'x'" in stochastic_remarks(recording(wave + walk(seed)), None)[0]
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("slope", [0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 2.0])
+def test_errors_of_measurement_and_what_a_model_misses_do_not(seed: int, slope: float) -> None:
+    wave = 2.0 * np.sin(TIMES)
+    noise = 0.1 * np.random.default_rng(seed).standard_normal(len(TIMES))
+    assert stochastic_remarks(recording(wave + noise + slope * np.sin(2.0 * TIMES)), simulation(wave)) == []
+
+
+def test_errors_of_a_solver_do_not_though_they_add_up() -> None:
+    wave = 2.0 * np.sin(TIMES)
+    assert stochastic_remarks(recording(wave + 1e-4 * walk(1)), simulation(wave)) == []
