@@ -78,6 +78,9 @@ class InterpolationSettings:
     judged_shares: tuple[float, ...] = (0.95, 0.75)
     """Shares of the rows, the best ones, by which interpolation and smoothing are compared: jumps must not decide, nor
     must rows at rest. Without noise interpolation wins by either; with noise it loses by a factor near 1.5 by both."""
+    quiet_share: float = 0.5
+    """The same where only rows that change little tell that there is no noise: of fast transients the others err more
+    by interpolation, too, than smoothing says."""
     end_rows: int = 4
     """Rows at each end of a trajectory whose derivatives by interpolation are much worse than the others'."""
 
@@ -211,6 +214,25 @@ class SparseSettings:
 
 
 @dataclass(frozen=True)
+class RateSettings:
+    """Laws by regression on derivatives with errors of their own."""
+
+    trusted_share: float = 0.4
+    """Share of the rows, those known best, by which functions are found: of seven states with fast transients, 51 rows
+    a run, the errors of that many were 1e-3 of the deviation, of seven in ten 0.3."""
+    most_terms: int = 24
+    """Longest sum that is fitted by itself on the way from a library to nothing."""
+    most_atoms: int = 40_000
+    """Products with functions, one for each inner constant tried, that are compared: some seconds."""
+    polished: int = 64
+    """Products with functions whose constants are fitted, the polynomial projected out."""
+    beam: int = 8
+    """Of these, those that are fitted to all rows together with the polynomial."""
+    screened: int = 8
+    """Variables that an equation is taken to have at most, where there are too many for a library of all products."""
+
+
+@dataclass(frozen=True)
 class ShootingSettings:
     """Fits of systems to trajectories by multiple shooting."""
 
@@ -312,6 +334,7 @@ class Settings:
     structure: StructureSettings = StructureSettings()
     regression: RegressionSettings = RegressionSettings()
     sparse: SparseSettings = SparseSettings()
+    rates: RateSettings = RateSettings()
     shooting: ShootingSettings = ShootingSettings()
     selection: SelectionSettings = SelectionSettings()
     inference: InferenceSettings = InferenceSettings()

@@ -58,6 +58,8 @@ class Trajectory:
     everywhere.
     `robustness_weights` (S, R), from 0 (an outlier) to 1, reduce the weight of single measurements; None: all are 1.
     `weights` (R,) divide the variance of the errors of each row and are 1 on average over all rows; None: all are 1.
+    `rates` and `rate_errors` (S, R) are the derivatives sought and their standard errors, with those of the estimated
+    bias; infinite where nothing is known. None: they were not kept.
     """
 
     name: str
@@ -71,6 +73,8 @@ class Trajectory:
     robustness_weights: FloatArray | None = None
     weights: FloatArray | None = None
     is_known: npt.NDArray[np.bool_] | None = None
+    rates: FloatArray | None = None
+    rate_errors: FloatArray | None = None
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,8 @@ def build_recording(
     measured = _stack([np.concatenate(parts) for parts in whole.states.values()], rows)
     smoothed = _stack([estimate.values for estimate in estimates], rows)
     velocities = _stack([estimate.velocity for estimate in estimates], rows)
+    rates = _stack([estimate.derivative for estimate in estimates], rows)
+    rate_errors = _stack([estimate.total_uncertainty for estimate in estimates], rows)
     input_values = _stack([np.concatenate(parts) for parts in inputs], rows)
     input_slopes = _stack([np.concatenate(parts) for parts in slopes], rows)
     robustness_weights = None
@@ -60,6 +62,8 @@ def build_recording(
             None if robustness_weights is None else _part(robustness_weights, place),
             None if weights is None else _part(weights, place),
             None if is_known.all() else np.ascontiguousarray(is_known[:, slice(*place)]),
+            _part(rates, place),
+            _part(rate_errors, place),
         )
         for name, times, place, held_out in zip(
             whole.names, whole.times, measurements.ranges, measurements.held_out, strict=True

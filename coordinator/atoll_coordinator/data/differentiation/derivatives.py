@@ -190,8 +190,11 @@ def _estimate(
     if not options.paper and not is_weighted and not (options.robust and is_tailed):
         errors, gains = predict_left_out([signal.measured for signal in searched])
         noise, deviation = max(estimate_value_noise(errors, gains), least), _standard_deviation(searched)
-        is_small = noise <= SETTINGS.interpolation.largest_noise * deviation
-        if is_small and is_interpolation_better(searched, errors, smoothed):
+        largest, shares = SETTINGS.interpolation.largest_noise * deviation, SETTINGS.interpolation.judged_shares
+        if noise > largest:
+            noise = max(estimate_value_noise(errors, gains, is_quiet=True), least)
+            shares = (*shares, SETTINGS.interpolation.quiet_share)
+        if noise <= largest and is_interpolation_better(searched, errors, smoothed, shares):
             return _interpolate(signals, options.order, noise, deviation)
     fit = fit_robustly(searched, options.degrees) if options.robust else None
     if fit is None or not fit.outliers:

@@ -29,6 +29,10 @@ _LEAST_FREEDOM: Final = 1e-12
 MEDIAN_ERROR: Final = 1.1664
 """Relative standard error of the median size of R normal errors, times sqrt(R): 1 / (2 m f(m)) with the median
 m = 0.6745 and the density f of the size."""
+QUIET_DEVIATION: Final = 7.9579
+"""A normal error's standard deviation over its size that a tenth of such errors stay below, 0.12566."""
+QUIET_ERROR: Final = 3.0156
+"""Relative standard error of that size of R errors, times sqrt(R): sqrt(0.1 0.9) / (2 m f(m)), see `MEDIAN_ERROR`."""
 
 
 def mark_ends(lengths: Sequence[int]) -> FloatArray:
@@ -54,7 +58,7 @@ def predict_left_out(signals: Sequence[Signal]) -> tuple[FloatArray, FloatArray]
     return np.concatenate(errors), np.concatenate(gains)
 
 
-def estimate_value_noise(errors: FloatArray, gains: FloatArray) -> float:
+def estimate_value_noise(errors: FloatArray, gains: FloatArray, *, is_quiet: bool = False) -> float:
     """Return an estimate of the standard deviation of the values' errors that is not biased low.
 
     The left-out errors of one width over their gains have the standard deviation sought where the width follows the
@@ -65,25 +69,31 @@ def estimate_value_noise(errors: FloatArray, gains: FloatArray) -> float:
     Args:
         errors: of rows predicted from their neighbours, (R, H); NaN where a stencil does not fit.
         gains: their standard deviations for errors of deviation one, (R, H).
+        is_quiet: by the tenth of the rows with the smallest errors instead of half: where a state changes too fast for
+            the sampling in places, the others tell its noise. The standard error is 2.6 times as large.
     """
     rows = len(errors)
-    medians = np.sort(np.abs(errors) / gains, axis=0)[rows // 2]
-    noises = NORMAL_DEVIATION * medians[~np.isnan(medians)]
-    agreement = 1.0 + LIMITS.agreement * MEDIAN_ERROR * math.sqrt(2.0 / rows)
+    share, deviation, error = (0.1, QUIET_DEVIATION, QUIET_ERROR) if is_quiet else (0.5, NORMAL_DEVIATION, MEDIAN_ERROR)
+    quantiles = np.sort(np.abs(errors) / gains, axis=0)[int(share * rows)]
+    noises = deviation * quantiles[~np.isnan(quantiles)]
+    agreement = 1.0 + LIMITS.agreement * error * math.sqrt(2.0 / rows)
     return float(np.max(noises[noises <= agreement * np.min(noises)]))
 
 
-def is_interpolation_better(signals: Sequence[Signal], errors: FloatArray, smoothed: Sequence[SmoothedSignal]) -> bool:
+def is_interpolation_better(
+    signals: Sequence[Signal], errors: FloatArray, smoothed: Sequence[SmoothedSignal], shares: Sequence[float]
+) -> bool:
     """Say whether interpolation predicts rows that are left out better than loess does.
 
     Args:
         signals: one state along each trajectory.
         errors: by which interpolation misses the rows that were measured, from `predict_left_out`.
         smoothed: loess of each of `signals`.
+        shares: of the rows, those with the smallest errors; it is better where it is by one of these.
     """
     inner = mark_ends([len(signal.measured.times) for signal in signals]) == 0.0
     by_loess = _loess_errors(signals, smoothed)[inner]
-    for share in LIMITS.judged_shares:
+    for share in shares:
         by_interpolation = min(_typical_size(errors[inner, width], share) for width in range(HALF_WIDTHS))
         if by_interpolation < _typical_size(by_loess, share):
             return True

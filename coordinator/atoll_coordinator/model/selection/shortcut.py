@@ -55,7 +55,8 @@ def select_by_laws(task: ModellingTask) -> SelectedModel | None:
     if begun is None:
         return None
     rows = predictable_rows(begun.model.fit, begun.comparison)
-    if _rows(task) <= SETTINGS.selection.compared_rows and rows >= longest(task):
+    is_of_rates = all(laws[0].is_of_rates for laws in task.laws.values() if laws)
+    if _rows(task) <= SETTINGS.selection.compared_rows and rows >= longest(task) and not is_of_rates:
         return None
     task = replace(task, piece=min(task.piece, rows))
     if is_nearly_clean(task):

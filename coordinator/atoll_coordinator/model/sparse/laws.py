@@ -16,6 +16,8 @@ from atoll_coordinator.data.recording import Preparation, Recording
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.refinement import may_be_shown
 from atoll_coordinator.model.sparse.products import products_of
+from atoll_coordinator.model.sparse.rates.laws import find_rate_laws
+from atoll_coordinator.model.sparse.rates.rows import rate_rows
 from atoll_coordinator.model.sparse.regression import Elimination, Law, Regression, eliminated, libraries, misfit
 from atoll_coordinator.model.sparse.weak_form import Measured, WeakForm, measured_of, weak_form
 from atoll_coordinator.model.structure.term_libraries import sum_of
@@ -38,11 +40,24 @@ def find_laws(
         operators: codes of the operators.
         others: programs that laws are compared with where there is noise.
     """
-    if not _is_simple(recording) or not {ADD, MULTIPLY} <= set(operators) or not columns:
+    if not _has_like_rows(recording) or not {ADD, MULTIPLY} <= set(operators) or not columns:
         return ()
-    if not problem.target.is_noisy and all(each.method == "interpolation" for each in recording.smoothing):
+    is_interpolated = all(each.method == "interpolation" for each in recording.smoothing)
+    if is_interpolated and _are_many(columns):
+        rows = rate_rows(recording, problem.names, problem.target.variable)
+        found = find_rate_laws(rows, columns, operators) if rows is not None else ()
+        if found:
+            return found
+    if recording.order == 2:
+        return ()
+    if not problem.target.is_noisy and is_interpolated:
         return tuple(_without_noise(problem, columns))
     return tuple(_with_noise(problem, recording, columns, others))
+
+
+def _are_many(columns: Sequence[int]) -> bool:
+    """Tell whether there are too many variables for a library of all products up to the highest degree."""
+    return math.comb(len(columns) + SETTINGS.sparse.degree, len(columns)) > SETTINGS.sparse.largest_library
 
 
 def has_laws(preparation: Preparation, config: JobConfig) -> bool:
@@ -55,8 +70,7 @@ def has_laws(preparation: Preparation, config: JobConfig) -> bool:
     is_asked = budget.target_error is not None or budget.stagnation is not None or bool(config.prior.guesses)
     if recording is None or is_asked:
         return False
-    if sum(len(each.times) for each in recording.trajectories if not each.held_out) <= SETTINGS.selection.compared_rows:
-        return False
+    rows = sum(len(each.times) for each in recording.trajectories if not each.held_out)
     for name in dataset.variables:
         if name in config.prior.known:
             continue
@@ -67,15 +81,15 @@ def has_laws(preparation: Preparation, config: JobConfig) -> bool:
             return False
         if not laws[0].is_tested or laws[0].probability < SETTINGS.inference.improbable:
             return False
+        if rows <= SETTINGS.selection.compared_rows and not laws[0].is_of_rates:
+            return False
     return True
 
 
-def _is_simple(recording: Recording) -> bool:
-    """Tell whether rows count alike, and states are measured without an unknown offset: what the weak form assumes."""
-    return (
-        recording.order == 1
-        and not recording.offsets
-        and all(part.weights is None and part.robustness_weights is None for part in recording.trajectories)
+def _has_like_rows(recording: Recording) -> bool:
+    """Tell whether rows count alike, and states are measured without an unknown offset, as is assumed here."""
+    return not recording.offsets and all(
+        part.weights is None and part.robustness_weights is None for part in recording.trajectories
     )
 
 

@@ -18,13 +18,12 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray, Problem
-from atoll.expression.builder import Expression, ProgramBuilder
 from atoll.expression.operators import ADD, MULTIPLY
 from atoll.expression.program import Program
 from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.damping import FIRST_DAMPING
-from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes
+from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes, sum_program
 from atoll_coordinator.settings import SETTINGS
 
 _DEGREE: Final = SETTINGS.sparse.degree - 1
@@ -117,7 +116,7 @@ class _Pursuit:
 
     def _price(self, shape: Shape) -> float:
         constants = 1 + shape.has_constant
-        return structure_length(_program([(2.5, shape.expression(1.5))])) + constants * constant_nats_of(
+        return structure_length(sum_program([(2.5, shape.expression(1.5))])) + constants * constant_nats_of(
             len(self._target)
         )
 
@@ -327,16 +326,7 @@ class _Pursuit:
     def _made(self, its: _Sum) -> Program:
         parts = zip(its.terms, its.constants.tolist(), its.coefficients.tolist(), strict=True)
         return collected(
-            _program([(coefficient, self._shapes[term].expression(constant)) for term, constant, coefficient in parts])
+            sum_program(
+                [(coefficient, self._shapes[term].expression(constant)) for term, constant, coefficient in parts]
+            )
         )
-
-
-def _program(parts: Sequence[tuple[float, Expression]]) -> Program:
-    """Return the sum of expressions times their coefficients."""
-    total: Expression | None = None
-    for coefficient, expression in parts:
-        part: Expression = (MULTIPLY, coefficient, expression)
-        total = part if total is None else (ADD, total, part)
-    assert total is not None
-    builder = ProgramBuilder()
-    return builder.program(builder.build(total))

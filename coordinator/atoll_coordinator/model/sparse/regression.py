@@ -23,7 +23,7 @@ class Law:
     `excess` is how many times as large as the noise, or as the limit of convergence, the errors are. `is_tested` tells
     whether there are enough rows for the largest library that it was chosen from. `lead` is how many nats longer the
     best of the other programs is that were compared with it and are no sums of products. `probability` is that of
-    errors as large as these where all are noise.
+    errors as large as these where all are noise. `is_of_rates`: it was found among many variables, by derivatives.
     """
 
     program: Program
@@ -32,6 +32,7 @@ class Law:
     is_tested: bool
     lead: float = math.inf
     probability: float = 1.0
+    is_of_rates: bool = False
 
 
 def libraries(columns: Sequence[int], rows: float) -> Iterator[tuple[list[Term], bool]]:

@@ -4,14 +4,16 @@ Letters: R rows, V variables.
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations, combinations_with_replacement
 from typing import Final
 
 import numpy as np
 
 from atoll.data.dataset import FloatArray
-from atoll.expression.builder import Expression
+from atoll.expression.builder import Expression, ProgramBuilder
+from atoll.expression.evaluation import values_of
 from atoll.expression.operators import (
     ADD,
     COS,
@@ -26,10 +28,12 @@ from atoll.expression.operators import (
     TANH,
     VARIABLE,
 )
+from atoll.expression.program import Program
 
 _RATES: Final = (0.3, 0.6, 1.2, 2.4, 4.8, 9.6)
 _BOTH_SIGNS: Final = (*_RATES, *(-rate for rate in _RATES))
 _SHIFTS: Final = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+_WIDE_SHIFTS: Final = tuple(0.0125 * 2.0 ** (step / 2.0) for step in range(17))
 _EXPONENTS: Final = (-1.5, -0.5, 0.3, 0.7, 1.5, 2.5)
 
 
@@ -128,6 +132,15 @@ class Shape:
             return np.zeros_like(self.product)
         return np.asarray(self.product * self.function.slope(self.u, constant))
 
+    def over(self, inputs: FloatArray) -> "Shape":
+        """Return the same shape on other rows of the variables, `inputs` (V, R)."""
+        product = np.prod(inputs[list(self.factors)], axis=0)
+        if self.function is None:
+            return Shape(self.factors, product)
+        builder = ProgramBuilder()
+        u = values_of(builder.program(builder.build(self.argument)), inputs)
+        return replace(self, product=product, u=u)
+
     def expression(self, constant: float) -> Expression:
         """Return the product with this inner constant."""
         parts: list[Expression] = [(VARIABLE, each) for each in self.factors]
@@ -147,13 +160,39 @@ def powers(inputs: FloatArray, columns: Sequence[int], degree: int) -> Iterator[
 
 
 def shapes(
-    inputs: FloatArray, columns: Sequence[int], operators: Collection[int], products: Sequence[Shape]
+    inputs: FloatArray,
+    columns: Sequence[int],
+    operators: Collection[int],
+    products: Sequence[Shape],
+    *,
+    has_powers: bool = False,
 ) -> Iterator[Shape]:
-    """Yield each of the `products` times each function that the operators (codes) allow."""
-    for argument, u, functions in _arguments(inputs, columns, set(operators)):
+    """Yield each of the `products` times each function that the operators (codes) allow.
+
+    Where it `has_powers`, quotients are those of Hill's equation: with powers up to the fourth, and wider grids.
+    """
+    found = list(_arguments(inputs, columns, set(operators)))
+    if has_powers and DIVIDE in operators:
+        found = [(argument, u, [each for each in its if each is not _OVER_SUM]) for argument, u, its in found]
+        found += [each for column in columns for each in _quotients(inputs[column], column)]
+    for argument, u, functions in found:
         for its in products:
             for function in functions:
                 yield Shape(its.factors, its.product, function, argument, u)
+
+
+def _quotients(values: FloatArray, column: int) -> Iterator[tuple[Expression, FloatArray, list[Function]]]:
+    """Yield the powers of a variable with 1/(c + u) of each; shifts are powers of shares of the variable."""
+    leaf: Expression = (VARIABLE, column)
+    square: Expression = (MULTIPLY, leaf, leaf)
+    arguments: tuple[Expression, ...] = (leaf, square, (MULTIPLY, leaf, square), (MULTIPLY, square, square))
+    for exponent, argument in enumerate(arguments, 1):
+        yield argument, values**exponent, [replace(_OVER_SUM, constants=partial(_powers_of_shifts, exponent))]
+
+
+def _powers_of_shifts(exponent: int, size: float) -> Sequence[float]:
+    """Return shifts for a power of the root mean square `size`."""
+    return [shift**exponent * size for shift in _WIDE_SHIFTS]
 
 
 def _arguments(
@@ -174,3 +213,14 @@ def _arguments(
         for join, u in ((SUBTRACT, inputs[one] - inputs[other]), (ADD, inputs[one] + inputs[other])):
             if join in operators:
                 yield (join, (VARIABLE, one), (VARIABLE, other)), u, waves
+
+
+def sum_program(parts: Sequence[tuple[float, Expression]]) -> Program:
+    """Return the sum of expressions times their coefficients, of which there is one at least."""
+    total: Expression | None = None
+    for coefficient, expression in parts:
+        part: Expression = (MULTIPLY, coefficient, expression)
+        total = part if total is None else (ADD, total, part)
+    assert total is not None
+    builder = ProgramBuilder()
+    return builder.program(builder.build(total))

@@ -5,6 +5,7 @@ import os
 import numpy as np
 
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate, windowed_sums
+from atoll_coordinator.model.sparse.kernels.robust import robust_fit, select_forward
 
 
 def warm_up() -> None:
@@ -13,4 +14,6 @@ def warm_up() -> None:
         return
     values = np.array([[1.0, 2.0, 4.0], [1.0, 1.0, 1.0]])
     windowed_sums(np.zeros(1, np.int64), np.ones((1, 3)), values, np.zeros((2, 1)))
+    robust_fit(values, np.array([1.0, 3.0, 7.0]), np.ones(3), 2, np.zeros(2), np.ones(3))
+    select_forward(values.copy(), np.array([1.0, 3.0, 7.0]), np.zeros(1, np.int64), np.zeros(2))
     eliminate(values, np.array([1.0, 3.0, 7.0]), np.zeros(2, np.int64), np.zeros(3), np.zeros((2, 2)))

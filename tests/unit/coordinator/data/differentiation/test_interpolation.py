@@ -33,3 +33,16 @@ def test_the_noise_of_a_single_long_signal_is_near_the_truth():
 def test_values_without_noise_have_that_of_their_rounding():
     times = 0.02 * np.arange(500)
     assert 1e-17 < estimate_value_noise(*predict_left_out([Signal(times, np.sin(times))])) < 3e-16
+
+
+def test_rows_that_change_little_tell_the_noise_beside_fast_ones():
+    rng = np.random.default_rng(6)
+    times = np.linspace(0.0, 10.0, 400)
+    fast = np.where(times > 3.0, rng.standard_normal(400), 0.0)
+    noisy = np.sin(times) + fast + NOISE * rng.standard_normal(400)
+    whole, quiet = (
+        estimate_value_noise(*predict_left_out([Signal(times, noisy)]), is_quiet=is_quiet) / NOISE
+        for is_quiet in (False, True)
+    )
+    assert whole > 10.0 * quiet
+    assert 0.5 < quiet < 6.0

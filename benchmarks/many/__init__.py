@@ -1,0 +1,7 @@
+"""Systems of many states: yeast glycolysis, Lorenz 96 with up to 100 states, networks, a chain of pendulums.
+
+- `systems`: their equations, and runs from random initial conditions; flows of ``dysts`` from their files
+- `campaign`: all searches that are asked for, one after another, each judged
+- `journal`: a file of searches that can be resumed
+- `processor_time`: processor seconds by the state that a job is in
+"""

@@ -1,0 +1,10 @@
+"""Laws by regression on estimated derivatives, each row by its own standard error: for many variables.
+
+- `rows`: derivatives, their errors and the variables on all rows that were measured
+- `screening`: which variables an equation takes
+- `sums`: sums of products and functions fitted robustly, the shortest of them
+- `functions`: which product with a function a polynomial lacks
+- `laws`: the law of one state, if its rows have one
+
+The reasons and figures: ADR 0043.
+"""

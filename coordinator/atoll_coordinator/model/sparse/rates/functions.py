@@ -1,0 +1,175 @@
+"""Which products with a function a polynomial lacks: all are compared, the polynomial projected out.
+
+On the rows whose derivatives are known best: errors of the others would decide. Inner constants are fitted one by one.
+
+Letters: A atoms, K terms, N rows.
+"""
+
+import math
+from collections.abc import Callable, Collection, Sequence
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll_coordinator.model.sparse.rates.rows import RateRows
+from atoll_coordinator.model.sparse.rates.sums import Atom, RateSum, fitted, polished
+from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes
+from atoll_coordinator.settings import SETTINGS
+
+_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+_NARROWINGS = 25
+"""Numerics: a bracket is narrowed by the golden section to 6e-6 of its width."""
+_DEPENDENT = 1e-7
+"""Share of a column beyond the polynomial that is rounding."""
+
+
+def extended(
+    rows: RateRows, begun: Sequence[Atom], columns: Sequence[int], operators: Collection[int]
+) -> list[tuple[Atom, ...]]:
+    """Return `begun` with one product with a function more, the best first, inner constants fitted.
+
+    Args:
+        rows: of the derivative; the trusted share of them counts.
+        begun: terms that are there already.
+        columns: variables that may be used.
+        operators: codes of operators that may be used.
+    """
+    its = rows.trusted()
+    if len(its.values) < SETTINGS.sparse.rows_per_term * len(begun):
+        return []
+    here = [Atom(atom.shape.over(its.inputs), atom.constant) for atom in begun]
+    beside = _Beside(its, here)
+    dictionary = _dictionary(its.inputs, columns, operators)
+    promising = beside.best(dictionary)
+    found = [each for each in (beside.narrowed(shape, near) for shape, near in promising) if each is not None]
+    found.sort(key=lambda each: each[0])
+    ends: list[RateSum] = []
+    for _, atom in found[: SETTINGS.rates.beam]:
+        joined = fitted(its, [*here, atom])
+        if joined is not None:
+            ends.append(polished(its, joined))
+    ends.sort(key=lambda each: each.nats)
+    return [tuple(Atom(atom.shape.over(rows.inputs), atom.constant) for atom in end.atoms) for end in ends]
+
+
+def _dictionary(inputs: FloatArray, columns: Sequence[int], operators: Collection[int]) -> list[Shape]:
+    """Return products of up to two variables with functions, of one or none where there are too many."""
+    plain = list(powers(inputs, columns, 2))
+    for degree in (2, 1, 0):
+        products = [shape for shape in plain if len(shape.factors) <= degree]
+        single = list(shapes(inputs, columns, operators, products[:1], has_powers=True))
+        if len(products) * sum(len(shape.constants()) for shape in single) <= SETTINGS.rates.most_atoms:
+            return list(shapes(inputs, columns, operators, products, has_powers=True))
+    return []
+
+
+class _Beside:
+    """What terms leave of a derivative, and what others explain of that. Rows weigh by errors and by what is missing.
+
+    The variance of what is missing, the same on all rows, is that which makes the median residual normal.
+    """
+
+    def __init__(self, rows: RateRows, begun: Sequence[Atom]) -> None:
+        columns = np.array([atom.shape.value(atom.constant) for atom in begun])
+        missing, weights = float(rows.values.std()), np.ones(len(rows.values))
+        for _ in range(SETTINGS.effort.steps):
+            weights = 1.0 / np.sqrt(rows.errors**2 + missing**2)
+            left = rows.values - _solved(columns, rows.values, weights) @ columns
+            square = (float(np.median(np.abs(left))) / _NORMAL) ** 2 - float(np.median(rows.errors)) ** 2
+            before, missing = missing, math.sqrt(max(square, 0.0))
+            if abs(missing - before) <= 1e-2 * before:
+                break
+        self._weights = weights
+        sizes = np.sqrt(((columns * weights) ** 2).sum(axis=1))[:, None]
+        self._basis = np.linalg.qr((columns * weights / np.where(sizes > 0.0, sizes, 1.0)).T)[0]
+        self._left = self._projected(rows.values[None])[0]
+        self._square = float(self._left @ self._left)
+
+    def _projected(self, values: FloatArray) -> FloatArray:
+        """Return what the terms leave of weighted `values` (A, N)."""
+        found = values * self._weights
+        for _ in range(2):  # the second time for what rounding left
+            found = found - (found @ self._basis) @ self._basis.T
+        return np.asarray(found)
+
+    def best(self, dictionary: Sequence[Shape]) -> list[tuple[Shape, float]]:
+        """Return the shapes that explain most with the inner constants, on their grids, at which they do.
+
+        A shape may have several: those that explain more than the constants beside them.
+        """
+        ranked: list[tuple[float, int, float]] = []
+        with np.errstate(all="ignore"):
+            for index, shape in enumerate(dictionary):
+                constants = list(shape.constants())
+                gains = self._gains(np.array([shape.value(constant) for constant in constants]))
+                around = np.concatenate([[-1.0], gains, [-1.0]])
+                peaks = np.flatnonzero((gains >= around[:-2]) & (gains >= around[2:]))
+                ranked += [(-float(gains[peak]), index, constants[peak]) for peak in peaks]
+        ranked.sort()
+        return [(dictionary[index], constant) for _, index, constant in ranked[: SETTINGS.rates.polished]]
+
+    def _gains(self, columns: FloatArray) -> FloatArray:
+        if not len(columns):
+            return np.zeros(0)
+        sizes = np.sqrt(((columns * self._weights) ** 2).sum(axis=1))
+        beside = self._projected(columns)
+        norms = np.sqrt((beside**2).sum(axis=1))
+        gains = np.where(norms > _DEPENDENT * sizes, (beside @ self._left) / np.maximum(norms, 1e-300), 0.0) ** 2
+        return np.asarray(np.where(np.isfinite(gains) & np.isfinite(sizes), gains, 0.0))
+
+    def narrowed(self, shape: Shape, near: float) -> tuple[float, Atom] | None:
+        """Return the share that the shape leaves at the best inner constant between those beside `near`, and its atom.
+
+        None where it explains nothing.
+        """
+
+        def left(constant: float) -> float:
+            with np.errstate(all="ignore"):
+                return 1.0 - float(self._gains(shape.value(constant)[None])[0]) / self._square
+
+        if not self._square > 0.0:
+            return None
+        best = near
+        if shape.has_constant:
+            low, high = (math.log(abs(each)) for each in _bracket(sorted(shape.constants(), key=abs), near))
+            best = math.copysign(
+                math.exp(_least(lambda size: left(math.copysign(math.exp(size), near)), low, high)), near
+            )
+        share = left(best)
+        return (share, Atom(shape, best)) if share < 1.0 else None
+
+
+_NORMAL = 0.6745
+"""Median size of a normal error over its standard deviation."""
+
+
+def _bracket(grid: Sequence[float], near: float) -> tuple[float, float]:
+    """Return the constants of a grid on either side of `near`, of its sign, beyond its ends by the same ratio."""
+    constants = [each for each in grid if (each > 0.0) == (near > 0.0)]
+    place = constants.index(near)
+    ratio = constants[place] / constants[place - 1] if place else constants[1] / constants[0] if constants[1:] else 2.0
+    low = constants[place - 1] if place else near / ratio
+    return low, constants[place + 1] if place + 1 < len(constants) else near * ratio
+
+
+def _least(value: Callable[[float], float], low: float, high: float) -> float:
+    """Return where a function is least between two numbers, by the golden section."""
+    one, other = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+    at_one, at_other = value(one), value(other)
+    for _ in range(_NARROWINGS):
+        if at_one < at_other:
+            high, other, at_other = other, one, at_one
+            one = high - _GOLDEN * (high - low)
+            at_one = value(one)
+        else:
+            low, one, at_one = one, other, at_other
+            other = low + _GOLDEN * (high - low)
+            at_other = value(other)
+    return 0.5 * (low + high)
+
+
+def _solved(columns: FloatArray, values: FloatArray, weights: FloatArray) -> FloatArray:
+    sizes = np.sqrt(((columns * weights) ** 2).sum(axis=1))
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    unit = columns * weights / sizes[:, None]
+    return np.asarray(np.linalg.lstsq(unit.T, values * weights, rcond=1e-12)[0] / sizes)

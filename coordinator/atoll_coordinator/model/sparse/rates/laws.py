@@ -1,0 +1,58 @@
+"""The law of one state from its derivatives: a short sum that leaves no more than their errors."""
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+
+from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.sparse.rates.functions import extended
+from atoll_coordinator.model.sparse.rates.rows import RateRows
+from atoll_coordinator.model.sparse.rates.screening import screened
+from atoll_coordinator.model.sparse.rates.sums import Atom, RateSum, polished, pruned, shortest_sum
+from atoll_coordinator.model.sparse.regression import Law
+from atoll_coordinator.model.sparse.shapes import powers
+from atoll_coordinator.settings import SETTINGS
+
+
+def find_rate_laws(rows: RateRows, columns: Sequence[int], operators: Collection[int]) -> tuple[Law, ...]:
+    """Return the law, none where no sum of a few terms leaves as little as the derivatives' errors.
+
+    Polynomials of the first and second degree first, then these with functions, then those of higher degree.
+
+    Args:
+        rows: of the derivative sought.
+        columns: variables that may be used.
+        operators: codes of operators that may be used.
+    """
+    kept = screened(rows, columns)
+    for alike in _sums(rows, kept, operators) if kept else ():
+        found = min((each for each in alike if each.scale <= 1.0), key=lambda each: each.nats, default=None)
+        if found is not None:
+            program = found.program()
+            return (Law(program, structure_length(program), found.scale, is_tested=True, is_of_rates=True),)
+    return ()
+
+
+def _sums(rows: RateRows, columns: Sequence[int], operators: Collection[int]) -> Iterator[list[RateSum]]:
+    """Yield the shortest sums of one kind after another."""
+    libraries = []
+    for degree in range(1, SETTINGS.sparse.degree + 1):
+        atoms = [Atom(shape) for shape in powers(rows.inputs, columns, degree)]
+        if len(atoms) > SETTINGS.sparse.largest_library:
+            break
+        if SETTINGS.sparse.rows_per_term * len(atoms) <= len(rows.values):
+            libraries.append(atoms)
+    low, high = libraries[:2], libraries[2:]
+    for atoms in low:
+        yield _shortest(rows, [atoms])
+    beginnings: list[Sequence[Atom]] = [*low]
+    for _ in range(SETTINGS.sparse.pursued_functions):
+        longer = [extended(rows, begun, columns, operators) for begun in beginnings]
+        yield _shortest(rows, [atoms for those in longer for atoms in those])
+        beginnings = [those[0] for those in longer if those]
+    for atoms in high:
+        yield _shortest(rows, [atoms])
+
+
+def _shortest(rows: RateRows, libraries: Iterable[Sequence[Atom]]) -> list[RateSum]:
+    """Return the shortest sum of each library, inner constants fitted."""
+    found = (shortest_sum(rows, atoms) for atoms in libraries)
+    return [pruned(rows, polished(rows, its)) for its in found if its is not None]

@@ -1,0 +1,145 @@
+"""Sums of products with functions, fitted to derivatives robustly, and the shortest of them.
+
+Errors of derivatives are systematic: of a sum they decide as few independent numbers do, however many rows there are.
+So its misfit is that of `systematic_numbers` numbers with the scale of what it leaves.
+
+Letters: K terms, N rows.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.program import Program
+from atoll.expression.writing.shortest import collected
+from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
+from atoll_coordinator.model.sparse.kernels.elimination import eliminate
+from atoll_coordinator.model.sparse.kernels.robust import robust_fit
+from atoll_coordinator.model.sparse.rates.rows import RateRows
+from atoll_coordinator.model.sparse.shapes import Shape, sum_program
+from atoll_coordinator.settings import SETTINGS
+
+
+@dataclass(frozen=True, eq=False)
+class Atom:
+    """A term without its coefficient: a shape and its inner constant."""
+
+    shape: Shape
+    constant: float = 1.0
+
+    def price(self, rows: int) -> float:
+        """Return the nats of the term in a sum: its structure, and 1/2 ln N for each constant."""
+        constants = 1 + self.shape.has_constant
+        return structure_length(sum_program([(2.5, self.shape.expression(1.5))])) + constants * constant_nats_of(rows)
+
+
+@dataclass(frozen=True, eq=False)
+class RateSum:
+    """A fitted sum: its terms, coefficients (K,), weights of rows (N,), the `scale` of what it leaves, its `nats`.
+
+    `scale` is in standard errors of the derivative: of about half the rows the error is at most 0.67 times as large.
+    """
+
+    atoms: tuple[Atom, ...]
+    coefficients: FloatArray
+    weights: FloatArray
+    scale: float
+    nats: float
+
+    def program(self) -> Program:
+        """Return the sum as an expression."""
+        parts = zip(self.coefficients.tolist(), self.atoms, strict=True)
+        return collected(sum_program([(factor, atom.shape.expression(atom.constant)) for factor, atom in parts]))
+
+
+_LEAST_SCALE = 1e-6
+"""Guard: scales below this are rounding."""
+
+
+def fitted(rows: RateRows, atoms: Sequence[Atom], weights: FloatArray | None = None) -> RateSum | None:
+    """Return the sum of these terms; None where one has no finite value, or there are more terms than rows."""
+    columns = np.array([atom.shape.value(atom.constant) for atom in atoms])
+    if len(atoms) >= len(rows.values) or not np.isfinite(columns).all():
+        return None
+    coefficients = np.zeros(len(atoms))
+    begun = np.ones(len(rows.values)) if weights is None else weights.copy()
+    scale = robust_fit(columns, rows.values, rows.errors, SETTINGS.effort.steps, coefficients, begun)
+    misfit = SETTINGS.selection.systematic_numbers * log(max(scale, _LEAST_SCALE))
+    price = math.fsum(atom.price(len(rows.values)) for atom in atoms)
+    return RateSum(tuple(atoms), coefficients, begun, scale, misfit + price)
+
+
+def shortest_sum(rows: RateRows, atoms: Sequence[Atom]) -> RateSum | None:
+    """Return the shortest description among the sums on the way from all `atoms` to one (Wald's test).
+
+    The order in which terms go is that of the weights of all; each sum of a few terms is then fitted for itself.
+    """
+    whole = fitted(rows, atoms)
+    if whole is None:
+        return None
+    factors = whole.weights / rows.errors
+    columns = np.array([atom.shape.value(atom.constant) for atom in atoms]) * factors
+    order, squares = np.zeros(len(atoms), np.int64), np.zeros(len(atoms) + 1)
+    eliminate(columns, rows.values * factors, order, squares, np.zeros((len(atoms), len(atoms))))
+    best = whole
+    for step in range(max(1, len(atoms) - SETTINGS.rates.most_terms), len(atoms)):
+        places = sorted(order[step:].tolist())
+        found = fitted(rows, [atoms[place] for place in places], whole.weights)
+        if found is not None and found.nats < best.nats:
+            best = found
+    return pruned(rows, best)
+
+
+def pruned(rows: RateRows, best: RateSum) -> RateSum:
+    """Return the sum without the terms that it can do without, one after another."""
+    while 1 < len(best.atoms) <= SETTINGS.rates.most_terms:
+        fewer = [best.atoms[:place] + best.atoms[place + 1 :] for place in range(len(best.atoms))]
+        found = [each for its in fewer if (each := fitted(rows, its, best.weights)) is not None]
+        shorter = min(found, key=lambda each: each.nats, default=best)
+        if not shorter.nats < best.nats:
+            break
+        best = shorter
+    return best
+
+
+def polished(rows: RateRows, its: RateSum) -> RateSum:
+    """Return the sum with its inner constants fitted: Gauss and Newton's steps, halved until the scale is less."""
+    inner = [place for place, atom in enumerate(its.atoms) if atom.shape.has_constant]
+    for _ in range(SETTINGS.effort.steps if inner else 0):
+        following = _stepped(rows, its, inner)
+        if following is None:
+            break
+        is_settled = following.scale > (1.0 - SETTINGS.common.negligible) * its.scale
+        its = following
+        if is_settled:
+            break
+    return its
+
+
+def _stepped(rows: RateRows, its: RateSum, inner: Sequence[int]) -> RateSum | None:
+    """Return the sum after one step of its inner constants, None where no step makes the scale less."""
+    columns = [atom.shape.value(atom.constant) for atom in its.atoms]
+    slopes = [its.coefficients[place] * its.atoms[place].shape.slope(its.atoms[place].constant) for place in inner]
+    jacobian = np.array([*columns, *slopes])
+    if not np.isfinite(jacobian).all():
+        return None
+    left = rows.values - its.coefficients @ np.array(columns)
+    moves = np.zeros(len(jacobian))
+    robust_fit(jacobian, left, rows.errors, 1, moves, its.weights.copy())
+    for halving in range(_HALVINGS):
+        atoms = list(its.atoms)
+        for place, move in zip(inner, moves[len(columns) :].tolist(), strict=True):
+            atom = atoms[place]
+            limit = 0.5 * abs(atom.constant)
+            atoms[place] = Atom(atom.shape, atom.constant + min(max(move, -limit), limit) * 0.5**halving)
+        following = fitted(rows, atoms, its.weights)
+        if following is not None and following.scale < its.scale:
+            return following
+    return None
+
+
+_HALVINGS = 4
+"""Numerics: a step that is too long is halved so many times at most."""

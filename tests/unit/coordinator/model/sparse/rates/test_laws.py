@@ -1,0 +1,65 @@
+"""Laws of many variables on derivatives whose errors differ from row to row."""
+
+import numpy as np
+import pytest
+
+from atoll.expression.evaluation import values_of
+from atoll.expression.operators import BY_NAME
+from atoll.expression.program import constant_places
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.model.sparse.rates.laws import find_rate_laws
+from atoll_coordinator.model.sparse.rates.rows import RateRows
+from atoll_coordinator.model.sparse.rates.screening import screened
+
+OPERATORS = {BY_NAME[name].code for name in ("+", "-", "*", "/")}
+NAMES = tuple(f"x{place + 1}" for place in range(7))
+
+
+def rows_of(law, names=NAMES, count=600):
+    """Return rows of a law with errors of very different sizes; some large ones are far larger than they should."""
+    generator = np.random.default_rng(4)
+    inputs = generator.uniform(0.1, 2.5, (len(names), count))
+    exact = values_of(from_infix(law, names), inputs)
+    errors = exact.std() * 10.0 ** generator.uniform(-5.0, -1.0, count)
+    is_far = (generator.uniform(size=count) < 0.1) & (errors > 1e-3 * exact.std())
+    far = np.where(is_far, 100.0, 0.3)
+    return RateRows(inputs, exact + errors * far * generator.normal(size=count), errors), exact
+
+
+@pytest.mark.parametrize(
+    ("law", "variables", "constants"),
+    [
+        ("64*x3 - 16*x3*x6 - 13*x4 + 13*x5 - 100*x4*x7", 7, 5),
+        ("128*x3 - 32*x3*x2 - 1.28*x2 - 14.6*x1*x2/(0.0731 + x2*x2*x2*x2)", 3, 5),
+    ],
+)
+def test_the_law_is_found(law, variables, constants):
+    rows, exact = rows_of(law, NAMES[:variables])
+    (found,) = find_rate_laws(rows, range(variables), OPERATORS)
+    assert len(constant_places(found.program)) == constants
+    assert np.abs(values_of(found.program, rows.inputs) - exact).max() < 1e-3 * exact.std()
+    assert found.is_tested
+    assert found.excess <= 1.0
+
+
+def test_what_no_short_sum_describes_has_no_law():
+    generator = np.random.default_rng(5)
+    rows, exact = rows_of("x1 + x2*x3")
+    wrong = RateRows(rows.inputs[:3], exact + generator.normal(size=len(exact)), 1e-3 * np.ones(len(exact)))
+    assert find_rate_laws(wrong, range(3), OPERATORS - {BY_NAME["/"].code}) == ()
+
+
+def test_of_many_variables_those_that_matter_are_taken():
+    names = tuple(f"x{place}" for place in range(40))
+    rows, _ = rows_of("8 - x5 + x6*x4 - x3*x4", names, 700)
+    kept = screened(rows, range(40))
+    assert {3, 4, 5, 6} <= set(kept)
+    assert len(kept) <= 8
+    assert screened(rows, (1, 7, 9)) == (1, 7, 9)
+
+
+def test_rows_known_as_well_as_the_trusted_ones_are_trusted():
+    alike = RateRows(np.ones((1, 10)), np.arange(10.0), np.ones(10))
+    assert len(alike.trusted().values) == 10
+    different = RateRows(np.ones((1, 10)), np.arange(10.0), 1.0 + np.arange(10.0))
+    assert different.trusted().values.tolist() == [0.0, 1.0, 2.0, 3.0]
