@@ -10,7 +10,7 @@ from atoll.data.dataset import FloatArray
 from atoll.expression.program import constant_places, with_constants
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
-from atoll_coordinator.model.structure.unit_coefficients import make_coefficients_explicit
+from atoll.expression.unit_coefficients import make_coefficients_explicit
 from benchmarks.judging.coverage import covered
 from benchmarks.judging.forms import compare
 from benchmarks.stochastic.processes import Process

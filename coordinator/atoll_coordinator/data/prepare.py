@@ -4,14 +4,16 @@ Roles of columns, checks, trajectories; smoothing and differentiation, and once 
 trajectories; selection of rows; the `Dataset` of the search and the recording. A stochastic process is not smoothed.
 """
 
-from atoll.config import JobConfig
+from dataclasses import replace
+
+from atoll.config import DataConfig, JobConfig
 from atoll.data.table import Table
 from atoll_coordinator.data.assembly.datasets import assemble_differentiated, assemble_given
 from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_states
 from atoll_coordinator.data.increments.targets import assemble_process
 from atoll_coordinator.data.prior_knowledge import resolve_equations
-from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.data.roles.roles import assign_roles
+from atoll_coordinator.data.recording import Preparation, Source
+from atoll_coordinator.data.roles.roles import Roles, assign_roles
 from atoll_coordinator.data.roles.symbols import assign_symbols
 from atoll_coordinator.data.row_selection.rows import select_rows
 from atoll_coordinator.data.row_selection.thinning import thin_searched_rows
@@ -28,6 +30,16 @@ def prepare(table: Table, config: JobConfig) -> Preparation:
         DataError: the measurements cannot be used as they are; the message says where and what to do.
     """
     roles, options = assign_roles(table, config.data)
+    return replace(_prepare(table, config, roles, options), source=_source(table, roles))
+
+
+def _source(table: Table, roles: Roles) -> Source:
+    units = {name: unit for name, unit in zip(table.names, table.units, strict=True) if unit}
+    its = (roles.time, roles.states, roles.velocities, roles.inputs, roles.target, roles.order)
+    return Source(table.digest, table.files, table.rows, units, *its)
+
+
+def _prepare(table: Table, config: JobConfig, roles: Roles, options: DataConfig) -> Preparation:
     symbols = assign_symbols(roles.variables)
     measurements = take_measurements(table, roles, options)
     _, equations = resolve_equations(config.model_copy(update={"data": options}), roles, symbols)

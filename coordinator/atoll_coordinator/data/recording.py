@@ -4,6 +4,7 @@ The search sees a `atoll.data.dataset.Dataset` of smoothed rows; everything afte
 were measured. Pure data. Letters: R rows of one trajectory, S states, U inputs.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -175,6 +176,26 @@ class ProcessRecording:
         return replace(self, noise=noise, pairs=pairs)
 
 
+@dataclass(frozen=True)
+class Source:
+    """The table that a preparation was made of, and what its columns are; column names without units.
+
+    `digest` is the hex sha256 of the table as it is uploaded, `units` are those of its header by column (none: left
+    out). `states` have an equation of `order`, unless a `target` has one; `velocities` are variables for order 2.
+    """
+
+    digest: str
+    files: tuple[str, ...]
+    rows: int
+    units: Mapping[str, str]
+    time: str | None
+    states: tuple[str, ...]
+    velocities: tuple[str, ...]
+    inputs: tuple[str, ...]
+    target: str | None
+    order: Literal[1, 2]
+
+
 @dataclass(frozen=True, eq=False)
 class Preparation:
     """What preparing a table gives.
@@ -183,7 +204,7 @@ class Preparation:
     of the law, of which `process` has the trajectories (None elsewhere); `held_out` has the same
     targets over rows of held-out trajectories, with uncertainty, standard deviation and noise of `dataset`, None where
     there are none. `weights` say how much each row of `dataset` counts where the left-hand sides were given; None: all
-    are 1.
+    are 1. `source` says what it was made of; None: that is not known.
     """
 
     dataset: Dataset
@@ -191,3 +212,4 @@ class Preparation:
     held_out: Dataset | None = None
     weights: FloatArray | None = None
     process: ProcessRecording | None = None
+    source: Source | None = None

@@ -123,6 +123,20 @@ class Correlation:
     value: float
 
 
+@dataclass(frozen=True, eq=False)
+class Covariance:
+    """The joint covariance `matrix` (P, P) of the constants of a model, all fitted together.
+
+    `constants` has for each (variable, place among its constants), None for a factor of one that is not written: these
+    are in the order of the equation's unit coefficients. Variances of constants that are not determined are infinite.
+    Student's t has so many degrees of `freedom`.
+    """
+
+    constants: tuple[tuple[str, int | None], ...]
+    matrix: FloatArray
+    freedom: float
+
+
 @dataclass(frozen=True)
 class Prediction:
     """How far a state can be foretold from `starts` other initial states within the measured range.
@@ -186,6 +200,7 @@ class Simulated:
 
     `times` (R,) are centred as in the recording; `values` and `errors` (S, R) are the simulated states and the standard
     errors that those of the constants and initial conditions give them (None where the simulation ends early);
+    `start` is the initial condition, states and then velocities, without offsets (None like `values`);
     `r2` has one number for each state, None where it could not be simulated to the end. `offsets` are what was measured
     minus the state, by the names of the states that have one; `values` include them.
     """
@@ -196,6 +211,7 @@ class Simulated:
     values: FloatArray | None
     errors: FloatArray | None
     r2: tuple[float | None, ...]
+    start: FloatArray | None = None
     offsets: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -295,6 +311,7 @@ class Refinement:
     warnings: tuple[str, ...] = ()
     chaos: Chaos | None = None
     process: ProcessFindings | None = None
+    covariance: Covariance | None = None
     end: RefiningEnd = "finished"
 
 

@@ -9,6 +9,12 @@ import numpy as np
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places
 from atoll.expression.text.infix import to_infix
+from atoll.expression.unit_coefficients import (
+    ExplicitCoefficients,
+    as_written,
+    make_coefficients_explicit,
+    write_factors,
+)
 from atoll.expression.writing.agreement import shortest_over
 from atoll_coordinator.data.recording import Smoothing
 from atoll_coordinator.model.inference.attractor import look_for_chaos
@@ -27,6 +33,7 @@ from atoll_coordinator.model.inference.standard_errors import (
     describe_constants,
     estimate_errors,
     find_correlations,
+    joint_covariance,
 )
 from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import (
@@ -55,12 +62,6 @@ from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.shooting.variance import estimate_variance
 from atoll_coordinator.model.structure.poles import find_poles
-from atoll_coordinator.model.structure.unit_coefficients import (
-    ExplicitCoefficients,
-    as_written,
-    make_coefficients_explicit,
-    write_factors,
-)
 from atoll_coordinator.settings import SETTINGS
 
 
@@ -165,6 +166,7 @@ def summarize(selection: SelectedModel) -> Refinement | None:
         _state_errors(final),
         (*remarks(task), *_pole_remarks(final)),
         chaos,
+        covariance=joint_covariance(final.comparison, task.variables, final.explicit, errors),
     )
 
 

@@ -43,6 +43,7 @@ def simulated(
             values[:, rows],
             None if errors is None else errors[:, rows],
             tuple(r2_of(measurements, fit, rows)),
+            fit.simulated[:, rows[0]],
             {
                 states[state]: float(offset[rows].mean())
                 for state, offset in zip(measurements.offset, offsets, strict=True)

@@ -11,12 +11,12 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places
-from atoll_coordinator.model.refinement import Constant, Correlation
+from atoll.expression.unit_coefficients import ExplicitCoefficients
+from atoll_coordinator.model.refinement import Constant, Correlation, Covariance
 from atoll_coordinator.model.regression.covariance import Known, describe, student_95
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
-from atoll_coordinator.model.structure.unit_coefficients import ExplicitCoefficients
 
 _HIGH_CORRELATION: Final = 0.95
 """Correlations of at least this size between two constants are reported."""
@@ -101,12 +101,7 @@ def find_correlations(
     comparison: ModelComparison, variables: Sequence[str], explicit: Sequence[ExplicitCoefficients], errors: Errors
 ) -> tuple[Correlation, ...]:
     """Return the pairs of constants that are written and highly correlated, the highest first."""
-    names = [
-        (variable, origin)
-        for equation, (variable, explicit_program) in enumerate(zip(variables, explicit, strict=True))
-        if equation not in comparison.fixed
-        for origin in explicit_program.origins
-    ]
+    names = _fitted_constants(comparison, variables, explicit)
     spreads = np.sqrt(np.maximum(np.diag(errors.covariance), 1e-300))
     with np.errstate(invalid="ignore"):  # infinite variances
         unit = errors.covariance / np.outer(spreads, spreads)
@@ -118,3 +113,23 @@ def find_correlations(
         if _HIGH_CORRELATION <= abs(unit[first, second]) <= 1.0 + 1e-6
     ]
     return tuple(sorted(pairs, key=lambda pair: -abs(pair.value)))
+
+
+def joint_covariance(
+    comparison: ModelComparison, variables: Sequence[str], explicit: Sequence[ExplicitCoefficients], errors: Errors
+) -> Covariance | None:
+    """Return the covariance of the constants of all programs; None where no constant was fitted."""
+    names = _fitted_constants(comparison, variables, explicit)
+    return Covariance(tuple(names), errors.covariance, errors.freedom) if names else None
+
+
+def _fitted_constants(
+    comparison: ModelComparison, variables: Sequence[str], explicit: Sequence[ExplicitCoefficients]
+) -> list[tuple[str, int | None]]:
+    """Return variable and place of each fitted constant, None for a factor of one, in the order of the fit."""
+    return [
+        (variable, origin)
+        for equation, (variable, its) in enumerate(zip(variables, explicit, strict=True))
+        if equation not in comparison.fixed
+        for origin in its.origins
+    ]

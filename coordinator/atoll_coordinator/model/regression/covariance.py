@@ -12,16 +12,16 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places
-from atoll_coordinator.model.criteria import RegressionCriterion
-from atoll_coordinator.model.refinement import Constant, SimpleNumber, UnitCoefficient
-from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
-from atoll_coordinator.model.regression.simple_numbers import fitted_length
-from atoll_coordinator.model.structure.unit_coefficients import (
+from atoll.expression.unit_coefficients import (
     ONE,
     ExplicitCoefficients,
     as_written,
     make_coefficients_explicit,
 )
+from atoll_coordinator.model.criteria import RegressionCriterion
+from atoll_coordinator.model.refinement import Constant, SimpleNumber, UnitCoefficient
+from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
+from atoll_coordinator.model.regression.simple_numbers import fitted_length
 
 _RIDGE: Final = 1e-14
 _FLAT: Final = 1e-100

@@ -15,6 +15,7 @@ from atoll.config import JobConfig
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.operators import BY_NAME
 from atoll.expression.program import Program, constant_places, structure, with_constants
+from atoll.expression.unit_coefficients import make_coefficients_explicit, write_factors
 from atoll.expression.writing.agreement import shortest_over
 from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.model.criteria import RegressionCriterion
@@ -25,7 +26,6 @@ from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import round_constants, round_estimates
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
-from atoll_coordinator.model.structure.unit_coefficients import make_coefficients_explicit, write_factors
 from atoll_coordinator.settings import SETTINGS
 
 

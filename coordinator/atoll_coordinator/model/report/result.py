@@ -30,7 +30,16 @@ from atoll_coordinator.model.report.diagnostics import noise, smoothing
 from atoll_coordinator.model.report.digest import result_digest
 from atoll_coordinator.model.report.numbers import finite
 from atoll_coordinator.model.report.process import process
-from atoll_coordinator.model.report.trust import candidates, chaos, correlations, prediction, simulation, verdict
+from atoll_coordinator.model.report.source import data, settings, system
+from atoll_coordinator.model.report.trust import (
+    candidates,
+    chaos,
+    correlations,
+    covariance,
+    prediction,
+    simulation,
+    verdict,
+)
 
 SCHEMA: Final = 1
 KNOWN: Final = "known"
@@ -106,10 +115,14 @@ def build_result(
         "noise": noise(preparation.recording, model.errors),
         "smoothing": smoothing(preparation.recording),
         "correlations": correlations(model.correlations),
-        "simulation": simulation(model.simulation, preparation.recording),
+        "covariance": covariance(model.covariance),
+        "simulation": simulation(model.simulation, preparation),
         "chaos": chaos(model.chaos),
         "process": process(model.process, preparation.process),
         "symbols": dict(dataset.symbols),
+        "system": system(preparation),
+        "data": data(preparation.source),
+        "config": settings(config),
         "refining": model.end if account.state == "done" else None,
         "warnings": [*dataset.warnings, *model.warnings],
         "point_evaluations": sum(_total(outcome) for outcome in outcomes),
@@ -231,11 +244,12 @@ def is_printable(program: bytes, inputs: int) -> bool:
 def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobConfig) -> dict[str, Any]:
     """Return what is said of the equation; all null when there is none."""
     if shown is None:
-        unknown = dict.fromkeys(("expression", "origin", "complexity", "error", "normalized_error", "r2"))
+        unknown = dict.fromkeys(("expression", "program", "origin", "complexity", "error", "normalized_error", "r2"))
         return {**unknown, "converged": False, "constants": [], "implied": []}
     normalized = shown.error / target.standard_deviation if target.standard_deviation else math.inf
     return {
         "expression": to_infix(shown.program, dataset.names),
+        "program": shown.program.to_bytes().hex(),
         "origin": shown.origin,
         "complexity": len(shown.program),
         "error": finite(shown.error),

@@ -13,12 +13,13 @@ import numpy as np
 from atoll.data.dataset import Dataset, FloatArray, Target
 from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
 from atoll.wire.messages.views import FINAL_STATES, JobState
-from atoll_coordinator.data.recording import Recording
+from atoll_coordinator.data.recording import Preparation, Source
 from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import (
     Alternative,
     Chaos,
     Correlation,
+    Covariance,
     Prediction,
     Refined,
     Simulated,
@@ -121,23 +122,49 @@ def correlations(pairs: Sequence[Correlation]) -> list[dict[str, Any]]:
     ]
 
 
-def simulation(its: Simulation | None, recording: Recording | None) -> dict[str, Any] | None:
+def covariance(its: Covariance | None) -> dict[str, Any] | None:
+    """Return the joint covariance of all constants; ``constant`` counts an equation's ``constants``.
+
+    It is null for a factor of one that is not written; these come in the order of the equation's ``implied``.
+    """
+    if its is None:
+        return None
+    return {
+        "constants": [{"variable": variable, "constant": number} for variable, number in its.constants],
+        "matrix": [[finite(value) for value in row] for row in its.matrix.tolist()],
+        "freedom": finite(its.freedom),
+    }
+
+
+def simulation(its: Simulation | None, given: Preparation) -> dict[str, Any] | None:
     """Return the simulated trajectories, thinned, at the times of the user's file; None when there are none."""
     if its is None:
         return None
+    recording = given.recording
     offset = recording.offset if recording is not None else 0.0
     numbers = len(its.trajectories) * (1 + 3 * len(its.states))
+    names = _with_velocities(its.states, given.source)
     most = max(LEAST_POINTS, min(MOST_POINTS, MOST_NUMBERS // max(numbers, 1)))
-    return {"trajectories": [_trajectory(each, its, offset, most) for each in its.trajectories]}
+    return {"trajectories": [_trajectory(each, its, offset, most, names) for each in its.trajectories]}
 
 
-def _trajectory(its: Simulated, of: Simulation, offset: float, most: int) -> dict[str, Any]:
+def _with_velocities(states: Sequence[str], source: Source | None) -> tuple[str, ...]:
+    """Return the states, and for order 2 their velocities behind them: what an initial state consists of."""
+    if source is None or not source.velocities:
+        return tuple(states)
+    return (*states, *(source.velocities[source.states.index(name)] for name in states))
+
+
+def _trajectory(its: Simulated, of: Simulation, offset: float, most: int, names: Sequence[str]) -> dict[str, Any]:
     rows = thinned(len(its.times), most)
     return {
         "name": its.name,
         "held_out": its.held_out,
         "r2": dict(zip(of.states, map(finite, its.r2), strict=True)),
         "offsets": {state: finite(value) for state, value in its.offsets.items()},
+        "start": None
+        if its.start is None
+        else {name: finite(value) for name, value in zip(names, its.start.tolist(), strict=False)},
         "times": curve(its.times[rows] + offset, digits=12),
         "values": _curves(its.values, of.states, rows),
         "lower": _curves(_beside(its, -of.quantile), of.states, rows),

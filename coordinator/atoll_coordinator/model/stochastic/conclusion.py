@@ -15,6 +15,12 @@ from atoll.config import JobConfig
 from atoll.data.dataset import Dataset, FloatArray
 from atoll.expression.evaluation import values_of
 from atoll.expression.program import Program, constant_places, with_constants
+from atoll.expression.unit_coefficients import (
+    ExplicitCoefficients,
+    as_written,
+    make_coefficients_explicit,
+    write_factors,
+)
 from atoll_coordinator.data.increments.bins import Rows, split_into_bins
 from atoll_coordinator.data.increments.steps import take_steps
 from atoll_coordinator.model.inference.residuals import check
@@ -34,12 +40,6 @@ from atoll_coordinator.model.selection.candidates import CandidateSet, form
 from atoll_coordinator.model.stochastic.choice import ChosenProcess
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from atoll_coordinator.model.stochastic.simulation import Simulator, settle, simulate_ensemble
-from atoll_coordinator.model.structure.unit_coefficients import (
-    ExplicitCoefficients,
-    as_written,
-    make_coefficients_explicit,
-    write_factors,
-)
 from atoll_coordinator.settings import SETTINGS
 
 

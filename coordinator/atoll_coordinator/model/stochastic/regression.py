@@ -20,6 +20,7 @@ from atoll.data.dataset import FloatArray, Problem, Target
 from atoll.expression.evaluation import values_of
 from atoll.expression.operators import ADD, BY_NAME, MULTIPLY
 from atoll.expression.program import Program, structure
+from atoll.expression.unit_coefficients import make_coefficients_explicit
 from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.increments.bins import split_into_bins
 from atoll_coordinator.data.increments.moments import lagged, products
@@ -30,7 +31,6 @@ from atoll_coordinator.model.regression.shortening import Candidate, Shortening
 from atoll_coordinator.model.sparse.regression import eliminated, libraries
 from atoll_coordinator.model.stochastic.likelihood import ProcessModel
 from atoll_coordinator.model.structure.term_libraries import Term, sum_of
-from atoll_coordinator.model.structure.unit_coefficients import make_coefficients_explicit
 from atoll_coordinator.settings import SETTINGS
 
 

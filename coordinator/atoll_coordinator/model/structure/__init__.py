@@ -3,7 +3,6 @@
 - `moves`: programs one structural move away: reductions, neighbours, extensions
 - `term_libraries`: sums of products, waves and quotients of the variables
 - `poles`: where a program has no finite value among given points
-- `unit_coefficients`: constants of one that are not written, made explicit
 
 Programs go in, programs come out.
 """

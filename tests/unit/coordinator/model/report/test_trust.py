@@ -9,9 +9,9 @@ import pytest
 
 from atoll.data.dataset import Dataset, Target
 from atoll.expression.text.parsing import from_infix
-from atoll_coordinator.data.recording import Recording, Smoothing
-from atoll_coordinator.model.refinement import Alternative, Correlation, Refined, Simulated, Simulation
-from atoll_coordinator.model.report.trust import MOST_POINTS, candidates, correlations, simulation, verdict
+from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, Source
+from atoll_coordinator.model.refinement import Alternative, Correlation, Covariance, Refined, Simulated, Simulation
+from atoll_coordinator.model.report.trust import MOST_POINTS, candidates, correlations, covariance, simulation, verdict
 
 VALUES = np.linspace(-1.0, 1.0, 20)
 TARGET = Target("x", "dx/dt", VALUES, 1e-9, 0.6)
@@ -27,6 +27,7 @@ RECORDING = Recording(
     smoothing=(Smoothing("x", "loess", 0.1, 0.05, 21, 3, uncertain_rows=4, outliers=1),),
     trajectories=(),
 )
+PREPARATION = Preparation(DATASET, RECORDING)
 
 
 def simulated(rows: int, **changes: object) -> Simulated:
@@ -36,7 +37,7 @@ def simulated(rows: int, **changes: object) -> Simulated:
 
 
 def test_a_curve_is_at_the_times_of_the_file_with_its_band() -> None:
-    found = simulation(Simulation(("x",), (simulated(5, held_out=True),), 2.5), RECORDING)
+    found = simulation(Simulation(("x",), (simulated(5, held_out=True),), 2.5), PREPARATION)
     assert found is not None
     (curve,) = found["trajectories"]
     assert curve["times"] == [95.0, 97.5, 100.0, 102.5, 105.0]
@@ -47,9 +48,27 @@ def test_a_curve_is_at_the_times_of_the_file_with_its_band() -> None:
     assert widths == pytest.approx(0.2 * 2.5 * np.ones(5), rel=1e-4)
 
 
+def test_an_initial_state_names_velocities_behind_the_states() -> None:
+    source = Source("0" * 64, ("a.csv",), 5, {}, "t", ("x",), ("x_dot",), (), None, 2)
+    its = simulated(5, start=np.array([1.0, 2.0]))
+    found = simulation(Simulation(("x",), (its,), 2.0), replace(PREPARATION, source=source))
+    assert found is not None
+    assert found["trajectories"][0]["start"] == {"x": 1.0, "x_dot": 2.0}
+
+
+def test_the_covariance_names_its_constants_and_has_no_infinite_number() -> None:
+    its = Covariance((("x", 0), ("x", None)), np.array([[1.0, math.nan], [math.nan, math.inf]]), 7.0)
+    assert covariance(its) == {
+        "constants": [{"variable": "x", "constant": 0}, {"variable": "x", "constant": None}],
+        "matrix": [[1.0, None], [None, None]],
+        "freedom": 7.0,
+    }
+    assert covariance(None) is None
+
+
 @pytest.mark.parametrize(("count", "points"), [(1, MOST_POINTS), (1000, 25)])
 def test_long_curves_are_thinned_from_end_to_end(count: int, points: int) -> None:
-    found = simulation(Simulation(("x",), (simulated(5001),) * count, 2.0), RECORDING)
+    found = simulation(Simulation(("x",), (simulated(5001),) * count, 2.0), PREPARATION)
     assert found is not None
     times = found["trajectories"][0]["times"]
     assert len(times) == points
@@ -63,14 +82,14 @@ def test_a_simulation_that_ends_early_and_numbers_that_are_not_finite_are_null()
         simulated(3, values=None, errors=None, r2=(None,)),
         simulated(3, values=wild, errors=None, r2=(math.nan,)),
     )
-    found = simulation(Simulation(("x",), parts, 2.0), RECORDING)
+    found = simulation(Simulation(("x",), parts, 2.0), PREPARATION)
     assert found is not None
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     first, second = found["trajectories"]
     assert (first["values"], first["lower"], first["r2"]) == (None, None, {"x": None})
     assert second["values"] == {"x": [1.0, None, None]}
     assert second["upper"] is None
-    assert simulation(None, RECORDING) is None
+    assert simulation(None, PREPARATION) is None
 
 
 def test_contenders_stand_in_the_order_of_their_length() -> None:

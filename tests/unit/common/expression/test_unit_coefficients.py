@@ -5,8 +5,8 @@ import pytest
 
 from atoll.expression.evaluation import values_of
 from atoll.expression.program import constant_places, with_constants
+from atoll.expression.unit_coefficients import make_coefficients_explicit, write_factors
 from atoll.expression.writing.shortest import shortest
-from atoll_coordinator.model.structure.unit_coefficients import make_coefficients_explicit, write_factors
 from tests.unit.coordinator.model.fitting import parsed, shown
 
 DRAW = np.random.default_rng(3)
