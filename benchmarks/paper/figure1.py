@@ -1,8 +1,8 @@
 """Figure 1 of the paper: do fitness predictors keep solutions small?
 
-``python -m benchmarks.paper.figure1 --picture figure1.png --out figure1.json`` runs the preset ``paper``, one island of
-64 solutions, in two arms that differ only in what measures them: coevolved predictors, or all rows. Equal seeds, so
-that both arms begin with the same random solutions.
+``python -m benchmarks.paper.figure1 --picture figure1.png --out figure1.json`` runs the preset ``paper``, or another
+``--reading``, one island of 64 solutions, in two arms that differ only in what measures them: coevolved predictors, or
+all rows. Equal seeds, so that both arms begin with the same random solutions.
 
 Left panel: live nodes of the solution of least error on all rows, over the generations, for y = e^(x/2) sin 2x.
 
@@ -42,6 +42,7 @@ from benchmarks.paper.figure1_runs import (
     pairs,
     run,
 )
+from benchmarks.paper.readings_runs import CHOSEN
 
 
 def draw(path: Path, functions: Sequence[Run], both: Sequence[tuple[Run, Run]]) -> None:
@@ -77,7 +78,7 @@ def _band(panel: Any, looks: list[int], means: Sequence[Mean], label: str) -> No
 def tasks(options: argparse.Namespace) -> list[Task]:
     """Return all runs: those on the function by seed, then one on each target, both arms in turn."""
     chosen = options.seeds if options.seeds is not None else range(options.runs)
-    common = (options.targets, options.generations, options.rows)
+    common = (options.targets, options.generations, options.rows, options.reading)
     functions = [Task(arm, seed, None, *common) for seed in chosen for arm in ARMS]
     return functions + [Task(arm, 0, number, *common) for number in range(options.targets) for arm in ARMS]
 
@@ -170,6 +171,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--targets", type=whole, default=500, help="random targets (%(default)s)")
     parser.add_argument("--generations", type=whole, default=6000, help="of a run, at most (%(default)s)")
     parser.add_argument("--rows", type=whole, default=200, help="points of a target (%(default)s)")
+    parser.add_argument("--reading", default=CHOSEN, help="of the paper, see benchmarks.paper.readings (%(default)s)")
     add_run_options(parser)
     return parser
 

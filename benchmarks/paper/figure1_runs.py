@@ -16,9 +16,10 @@ from atoll.expression.text.parsing import from_infix
 from atoll.search.seeding import Stream, stream_key
 from atoll_island_worker.evolution.island import Island
 from benchmarks.judging.evaluation import evaluate
-from benchmarks.paper.archipelago import configured, problem_of
+from benchmarks.paper.archipelago import problem_of
 from benchmarks.paper.population import Population, population
 from benchmarks.paper.random_targets import random_targets
+from benchmarks.paper.readings_runs import CHOSEN, config_of
 
 Arm = Literal["predictors", "all rows"]
 ARMS: Final[tuple[Arm, Arm]] = ("predictors", "all rows")
@@ -30,9 +31,6 @@ BETWEEN_OF_TARGETS: Final = (-3.0, 3.0)
 FRESH: Final = 1000
 CONVERGED: Final = 1e-6
 """Largest error at fresh points over the target's deviation."""
-
-NEVER: Final = 1e-300
-"""A normalized error that no island meets, so that none ends by itself."""
 
 EPOCH: Final = 100
 EARLY: Final = 20
@@ -51,6 +49,7 @@ class Task:
     targets: int
     generations: int
     rows: int
+    reading: str = CHOSEN
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ def _points(task: Task, purpose: str, count: int) -> FloatArray:
 
 
 def _config(task: Task) -> JobConfig:
-    config = configured("paper", task.seed, OPERATORS, NEVER, islands=1, refit_interval=EPOCH)
+    config = config_of(task.reading, task.seed, OPERATORS, islands=1, refit_interval=EPOCH)
     predictors = config.predictors.model_copy(update={"enabled": task.arm == "predictors"})
     migration = config.migration.model_copy(update={"generations": EPOCH})
     return config.model_copy(update={"predictors": predictors, "migration": migration})

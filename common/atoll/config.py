@@ -193,12 +193,12 @@ PAPER = JobConfig(
     preset="paper",
     space=SpaceConfig(terminals=PAPER_TERMINALS),
     evolution=EvolutionConfig(
-        constant_fit_steps=0, linear_terms=0, scaled_constants=False, constant_steps="normal", runners_up=0
+        constant_fit_steps=0, linear_terms=0, scaled_constants=False, constant_steps="log-uniform", runners_up=0
     ),
     predictors=PredictorConfig(rows=16),
     migration=MigrationConfig(joining=None),
     budget=BudgetConfig(max_epochs=5000, stagnation=500),
 )
-"""Table II of the paper, nothing added."""
+"""Table II of the paper, nothing added; what it leaves open is read as ADR 0042 says."""
 
 PRESETS: dict[Preset, JobConfig] = {"default": JobConfig(), "paper": PAPER}

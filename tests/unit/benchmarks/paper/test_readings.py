@@ -4,10 +4,11 @@ import math
 
 import pytest
 
+from atoll.config import PRESETS
 from atoll.errors import DataError, UsageError
 from benchmarks.paper import readings
 from benchmarks.paper.readings import Journal, agreement, best_budget, equation_rows, main
-from benchmarks.paper.readings_runs import READINGS, Run, Task, config_of, run
+from benchmarks.paper.readings_runs import CHOSEN, READINGS, Run, Task, config_of, run
 
 
 def ended(problem, cost, seed=0, budget=1000):
@@ -18,7 +19,13 @@ def ended(problem, cost, seed=0, budget=1000):
 def test_every_reading_is_a_valid_configuration_of_its_own(name):
     config = config_of(name, 3, ("+", "*"))
     assert type(config).model_validate(config.model_dump()) == config
-    assert (config == config_of("first", 3, ("+", "*"))) == (READINGS[name] == {})
+    assert (config == config_of("first", 3, ("+", "*"))) == (name in ("first", "near"))
+
+
+def test_preset_paper_is_the_chosen_reading():
+    chosen = config_of(CHOSEN, 0, PRESETS["paper"].space.operators)
+    for group in ("space", "evolution", "predictors", "migration"):
+        assert getattr(chosen, group) == getattr(PRESETS["paper"], group)
 
 
 def test_readings_are_joined_and_unknown_ones_refused():
