@@ -16,7 +16,7 @@ from atoll.config import DataConfig, JobConfig
 from atoll_coordinator.cli.terminal.output import note, say, table
 from benchmarks.harness.command_line import plain_errors, seeds
 from benchmarks.harness.record import Record, load
-from benchmarks.harness.service import searching
+from benchmarks.harness.service import Searches, searching
 from benchmarks.stochastic.judging import Judged, judge
 from benchmarks.stochastic.peers import METHODS, Estimate, estimate
 from benchmarks.stochastic.processes import PROCESSES, simulate
@@ -39,19 +39,9 @@ def main(arguments: Sequence[str]) -> None:
     estimates: list[Estimate] = []
     if options.workers:
         with searching(options.workers) as searches:
-            for case in options.processes:
-                process = PROCESSES[case]
-                for seed in options.seeds:
-                    paths = simulate(process, seed)
-                    config = JobConfig(seed=seed, data=DataConfig(stochastic=True))
-                    result = searches.solve(f"{case} {seed}", table_of(process, paths), config)
-                    found = judge(case, process, seed, np.concatenate(paths, axis=1), result["equations"])
-                    judged += found
-                    right = sum(each.is_right for each in found)
-                    note(f"{case} seed {seed}: {right} of {len(found)} right in {result['seconds']:.1f} s")
-                    for each in found:
-                        if not each.is_right:
-                            note(f"  {each.equation} = {each.found} ({each.verdict})")
+            for seed in options.seeds:
+                for case in options.processes:
+                    judged += _searched(searches, case, seed)
                     record.write(judged=[asdict(each) for each in judged])
     for case in options.processes if options.peer else ():
         for seed in options.seeds:
@@ -61,6 +51,21 @@ def main(arguments: Sequence[str]) -> None:
     if estimates:
         say(table(("process", "equation", "method", "seeds", "right", "error"), _peer_rows(estimates)))
     say(f"load {load():.1f}")
+
+
+def _searched(searches: Searches, case: str, seed: int) -> list[Judged]:
+    """Return what a search makes of the paths of one seed, and say it."""
+    process = PROCESSES[case]
+    paths = simulate(process, seed)
+    config = JobConfig(seed=seed, data=DataConfig(stochastic=True))
+    result = searches.solve(f"{case} {seed}", table_of(process, paths), config)
+    found = judge(case, process, seed, np.concatenate(paths, axis=1), result["equations"])
+    right = sum(each.is_right for each in found)
+    note(f"{case} seed {seed}: {right} of {len(found)} right in {result['seconds']:.1f} s")
+    for each in found:
+        if not each.is_right:
+            note(f"  {each.equation} = {each.found} ({each.verdict})")
+    return found
 
 
 def _rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:

@@ -53,11 +53,14 @@ def judge(
     found = {each["variable"]: each for each in equations}
     judged = []
     for name in dict.fromkeys([*process.truth, *found]):
-        truth = process.truth.get(name)
+        truth = process.truth.get(name, "0")
         its = found.get(name)
-        if its is None or its["expression"] is None or truth is None:
-            text = None if its is None else its["expression"]
-            judged.append(Judged(case, seed, name, text, None, False, 1.0, ()))
+        if its is None or its["expression"] is None:
+            judged.append(Judged(case, seed, name, None, None, False, 1.0, ()))
+            continue
+        if truth == "0":
+            is_right = not process.values(its["expression"], states).any()
+            judged.append(Judged(case, seed, name, its["expression"], its["verdict"], is_right, 0.0, ()))
             continue
         values = process.values(truth, states)
         columns = dict(zip(process.names, states, strict=True))

@@ -61,7 +61,12 @@ PROCESSES: Final = {
     "van der Pol": Process({"x": "y", "y": "(1-x**2)*y-x"}, {"x": "0.09", "y": "0.09"}, [1.0, 0.0]),
     "geometric Brownian motion": Process({"x": "0.15*x"}, {"x": "0.09*x**2"}, [1.0], paths=20, settles=False),
     "Lotka-Volterra": Process(
-        {"x": "x-0.5*x*y", "y": "0.5*x*y-y"}, {"x": "0.01*x**2", "y": "0.01*y**2"}, [2.0, 2.0], settles=False
+        {"x": "x-0.5*x*y", "y": "0.5*x*y-y"},
+        {"x": "0.01*x**2", "y": "0.01*y**2"},
+        [1.0, 2.0],
+        step=0.02,
+        paths=20,
+        settles=False,
     ),
     "Ornstein-Uhlenbeck, errors of 0.1": Process({"x": "-x"}, {"x": "0.25"}, [0.0], noise=0.1),
 }

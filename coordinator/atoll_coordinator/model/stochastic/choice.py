@@ -1,8 +1,9 @@
 """Which equations together are the law of a process: one after another exchanged, the shortest description wins.
 
-The description length is minus the log-likelihood of all steps, the prices of the programs and the digits that their
-standard errors leave the constants. Candidates come from regression by the model so far, and are fitted by the
-likelihood, the other equations as they are; then all together, and so on until none is exchanged.
+The description length is that of systems along trajectories (`criteria.system_length`): minus the log-likelihood of
+all steps, the prices of the programs, and half the logarithm of the number of steps for each constant. Candidates come
+from regression by the model so far, and are fitted by the likelihood, the other equations as they are; then all
+together, and so on until none is exchanged. A covariance of two noises may be zero.
 """
 
 import math
@@ -18,9 +19,8 @@ from atoll.expression.builder import ProgramBuilder
 from atoll.expression.program import Program, constant_places, structure
 from atoll_coordinator.data.increments.steps import Steps, take_steps
 from atoll_coordinator.data.recording import ProcessRecording
-from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.criteria import constant_nats_of, system_length
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.regression.simple_numbers import fitted_length
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from atoll_coordinator.model.stochastic.regression import CandidateFinder
@@ -43,11 +43,13 @@ class Rival:
 class ChosenProcess:
     """The law of a process: `fitted`, all constants free but those of known equations; `rivals` of each equation.
 
-    `variables` are the names of the equations in their order, `free` the numbers of those that were sought.
+    `variables` are the names of the equations in their order, `sought` the numbers of those that were sought, `free` of
+    those that have constants to fit: a covariance of noises may be zero.
     """
 
     process: ProcessRecording
     variables: tuple[str, ...]
+    sought: tuple[int, ...]
     free: tuple[int, ...]
     likelihood: ProcessLikelihood
     fitted: FittedProcess
@@ -68,7 +70,8 @@ class ProcessChoice:
         self._likelihood = ProcessLikelihood(self._steps)
         self._finder = CandidateFinder(self._steps, dataset.names, self._variables, config, deadline)
         known = [each for each, its in candidates.items() if its.known is not None]
-        self._free = tuple(k for k, name in enumerate(self._variables) if name not in known)
+        self._sought = tuple(k for k, name in enumerate(self._variables) if name not in known)
+        self._begun: dict[int, list[Program]] = {}
         self._rivals: list[dict[bytes, Rival]] = [{} for _ in self._variables]
 
     def choose(self) -> ChosenProcess:
@@ -77,14 +80,19 @@ class ProcessChoice:
         length = math.inf
         for number_of_round in range(SETTINGS.process.rounds):
             before = length
-            for number in self._free:
+            for number in self._sought:
                 model, length = self._exchanged(model, number, looks_around=number_of_round == 0)
             fitted = self._refitted(model)
             model = fitted.model
             if before - length < SETTINGS.inference.distinct_nats or self._deadline.is_over:
                 break
         rivals = tuple(sorted(each.values(), key=lambda rival: rival.nats) for each in self._rivals)
-        return ChosenProcess(self._process, self._variables, self._free, self._likelihood, fitted, rivals)
+        free = self._free(fitted.model)
+        return ChosenProcess(self._process, self._variables, self._sought, free, self._likelihood, fitted, rivals)
+
+    def _free(self, model: ProcessModel) -> tuple[int, ...]:
+        """Return the numbers of the equations whose constants are fitted: those sought, but for one that is zero."""
+        return tuple(number for number in self._sought if not is_zero(model.programs[number]))
 
     def _first_model(self) -> ProcessModel:
         """Return the model of Brownian motion: no equation depends on anything, but for known ones."""
@@ -104,10 +112,10 @@ class ProcessChoice:
 
     def _refitted(self, model: ProcessModel) -> FittedProcess:
         """Return the model with all its constants fitted; where there is noise, about states smoothed by itself."""
-        fitted = self._likelihood.fit(model, self._free)
+        fitted = self._likelihood.fit(model, self._free(model))
         for _ in range(SETTINGS.process.relinearisations if any(model.noise) else 0):
             self._likelihood = ProcessLikelihood(self._steps, self._likelihood.smoothed(fitted.model))
-            fitted = self._likelihood.fit(fitted.model, self._free)
+            fitted = self._likelihood.fit(fitted.model, self._free(model))
         return fitted
 
     def _exchanged(self, model: ProcessModel, number: int, *, looks_around: bool) -> tuple[ProcessModel, float]:
@@ -117,8 +125,10 @@ class ProcessChoice:
         """
         rivals = self._rivals[number] = {}
         name = self._variables[number]
-        begun = self._candidates[name].programs if name in self._candidates else []
-        found = self._finder.find(number, model, begun, looks_around=looks_around)
+        if looks_around:
+            self._begun[number] = self._candidates[name].nearest if name in self._candidates else []
+        found = self._finder.find(number, model, self._begun[number], looks_around=looks_around)
+        self._begun[number] = found
         models = {structure(model.programs[number]): self._taken_in(rivals, model, number)}
         for program in found[: SETTINGS.process.compared]:
             models[structure(program)] = self._taken_in(rivals, model.with_program(number, program), number)
@@ -134,18 +144,31 @@ class ProcessChoice:
                     key = structure(program)
                     if key not in models:
                         models[key] = self._taken_in(rivals, start.with_program(number, program), number)
-        return min(models.values(), key=lambda each: each[1])
+        found_model, length = min(models.values(), key=lambda each: each[1])
+        states = len(model.drift)
+        if number >= 2 * states:  # components of two states come last
+            without = model.with_program(number, _constant(0.0))
+            its = self._length(self._likelihood.whitened(without).misfit, without.programs[number], 0)
+            rivals[b"zero"] = Rival(without.programs[number], its)
+            if its < length:
+                return without, its
+        return found_model, length
 
     def _taken_in(self, rivals: dict[bytes, Rival], model: ProcessModel, number: int) -> tuple[ProcessModel, float]:
         """Return the model with one equation fitted, and its description length, which the rivals keep."""
         fitted = self._likelihood.fit(model, (number,), SETTINGS.effort.brief_steps)
         program = fitted.model.programs[number]
-        places = constant_places(program)
-        errors = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0)).tolist()
-        constants = sum(map(fitted_length, program.constants[places].tolist(), errors))
-        nats = fitted.misfit + structure_length(program) + constants
+        nats = self._length(fitted.misfit, program, len(constant_places(program)))
         rivals[structure(program)] = Rival(program, nats)
         return fitted.model, nats
+
+    def _length(self, misfit: float, program: Program, constants: int) -> float:
+        return system_length(misfit, [program], constants, constant_nats_of(len(self._steps.lengths)))
+
+
+def is_zero(program: Program) -> bool:
+    """Tell whether a program is the number zero."""
+    return len(program) == 1 and constant_places(program) == [0] and float(program.constants[0]) == 0.0
 
 
 def _constant(value: float) -> Program:

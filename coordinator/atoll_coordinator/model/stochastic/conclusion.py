@@ -7,12 +7,13 @@ neighbours (Ljung & Box 1978), means and squares in bins of the states (chi-squa
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from atoll.config import JobConfig
-from atoll.data.dataset import Dataset, FloatArray
+from atoll.data.dataset import Dataset, FloatArray, Problem, Target
 from atoll.expression.evaluation import values_of
 from atoll.expression.program import Program, constant_places, with_constants
 from atoll.expression.unit_coefficients import (
@@ -35,12 +36,16 @@ from atoll_coordinator.model.refinement import (
 )
 from atoll_coordinator.model.regression.covariance import Known, describe, student_95
 from atoll_coordinator.model.regression.errors import errors_on
+from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import round_estimates
 from atoll_coordinator.model.selection.candidates import CandidateSet, form
-from atoll_coordinator.model.stochastic.choice import ChosenProcess
+from atoll_coordinator.model.stochastic.choice import ChosenProcess, is_zero
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from atoll_coordinator.model.stochastic.simulation import Simulator, settle, simulate_ensemble
 from atoll_coordinator.settings import SETTINGS
+
+_SAME: Final = 1e-9
+"""Share of the mean square of a function that what is the same in other words differs by: where fits have settled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +67,7 @@ def summarize_process(
     verdicts = _judge(chosen, fitted.model, equations)
     refined = {}
     for number, (name, equation) in enumerate(zip(chosen.variables, equations, strict=True)):
-        if number not in chosen.free:
+        if number not in chosen.sought:
             continue
         its = candidates.get(name, CandidateSet())
         error, mse = errors_on(dataset.problem(name), equation.program, config.evolution.loss)
@@ -197,6 +202,9 @@ def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equa
     states = len(model.drift)
     found: list[tuple[Grade, str]] = []
     for number, equation in enumerate(equations):
+        if is_zero(equation.program):
+            found.append(("good", "The noises of these states show no correlation that is worth its description."))
+            continue
         if number < states:
             clauses = _drift_objections(residuals[number], bins, steps.follows)
         else:
@@ -256,17 +264,23 @@ def _doubts(chosen: ChosenProcess, number: int, equation: _Equation) -> list[str
     if any(not each.identifiable for each in equation.known.written) and len(equation.known.written) > 1:
         clauses.append("a constant is not determined: its interval holds zero")
     rivals = chosen.rivals[number]
-    points = chosen.likelihood.steps.points
-    values = values_of(equation.program, points)
     for rival in rivals[1:]:
         apart = rival.nats - rivals[0].nats
         if not apart < SETTINGS.inference.distinct_nats:
             break
-        away = values_of(rival.program, points) - values
-        if float(np.mean(away * away)) > SETTINGS.inference.part**2 * float(np.mean(values * values)):
+        if not _contains(rival.program, equation.program, chosen.likelihood.steps.points):
             clauses.append(f"another equation describes the data about as well ({apart:.1f} nats apart)")
             break
     return clauses
+
+
+def _contains(program: Program, other: Program, points: FloatArray) -> bool:
+    """Tell whether `program` is `other` with some values of its constants, so that it says nothing else."""
+    values = values_of(other, points)
+    square = float(np.mean(values * values))
+    names = tuple(str(number) for number in range(len(points)))
+    fitted = LeastSquares(Problem(names, points, Target("", "", values, 0.0, 1.0))).fit(program)
+    return fitted.mse <= _SAME * square
 
 
 # ------------------------------------------------------------------------------------------------- simulations

@@ -19,13 +19,13 @@ from atoll.config import JobConfig
 from atoll.data.dataset import FloatArray, Problem, Target
 from atoll.expression.evaluation import values_of
 from atoll.expression.operators import ADD, BY_NAME, MULTIPLY
-from atoll.expression.program import Program, structure
+from atoll.expression.program import Program, constant_places, structure
 from atoll.expression.unit_coefficients import make_coefficients_explicit
 from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.increments.bins import split_into_bins
 from atoll_coordinator.data.increments.moments import lagged, products
 from atoll_coordinator.data.increments.steps import Steps
-from atoll_coordinator.model.criteria import constant_nats_of, program_length, structure_length
+from atoll_coordinator.model.criteria import constant_nats_of, structure_length, system_length
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
 from atoll_coordinator.model.sparse.regression import eliminated, libraries
@@ -72,16 +72,17 @@ class CandidateFinder:
         shortening = Shortening(
             weighted.problem, operators, columns, weighted.weights, self.deadline, has_simple_numbers=False
         )
-        found = sorted(shortening.candidates([*begun, *sums], looks_around), key=_length)
+        nats = constant_nats_of(len(self.steps.lengths))
+
+        def length(candidate: Candidate) -> float:
+            """Return the description length as the likelihood would have it, but for the misfit."""
+            program, misfit = candidate.fitted.program, shortening.criterion.misfit(candidate.fitted.mse)
+            return system_length(misfit, [program], len(constant_places(program)), nats)
+
+        found = sorted(shortening.candidates([*begun, *sums], looks_around), key=length)
         programs = [make_coefficients_explicit(shortest(each.fitted.program)).program for each in found]
         distinct = {structure(program): program for program in programs}
         return [*distinct.values()][: SETTINGS.effort.beam]
-
-
-def _length(candidate: Candidate) -> float:
-    """Return the description length of a candidate with the prices of structures that the likelihood is told, too."""
-    program = candidate.fitted.program
-    return candidate.model.length - program_length(program) + structure_length(program)
 
 
 def _problem(number: int, model: ProcessModel, steps: Steps, names: tuple[str, ...]) -> WeightedProblem:
