@@ -38,3 +38,4 @@ def test_drift_and_diffusion_are_found_with_intervals_an_ensemble_and_a_density(
     assert abs(stationary["sd"] - 0.5 / np.sqrt(2.0)) < 0.06
     assert len(result["process"]["ensemble"]["times"]) == 101
     assert result["process"]["measurement_noise"] == {}
+    assert len(result["covariance"]["matrix"]) == len(result["covariance"]["constants"]) >= 2

@@ -28,6 +28,7 @@ from atoll_coordinator.model.inference.residuals import check
 from atoll_coordinator.model.refinement import (
     Alternative,
     Constant,
+    Covariance,
     Grade,
     Origin,
     ProcessFindings,
@@ -60,7 +61,7 @@ def summarize_process(
     chosen: ChosenProcess, dataset: Dataset, config: JobConfig, candidates: Mapping[str, CandidateSet]
 ) -> Refinement:
     """Return the refinement that the chosen law gives."""
-    fitted, equations = _written(chosen)
+    fitted, opened, equations = _written(chosen)
     shown = fitted.model
     for number, equation in enumerate(equations):
         shown = shown.with_program(number, equation.program)
@@ -84,11 +85,12 @@ def summarize_process(
             reason,
             _origin(equation.program, its),
         )
-    return Refinement(refined, process=_findings(chosen, fitted, shown, config.seed))
+    findings = _findings(chosen, fitted, shown, config.seed)
+    return Refinement(refined, process=findings, covariance=_covariance(chosen, fitted, opened))
 
 
-def _written(chosen: ChosenProcess) -> tuple[FittedProcess, list[_Equation]]:
-    """Return the law with all its factors as constants, fitted, and its equations as they are written.
+def _written(chosen: ChosenProcess) -> tuple[FittedProcess, list[ExplicitCoefficients], list[_Equation]]:
+    """Return the law with all its factors as constants, fitted, these equations, and those that are written.
 
     Factors of one are written where their intervals do not hold one.
     """
@@ -118,7 +120,15 @@ def _written(chosen: ChosenProcess) -> tuple[FittedProcess, list[_Equation]]:
             program = _rounded(program, values, its)
         equations.append(program)
     described = _described(chosen, fitted, opened, equations)
-    return fitted, [_Equation(*each) for each in zip(equations, described, strict=True)]
+    return fitted, opened, [_Equation(*each) for each in zip(equations, described, strict=True)]
+
+
+def _covariance(chosen: ChosenProcess, fitted: FittedProcess, opened: Sequence[ExplicitCoefficients]) -> Covariance:
+    """Return the joint covariance of all constants, those of noise left out."""
+    names = tuple((chosen.variables[number], origin) for number in chosen.free for origin in opened[number].origins)
+    parameters = len(fitted.information)
+    matrix = fitted.covariance[: len(names), : len(names)]
+    return Covariance(names, matrix, float(len(chosen.likelihood.steps.lengths) - parameters))
 
 
 def _fitted(chosen: ChosenProcess, opened: Sequence[ExplicitCoefficients]) -> FittedProcess:
