@@ -267,6 +267,9 @@ class SelectionSettings:
     law whose terms are needed gains several decades, one that follows the solver's errors less than a third."""
     least_folds: int = 3
     """With fewer trajectories, too little is left to fit constants to."""
+    compared_numbers: int = 7_200
+    """Structures of many states are compared on at most about so many numbers, rows times states: the work of a row
+    grows with the square of the states and more, and each row tells as much about each equation."""
     compared_rows: int = 1_200
     """Structures are compared on at most about so many rows; constants are then fitted on all."""
     tolerated_noise: float = 0.01

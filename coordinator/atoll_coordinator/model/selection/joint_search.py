@@ -104,6 +104,12 @@ class ModellingTask:
         states = [self.recording.states.index(name) for name in variables]
         return measurements_of(self.recording, states, held_out=held_out, piece=self.piece)
 
+    def compared_measurements(self) -> Measurements:
+        """Return the measurements of all variables on as many rows as systems of so many are compared on."""
+        its = SETTINGS.selection
+        rows = min(its.compared_rows, its.compared_numbers // max(len(self.variables), 1))
+        return self.measurements(self.variables).thinned(rows)
+
     def compare(
         self, measurements: Measurements, variables: Sequence[str], *, is_precise: bool = False
     ) -> ModelComparison:
@@ -158,7 +164,7 @@ def ranked_candidates(task: ModellingTask) -> list[list[Program]]:
 
 def _begun(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> tuple[ModelComparison, FittedModel | None]:
     """Return the best of a few systems of these candidates, None where none can be simulated, and how it was found."""
-    measurements = task.measurements(task.variables).thinned(SETTINGS.selection.compared_rows)
+    measurements = task.compared_measurements()
     comparison = task.compare(measurements, task.variables)
     return comparison, _combined(comparison, lists) if all(lists) else None
 
@@ -196,7 +202,7 @@ def search_jointly(
         begun: a system to begin with; the best of a few unless given.
         is_hopeless: tells of the best of the candidates when its neighbours need not be looked at.
     """
-    measurements = task.measurements(task.variables).thinned(SETTINGS.selection.compared_rows)
+    measurements = task.compared_measurements()
     comparison = task.compare(measurements, task.variables)
     best = _combined(comparison, lists) if begun is None else comparison.fit_model(begun)
     if best is None:
@@ -232,9 +238,7 @@ def _compared(
 
 def _is_exact(task: ModellingTask, programs: Sequence[Program]) -> bool:
     """Tell whether these equations give the trajectories up to errors of integration."""
-    comparison = task.compare(
-        task.measurements(task.variables).thinned(SETTINGS.selection.compared_rows), task.variables
-    )
+    comparison = task.compare(task.compared_measurements(), task.variables)
     found = comparison.fit_model(programs)
     return found is not None and comparison.is_exact(found)
 

@@ -67,7 +67,7 @@ def select_by_laws(task: ModellingTask) -> SelectedModel | None:
         return None
     best = comparison.calibrate(exchange(comparison, comparison.calibrate(best), lists))
     descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work + SETTINGS.effort.work)
-    for equation in range(len(lists)):
+    for equation in range(len(lists)) if not is_of_rates else ():  # those can do without nothing
         if equation not in comparison.fixed:
             best = descent.prune(best, equation)
     best = comparison.fit_beside(best, best.programs) or best
@@ -119,7 +119,7 @@ def _begun(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedM
 
 
 def _comparison(task: ModellingTask) -> ModelComparison:
-    measurements = task.measurements(task.variables).thinned(SETTINGS.selection.compared_rows)
+    measurements = task.compared_measurements()
     return task.compare(measurements, task.variables)
 
 

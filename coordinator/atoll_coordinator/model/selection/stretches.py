@@ -25,9 +25,7 @@ def in_stretches(task: ModellingTask, programs: Sequence[Program]) -> ModellingT
     lengths: dict[int, float] = {}
     for piece in (task.piece, *reversed(SETTINGS.shooting.lengths)):
         here = replace(task, piece=piece)
-        comparison = here.compare(
-            here.measurements(task.variables).thinned(SETTINGS.selection.compared_rows), task.variables
-        )
+        comparison = here.compare(here.compared_measurements(), task.variables)
         model = comparison.fit_model(programs)
         if model is not None:
             lengths[piece] = _stretch_length(comparison, model) / comparison.estimator.measurements.rows

@@ -6,7 +6,8 @@
 - `products`: programs as sums of products, where they are such
 - `pursuit`: sums of a polynomial and of products with functions, constants inside these fitted (matching pursuit)
 - `shapes`: the products with functions that it is made of
+- `rates`: laws of many variables on derivatives, each row by its own error; which variables an equation takes
 - `kernels`: least squares and elimination, compiled; `warmup` makes them ready
 
-Candidates for `selection`, which judges them by trajectories. The reasons and figures: ADR 0036 and ADR 0041.
+Candidates for `selection`, which judges them by trajectories. The reasons and figures: ADR 0036, 0041 and 0043.
 """

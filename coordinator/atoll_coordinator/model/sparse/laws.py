@@ -43,7 +43,7 @@ def find_laws(
     if not _has_like_rows(recording) or not {ADD, MULTIPLY} <= set(operators) or not columns:
         return ()
     is_interpolated = all(each.method == "interpolation" for each in recording.smoothing)
-    if is_interpolated and _are_many(columns):
+    if is_interpolated and _are_many(problem.names):
         rows = rate_rows(recording, problem.names, problem.target.variable)
         found = find_rate_laws(rows, columns, operators) if rows is not None else ()
         if found:
@@ -55,9 +55,9 @@ def find_laws(
     return tuple(_with_noise(problem, recording, columns, others))
 
 
-def _are_many(columns: Sequence[int]) -> bool:
+def _are_many(names: Sequence[str]) -> bool:
     """Tell whether there are too many variables for a library of all products up to the highest degree."""
-    return math.comb(len(columns) + SETTINGS.sparse.degree, len(columns)) > SETTINGS.sparse.largest_library
+    return math.comb(len(names) + SETTINGS.sparse.degree, len(names)) > SETTINGS.sparse.largest_library
 
 
 def has_laws(preparation: Preparation, config: JobConfig) -> bool:

@@ -76,12 +76,13 @@ def refine(preparation: Preparation, config: JobConfig, pools: Pools, deadline: 
 def prepare_job(preparer: Preparer, job: str, table: bytes, config: JobConfig) -> JobPrepared | PreparationFailed:
     """Prepare the table of a job, or say why that cannot be done."""
     from atoll_coordinator.model.sparse.laws import has_laws  # loads kernels
+    from atoll_coordinator.model.sparse.rates.screening import with_screened_variables
 
     try:
         preparation = preparer(table, config)
         data = dataset_to_bytes(preparation.dataset)
         blob = hashlib.sha256(data).hexdigest()
-        resolved = resolve(config, preparation.dataset)
+        resolved = with_screened_variables(preparation, resolve(config, preparation.dataset))
         known = known_entries(preparation.dataset, resolved)
         preparation = with_remarks(preparation, resolved)
         is_brief = has_laws(preparation, resolved)

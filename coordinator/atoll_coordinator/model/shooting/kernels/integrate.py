@@ -79,6 +79,8 @@ def carry_on(h: float, weights: FloatArray, stage: int, owners: Ints, jacobian: 
             stages[stage, mine + q] = 0.0
         for k in range(states):
             factor, its = jacobian[d, k], k * columns
+            if factor == 0.0:
+                continue  # of many states most do not meet
             for q in range(columns):
                 stages[stage, mine + q] += factor * moved[its + q]
     for p in range(owners.shape[0]):

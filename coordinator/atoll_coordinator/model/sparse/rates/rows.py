@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from atoll.data.dataset import FloatArray
+from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Recording, Trajectory
 from atoll_coordinator.settings import SETTINGS
 
@@ -49,7 +50,7 @@ def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> Rate
     known = np.isfinite(uncertainty) & np.isfinite(rates) & np.isfinite(inputs).all(axis=0)
     if not known.any():
         return None
-    least = SETTINGS.shooting.exact * float(rates[known].std())
+    least = SETTINGS.shooting.exact * moments(rates[known])[1]
     if not least > 0.0:
         return None
     return RateRows(np.ascontiguousarray(inputs[:, known]), rates[known], np.maximum(uncertainty[known], least))

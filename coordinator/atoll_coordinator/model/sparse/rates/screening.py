@@ -10,21 +10,50 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from atoll.config import JobConfig
 from atoll.data.dataset import FloatArray
+from atoll_coordinator.data.differentiation.kernels.stencils import moments
+from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import log
 from atoll_coordinator.model.sparse.kernels.robust import select_forward
-from atoll_coordinator.model.sparse.rates.rows import RateRows
+from atoll_coordinator.model.sparse.rates.rows import RateRows, rate_rows
 from atoll_coordinator.settings import SETTINGS
+
+
+def with_screened_variables(preparation: Preparation, config: JobConfig) -> JobConfig:
+    """Return the resolved configuration with the variables that each equation takes, where there are dozens.
+
+    What the user allows stays as it is, and so does an equation of which nothing can be told.
+    """
+    dataset, recording, space = preparation.dataset, preparation.recording, config.space
+    if recording is None or not _are_too_many(len(dataset.names)):
+        return config
+    found = dict(space.variables_of)
+    for name in dataset.variables:
+        rows = None if name in found or name in config.prior.known else rate_rows(recording, dataset.names, name)
+        kept = () if rows is None else screened(rows, range(len(dataset.names)))
+        if kept:
+            found[name] = tuple(dataset.names[place] for place in kept)
+    update: dict[str, object] = {"variables_of": found}
+    beginning = space.model_copy(update={"terminals": None})
+    if space.terminals == beginning.terminals_for(len(dataset.names)):  # the user has not said otherwise
+        counts = [len(found.get(name, dataset.names)) for name in dataset.variables]
+        update["terminals"] = beginning.terminals_for(max(counts))
+    return config.model_copy(update={"space": space.model_copy(update=update)})
+
+
+def _are_too_many(variables: int) -> bool:
+    """Tell whether a library of all products of two variables is too large."""
+    return (variables + 1) * (variables + 2) // 2 > SETTINGS.sparse.largest_library
 
 
 def screened(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
     """Return the variables among `columns` (indices) that the equation takes, in ascending order."""
-    count = len(columns)
-    if (count + 1) * (count + 2) // 2 <= SETTINGS.sparse.largest_library:
+    if not _are_too_many(len(columns)):
         return tuple(columns)
     its = rows.trusted()
     terms, values = _products(its.inputs, columns)
-    deviation = float(its.values.std())
+    _, deviation = moments(its.values)
     weights = 1.0 / np.sqrt(its.errors * its.errors + (SETTINGS.common.negligible * deviation) ** 2)
     weighted, side = values * weights, its.values * weights
     chosen, squares = np.full(3 * SETTINGS.rates.screened, -1, np.int64), np.zeros(3 * SETTINGS.rates.screened + 1)

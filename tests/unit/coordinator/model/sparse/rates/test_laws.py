@@ -9,7 +9,6 @@ from atoll.expression.program import constant_places
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.sparse.rates.laws import find_rate_laws
 from atoll_coordinator.model.sparse.rates.rows import RateRows
-from atoll_coordinator.model.sparse.rates.screening import screened
 
 OPERATORS = {BY_NAME[name].code for name in ("+", "-", "*", "/")}
 NAMES = tuple(f"x{place + 1}" for place in range(7))
@@ -47,15 +46,6 @@ def test_what_no_short_sum_describes_has_no_law():
     rows, exact = rows_of("x1 + x2*x3")
     wrong = RateRows(rows.inputs[:3], exact + generator.normal(size=len(exact)), 1e-3 * np.ones(len(exact)))
     assert find_rate_laws(wrong, range(3), OPERATORS - {BY_NAME["/"].code}) == ()
-
-
-def test_of_many_variables_those_that_matter_are_taken():
-    names = tuple(f"x{place}" for place in range(40))
-    rows, _ = rows_of("8 - x5 + x6*x4 - x3*x4", names, 700)
-    kept = screened(rows, range(40))
-    assert {3, 4, 5, 6} <= set(kept)
-    assert len(kept) <= 8
-    assert screened(rows, (1, 7, 9)) == (1, 7, 9)
 
 
 def test_rows_known_as_well_as_the_trusted_ones_are_trusted():
