@@ -5,10 +5,12 @@
 ``machine`` what this process may use of its machine; ``command_line``, ``program``, ``logs`` and ``errors`` what both
 command lines share.
 
+``model`` is what users hold of a model that was found; ``Model`` here is loaded when it is first used.
+
 `atoll` imports neither `atoll_coordinator` nor `atoll_island_worker`.
 """
 
-from typing import Final
+from typing import Any, Final
 
 VERSION: Final = "0.1.0"
 """Version of the distribution; kept equal to pyproject.toml by a test."""
@@ -18,3 +20,19 @@ PROTOCOL_VERSION: Final = 5
 
 ENGINE_REVISION: Final = 4
 """Raised whenever the same seed may give other bits: a change of kernels, of variation or of seeding."""
+
+_PUBLIC: Final = {"Model": "atoll.model.model"}
+"""The classes and functions for users, by the module that is imported when one is first asked for."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'atoll' has no attribute {name!r}")
+    import importlib
+
+    found = globals()[name] = getattr(importlib.import_module(_PUBLIC[name]), name)
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_PUBLIC})

@@ -1,4 +1,6 @@
 """A model in a user's hands, after it was found.
 
-``vector_field`` has the right-hand sides as functions of numbers, with their derivatives.
+``model`` has the class `atoll.Model`, read from ``result.json``; ``vector_field`` the right-hand sides as functions of
+numbers, with their derivatives; ``parameters`` the constants and their joint errors; ``simulation`` integrates from any
+initial state, within bounds; ``display`` writes a model as text, LaTeX, MathML and HTML; ``plots`` draws it.
 """

@@ -42,3 +42,17 @@ def _plain_numbers(expression: "sympy.Expr") -> "sympy.Expr":
         return sympy.Float(repr(value), len(repr(value).lstrip("-0.").replace(".", "").split("e")[0]))
 
     return expression.xreplace({number: plain(number) for number in expression.atoms(sympy.Float)})
+
+
+def left_side_to_latex(lhs: str) -> str:
+    """Return ``dx/dt`` and ``d2x/dt2`` as fractions, any other left-hand side as a name."""
+    import sympy
+
+    above, slash, below = lhs.rpartition("/")
+    if not slash:
+        return str(sympy.latex(sympy.Symbol(lhs)))
+    second = above.startswith("d2") and below.endswith("2")
+    numerator = str(sympy.latex(sympy.Symbol(above[2:] if second else above[1:])))
+    denominator = str(sympy.latex(sympy.Symbol(below[1:-1] if second else below[1:])))
+    order = "^{2}" if second else ""
+    return rf"\frac{{d{order} {numerator}}}{{d {denominator}{order}}}"

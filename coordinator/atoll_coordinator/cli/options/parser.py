@@ -25,11 +25,12 @@ HANDLERS: Final = {
     "delete": "atoll_coordinator.cli.verbs.jobs",
     "logs": "atoll_coordinator.cli.verbs.logs",
     "result": "atoll_coordinator.cli.verbs.result",
+    "simulate": "atoll_coordinator.cli.verbs.simulate",
     "doctor": "atoll_coordinator.cli.doctor.doctor",
 }
 """The module of each verb. Its function of the verb's name takes the parsed options and returns the exit code."""
 
-LATER_VERBS: Final = ("simulate", "analyse", "analyze", "report", "export")
+LATER_VERBS: Final = ("analyse", "analyze", "report", "export")
 
 EXIT_CODES: Final = (
     "exit codes: 0 done, 1 job failed, 2 bad usage or bad data, 3 coordinator not reachable,\n"
@@ -81,6 +82,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_router(_verb, verbs)
     _add_submit(verbs)
     _add_readers(verbs)
+    _add_simulate(verbs)
     _add_data(add_doctor(_verb, verbs).add_argument_group("data"))
     return parser
 
@@ -160,6 +162,20 @@ def _add_readers(verbs: Any) -> None:
             )
         if name == "workers":
             parser.add_argument("--coordinator", action="store_true", help="show the coordinator's own counters")
+
+
+def _add_simulate(verbs: Any) -> None:
+    parser = _verb(verbs, "simulate", "simulate the model of a saved result from any initial state; CSV with bands")
+    parser.add_argument("result", metavar="RESULT", help="PATH/result.json, or its folder")
+    parser.add_argument(
+        "--initial",
+        metavar="x=1,y=3|FILE",
+        help="initial state; or a data file: its first row, its times, its inputs (default: as measured)",
+    )
+    parser.add_argument("--until", metavar="T", help="last time (default: that of the first trajectory, or the file's)")
+    parser.add_argument("--step", metavar="DT", help="from one time to the next (default: 500 steps in all)")
+    parser.add_argument("-o", "--output", metavar="FILE", help="write to this file (default: stdout)")
+    parser.add_argument("--json", action="store_true", help="write JSON: status, message, columns")
 
 
 def _add_result(parser: argparse.ArgumentParser) -> None:

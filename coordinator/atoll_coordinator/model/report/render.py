@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.errors import UsageError
-from atoll.expression.text.export import to_latex
+from atoll.expression.text.export import left_side_to_latex, to_latex
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.report import tables
@@ -138,7 +138,7 @@ def render_latex(result: Mapping[str, Any]) -> str:
     """Return an ``align*`` environment with one line for each equation."""
     names = _names(result)
     lines = [
-        rf"  {_lhs_latex(equation['lhs'])} &= {to_latex(from_infix(equation['expression'], names), names)}"
+        rf"  {left_side_to_latex(equation['lhs'])} &= {to_latex(from_infix(equation['expression'], names), names)}"
         for equation in result["equations"]
         if equation["expression"] is not None
     ]
@@ -244,17 +244,3 @@ def _count(value: int) -> str:
         if value >= size:
             return f"{value / size:.3g}{unit}"
     return str(value)
-
-
-def _lhs_latex(lhs: str) -> str:
-    """Return ``dx/dt`` and ``d2x/dt2`` as fractions, any other left-hand side as a name."""
-    import sympy
-
-    above, slash, below = lhs.rpartition("/")
-    if not slash:
-        return str(sympy.latex(sympy.Symbol(lhs)))
-    second = above.startswith("d2") and below.endswith("2")
-    numerator = str(sympy.latex(sympy.Symbol(above[2:] if second else above[1:])))
-    denominator = str(sympy.latex(sympy.Symbol(below[1:-1] if second else below[1:])))
-    order = "^{2}" if second else ""
-    return rf"\frac{{d{order} {numerator}}}{{d {denominator}{order}}}"

@@ -1,0 +1,85 @@
+"""A model as people read it: text, LaTeX, MathML, HTML."""
+
+import html as escaping
+from typing import TYPE_CHECKING
+
+from atoll.expression.text.export import left_side_to_latex, to_latex
+from atoll.expression.text.parsing import from_infix
+
+if TYPE_CHECKING:
+    from atoll.model.model import Model
+    from atoll.model.parameters import Parameter
+
+_HEADS = ("constant", "value", "standard error", "95 % interval", "equation of")
+
+
+def summary(model: "Model") -> str:
+    """Return equations with verdicts, constants with errors, and where the model comes from."""
+    lines = []
+    for each in model.equations:
+        lines.append(str(each))
+        if each.verdict is not None:
+            lines.append(f"    {each.verdict}: {each.reason}")
+    rows = [_HEADS, *map(_cells, model.params.values())]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADS))]
+    if model.params:
+        lines.append("")
+    lines += ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows if model.params]
+    its = model.provenance
+    lines += ["", f"seed {its['seed']}, digest {its['digest']}"]
+    if its["data"]:
+        lines.append(f"data {', '.join(its['files'])}: {its['rows']} rows, sha256 {its['data']}")
+    if its["command"]:
+        lines.append(f"command: {its['command']}")
+    return "\n".join(lines)
+
+
+def latex(model: "Model") -> str:
+    """Return the equations in an ``aligned`` environment."""
+    names = list(model.result["symbols"].values())
+    lines = [
+        f"{left_side_to_latex(each.lhs)} &= {to_latex(from_infix(each.exact, names), names)}"
+        for each in model.equations
+    ]
+    return r"\begin{aligned}" + r" \\ ".join(lines) + r"\end{aligned}"
+
+
+def mathml(model: "Model") -> str:
+    """Return the equations as the rows of a table in presentation MathML."""
+    from sympy.printing.mathml import mathml as printed
+
+    from atoll.expression.text.export import to_sympy
+
+    names = list(model.result["symbols"].values())
+    rows = []
+    for each in model.equations:
+        shown = to_sympy(from_infix(each.expression, names), names)
+        left = f"<mtext>{escaping.escape(each.lhs)}</mtext>"
+        cells = (left, "<mo>=</mo>", printed(shown, printer="presentation"))
+        rows.append("<mtr>" + "".join(f"<mtd>{cell}</mtd>" for cell in cells) + "</mtr>")
+    name = '<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">'
+    return f"{name}<mtable>{''.join(rows)}</mtable></math>"
+
+
+def html(model: "Model") -> str:
+    """Return equations, verdicts and a table of constants for a notebook."""
+    parts = [mathml(model)]
+    verdicts = [each for each in model.equations if each.verdict is not None]
+    parts += [
+        f"<p><b>{escaping.escape(each.lhs)}: {each.verdict}.</b> {escaping.escape(each.reason or '')}</p>"
+        for each in verdicts
+    ]
+    if model.params:
+        rows = [_row("th", _HEADS), *(_row("td", _cells(each)) for each in model.params.values())]
+        parts.append(f"<table>{''.join(rows)}</table>")
+    return "<div>" + "".join(parts) + "</div>"
+
+
+def _row(kind: str, cells: tuple[str, ...]) -> str:
+    return "<tr>" + "".join(f"<{kind}>{escaping.escape(cell)}</{kind}>" for cell in cells) + "</tr>"
+
+
+def _cells(its: "Parameter") -> tuple[str, ...]:
+    between = "?" if its.interval is None else f"± {0.5 * (its.interval[1] - its.interval[0]):.2g}"
+    error = "?" if its.stderr is None else f"{its.stderr:.2g}"
+    return its.name, f"{its.value:.6g}", error, between, its.variable

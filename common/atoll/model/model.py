@@ -1,0 +1,489 @@
+"""A model that was found, with what is known of it: equations, constants, simulations, provenance.
+
+Letters: D states, U inputs, N rows or times.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll.data.dataset import FloatArray
+from atoll.errors import UsageError
+from atoll.expression.evaluation import values_of
+from atoll.expression.text.infix import to_infix
+from atoll.expression.text.parsing import from_infix
+from atoll.model.parameters import LEVEL, JointErrors, Parameter, parameters_of
+from atoll.model.simulation import Inputs, Simulation, interpolated, simulate, together
+from atoll.model.vector_field import VectorField
+
+if TYPE_CHECKING:
+    import sympy
+
+SCHEMA: Final = 1
+DIGITS: Final = 6
+"""Significant digits of the constants that people are shown."""
+ROWS: Final = 501
+"""Times of a simulation whose end alone is given."""
+
+Given = Mapping[str, Any] | Sequence[float] | FloatArray
+"""Numbers by name, or in the order of the states or inputs."""
+
+
+@dataclass(frozen=True)
+class Equation:
+    """One equation: `lhs` = `expression`, for people with rounded constants; `exact` is the text to the last bit.
+
+    `unit` is that of the left-hand side, "" where columns have none. `verdict` and `reason` say how far to trust it.
+    """
+
+    variable: str
+    lhs: str
+    expression: str
+    exact: str
+    unit: str = ""
+    verdict: str | None = None
+    reason: str | None = None
+    complexity: int | None = None
+    nats: float = 0.0
+
+    def __str__(self) -> str:
+        return f"{self.lhs} = {self.expression}" + (f"  [{self.unit}]" if self.unit else "")
+
+
+class Model:
+    """A model as users hold it: read from the content of ``result.json``, which it keeps and can write again."""
+
+    def __init__(self, result: Mapping[str, Any]) -> None:
+        """Take the content of result.json; raises UsageError when it is none, or of another version."""
+        if not isinstance(result, Mapping) or result.get("schema") != SCHEMA or "equations" not in result:
+            raise UsageError("this is no result of this version; give the content of a result.json")
+        if not result["equations"] or any(each.get("expression") is None for each in result["equations"]):
+            raise UsageError("the result has not found every equation, so there is no model; look at its verdicts")
+        self._result = dict(result)
+
+    @classmethod
+    def from_result(cls, result: Mapping[str, Any]) -> "Model":
+        """Return the model of a result (the content of result.json); raises UsageError."""
+        return cls(result)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Model":
+        """Return the model of a saved result; raises UsageError when the file cannot be read or holds none."""
+        try:
+            found = json.loads(Path(path).read_text("utf-8"))
+        except OSError as error:
+            raise UsageError(f"{path} cannot be read ({error.strerror}); give the path of a result.json") from error
+        except ValueError as error:
+            raise UsageError(f"{path} holds no JSON; give the path of a result.json") from error
+        try:
+            return cls(found)
+        except UsageError as error:
+            raise UsageError(f"{path}: {error}") from None
+
+    def save(self, path: str | Path) -> None:
+        """Write the result as JSON, which `load` and ``coordinator result`` read; raises UsageError."""
+        text = json.dumps(self._result, ensure_ascii=False, allow_nan=False)
+        try:
+            Path(path).write_text(text + "\n", "utf-8")
+        except OSError as error:
+            raise UsageError(f"{path} cannot be written ({error.strerror}); name another file") from error
+
+    # ------------------------------------------------------------------------------------------- what it is
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """The content of result.json."""
+        return self._result
+
+    @property
+    def is_regression(self) -> bool:
+        """Whether it is y = f(X), without time."""
+        return all("/" not in each["lhs"] for each in self._result["equations"])
+
+    @property
+    def time(self) -> str:
+        """The name of the time column, t where it has none."""
+        return str((self._result.get("system") or {}).get("time") or "t")
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The names of the states in expressions, velocities behind positions for order 2; none of a regression."""
+        return () if self.is_regression else self.field.states
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The names of the inputs in expressions: variables without an equation."""
+        return self._names if self.is_regression else self.field.inputs
+
+    @cached_property
+    def field(self) -> VectorField:
+        """The right-hand sides as functions of numbers; raises UsageError where there is no time."""
+        return VectorField.from_result(self._result)
+
+    @cached_property
+    def equations(self) -> tuple[Equation, ...]:
+        """All equations; of a stochastic process those of the diffusion as well."""
+        units = (self._result.get("system") or {}).get("units") or {}
+        return tuple(
+            Equation(
+                each["variable"],
+                each["lhs"],
+                to_infix(from_infix(each["expression"], self._names), self._names, digits=DIGITS),
+                each["expression"],
+                _unit(each["variable"], each["lhs"], units, self.time),
+                each.get("verdict"),
+                each.get("reason"),
+                each.get("complexity"),
+                float(each.get("nats") or 0.0),
+            )
+            for each in self._result["equations"]
+        )
+
+    @cached_property
+    def params(self) -> dict[str, Parameter]:
+        """The constants by name: c1, c2, … as they stand in the equations, one after the other."""
+        return parameters_of(self._result, self._result["equations"])
+
+    def conf_int(self, level: float = LEVEL) -> dict[str, tuple[float, float] | None]:
+        """Return the confidence interval of each constant at `level`, None where it is not known."""
+        if not 0.0 < level < 1.0:
+            raise UsageError(f"a level lies between 0 and 1, but {level!r} was given")
+        return {name: each.interval_at(level, self._freedom) for name, each in self.params.items()}
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """Where the model comes from: digests of data and result, job, seed, settings, command, versions."""
+        its = self._result
+        data = its.get("data") or {}
+        named = ("job", "seed", "preset", "config", "command", "versions", "digest")
+        return {"data": data.get("digest"), "files": data.get("files"), "rows": data.get("rows")} | {
+            name: its.get(name) for name in named
+        }
+
+    @cached_property
+    def candidates(self) -> tuple["Model", ...]:
+        """The other equations that were compared, each as a model with the rest of this one, the best first.
+
+        Their constants have no errors; `equations[i].nats` is how much longer the description of the data is.
+        """
+        found = [
+            (float(other["nats"]), place, other)
+            for place, equation in enumerate(self._result["equations"])
+            for other in equation.get("candidates") or ()
+            if not other["selected"] and other["nats"] is not None
+        ]
+        return tuple(Model(self._with(place, other)) for _, place, other in sorted(found, key=lambda each: each[0]))
+
+    def _with(self, place: int, other: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the result with another candidate in the place of an equation, without what belongs to the model."""
+        unknown: dict[str, Any] = {
+            "program": None,
+            "constants": [],
+            "implied": [],
+            "candidates": [],
+            "prediction": None,
+        }
+        unknown |= {"verdict": None, "reason": None}
+        taken = {name: other[name] for name in ("expression", "complexity", "origin", "nats")}
+        equations = [
+            {**each, **unknown, **taken} if index == place else each
+            for index, each in enumerate(self._result["equations"])
+        ]
+        return {**self._result, "equations": equations, "covariance": None, "correlations": [], "chaos": None}
+
+    # ------------------------------------------------------------------------------------------- what it does
+
+    def simulate(
+        self,
+        x0: Given | None = None,
+        t: npt.ArrayLike | float | None = None,
+        u: Mapping[str, Any] | npt.ArrayLike | Callable[[float], Any] | None = None,
+        *,
+        has_bands: bool = True,
+    ) -> Simulation:
+        """Integrate from an initial state. How it ends is its `status`: a blow-up is a result, not an error.
+
+        Args:
+            x0: the initial state, by name or in order; None: that of the first measured trajectory.
+            t: times that ascend, the first being that of `x0`; one number: until then, from the first time measured;
+                None: the times of the first trajectory.
+            u: inputs: by name numbers, arrays at the times `t` or functions of time; or an array (N, U), or a function
+                of time that returns U numbers. An input that is the time itself needs none.
+            has_bands: whether the errors of the constants are carried on into 95 % bands, where they are known.
+
+        Raises:
+            UsageError: the arguments do not fit, or the model has no time.
+        """
+        times = self._times(t)
+        bands = (self._errors, self._quantile) if has_bands and self._errors is not None else None
+        found = simulate(self.field, self._start(x0), times, self._inputs(u, times), bands)
+        return replace(found, time=self.time)
+
+    def predict(
+        self, x: Mapping[str, Any] | npt.ArrayLike, u: Mapping[str, Any] | npt.ArrayLike | None = None
+    ) -> FloatArray:
+        """Return the derivatives at rows of states, of a regression its target.
+
+        Args:
+            x: (N, D) states, or columns by name (also a frame of pandas or polars); of a regression (N, U) inputs.
+            u: (N, U) inputs; None where there are none, or where `x` has them by name.
+
+        Returns:
+            (N, D) derivatives, (N,) values of a regression; NaN where there is none.
+        """
+        if self.is_regression:
+            program = from_infix(self._result["equations"][0]["expression"], self._names)
+            values = values_of(program, np.ascontiguousarray(self._rows(x, self._names).T))
+            return np.asarray(np.where(np.isfinite(values), values, np.nan))
+        points = self._rows(x, self.states)
+        if not self.inputs:
+            return self.field.values(points)
+        given = u if u is not None else (x if _has_columns(x) else None)
+        if given is None:
+            raise UsageError(f"the model has the inputs {', '.join(self.inputs)}; give their values as u")
+        return self.field.values(points, self._rows(given, self.inputs))
+
+    def score(self, data: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> float:
+        """Return R2 on data: columns by name (also a frame), or a list of these, one for each trajectory.
+
+        A model of dynamics is simulated from the first row of each trajectory, and R2 is the mean over its measured
+        states; minus infinity where a simulation does not reach the end. A regression is judged by its target.
+        """
+        parts: list[Any] = [*data] if isinstance(data, (list, tuple)) else [data]
+        if self.is_regression:
+            target = self._result["equations"][0]["variable"]
+            measured = np.concatenate([_column(part, target) for part in parts])
+            return _r2(measured, np.concatenate([self.predict(part) for part in parts]))
+        found, measured_parts = [], []
+        states = [name for name in self.states if all(_has(part, self._columns[name]) for part in parts)]
+        for part in parts:
+            its = self._simulated(part)
+            if its.status != "finished":
+                return -np.inf
+            found.append(np.stack([its[name] for name in states]))
+            measured_parts.append(np.stack([_column(part, self._columns[name]) for name in states]))
+        pairs = zip(np.concatenate(measured_parts, axis=1), np.concatenate(found, axis=1), strict=True)
+        return float(np.mean([_r2(measured, values) for measured, values in pairs]))
+
+    def _simulated(self, part: Mapping[str, Any]) -> Simulation:
+        """Return the simulation of measured rows from the first of them; velocities are those of the first two rows."""
+        times = _column(part, self.time)
+        start = {}
+        for name in self.states:
+            if _has(part, self._columns[name]):
+                start[name] = float(_column(part, self._columns[name])[0])
+            else:
+                position = _column(part, self._columns[self.states[self.states.index(name) - len(self.states) // 2]])
+                start[name] = float(np.gradient(position, times, edge_order=2)[0])
+        inputs = {name: _column(part, self._columns[name]) for name in self.inputs}
+        return self.simulate(start, times, inputs or None, has_bands=False)
+
+    # ------------------------------------------------------------------------------------------- what it looks like
+
+    def __repr__(self) -> str:
+        return "\n".join(map(str, self.equations))
+
+    def summary(self) -> str:
+        """Return equations, verdicts, constants and provenance as text."""
+        from atoll.model.display import summary
+
+        return summary(self)
+
+    def to_sympy(self) -> "dict[str, sympy.Expr]":
+        """Return the right-hand sides as sympy expressions, by left-hand side; constants keep every bit."""
+        from atoll.expression.text.export import to_sympy
+
+        return {each.lhs: to_sympy(from_infix(each.exact, self._names), self._names) for each in self.equations}
+
+    def latex(self) -> str:
+        """Return the equations as lines of LaTeX's ``aligned`` environment."""
+        from atoll.model.display import latex
+
+        return latex(self)
+
+    def mathml(self) -> str:
+        """Return the equations as MathML (presentation), one line of a table for each."""
+        from atoll.model.display import mathml
+
+        return mathml(self)
+
+    def _repr_latex_(self) -> str:
+        return f"$\\displaystyle {self.latex()}$"
+
+    def _repr_html_(self) -> str:
+        from atoll.model.display import html
+
+        return html(self)
+
+    def plot_fit(self, axes: Any = None) -> Any:
+        """Plot measurements and simulations with bands over time; see `atoll.model.plots.plot_fit`."""
+        from atoll.model.plots import plot_fit
+
+        return plot_fit(self, axes)
+
+    def plot_residuals(self, axes: Any = None) -> Any:
+        """Plot what simulations leave of the measurements; see `atoll.model.plots.plot_residuals`."""
+        from atoll.model.plots import plot_residuals
+
+        return plot_residuals(self, axes)
+
+    def plot_phase(self, axes: Any = None) -> Any:
+        """Plot the phase plane of two states; see `atoll.model.plots.plot_phase`."""
+        from atoll.model.plots import plot_phase
+
+        return plot_phase(self, axes)
+
+    def plot_front(self, axes: Any = None) -> Any:
+        """Plot error over complexity; see `atoll.model.plots.plot_front`."""
+        from atoll.model.plots import plot_front
+
+        return plot_front(self, axes)
+
+    # ------------------------------------------------------------------------------------------- inside
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        return tuple(self._result["symbols"].values())
+
+    @cached_property
+    def _columns(self) -> dict[str, str]:
+        """Column names by symbol."""
+        return {symbol: column for column, symbol in self._result["symbols"].items()}
+
+    @cached_property
+    def _errors(self) -> JointErrors | None:
+        return JointErrors.of(self._result, self.field)
+
+    @property
+    def _freedom(self) -> float | None:
+        return (self._result.get("covariance") or {}).get("freedom")
+
+    @cached_property
+    def _quantile(self) -> float:
+        """Standard errors on either side of a 95 % band."""
+        from scipy import special
+
+        return float(special.stdtrit(self._freedom, 0.5 + LEVEL / 2.0) if self._freedom else special.ndtri(0.975))
+
+    @property
+    def _first(self) -> Mapping[str, Any]:
+        """The first simulated trajectory of the result; empty where there is none."""
+        parts = (self._result.get("simulation") or {}).get("trajectories") or ()
+        return next((each for each in parts if each.get("start")), {})
+
+    def _start(self, x0: Given | None) -> FloatArray:
+        if x0 is None:
+            if not self._first:
+                raise UsageError("the result has no fitted initial state; give one, such as x0={'x': 1.0}")
+            given: Given = {self._result["symbols"][name]: value for name, value in self._first["start"].items()}
+        else:
+            given = x0
+        if not isinstance(given, Mapping):
+            values = np.asarray(given, dtype=np.float64)
+            if values.shape != (len(self.states),):
+                raise UsageError(f"an initial state has one number for each of {', '.join(self.states)}")
+            return values
+        symbols = self._result["symbols"]
+        named = {symbols.get(name, name): value for name, value in given.items()}
+        unknown = next((name for name in named if name not in self.states), None)
+        missing = next((name for name in self.states if name not in named), None)
+        if unknown is not None or missing is not None:
+            fault = f"names {unknown!r}" if unknown is not None else f"lacks {missing!r}"
+            raise UsageError(f"the initial state {fault}; the states are {', '.join(self.states)}")
+        return np.array([float(named[name]) for name in self.states])
+
+    def _times(self, t: npt.ArrayLike | float | None) -> FloatArray:
+        first = np.array(self._first.get("times") or (), dtype=np.float64)
+        if t is None:
+            if not len(first):
+                raise UsageError("the result has no simulated trajectory; give the times, such as t=10.0")
+            return first
+        times = np.asarray(t, dtype=np.float64)
+        if times.ndim:
+            return times
+        begin = float(first[0]) if len(first) else 0.0
+        if not float(times) > begin:
+            raise UsageError(f"a simulation begins at {self.time} = {begin:g} and ends later, but {t!r} was given")
+        return np.linspace(begin, float(times), ROWS)
+
+    def _inputs(
+        self, u: Mapping[str, Any] | npt.ArrayLike | Callable[[float], Any] | None, times: FloatArray
+    ) -> Inputs | None:
+        if not self.inputs:
+            return None
+        if callable(u):
+            return lambda t: np.atleast_1d(np.asarray(u(t), dtype=np.float64))
+        if u is not None and not isinstance(u, Mapping) and not _has_columns(u):
+            values = np.asarray(u, dtype=np.float64)
+            values = values.reshape(len(times), -1) if values.ndim and len(values) == len(times) else values
+            if values.shape != (len(times), len(self.inputs)):
+                shape = f"({len(times)}, {len(self.inputs)})"
+                raise UsageError(f"inputs have the shape {values.shape}, expected {shape}: rows by {self.inputs}")
+            return interpolated(times, values)
+        given: Any = {} if u is None else u
+        return together([self._input(name, given, times) for name in self.inputs])
+
+    def _input(self, name: str, given: Any, times: FloatArray) -> Callable[[float], float]:
+        column = next((each for each in (name, self._columns[name]) if _has(given, each)), None)
+        if column is None:
+            if self._columns[name] == self.time:
+                return lambda t: t
+            raise UsageError(f"the model has the input {name!r}, of which nothing is given; name it in u")
+        its = given[column]
+        if callable(its):
+            return lambda t: float(its(t))
+        values = np.asarray(its, dtype=np.float64)
+        if values.ndim == 0:
+            return lambda _: float(values)
+        if values.shape != times.shape:
+            raise UsageError(f"the input {name!r} has {values.size} values for {len(times)} times; give one for each")
+        curve = interpolated(times, values[:, np.newaxis])
+        return lambda t: float(curve(t)[0])
+
+    def _rows(self, given: Any, names: Sequence[str]) -> FloatArray:
+        """Return rows (N, len(names)) from an array or from columns by name."""
+        if _has_columns(given):
+            return np.stack([_column(given, self._columns.get(name, name), name) for name in names], axis=1)
+        rows = np.asarray(given, dtype=np.float64)
+        rows = rows[:, np.newaxis] if rows.ndim == 1 and len(names) == 1 else np.atleast_2d(rows)
+        if rows.ndim != 2 or rows.shape[1] != len(names):
+            raise UsageError(f"rows of {len(names)} numbers ({', '.join(names)}) are expected, found {rows.shape}")
+        return rows
+
+
+def _unit(variable: str, lhs: str, units: Mapping[str, str], time: str) -> str:
+    """Return the unit of a left-hand side; "" where a column has none."""
+    above, below = units.get(variable, ""), units.get(time, "")
+    if "/" not in lhs:
+        return above
+    if not above or not below:
+        return ""
+    return f"({above})/({below})^2" if lhs.startswith("d2") else f"({above})/({below})"
+
+
+def _has_columns(given: Any) -> bool:
+    return isinstance(given, Mapping) or hasattr(given, "columns")
+
+
+def _has(given: Any, name: str) -> bool:
+    return name in (given.columns if hasattr(given, "columns") else given)
+
+
+def _column(given: Any, *names: str) -> FloatArray:
+    name = next((each for each in names if _has(given, each)), None)
+    if name is None:
+        raise UsageError(f"the data have no column {names[0]!r}; give one, by that name")
+    return np.asarray(given[name], dtype=np.float64)
+
+
+def _r2(measured: FloatArray, values: FloatArray) -> float:
+    known = np.isfinite(measured)
+    left = float(((measured - values)[known] ** 2).sum())
+    spread = float(((measured[known] - measured[known].mean()) ** 2).sum())
+    return 1.0 - left / spread if spread > 0.0 else (1.0 if left == 0.0 else -np.inf)

@@ -1,0 +1,166 @@
+"""The constants of a model by name, with their errors.
+
+Letters: P constants of a vector field, K constants whose joint covariance is known.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.program import Program, constant_places, with_constants
+from atoll.expression.text.infix import to_infix
+from atoll.expression.text.parsing import from_infix
+from atoll.expression.unit_coefficients import ExplicitCoefficients, as_written, make_coefficients_explicit
+from atoll.model.vector_field import VectorField
+
+LEVEL: Final = 0.95
+"""The level of the intervals that a result has."""
+
+_FIRST_MARK: Final = 1000.5
+"""Constants are told apart by numbers from here on while an equation is written as text and read again."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A constant of a model.
+
+    `name` is c1, c2, … over all equations, `variable` the state of its equation; `stderr` is its standard error,
+    `interval` its 95 % one, None where they are not known; `identifiable`: the data determine it.
+    """
+
+    name: str
+    variable: str
+    value: float
+    stderr: float | None = None
+    interval: tuple[float, float] | None = None
+    identifiable: bool = True
+
+    def interval_at(self, level: float, freedom: float | None) -> tuple[float, float] | None:
+        """Return the interval at `level`, by Student's t with so many degrees of freedom (None: infinitely many)."""
+        if level == LEVEL or self.stderr is None or self.interval is None:
+            return self.interval
+        from scipy import special
+
+        quantile = special.ndtri(0.5 + level / 2.0) if freedom is None else special.stdtrit(freedom, 0.5 + level / 2.0)
+        middle = 0.5 * (self.interval[0] + self.interval[1])
+        return middle - float(quantile) * self.stderr, middle + float(quantile) * self.stderr
+
+
+def parameters_of(result: Mapping[str, Any], equations: Sequence[Mapping[str, Any]]) -> dict[str, Parameter]:
+    """Return the constants of these equations of a result by name, in the order of a `VectorField` of them."""
+    names = list(result["symbols"].values())
+    found: list[Parameter] = []
+    for equation in equations:
+        known = list(equation.get("constants") or ())
+        program = from_infix(equation["expression"], names)
+        for value in program.constants[constant_places(program)].tolist():
+            its = next((each for each in known if each["value"] is not None and abs(each["value"]) == abs(value)), None)
+            name = f"c{len(found) + 1}"
+            if its is None:  # a number that only the text has, such as the 2 of 2*x for x + x
+                found.append(Parameter(name, equation["variable"], value))
+                continue
+            known.remove(its)
+            found.append(_parameter(name, equation["variable"], value, its))
+    return {each.name: each for each in found}
+
+
+def _parameter(name: str, variable: str, value: float, its: Mapping[str, Any]) -> Parameter:
+    """Return a constant with its errors; the sign of `value` is that of the text, where a minus may stand before it."""
+    interval = its.get("interval")
+    if interval is not None and None not in interval:
+        low, high = interval
+        interval = (low, high) if value * its["value"] >= 0.0 else (-high, -low)
+    else:
+        interval = None
+    return Parameter(name, variable, value, its.get("std_error"), interval, bool(its.get("identifiable", True)))
+
+
+@dataclass(frozen=True, eq=False)
+class JointErrors:
+    """The joint covariance (K, K) of the constants, and the field whose parameters they are.
+
+    `field` has the right-hand sides with factors of one as constants; `values` (P,) are those of its parameters,
+    `columns` (K,) which of them the constants are, and `signs` (K,) whether the text has a minus before them.
+    """
+
+    field: VectorField
+    values: FloatArray
+    columns: tuple[int, ...]
+    signs: FloatArray
+    covariance: FloatArray
+
+    @classmethod
+    def of(cls, result: Mapping[str, Any], field: VectorField) -> "JointErrors | None":
+        """Return the errors of a result's model, `field` being its right-hand sides; None where they are not known."""
+        found = result.get("covariance")
+        if not found or any(None in row for row in found["matrix"]):
+            return None
+        names = [*field.states, *field.inputs]
+        symbols = list(result["symbols"].values())
+        texts, marks, taken = list(field.expressions), {}, 0
+        by_variable = {each["variable"]: each for each in result["equations"]}
+        rows = [(each["variable"], each["constant"]) for each in found["constants"]]
+        for variable in dict.fromkeys(name for name, _ in rows):
+            its = [number for name, number in rows if name == variable]
+            opened = _opened(Program.from_bytes(bytes.fromhex(by_variable[variable]["program"]), len(symbols)), its)
+            if opened is None:
+                return None
+            places = constant_places(opened.program)
+            numbers = [_FIRST_MARK + taken + index for index in range(len(places))]
+            values = opened.program.constants[places].tolist()
+            for index, (number, value) in enumerate(zip(numbers, values, strict=True)):
+                marks[number] = (taken + index, value)
+            marked = with_constants(opened.program, dict(zip(places, numbers, strict=True)))
+            at = _place(field, symbols[list(result["symbols"]).index(variable)])
+            texts[at] = to_infix(marked, symbols)
+            taken += len(places)
+        opened_field = VectorField(field.states, field.inputs, tuple(texts))
+        assert set(names) == set(symbols)
+        return cls._matched(opened_field, marks, np.array(found["matrix"], dtype=np.float64))
+
+    @classmethod
+    def _matched(
+        cls, field: VectorField, marks: Mapping[float, tuple[int, float]], covariance: FloatArray
+    ) -> "JointErrors":
+        values = field.values_of_parameters
+        columns, signs = [0] * len(marks), np.ones(len(marks))
+        for column, parameter in enumerate(field.parameters):
+            if abs(parameter.value) in marks:
+                row, value = marks[abs(parameter.value)]
+                columns[row] = column
+                values[column] = value if parameter.value > 0.0 else -value
+                signs[row] = 1.0 if parameter.value > 0.0 else -1.0
+        return cls(field, values, tuple(columns), signs, covariance)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The variable of the equation of each constant (K,)."""
+        return tuple(self.field.parameters[column].variable for column in self.columns)
+
+    def rates(self, x: FloatArray, u: FloatArray | None) -> FloatArray:
+        """Return the derivatives (D, K) of the rates by the constants at a point."""
+        return self.field.parameter_derivatives(x, u, self.values)[:, list(self.columns)] * self.signs
+
+    def with_covariance(self, covariance: FloatArray) -> "JointErrors":
+        """Return the same with another covariance (K, K)."""
+        return replace(self, covariance=covariance)
+
+
+def _opened(program: Program, origins: Sequence[int | None]) -> ExplicitCoefficients | None:
+    """Return the program whose constants, in node order, are these of the covariance; None where there is none."""
+    return next(
+        (each for each in (make_coefficients_explicit(program), as_written(program)) if [*each.origins] == [*origins]),
+        None,
+    )
+
+
+def _place(field: VectorField, symbol: str) -> int:
+    """Return which right-hand side is the equation of a state: for order 2, behind those of the positions."""
+    position = field.states.index(symbol)
+    if field.expressions[position] in field.states:  # the rate of a position is its velocity
+        return field.states.index(field.expressions[position])
+    return position

@@ -1,0 +1,141 @@
+"""``coordinator simulate``: what the model of a saved result does from an initial state, as CSV or JSON."""
+
+import argparse
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.config import DataConfig
+from atoll.data.dataset import FloatArray
+from atoll.data.table import Table
+from atoll.errors import UsageError
+from atoll.model.model import ROWS, Model
+from atoll.model.simulation import MOST_NUMBERS
+from atoll_coordinator.cli.exit_codes import DONE
+from atoll_coordinator.cli.terminal.output import as_json, note, say
+
+_SLACK: Final = 1e-9
+"""Share of a step by which rounding may shift the last time."""
+
+
+def simulate(options: argparse.Namespace) -> int:
+    """Simulate the model of ``options.result``; how it ends is said on stderr. Return the exit code."""
+    model = load(options.result)
+    given = _Given(model, options.initial)
+    times = _times(model, given, options)
+    found = model.simulate(given.state, times, given.inputs(times))
+    text = as_json(found.as_dict()) if options.json else found.to_csv()
+    if options.output is None:
+        say(text)
+    else:
+        _write(Path(options.output), text)
+    if found.status != "finished":
+        note(f"coordinator: the simulation ended early: {found.message}")
+    return DONE
+
+
+def load(name: str) -> Model:
+    """Return the model of a result by its path or its folder; raises UsageError."""
+    path = Path(name)
+    return Model.load(path / "result.json" if path.is_dir() else path)
+
+
+class _Given:
+    """The initial state, and what a file adds: times and inputs."""
+
+    def __init__(self, model: Model, text: str | None) -> None:
+        self._model = model
+        self._table: Table | None = None
+        self.state: Mapping[str, float] | None = None
+        if text is None:
+            return
+        if Path(text).is_file():
+            self._table = _read(Path(text))
+            self.state = self._first_row(self._table, text)
+        elif "=" in text:
+            self.state = dict(_assignment(part) for part in text.split(","))
+        else:
+            raise UsageError(f"--initial wants numbers such as x=1,y=3 or a data file, and {text!r} is neither")
+
+    @property
+    def times(self) -> FloatArray | None:
+        """The times of the file; None where it has none."""
+        return (
+            None if self._table is None or self._model.time not in self._table.names else self._column(self._model.time)
+        )
+
+    def inputs(self, times: FloatArray) -> dict[str, Any] | None:
+        """Return the file's inputs, interpolated at these times."""
+        at = self.times
+        if self._table is None or at is None:
+            return None
+        named = self._model.result["symbols"]
+        columns = [
+            name for name in self._table.names if named.get(name) in self._model.inputs and name != self._model.time
+        ]
+        return {name: np.interp(times, at, self._column(name)) for name in columns} or None
+
+    def _column(self, name: str) -> FloatArray:
+        assert self._table is not None
+        return self._table.column(name)
+
+    def _first_row(self, table: Table, name: str) -> dict[str, float]:
+        symbols = self._model.result["symbols"]
+        found = {symbols.get(each, each): float(table.column(each)[0]) for each in table.names if table.rows}
+        lacking = [state for state in self._model.states if state not in found]
+        if lacking:
+            raise UsageError(f"{name} has no column for {', '.join(lacking)}; an initial state names every state")
+        return {state: found[state] for state in self._model.states}
+
+
+def _read(path: Path) -> Table:
+    from atoll_coordinator.data.reading.files import read_table
+
+    return read_table([path], DataConfig())
+
+
+def _assignment(text: str) -> tuple[str, float]:
+    name, separator, number = text.partition("=")
+    if not separator or not name.strip():
+        raise UsageError(f"--initial wants NAME=NUMBER, separated by commas, but got {text!r}")
+    return name.strip(), _number(number, f"--initial {name.strip()}")
+
+
+def _number(text: str, option: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise UsageError(f"{option} must be a finite number, but {text!r} was given")
+    return value
+
+
+def _times(model: Model, given: _Given, options: argparse.Namespace) -> FloatArray:
+    """Return the times of the simulation; raises UsageError where nothing tells them."""
+    trajectories = (model.result.get("simulation") or {}).get("trajectories") or ()
+    known = given.times if given.times is not None else np.array(trajectories[0]["times"] if trajectories else ())
+    if options.until is None and options.step is None and len(known):
+        return known
+    begin = float(known[0]) if len(known) else 0.0
+    if options.until is None and not len(known):
+        raise UsageError("nothing tells how long to simulate; give --until")
+    end = float(known[-1]) if options.until is None else _number(options.until, "--until")
+    if end <= begin:
+        raise UsageError(f"--until must be after the first time, {begin:g}, but {end:g} was given")
+    if options.step is None:
+        return np.linspace(begin, end, ROWS)
+    step = _number(options.step, "--step")
+    if step <= 0.0 or (end - begin) / step > MOST_NUMBERS:
+        raise UsageError(f"--step must be above 0 and give at most {MOST_NUMBERS} times, but {step:g} was given")
+    return np.asarray(begin + step * np.arange(math.floor((end - begin) / step + _SLACK) + 1), dtype=np.float64)
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text if text.endswith("\n") else text + "\n", "utf-8")
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written ({error.strerror}); name another file with -o") from error

@@ -1,0 +1,159 @@
+"""A model reads a result, knows its constants, predicts, scores, and writes itself down."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import atoll
+from atoll.errors import UsageError
+from atoll.model.model import Model
+from tests.unit.common.model.results import constant, result
+
+TIMES = np.linspace(0.0, 1.0, 11)
+
+
+def decay() -> dict:
+    """dx/dt = -2 x, the constant known to 0.1."""
+    found = result({"x": "-2.0*x"})
+    found["equations"][0]["constants"] = [constant(-2.0, 0.1)]
+    found["covariance"] = {"constants": [{"variable": "x", "constant": 0}], "matrix": [[0.01]], "freedom": 1e9}
+    found["simulation"] = {"trajectories": [{"name": "1", "start": {"x": 3.0}, "times": [0.0, 0.5, 1.0]}]}
+    return found
+
+
+def test_the_class_is_an_attribute_of_the_package() -> None:
+    assert atoll.Model is Model
+    assert "Model" in dir(atoll)
+    with pytest.raises(AttributeError, match="no attribute 'model_of'"):
+        _ = atoll.model_of
+
+
+def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
+    Model(decay()).save(tmp_path / "m.json")
+    assert Model.load(tmp_path / "m.json").result == decay()
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [("{", "holds no JSON"), ("[]", "no result of this version"), (json.dumps(result({})), "no model")],
+)
+def test_what_is_no_model_is_refused_in_a_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+    (tmp_path / "m.json").write_text(text)
+    with pytest.raises(UsageError, match=sentence):
+        Model.load(tmp_path / "m.json")
+
+
+def test_constants_have_errors_and_the_sign_of_the_text() -> None:
+    (its,) = Model(decay()).params.values()
+    assert (its.name, its.variable, abs(its.value), its.stderr) == ("c1", "x", 2.0, 0.1)
+    assert its.interval is not None
+    assert its.interval[0] < its.value < its.interval[1]
+    (narrow,) = Model(decay()).conf_int(0.6827).values()
+    assert narrow == pytest.approx((its.value - 0.1, its.value + 0.1), rel=1e-4)
+
+
+def test_units_of_a_rate_are_those_of_its_columns() -> None:
+    found = decay()
+    found["system"]["units"] = {"x": "m", "t": "s"}
+    (equation,) = Model(found).equations
+    assert str(equation) == "dx/dt = -2*x  [(m)/(s)]"
+
+
+def test_the_band_is_that_of_the_derivative_by_the_constant() -> None:
+    """x = 3 exp(-c t): dx/dc = -t x."""
+    its = Model(decay()).simulate(t=TIMES)
+    exact = 3.0 * np.exp(-2.0 * TIMES)
+    assert its["x"] == pytest.approx(exact, rel=1e-7)
+    assert its.stderr is not None
+    assert its.stderr[:, 0] == pytest.approx(0.1 * TIMES * exact, rel=1e-4, abs=1e-9)
+    assert its.upper is not None
+    assert its.upper[:, 0] - its["x"] == pytest.approx(1.96 * its.stderr[:, 0], rel=1e-3, abs=1e-12)
+
+
+def test_factors_of_one_and_correlations_are_part_of_the_band() -> None:
+    """dx/dt = a - b x with a = 2, b = 1 (not written), fully correlated errors that leave a/b as it is."""
+    found = result({"x": "2.0 - x"})
+    found["equations"][0]["constants"] = [constant(2.0, 0.2)]
+    names = [{"variable": "x", "constant": 0}, {"variable": "x", "constant": None}]
+    found["covariance"] = {"constants": names, "matrix": [[0.04, 0.02], [0.02, 0.01]], "freedom": 50.0}
+    its = Model(found).simulate({"x": 0.0}, np.array([0.0, 1.0, 40.0]))
+    assert its.stderr is not None
+    assert its.stderr[:, 0] == pytest.approx([0.0, 0.2 * np.exp(-1.0), 0.0], abs=1e-5)  # dx = 2 t exp(-t) db
+
+
+def test_initial_states_are_as_measured_by_name_or_in_order() -> None:
+    model = Model(decay())
+    for given in (None, {"x": 3.0}, [3.0]):
+        assert model.simulate(given).x[-1] == pytest.approx(3.0 * np.exp(-2.0))
+    with pytest.raises(UsageError, match="names 'y'; the states are x"):
+        model.simulate({"y": 3.0})
+    with pytest.raises(UsageError, match="lacks 'x'"):
+        model.simulate({})
+
+
+@pytest.mark.parametrize(
+    "given", [{"u": 2.0}, {"u": 2.0 * np.ones(11)}, {"u": lambda t: 2.0}, lambda t: 2.0, 2.0 * np.ones((11, 1))]
+)
+def test_inputs_are_numbers_arrays_or_functions(given: object) -> None:
+    model = Model(result({"x": "u"}, ("u",)))
+    assert model.simulate([0.0], TIMES, given)["x"] == pytest.approx(2.0 * TIMES, abs=1e-9)
+
+
+def test_an_input_that_is_the_time_needs_nothing_and_another_one_does() -> None:
+    model = Model(result({"x": "t"}, ("t",)))
+    assert model.simulate([0.0], TIMES)["x"] == pytest.approx(0.5 * TIMES**2, abs=1e-9)
+    with pytest.raises(UsageError, match="the input 'u', of which nothing is given"):
+        Model(result({"x": "u"}, ("u",))).simulate([0.0], TIMES)
+
+
+def test_predictions_are_derivatives_of_rows_and_of_columns() -> None:
+    model = Model(result({"x": "y", "y": "u - x"}, ("u",)))
+    rows, inputs = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[5.0], [6.0]])
+    expected = [[2.0, 4.0], [4.0, 3.0]]
+    assert model.predict(rows, inputs).tolist() == expected
+    assert model.predict({"x": rows[:, 0], "y": rows[:, 1], "u": inputs[:, 0]}).tolist() == expected
+    with pytest.raises(UsageError, match="has the inputs u"):
+        model.predict(rows)
+
+
+def test_a_regression_predicts_its_target() -> None:
+    found = result({"z": "x"}, ("x",))
+    found["equations"][0] |= {"lhs": "z", "expression": "2.0*x + 1.0"}
+    del found["symbols"]["z"]
+    model = Model(found)
+    assert model.predict([[1.0], [2.0]]).tolist() == [3.0, 5.0]
+    assert model.score({"x": [1.0, 2.0], "z": [3.0, 5.0]}) == 1.0
+    with pytest.raises(UsageError, match="not differential"):
+        model.simulate([1.0], TIMES)
+
+
+def test_scores_are_r2_of_simulations_of_all_trajectories() -> None:
+    model = Model(decay())
+    exact = {"t": TIMES, "x": np.exp(-2.0 * TIMES)}
+    assert model.score([exact, exact]) == pytest.approx(1.0)
+    assert model.score({"t": TIMES, "x": exact["x"] + 0.1 * np.sin(40.0 * TIMES)}) < 0.99
+    assert Model(result({"x": "x**2"})).score({"t": 3.0 * TIMES, "x": 1.0 + TIMES}) == -np.inf
+
+
+def test_candidates_are_models_with_the_rest_as_it_is() -> None:
+    found = result({"x": "y", "y": "-x"})
+    other = {"expression": "-sin(x)", "complexity": 3, "origin": "front", "nats": 2.5, "selected": False}
+    found["equations"][1]["candidates"] = [{**other, "selected": True, "nats": 0.0}, other]
+    (model,) = Model(found).candidates
+    assert [each.expression for each in model.equations] == ["y", "-sin(x)"]
+    assert model.equations[1].nats == 2.5
+    assert model.simulate([0.0, 0.1], TIMES).status == "finished"
+
+
+def test_a_model_is_written_as_text_latex_mathml_and_html() -> None:
+    model = Model(decay())
+    assert "good: It fits & more." in model.summary()
+    assert "± 0.2" in model.summary()
+    assert model.latex() == r"\begin{aligned}\frac{d x}{d t} &= - 2 x\end{aligned}"
+    assert model.latex() in model._repr_latex_()
+    assert model.mathml().startswith("<math")
+    assert "It fits &amp; more." in model._repr_html_()
+    assert str(model.to_sympy()["dx/dt"]) == "-2.0*x"
+    assert model.provenance["data"] == "ab"

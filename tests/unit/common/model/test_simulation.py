@@ -1,0 +1,55 @@
+"""Simulations end by themselves: at the last time, or with a status that says why not."""
+
+import csv
+import io
+
+import numpy as np
+import pytest
+
+from atoll.errors import UsageError
+from atoll.model.simulation import simulate
+from atoll.model.vector_field import VectorField
+
+TIMES = np.linspace(0.0, 5.0, 11)
+
+
+def ending(equation: str, start: float = 1.0, most: int = 5000) -> tuple[str, float]:
+    """Return status and last time of dx/dt = equation."""
+    its = simulate(VectorField.of({"x": equation}), np.array([start]), TIMES, most=most)
+    assert len(its.t) == len(its.x)
+    return its.status, float(its.t[-1])
+
+
+@pytest.mark.parametrize(
+    ("equation", "expected"),
+    [
+        ("-x", ("finished", 5.0)),
+        ("-100000.0*(x - 1.0)", ("finished", 5.0)),  # stiff, but implicit steps are long
+        ("x**2", ("blow-up", 0.5)),
+        ("exp(x)", ("blow-up", 0.0)),
+        ("100.0*x", ("blow-up", 3.0)),
+        ("-sqrt(x) - 0.1", ("undefined", 1.5)),
+        ("1.0/(x - 1.0)", ("undefined", 0.0)),
+        ("100000.0*cos(100000.0*x)", ("stiff", 0.0)),
+    ],
+)
+def test_the_status_says_how_it_ended(equation: str, expected: tuple[str, float]) -> None:
+    most = 20 if expected[0] == "stiff" else 20_000
+    assert ending(equation, most=most) == expected
+
+
+def test_csv_has_a_column_for_each_state_and_no_bands_without_errors() -> None:
+    its = simulate(VectorField.of({"x": "y", "y": "-x"}), np.array([0.0, 1.0]), TIMES)
+    rows = list(csv.reader(io.StringIO(its.to_csv())))
+    assert rows[0] == ["t", "x", "y"]
+    assert [float(row[1]) for row in rows[1:]] == its["x"].tolist()
+    assert its["x"] == pytest.approx(np.sin(TIMES), abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("start", "times"),
+    [([np.nan], TIMES), ([1.0, 2.0], TIMES), ([1.0], TIMES[::-1]), ([1.0], np.zeros(2))],
+)
+def test_what_does_not_fit_is_refused(start: list[float], times: np.ndarray) -> None:
+    with pytest.raises(UsageError):
+        simulate(VectorField.of({"x": "x"}), np.array(start), times)

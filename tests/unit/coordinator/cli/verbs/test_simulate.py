@@ -1,0 +1,57 @@
+"""``coordinator simulate``: CSV from a saved result, and a sentence with exit code 2 for what does not fit."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from atoll_coordinator.cli.main import main
+from tests.unit.common.model.results import result
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    found = result({"x": "u*x"}, ("u",))
+    found["simulation"] = {"trajectories": [{"name": "1", "start": {"x": 2.0}, "times": [0.0, 1.0]}]}
+    (tmp_path / "result.json").write_text(json.dumps(found))
+    return tmp_path
+
+
+def test_a_file_gives_initial_state_times_and_inputs(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (saved / "a.csv").write_text("t,x,u\n0,2,0\n1,9,0\n2,9,0\n")
+    assert main(["simulate", str(saved), "--initial", str(saved / "a.csv")]) == 0
+    assert capsys.readouterr().out == "t,x\n0.0,2.0\n1.0,2.0\n2.0,2.0\n"
+
+
+def test_an_input_that_nothing_gives_is_named(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", str(saved / "result.json"), "--initial", "x=1"]) == 2
+    assert "the input 'u', of which nothing is given" in capsys.readouterr().err
+
+
+def test_an_early_end_is_said_and_is_no_error(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (saved / "result.json").write_text(json.dumps(result({"x": "x**2"})))
+    words = ["simulate", str(saved), "--initial", "x=1", "--until", "2", "--step", "0.5"]
+    assert main([*words, "--json", "-o", str(saved / "o.json")]) == 0
+    found = json.loads((saved / "o.json").read_text())
+    assert found["status"] == "blow-up"
+    assert found["columns"]["t"] == [0.0, 0.5]
+    assert "ended early: a state grows beyond all bounds" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--initial", "x=a"], "must be a finite number"),
+        (["--initial", "nothing.csv"], "is neither"),
+        (["--initial", "y=1"], "names 'y'"),
+        (["--until", "-1"], "must be after the first time"),
+        (["--step", "0"], "must be above 0"),
+    ],
+)
+def test_bad_input_is_one_sentence(
+    saved: Path, capsys: pytest.CaptureFixture[str], words: list[str], sentence: str
+) -> None:
+    assert main(["simulate", str(saved), *words]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert said.count("\n") == 1
