@@ -131,7 +131,9 @@ class ProcessChoice:
         self._begun[number] = found
         models = {structure(model.programs[number]): self._taken_in(rivals, model, number)}
         for program in found[: SETTINGS.process.compared]:
-            models[structure(program)] = self._taken_in(rivals, model.with_program(number, program), number)
+            least = min(length for _, length in models.values())
+            tried = model.with_program(number, program)
+            models[structure(program)] = self._taken_in(rivals, tried, number, least)
         reduced: set[bytes] = set()
         while not self._deadline.is_over:
             least = min(length for _, length in models.values())
@@ -143,7 +145,7 @@ class ProcessChoice:
                 for program in reductions(start.programs[number]):
                     key = structure(program)
                     if key not in models:
-                        models[key] = self._taken_in(rivals, start.with_program(number, program), number)
+                        models[key] = self._taken_in(rivals, start.with_program(number, program), number, least)
         found_model, length = min(models.values(), key=lambda each: each[1])
         states = len(model.drift)
         if number >= 2 * states:  # components of two states come last
@@ -154,9 +156,16 @@ class ProcessChoice:
                 return without, its
         return found_model, length
 
-    def _taken_in(self, rivals: dict[bytes, Rival], model: ProcessModel, number: int) -> tuple[ProcessModel, float]:
-        """Return the model with one equation fitted, and its description length, which the rivals keep."""
-        fitted = self._likelihood.fit(model, (number,), SETTINGS.effort.brief_steps)
+    def _taken_in(
+        self, rivals: dict[bytes, Rival], model: ProcessModel, number: int, least: float = math.inf
+    ) -> tuple[ProcessModel, float]:
+        """Return the model with one equation fitted, and its description length, which the rivals keep.
+
+        It is fitted less well when it is not going to come near the length `least`.
+        """
+        program = model.programs[number]
+        limit = least + 2.0 * _MARGIN - self._length(0.0, program, len(constant_places(program)))
+        fitted = self._likelihood.fit(model, (number,), SETTINGS.selection.least_gain, limit)
         program = fitted.model.programs[number]
         nats = self._length(fitted.misfit, program, len(constant_places(program)))
         rivals[structure(program)] = Rival(program, nats)

@@ -150,34 +150,45 @@ class ProcessLikelihood:
                 band[states + i - j, j::states][: count - 1] = beside[j, i, 1:]
         return residuals, band
 
-    def fit(self, model: ProcessModel, free: Sequence[int], steps: int = SETTINGS.effort.steps) -> FittedProcess:
-        """Return `model` with the constants of the equations `free` and its noise fitted by damped Fisher scoring."""
-        values = model.parameters(free)
-        at, damping = self.whitened(model), FIRST_DAMPING
+    def fit(
+        self,
+        model: ProcessModel,
+        free: Sequence[int],
+        settled: float = SETTINGS.process.settled,
+        limit: float = math.inf,
+    ) -> FittedProcess:
+        """Return `model` with the constants of the equations `free` and its noise fitted by damped Fisher scoring.
+
+        The fit ends where a step promises or gains less than `settled`, in nats, and where the misfit is not going to
+        come below `limit`.
+        """
+        values, at, damping = model.parameters(free), self.whitened(model), FIRST_DAMPING
         if not math.isfinite(at.misfit):
             return FittedProcess(model, math.inf, np.zeros((len(values), len(values))))
-        gradient, information = self._derivatives(model, free, values)
-        for _ in range(steps if len(values) else 0):
-            moved = values + _solved(information, gradient, damping)
-            tried = model.with_parameters(free, moved)
+        gradient, information = self._derivatives(model, at, free, values)
+        for _ in range(SETTINGS.effort.steps if len(values) else 0):
+            step = _solved(information, gradient, damping)
+            promised = -0.5 * float(gradient @ step)
+            if not promised > settled or at.misfit - promised > limit:
+                break
+            tried = model.with_parameters(free, values + step)
             found = self.whitened(tried)
             if not found.misfit < at.misfit:
                 damping *= 10.0
                 if damping > MOST_DAMPING:
                     break
                 continue
-            is_settled = at.misfit - found.misfit < SETTINGS.process.settled
-            model, values, at, damping = tried, moved, found, max(0.1 * damping, LEAST_DAMPING)
-            gradient, information = self._derivatives(model, free, values)
+            is_settled = at.misfit - found.misfit < settled
+            model, values, at, damping = tried, values + step, found, max(0.1 * damping, LEAST_DAMPING)
             if is_settled:
                 break
+            gradient, information = self._derivatives(model, at, free, values)
         return FittedProcess(model, at.misfit, information)
 
     def _derivatives(
-        self, model: ProcessModel, free: Sequence[int], values: FloatArray
+        self, model: ProcessModel, at: Whitened, free: Sequence[int], values: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the gradient (K,) of the misfit by the parameters and their information (K, K)."""
-        at = self.whitened(model)
         residuals, logarithms = [], []
         for k, value in enumerate(values.tolist()):
             step = np.zeros(len(values))
