@@ -3,13 +3,12 @@
 Letters: K constants of one program, T trajectories, R rows of one trajectory, S states.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program
+from atoll.expression.program import MAX_NODES, Program
 from atoll.expression.text.infix import PRINTABLE_SIZE, tree_size
 from atoll.search.pareto import FrontEntry
 
@@ -316,5 +315,5 @@ class Refinement:
 
 
 def may_be_shown(program: Program, largest: int | None) -> bool:
-    """Tell whether a program is not larger than the user allows (None: any size), and can be printed."""
-    return len(program) <= (largest or math.inf) and tree_size(program) <= PRINTABLE_SIZE
+    """Tell whether a program is not larger than the user allows (None: than any may be), and can be printed."""
+    return len(program) <= min(largest or MAX_NODES, MAX_NODES) and tree_size(program) <= PRINTABLE_SIZE

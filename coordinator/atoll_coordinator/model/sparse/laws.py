@@ -10,7 +10,7 @@ from atoll.config import JobConfig
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.evaluation import values_of
 from atoll.expression.operators import ADD, BY_NAME, MULTIPLY
-from atoll.expression.program import Program, constant_places, structure
+from atoll.expression.program import MAX_NODES, Program, constant_places, structure
 from atoll.expression.writing.shortest import collected
 from atoll_coordinator.data.recording import Preparation, Recording
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
@@ -124,6 +124,8 @@ def _converged(problem: Problem, path: Elimination, values: FloatArray, allowed:
         excess = math.fsum(np.abs(errors).tolist()) / len(errors) / limit
         if excess <= allowed:
             program = sum_of(kept, coefficients)
+            if len(program) > MAX_NODES:
+                return None
             return Law(program, structure_length(program), excess, is_tested=False)
     return None
 
@@ -146,7 +148,7 @@ def _with_noise(
     summed = [products_of(program, SETTINGS.sparse.degree) for program in others]
     begun = {tuple(terms): None for terms in (*(terms for terms, _ in tried), *filter(None, summed))}
     found = [regression.law(terms, is_tested=is_tested) for terms in begun if set(terms) <= set(largest)]
-    laws = sorted((law for law in found if law is not None), key=lambda law: law.nats)
+    laws = sorted((law for law in found if law is not None and len(law.program) <= MAX_NODES), key=lambda law: law.nats)
     if not laws:
         return
     functions = (program for program, terms in zip(others, summed, strict=True) if terms is None)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from atoll.data.dataset import Target
+from atoll.expression.program import MAX_NODES
 from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
 from atoll_coordinator.model.criteria import (
@@ -16,6 +17,8 @@ from atoll_coordinator.model.criteria import (
     select_member,
 )
 from atoll_coordinator.model.refinement import may_be_shown
+from atoll_coordinator.model.sparse.regression import products
+from atoll_coordinator.model.structure.term_libraries import sum_of
 
 
 def entry(size: int, rmse: float, text: str = "x") -> FrontEntry:
@@ -85,3 +88,10 @@ def test_the_logarithm_is_right_to_a_few_units_in_the_last_place():
 @pytest.mark.parametrize(("largest", "may"), [(None, True), (3, True), (2, False)])
 def test_what_is_larger_than_the_user_allows_is_not_shown(largest, may):
     assert may_be_shown(from_infix("2.0*x", ["x"]), largest) is may
+
+
+def test_programs_that_are_larger_than_any_may_be_are_not_shown():
+    terms = [term for order in range(5) for term in products(range(5), order)]
+    program = sum_of(terms, [1.5 + number for number in range(len(terms))])
+    assert len(program) > MAX_NODES
+    assert not may_be_shown(program, None)

@@ -39,6 +39,14 @@ def test_tolerances_of_a_solver_add_no_terms():
         assert terms(laws_of(preparation, name)[0]) == TERMS[name], name
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_sums_of_more_nodes_than_programs_may_have_are_no_laws(noise, monkeypatch):
+    preparation = prepared(400, noise)
+    assert laws_of(preparation, "y")
+    monkeypatch.setattr("atoll_coordinator.model.sparse.laws.MAX_NODES", 5)
+    assert not laws_of(preparation, "y")
+
+
 def test_with_few_rows_the_largest_library_is_not_tested():
     assert not any(law.is_tested for law in laws_of(prepared(150, 0.05), "x"))
 
