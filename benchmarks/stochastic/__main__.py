@@ -1,7 +1,7 @@
 """``python -m benchmarks.stochastic``: drift and diffusion of six processes, 10,000 steps each, through the service.
 
-``--peer PYTHON`` names the interpreter of an environment with the packages ``kramersmoyal`` and ``pysindy``, by which
-the same paths are then treated as well.
+``--peer PYTHON`` names the interpreter of an environment with the packages ``kramersmoyal`` and ``scipy``, by which the
+same paths are then treated as well.
 """
 
 import argparse
@@ -31,7 +31,7 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--seeds", type=seeds, default=seeds("1000-1009"), help="such as 0-4 (1000-1009)")
     parser.add_argument("--processes", nargs="*", choices=[*PROCESSES], default=[*PROCESSES], metavar="NAME")
     parser.add_argument("--workers", type=int, default=2, help="worker processes (%(default)s); 0: peers alone")
-    parser.add_argument("--peer", metavar="PYTHON", help="interpreter with kramersmoyal and pysindy")
+    parser.add_argument("--peer", metavar="PYTHON", help="interpreter with kramersmoyal")
     parser.add_argument("--out", type=Path, help="file for all figures as JSON")
     options = parser.parse_args(arguments)
     record = Record("stochastic", arguments, options.out)

@@ -2,7 +2,7 @@
 
 import json
 import sys
-import warnings
+from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
@@ -50,51 +50,54 @@ def averaged(paths: list[Any], step: float, names: list[str]) -> dict[str, Any]:
     results = {}
     for index, name in enumerate(names):
         for power, key in ((1, name), (2, f"[{name}]")):
-            values = means[1 + index + (power - 1) * size]
+            values = power * means[1 + index + (power - 1) * size]  # coefficients are moments over their factorial
             inner = RegularGridInterpolator(tuple(edges), values, bounds_error=False, fill_value=None)
             results[f"Kramers-Moyal averaging:{key}"] = inner(states.T)
     return results
 
 
 def sparse(points: Any, sides: Any, states: Any, names: list[str]) -> tuple[Any, str, Any]:
-    """Return the sparse sum of products that describes `sides`: at all rows, as text, and at `points`."""
-    import pysindy as ps
+    """Return the sparse sum of products that describes `sides`: at all rows, as text, and at `points`.
 
-    library = ps.PolynomialLibrary(degree=DEGREE)
-    columns = np.asarray(library.fit_transform(points.T))
-    labels = library.get_feature_names(names)
+    The fewest terms are taken whose error on rows left out is that of the best number within a standard error.
+    """
+    terms = [term for degree in range(DEGREE + 1) for term in combinations_with_replacement(range(len(names)), degree)]
+    columns = products(terms, points)
     folds = np.arange(len(sides)) * FOLDS // len(sides)
-    scores = np.zeros((FOLDS, columns.shape[1]))
+    scores = np.zeros((FOLDS, len(terms)))
     for fold in range(FOLDS):
         train = folds != fold
-        for coefficients in history(columns[train], sides[train]):
-            size = np.count_nonzero(coefficients) - 1
-            errors = sides[~train] - columns[~train] @ coefficients
-            scores[fold, max(size, 0)] = np.mean(errors**2)
+        for size, coefficients in history(columns[train], sides[train]).items():
+            scores[fold, size - 1] = np.mean((sides[~train] - columns[~train] @ coefficients) ** 2)
     best = int(np.argmin(scores.mean(axis=0)))
     excess = scores - scores[:, [best]]
     error = excess.std(axis=0) / np.sqrt(FOLDS)
-    size = next(number for number in range(len(error)) if excess.mean(axis=0)[number] <= error[number])
-    coefficients = next(c for c in history(columns, sides) if max(np.count_nonzero(c) - 1, 0) == size)
-    terms = [
-        f"{value!r}*{label.replace('^', '**').replace(' ', '*')}"
-        for value, label in zip(coefficients.tolist(), labels, strict=True)
+    size = next(number for number in range(len(error)) if excess.mean(axis=0)[number] <= error[number]) + 1
+    coefficients = history(columns, sides)[size]
+    texts = [
+        "*".join([repr(float(value)), *(names[factor] for factor in term)])
+        for value, term in zip(coefficients, terms, strict=True)
         if value
     ]
-    every = np.asarray(library.transform(states.T)) @ coefficients
-    return every, "+".join(terms).replace("+-", "-") or "0.0", columns @ coefficients
+    return products(terms, states) @ coefficients, "+".join(texts).replace("+-", "-"), columns @ coefficients
 
 
-def history(columns: Any, sides: Any) -> list[Any]:
-    """Return the coefficients of each step of stepwise sparse regression, from all terms to one."""
-    import pysindy as ps
+def products(terms: list[tuple[int, ...]], points: Any) -> Any:
+    """Return the value of each term at each point, one term a column."""
+    return np.array([np.prod(points[list(term)], axis=0) for term in terms]).T
 
+
+def history(columns: Any, sides: Any) -> dict[int, Any]:
+    """Return the coefficients for each number of terms: the least one leaves, in units of its column, one by one."""
     scale = np.sqrt((columns**2).mean(axis=0))
-    optimizer = ps.SSR(alpha=1e-12, kappa=1e-12, max_iter=columns.shape[1])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        optimizer.fit(columns / scale, sides[:, None])
-    return [np.ravel(each) / scale for each in optimizer.history_]
+    kept, found = list(range(columns.shape[1])), {}
+    while kept:
+        fitted = np.linalg.lstsq(columns[:, kept] / scale[kept], sides, rcond=None)[0]
+        coefficients = np.zeros(columns.shape[1])
+        coefficients[kept] = fitted / scale[kept]
+        found[len(kept)] = coefficients
+        kept.pop(int(np.argmin(np.abs(fitted))))
+    return found
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
 Kramers-Moyal averaging (package ``kramersmoyal``, Epanechnikov kernel, its own bandwidth) gives no equations but values
 on a grid, which are interpolated. Stochastic SINDy (Boninsegna, Nüske & Clementi 2018) regresses increments, and their
-squares, on products up to the fourth degree; terms leave one after another (stepwise sparse regression, by PySINDy) and
-cross-validation says how many stay.
+squares, on products up to the fourth degree; terms leave one after another and cross-validation says how many stay.
+There is no package of it; that part is written here after the paper.
 """
 
 import json

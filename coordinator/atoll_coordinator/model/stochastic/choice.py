@@ -129,11 +129,7 @@ class ProcessChoice:
             self._begun[number] = self._candidates[name].nearest if name in self._candidates else []
         found = self._finder.find(number, model, self._begun[number], looks_around=looks_around)
         self._begun[number] = found
-        models = {structure(model.programs[number]): self._taken_in(rivals, model, number)}
-        for program in found[: SETTINGS.process.compared]:
-            least = min(length for _, length in models.values())
-            tried = model.with_program(number, program)
-            models[structure(program)] = self._taken_in(rivals, tried, number, least)
+        models = self._compared(rivals, model, number, found)
         reduced: set[bytes] = set()
         while not self._deadline.is_over:
             least = min(length for _, length in models.values())
@@ -155,6 +151,19 @@ class ProcessChoice:
             if its < length:
                 return without, its
         return found_model, length
+
+    def _compared(
+        self, rivals: dict[bytes, Rival], model: ProcessModel, number: int, found: Sequence[Program]
+    ) -> dict[bytes, tuple[ProcessModel, float]]:
+        """Return the model, and those with the first candidates for one equation that are possible, by structure."""
+        models = {structure(model.programs[number]): self._taken_in(rivals, model, number)}
+        for program in found:
+            if sum(math.isfinite(length) for _, length in models.values()) > SETTINGS.process.compared:
+                break
+            least = min(length for _, length in models.values())
+            tried = model.with_program(number, program)
+            models[structure(program)] = self._taken_in(rivals, tried, number, least)
+        return models
 
     def _taken_in(
         self, rivals: dict[bytes, Rival], model: ProcessModel, number: int, least: float = math.inf

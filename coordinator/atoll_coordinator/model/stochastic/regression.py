@@ -3,15 +3,17 @@
 A step is linear in the drift and the product of residuals in the diffusion, but for what the moments of a step add to
 their leading terms; that is taken from the model so far:
 
-    drift       (increment - (mean - h f)) / h              variance B / h
-    diffusion   (r_i r_j - (covariance_ij - h B_ij)) / h    variance B_ii B_jj + B_ij^2
+    drift       (increment - (mean - h f)) / h              variance B_ii / h
+    diffusion   (r_i r_j - (covariance_ij - h B_ij)) / h    variance in proportion to B_ii B_jj
 
 so that, equation by equation, what is found by regression is what the likelihood asks for. Letters: V variables, N
 steps, M bins.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -56,6 +58,10 @@ class CandidateFinder:
     config: JobConfig
     deadline: Deadline
 
+    @cached_property
+    def _rates(self) -> FloatArray:
+        return mean_squares(self.steps)
+
     def find(self, number: int, model: ProcessModel, begun: Sequence[Program], *, looks_around: bool) -> list[Program]:
         """Return the most promising programs for one equation, factors of one as constants, the best first.
 
@@ -63,9 +69,10 @@ class CandidateFinder:
             number: of the equation among those of `model`.
             model: the other equations, and what moments add to leading terms.
             begun: programs of the search.
-            looks_around: whether programs beside the best ones are tried as well.
+            looks_around: whether this is the first round, in which programs beside the best ones are tried as well.
         """
-        weighted, space = _problem(number, model, self.steps, self.names), self.config.space
+        sides = _sides(number, model, self.steps, is_first=looks_around)
+        weighted, space = _problem(number, sides, model, self.steps, self._rates, self.names), self.config.space
         operators = frozenset(BY_NAME[name].code for name in space.operators_for(self.variables[number]))
         columns = space.columns_for(self.variables[number], self.names)
         sums = _sparse_sums(weighted, columns) if {ADD, MULTIPLY} <= operators else []
@@ -85,24 +92,36 @@ class CandidateFinder:
         return [*distinct.values()][: SETTINGS.effort.beam]
 
 
-def _problem(number: int, model: ProcessModel, steps: Steps, names: tuple[str, ...]) -> WeightedProblem:
-    """Return the problem of one equation; steps begin where the one before them does if there is noise."""
-    is_noisy = any(model.noise)
+def _sides(number: int, model: ProcessModel, steps: Steps, *, is_first: bool) -> FloatArray:
+    """Return what one equation times the length of a step is to be (N,).
+
+    In the first round the model says nothing yet of what moments add to leading terms.
+    """
     states = len(model.drift)
     moments = model.moments(steps.points, steps.lengths)
     if number < states:
         leading = steps.lengths * values_of(model.drift[number], steps.points)
-        sides = steps.increments[number] - (moments.mean[number] - leading)
-        variances = _diagonal(model, number, steps.points)
+        added = moments.mean[number] - leading
+        sides = steps.increments[number]
     else:
         i, j = model.pairs[number - states]
         leading = steps.lengths * values_of(model.diffusion[number - states], steps.points)
-        residuals = steps.increments - moments.mean
-        sides = products(residuals, steps, (i, j), corrected=is_noisy) - (moments.covariance[i, j] - leading)
-        variances = steps.lengths * (
-            _diagonal(model, i, steps.points) * _diagonal(model, j, steps.points)
-            + values_of(model.diffusion[number - states], steps.points) ** 2
-        )
+        added = moments.covariance[i, j] - leading
+        sides = products(steps.increments - moments.mean, steps, (i, j), corrected=any(model.noise))
+    return sides if is_first else np.asarray(sides - added)
+
+
+def _problem(
+    number: int, sides: FloatArray, model: ProcessModel, steps: Steps, rates: FloatArray, names: tuple[str, ...]
+) -> WeightedProblem:
+    """Return the problem of one equation; steps begin where the one before them does if there is noise."""
+    is_noisy = any(model.noise)
+    states = len(model.drift)
+    if number < states:
+        variances = rates[number]
+    else:
+        i, j = model.pairs[number - states]
+        variances = steps.lengths * rates[i] * rates[j]
     points, lengths = steps.points, steps.lengths
     if is_noisy:
         rows = np.flatnonzero(steps.follows)
@@ -112,8 +131,16 @@ def _problem(number: int, model: ProcessModel, steps: Steps, names: tuple[str, .
     return _binned(points[:, is_used], sides[is_used] / lengths[is_used], weights[is_used], names)
 
 
-def _diagonal(model: ProcessModel, state: int, points: FloatArray) -> FloatArray:
-    return values_of(model.diffusion[model.pairs.index((state, state))], points)
+def mean_squares(steps: Steps) -> FloatArray:
+    """Return about how fast the variance of each state grows at each step (S, N): means over bins of squares.
+
+    Weights come from these rather than from the model so far, whose first one knows nothing of the states.
+    """
+    found = np.zeros_like(steps.increments)
+    for rows in split_into_bins(steps.points, 2 * math.isqrt(len(steps.lengths))):
+        squares = (steps.increments[:, rows] ** 2).sum(axis=1) / steps.lengths[rows].sum()
+        found[:, rows] = squares[:, None]
+    return found
 
 
 def _binned(points: FloatArray, sides: FloatArray, weights: FloatArray, names: tuple[str, ...]) -> WeightedProblem:
