@@ -21,7 +21,14 @@ PROTOCOL_VERSION: Final = 5
 ENGINE_REVISION: Final = 4
 """Raised whenever the same seed may give other bits: a change of kernels, of variation or of seeding."""
 
-_PUBLIC: Final = {"Model": "atoll.model.model"}
+_API: Final = "atoll_coordinator.api"
+_PUBLIC: Final = {
+    "Model": "atoll.model.model",
+    "discover": f"{_API}.discover",
+    "submit": f"{_API}.discover",
+    "Discoverer": f"{_API}.discoverer",
+    "Regressor": f"{_API}.regressor",
+}
 """The classes and functions for users, by the module that is imported when one is first asked for."""
 
 

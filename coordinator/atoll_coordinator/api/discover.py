@@ -1,0 +1,221 @@
+"""`discover` and `submit`: from data to a model, by a service on this machine or elsewhere."""
+
+import contextlib
+import os
+import sys
+import uuid
+from collections.abc import Iterator, Mapping
+from typing import Any, Final, Self
+
+from atoll.config import JobConfig
+from atoll.errors import AtollError, DataError, RefusedError, UsageError
+from atoll.model.model import Model
+from atoll.wire.addresses import Destination, destination
+from atoll.wire.messages.views import FINAL_STATES, JobView
+from atoll.wire.security.credentials import credentials_of
+from atoll_coordinator.api.session import check_service, local_address
+from atoll_coordinator.api.tables import NAME, table_of
+from atoll_coordinator.cli.options.job_config import job_config
+from atoll_coordinator.cli.options.parser import parse
+from atoll_coordinator.cli.terminal.follow import Follower, ending
+from atoll_coordinator.cli.terminal.progress import Display, is_screen, open_display
+from atoll_coordinator.client import Client, connected
+
+CONNECT_LIMIT_S: Final = 20.0
+CANCEL_LIMIT_S: Final = 10.0
+_REPEATABLE: Final = ("angle", "operators", "allow", "guess", "known")
+_NOT_OURS: Final = ("json", "out", "workers", "help", "id", "name")
+
+
+class Job:
+    """A job that was submitted. Every call opens a connection of its own and closes it: nothing of it stays behind."""
+
+    def __init__(self, id: str, address: str | Destination) -> None:
+        """`id` of a job of the coordinator at `address`; `is_interrupted`: a Ctrl-C ended it."""
+        self.id = id
+        self.is_interrupted = False
+        self._address = address
+
+    def progress(self) -> JobView:
+        """Return how far it has come: state, epoch and best equation of each variable."""
+        with connected(self._address, CONNECT_LIMIT_S) as client:
+            return client.status(self.id)
+
+    def wait(self, timeout: float | None = None, *, progress: bool | None = None) -> Self:
+        """Wait until it has ended, showing its progress.
+
+        A Ctrl-C ends the job and keeps its best equations.
+
+        Args:
+            timeout: seconds after which TimeoutError is raised; the job goes on.
+            progress: whether to show it on stderr; None: on a terminal and in a notebook.
+        """
+        with connected(self._address, CONNECT_LIMIT_S) as client, _display(progress) as display:
+            end = None if timeout is None else client.now() + timeout
+
+            def check() -> tuple[str, ...]:
+                if end is not None and client.now() > end:
+                    raise TimeoutError(f"job {self.id} has not ended within {timeout:g} s; it goes on")
+                check_service(str(self._address))
+                return ()
+
+            try:
+                Follower(client, self.id, display, check).follow()
+            except KeyboardInterrupt:
+                display.print_note("interrupted: keeping the best equations so far; Ctrl-C again ends at once")
+                self.is_interrupted = True
+                _cancel(client, self.id)
+        return self
+
+    def cancel(self) -> None:
+        """End it and keep its best equations."""
+        with connected(self._address, CONNECT_LIMIT_S) as client:
+            _cancel(client, self.id)
+
+    def result(self) -> Model:
+        """Return its model, of a job that still runs the best so far.
+
+        Raises:
+            RefusedError: it has not found an equation yet.
+            AtollError: it failed; the sentence says why.
+        """
+        with connected(self._address, CONNECT_LIMIT_S) as client:
+            view = client.status(self.id)
+            if view.state == "failed":
+                raise _failure(view)
+            try:
+                return Model(client.result(self.id))
+            except UsageError as error:
+                raise RefusedError(f"job {self.id} is {view.state}; {error}") from None
+
+
+def discover(
+    data: Any,
+    *,
+    connect: str | None = None,
+    tls: Mapping[str, str] | None = None,
+    workers: int | None = None,
+    progress: bool | None = None,
+    **options: Any,
+) -> Model:
+    """Find the equations behind `data` and return them as a model.
+
+    Args:
+        data: a file, a frame of pandas or polars, arrays by column name, or a list of these, one for each trajectory.
+        connect: the coordinator, such as ``tcp/host:7447``; None: one on this machine, started at the first call.
+        tls: files by ``ca``, ``cert`` and ``key``, for an address ``tls/…``.
+        workers: processes on this machine; None: one for each core.
+        progress: whether to show it on stderr; None: on a terminal and in a notebook.
+        options: as of ``coordinator run``, such as ``time="year"``, ``seed=3``, ``known={"dy": "-x"}``; a value may
+            be a number, a list, or True for a switch.
+
+    Returns:
+        The model, after a Ctrl-C that of the best equations so far.
+
+    Raises:
+        UsageError: an option is wrong.
+        DataError: the data cannot be used as they are.
+        AtollError: the job failed.
+    """
+    job = submit(data, connect=connect, tls=tls, workers=workers, **options)
+    job.wait(progress=progress)
+    try:
+        return job.result()
+    except RefusedError:
+        if job.is_interrupted:  # before there was anything to keep
+            raise KeyboardInterrupt from None
+        raise
+
+
+def submit(
+    data: Any,
+    *,
+    connect: str | None = None,
+    tls: Mapping[str, str] | None = None,
+    workers: int | None = None,
+    **options: Any,
+) -> Job:
+    """Submit `data` as a job and return it at once; arguments are those of `discover`."""
+    config = config_of(options)
+    table = table_of(data, config.data)
+    address = _address(connect, tls, workers)
+    job = Job(f"py-{uuid.uuid4().hex[:12]}", address)
+    with connected(address, CONNECT_LIMIT_S) as client:
+        client.submit(job.id, table.files[0] if table.files else NAME, config, client.upload(table.to_bytes()))
+    return job
+
+
+def config_of(options: Mapping[str, Any]) -> JobConfig:
+    """Return the configuration that keyword arguments describe, as the options of ``run`` do; raises UsageError."""
+    words = ["run", NAME]
+    for name, value in options.items():
+        if name in _NOT_OURS:
+            raise UsageError(f"{name} is no option here; see help(atoll.discover)")
+        words += _words(f"--{name.replace('_', '-')}", value, is_repeatable=name in _REPEATABLE)
+    return job_config(parse(words))
+
+
+def _words(flag: str, value: Any, *, is_repeatable: bool) -> list[str]:
+    if value is None or value is False:
+        return []
+    if value is True:
+        return [flag]
+    if isinstance(value, Mapping):
+        value = [f"{key}={_text(each)}" for key, each in value.items()]
+    elif isinstance(value, (list, tuple)) and flag != "--operators":
+        value = [_text(each) for each in value]
+    else:
+        value = [_text(value)]
+    values = value if is_repeatable else [",".join(value)]
+    return [f"{flag}={each}" for each in values]
+
+
+def _text(value: Any) -> str:
+    return ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+
+
+def _address(connect: str | None, tls: Mapping[str, str] | None, workers: int | None) -> str | Destination:
+    if connect is None:
+        return local_address(workers)
+    files = {f"tls_{name}": file for name, file in (tls or {}).items()}
+    return destination(connect, credentials_of(files, os.environ, "connect"))
+
+
+def _cancel(client: Client, job: str) -> None:
+    """Cancel a job and wait, within limits, until it has ended."""
+    view, end = client.cancel(job), client.now() + CANCEL_LIMIT_S
+    while view.state not in FINAL_STATES and client.now() < end:
+        client.pause(0.1)
+        view = client.status(job)
+
+
+def _failure(view: JobView) -> AtollError:
+    kind = DataError if view.fault == "data" else AtollError
+    return kind(ending(view, None) or f"job {view.job} failed")
+
+
+@contextlib.contextmanager
+def _display(progress: bool | None) -> Iterator[Display]:
+    shown = progress if progress is not None else is_screen() or _is_notebook()
+    with open_display("") if shown else _Silence() as display:
+        yield display
+
+
+def _is_notebook() -> bool:
+    return "ipykernel" in sys.modules
+
+
+class _Silence:
+    """Shows nothing."""
+
+    def __enter__(self) -> "_Silence":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def show(self, view: object, workers: object, now: float) -> None:
+        """Take notice."""
+
+    def print_note(self, sentence: str) -> None:
+        """Take notice."""

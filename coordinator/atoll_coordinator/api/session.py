@@ -1,0 +1,124 @@
+"""The service that this interpreter has started on this machine: one process, kept between calls, gone with us."""
+
+import atexit
+import contextlib
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+from typing import Final
+
+from atoll.errors import AtollError, UnreachableError
+from atoll.machine.cores import usable_cores
+from atoll_coordinator.cli.local.subreaper import plain_environment
+
+_START_LIMIT_S: Final = 60.0
+_END_LIMIT_S: Final = 15.0
+_LOCK: Final = threading.Lock()
+
+
+class LocalService:
+    """The process of `atoll_coordinator.api.host`, with its workers."""
+
+    def __init__(self, workers: int) -> None:
+        """Start it; raises AtollError with its reason when it does not listen in time."""
+        self.workers = workers
+        self.owner = os.getpid()
+        command = [sys.executable, "-P", "-m", "atoll_coordinator.api.host", str(workers), str(self.owner)]
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=plain_environment(),
+            start_new_session=True,  # a Ctrl-C on the terminal is ours alone to handle
+        )
+        try:
+            self.endpoint = self._heard()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it runs, and is ours: a fork has inherited that of its parent."""
+        return self.owner == os.getpid() and self._process.poll() is None
+
+    def close(self) -> None:
+        """End it and wait, within a limit, until it is gone with all that it has started."""
+        if self.owner != os.getpid():
+            return
+        for pipe in (self._process.stdin, self._process.stdout):
+            with contextlib.suppress(OSError):
+                if pipe is not None:
+                    pipe.close()
+        try:
+            self._process.wait(_END_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _heard(self) -> str:
+        """Return where it listens."""
+        lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        pipe = self._process.stdout
+        assert pipe is not None
+        reader = threading.Thread(target=lambda: lines.put(pipe.readline()), name="reading an address", daemon=True)
+        reader.start()
+        try:
+            line = lines.get(timeout=_START_LIMIT_S)
+        except queue.Empty:
+            self._process.kill()
+            raise UnreachableError(f"the local service did not start within {_START_LIMIT_S:.0f} s") from None
+        finally:
+            reader.join(1.0)
+        said = json.loads(line) if line.strip() else {"error": "the local service ended as it began; see stderr"}
+        if "endpoint" not in said:
+            raise AtollError(said["error"])
+        return str(said["endpoint"])
+
+
+_service: LocalService | None = None
+
+
+def local_address(workers: int | None = None) -> str:
+    """Return the address of the local service, started if there is none, or none with so many workers.
+
+    `workers`: None: as many as there are, or else one for each core that may be used.
+    """
+    global _service  # one for each interpreter
+    with _LOCK:
+        if _service is not None and not (_service.is_alive and workers in (None, _service.workers)):
+            _service.close()
+            _service = None
+        if _service is None:
+            _service = LocalService(workers or usable_cores(os.environ)[0])
+        return _service.endpoint
+
+
+def check_service(address: str) -> None:
+    """Raise AtollError when `address` is that of a local service that has ended."""
+    its = _service
+    if its is not None and its.endpoint == address and not its.is_alive:
+        raise AtollError("the local service has ended, which it never should; the next call starts another")
+
+
+def close() -> None:
+    """End the local service, if there is one; the next call starts another."""
+    global _service
+    with _LOCK:
+        if _service is not None:
+            _service.close()
+            _service = None
+
+
+def _forget_lock() -> None:
+    """In a fork, another thread of the parent may have held it."""
+    global _LOCK, _service
+    _LOCK, _service = threading.Lock(), None  # type: ignore[misc]
+
+
+atexit.register(close)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_lock)

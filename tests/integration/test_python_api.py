@@ -1,0 +1,68 @@
+"""The Python API finds what the command line finds, in a script without a guard, and leaves nothing behind."""
+
+import json
+import os
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from tests.integration.test_processes import until
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT / "examples" / "lotka_volterra.csv"
+SCRIPT = """
+import json, os, sys, threading
+import atoll
+found = [atoll.discover(sys.argv[1], workers=2) for _ in range(2)]
+from atoll_coordinator.api import session
+print(json.dumps({
+    "digests": [model.provenance["digest"] for model in found],
+    "equations": [str(each) for each in found[0].equations],
+    "threads": threading.active_count(),
+    "host": session._service._process.pid,
+}))
+sys.stdout.flush()
+if sys.argv[2] == "killed":
+    os.kill(os.getpid(), 9)
+"""
+
+
+def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "TMPDIR": str(folder)}
+    return subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, timeout=200, check=False)
+
+
+def all_gone(host: int) -> bool:
+    """Wait, within limits, until neither the host nor what names it as its parent is left; they end by themselves."""
+    return until(lambda: not any(_belongs(each, host) for each in Path("/proc").glob("[0-9]*")))
+
+
+def _belongs(process: Path, host: int) -> bool:
+    try:
+        words = (process / "cmdline").read_bytes().split(b"\0")
+    except OSError:
+        return False
+    number = str(host).encode()
+    return process.name == str(host) or any(pair == (b"--parent", number) for pair in pairwise(words))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are listed as on Linux")
+def test_two_calls_give_the_digest_of_the_command_line_and_leave_nothing(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "atoll_coordinator", "run", str(DATA), "--workers", "2", "--out", "r"]
+    assert run(command, tmp_path).returncode == 0
+    expected = json.loads((tmp_path / "r" / "result.json").read_text())["digest"]
+    (tmp_path / "script.py").write_text(SCRIPT)
+    before = sorted(tmp_path.iterdir())
+    for ending, code in (("alone", 0), ("killed", -9)):
+        done = run([sys.executable, "script.py", str(DATA), ending], tmp_path)
+        assert done.returncode == code, done.stderr
+        found = json.loads(done.stdout)
+        assert found["digests"] == [expected, expected]
+        assert found["equations"] == ["dx/dt = x*(3 - x - 2*y)", "dy/dt = y*(2 - x - y)"]
+        assert found["threads"] == 1
+        assert all_gone(found["host"])
+        assert sorted(tmp_path.iterdir()) == before
