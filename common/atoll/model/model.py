@@ -25,6 +25,8 @@ from atoll.model.vector_field import VectorField
 if TYPE_CHECKING:
     import sympy
 
+    from atoll.analysis.analysis import Analysis
+
 SCHEMA: Final = 1
 DIGITS: Final = 6
 """Significant digits of the constants that people are shown."""
@@ -248,6 +250,27 @@ class Model:
         if given is None:
             raise UsageError(f"the model has the inputs {', '.join(self.inputs)}; give their values as u")
         return self.field.values(points, self._rows(given, self.inputs))
+
+    def analyse(
+        self,
+        box: Mapping[str, tuple[float, float]] | None = None,
+        *,
+        inputs: Mapping[str, float] | None = None,
+        vary: tuple[str, tuple[float, float]] | None = None,
+    ) -> "Analysis":
+        """Return fixed points, limit cycles, basins and the rest of the dynamics, beside those of the data.
+
+        Args:
+            box: bounds of states, by name; None: about the measured range.
+            inputs: values at which inputs are held, by name; zeros unless given.
+            vary: the name of a parameter, such as c1, and the range over which fixed points are followed.
+
+        Raises:
+            UsageError: a name is unknown, a range is none, or a state has neither bounds nor measurements.
+        """
+        from atoll.analysis.analysis import analyse_result
+
+        return analyse_result(self._result, box or {}, inputs=inputs, vary=vary)
 
     def score(self, data: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> float:
         """Return R2 on data: columns by name (also a frame), or a list of these, one for each trajectory.

@@ -142,8 +142,7 @@ class VectorField:
         if points.ndim == 1 and inputs.ndim == 1:
             return function.at_point([*points.tolist(), *inputs.tolist(), *values.tolist()]).reshape(shape)
         rows = max(len(each) for each in (points, inputs) if each.ndim == 2)
-        columns = [*np.broadcast_to(points, (rows, len(self.states))).T]
-        columns += [*np.broadcast_to(inputs, (rows, len(self.inputs))).T]
+        columns = [*points.T, *inputs.T]
         return function.at_points(columns, values.tolist(), rows).reshape(rows, *shape)
 
     def _check_shapes(self, points: FloatArray, inputs: FloatArray, values: FloatArray) -> None:

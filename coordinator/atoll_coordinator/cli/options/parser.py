@@ -26,11 +26,12 @@ HANDLERS: Final = {
     "logs": "atoll_coordinator.cli.verbs.logs",
     "result": "atoll_coordinator.cli.verbs.result",
     "simulate": "atoll_coordinator.cli.verbs.simulate",
+    "analyse": "atoll_coordinator.cli.verbs.analyse",
     "doctor": "atoll_coordinator.cli.doctor.doctor",
 }
 """The module of each verb. Its function of the verb's name takes the parsed options and returns the exit code."""
 
-LATER_VERBS: Final = ("analyse", "analyze", "report", "export")
+LATER_VERBS: Final = ("report", "export")
 
 EXIT_CODES: Final = (
     "exit codes: 0 done, 1 job failed, 2 bad usage or bad data, 3 coordinator not reachable,\n"
@@ -51,18 +52,20 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     verb = next((word for word in argv if not word.startswith("-")), None)
     if verb in LATER_VERBS:
         raise UsageError(f"{verb} is not in this version")
-    options = build_parser().parse_args(_join_operators(argv))
+    options = build_parser().parse_args(_join_leading_minus(argv))
     if options.verb is None:
         raise UsageError(f"no command was given, expected one of {', '.join(HANDLERS)}; see coordinator --help")
     return options
 
 
-def _join_operators(argv: Sequence[str]) -> list[str]:
-    """Write ``--operators -,+`` as one word, since argparse takes a leading minus for an option."""
+def _join_leading_minus(argv: Sequence[str]) -> list[str]:
+    """Write ``--operators -,+`` or ``--range -1:1`` as one word, since argparse takes a leading minus for an option."""
     words: list[str] = []
     for word in argv:
-        if words and words[-1] == "--operators" and (word == "-" or word.startswith("-,")):
-            words[-1] = f"--operators={word}"
+        is_list = words[-1:] == ["--operators"] and (word == "-" or word.startswith("-,"))
+        is_number = words[-1:] == ["--range"] and word[:1] == "-" and word[1:2] in tuple("0123456789.")
+        if is_list or is_number:
+            words[-1] = f"{words[-1]}={word}"
         else:
             words.append(word)
     return words
@@ -83,6 +86,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_submit(verbs)
     _add_readers(verbs)
     _add_simulate(verbs)
+    _add_analyse(verbs)
     _add_data(add_doctor(_verb, verbs).add_argument_group("data"))
     return parser
 
@@ -176,6 +180,27 @@ def _add_simulate(verbs: Any) -> None:
     parser.add_argument("--step", metavar="DT", help="from one time to the next (default: 500 steps in all)")
     parser.add_argument("-o", "--output", metavar="FILE", help="write to this file (default: stdout)")
     parser.add_argument("--json", action="store_true", help="write JSON: status, message, columns")
+
+
+def _add_analyse(verbs: Any) -> None:
+    parser = _verb(
+        verbs, "analyse", "fixed points, limit cycles, basins and bifurcations of the model of a saved result"
+    )
+    parser.add_argument("result", metavar="RESULT", help="PATH/result.json, or its folder")
+    parser.add_argument(
+        "--box",
+        action="append",
+        default=[],
+        metavar="x=0:3",
+        help="bounds of a state (default: half the measured range more on either side); repeatable",
+    )
+    parser.add_argument(
+        "--hold", action="append", default=[], metavar="u=1", help="value of an input (default: 0); repeatable"
+    )
+    parser.add_argument("--parameter", metavar="c1", help="a constant to vary, by name or number")
+    parser.add_argument("--range", metavar="A:B", help="what --parameter is varied over")
+    parser.add_argument("-o", "--output", metavar="FILE", help="write to this file (default: stdout)")
+    parser.add_argument("--json", action="store_true", help="write JSON, with all curves")
 
 
 def _add_result(parser: argparse.ArgumentParser) -> None:

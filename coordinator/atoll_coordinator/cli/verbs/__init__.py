@@ -2,6 +2,7 @@
 
 ``run`` searches on this machine; ``serve`` and ``router`` run until they are told to end; ``submit`` gives a job to a
 coordinator and follows it; ``jobs`` has the verbs that look at, cancel or delete jobs (``jobs``, ``status``,
-``workers``, ``cancel``, ``delete``); ``result`` prints equations and ``logs`` events. `options.parser.HANDLERS` maps
+``workers``, ``cancel``, ``delete``); ``result`` prints equations and ``logs`` events;
+``simulate`` and ``analyse`` take the model of a saved result. `options.parser.HANDLERS` maps
 commands to these modules; ``doctor`` has a room of its own.
 """

@@ -31,7 +31,7 @@ def simulate(options: argparse.Namespace) -> int:
     if options.output is None:
         say(text)
     else:
-        _write(Path(options.output), text)
+        write(Path(options.output), text)
     if found.status != "finished":
         note(f"coordinator: the simulation ended early: {found.message}")
     return DONE
@@ -134,7 +134,8 @@ def _times(model: Model, given: _Given, options: argparse.Namespace) -> FloatArr
     return np.asarray(begin + step * np.arange(math.floor((end - begin) / step + _SLACK) + 1), dtype=np.float64)
 
 
-def _write(path: Path, text: str) -> None:
+def write(path: Path, text: str) -> None:
+    """Write `text` to a file, with a newline at its end; raises UsageError."""
     try:
         path.write_text(text if text.endswith("\n") else text + "\n", "utf-8")
     except OSError as error:

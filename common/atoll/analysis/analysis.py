@@ -1,0 +1,173 @@
+"""Everything that is found of a model's dynamics, in one object."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.analysis.basins import Attractor, Basins, basins
+from atoll.analysis.box import Box
+from atoll.analysis.conserved import ConservedQuantity, conserved_quantities, is_volume_preserving
+from atoll.analysis.continuation import Branch, continuation
+from atoll.analysis.dynamics import Comparison, Measured, compared, measured_trajectories
+from atoll.analysis.fixed_points import FixedPoints, fixed_points
+from atoll.analysis.flow import Flow
+from atoll.analysis.limit_cycles import LimitCycles, limit_cycles
+from atoll.analysis.lyapunov import LyapunovSpectrum, lyapunov_spectrum
+from atoll.analysis.nullclines import nullclines
+from atoll.data.dataset import FloatArray
+from atoll.errors import UsageError
+from atoll.model.vector_field import VectorField
+
+MOST_STATES: Final = 12
+"""More states than this take longer than a person waits."""
+
+_MARGIN: Final = 0.5
+"""Widths of the measured range that the box reaches beyond it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """The dynamics of `field` in `box`.
+
+    `inputs` (U,) were held. `nullclines` has the polylines (n, 2) of each of two states, and is empty for others.
+    `lyapunov` is of courses that no fixed point or cycle explains, None where there are none. `branches` are those of
+    the `parameter` (its index) that was varied. `comparisons` stand beside the measured trajectories.
+    """
+
+    field: VectorField
+    box: Box
+    inputs: FloatArray
+    fixed_points: FixedPoints
+    nullclines: tuple[tuple[FloatArray, ...], ...]
+    cycles: LimitCycles
+    lyapunov: LyapunovSpectrum | None
+    basins: Basins
+    conserved: tuple[ConservedQuantity, ...]
+    is_volume_preserving: bool
+    comparisons: tuple[Comparison, ...]
+    parameter: int | None = None
+    branches: tuple[Branch, ...] = ()
+
+    def __str__(self) -> str:
+        from atoll.analysis.report import as_text
+
+        return as_text(self)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all of it as plain data, as ``coordinator analyse --json`` prints it."""
+        from atoll.analysis.report import as_data
+
+        return as_data(self)
+
+    @property
+    def attractors(self) -> tuple[Attractor, ...]:
+        """The stable fixed points and limit cycles."""
+        return self.basins.attractors
+
+
+def analyse(
+    field: VectorField,
+    box: Box,
+    *,
+    inputs: FloatArray | None = None,
+    measured: Sequence[Measured] = (),
+    vary: tuple[int, tuple[float, float]] | None = None,
+) -> Analysis:
+    """Return the dynamics of `field` in `box`; every part is bounded in steps and says what was searched.
+
+    Args:
+        field: the model, of at most `MOST_STATES` states.
+        box: what is looked at.
+        inputs: values (U,) at which inputs are held; zeros unless given.
+        measured: trajectories that the model is compared with.
+        vary: index of a parameter (from 0) and the range that it is varied over.
+
+    Raises:
+        UsageError: there are too many states.
+    """
+    if len(field.states) > MOST_STATES:
+        raise UsageError(f"the model has {len(field.states)} states; at most {MOST_STATES} can be analysed")
+    flow = Flow.of(field, inputs)
+    fixed = fixed_points(flow, box)
+    cycles = limit_cycles(flow, box, fixed.points)
+    stable: list[Attractor] = [each for each in (*fixed.points, *cycles.resting) if each.is_stable]
+    stable += [each for each in cycles.cycles if each.is_stable]
+    reached = basins(flow, box, stable)
+    is_open = flow.size > 2 and len(cycles.unsettled) > 0
+    return Analysis(
+        field,
+        box,
+        flow.inputs,
+        fixed,
+        nullclines(flow, box) if flow.size == 2 else (),
+        cycles,
+        lyapunov_spectrum(flow, box, cycles.unsettled) if is_open else None,
+        reached,
+        conserved_quantities(flow, box),
+        is_volume_preserving(flow, box),
+        compared(flow, box, stable, measured, reached.duration),
+        None if vary is None else vary[0],
+        () if vary is None else continuation(flow, box, *vary),
+    )
+
+
+def analyse_result(
+    found: Mapping[str, Any],
+    bounds: Mapping[str, tuple[float, float]],
+    *,
+    inputs: Mapping[str, float] | None = None,
+    vary: tuple[str, tuple[float, float]] | None = None,
+) -> Analysis:
+    """Return the dynamics of the model that a result (the content of result.json) shows.
+
+    Args:
+        found: the result.
+        bounds: of states, by name; see `box_of` for the others.
+        inputs: values at which inputs are held, by name; zeros unless given.
+        vary: name or number (from 1) of a parameter, and the range that it is varied over.
+
+    Raises:
+        UsageError: a name is unknown, or a range is none.
+    """
+    field = VectorField.from_result(found)
+    for name in inputs or {}:
+        if name not in field.inputs:
+            raise UsageError(f"there is no input '{name}' to hold; inputs: {', '.join(field.inputs) or 'none'}")
+    held = np.array([float((inputs or {}).get(name, 0.0)) for name in field.inputs])
+    box, measured = box_of(found, field, bounds)
+    varied = None if vary is None else (_parameter(field, vary[0]), _range(*vary[1]))
+    return analyse(field, box, inputs=held, measured=measured, vary=varied)
+
+
+def _parameter(field: VectorField, name: str) -> int:
+    for index, each in enumerate(field.parameters):
+        if name in (each.name, str(index + 1)):
+            return index
+    known = ", ".join(f"{each.name} = {each.value:g} of {each.variable}" for each in field.parameters)
+    raise UsageError(f"there is no parameter '{name}'; the model has {known or 'none'}")
+
+
+def _range(lower: float, upper: float) -> tuple[float, float]:
+    if not (np.isfinite([lower, upper]).all() and lower < upper):
+        raise UsageError(f"the range {lower:g}:{upper:g} of the parameter is no interval; give LOWER:UPPER")
+    return lower, upper
+
+
+def box_of(
+    found: Mapping[str, Any], field: VectorField, bounds: Mapping[str, tuple[float, float]]
+) -> tuple[Box, tuple[Measured, ...]]:
+    """Return the box to look at and the measured trajectories of a result.
+
+    Where `bounds` leave a state out its measured range is taken, wider by half on either side, but not below 0 where
+    nothing below 0 was measured. Raises UsageError where a state has neither.
+    """
+    measured = measured_trajectories(found, field)
+    known: dict[str, tuple[float, float]] = {}
+    if measured:
+        states = np.vstack([each.states for each in measured])
+        for name, low, high in zip(field.states, states.min(axis=0).tolist(), states.max(axis=0).tolist(), strict=True):
+            beyond = _MARGIN * (high - low) or 1.0
+            known[name] = (max(low - beyond, 0.0) if low >= 0.0 else low - beyond, high + beyond)
+    return Box.of(field.states, {**known, **bounds}), measured

@@ -1,0 +1,67 @@
+"""``coordinator analyse``: the dynamics of the model of a saved result, as text or JSON."""
+
+import argparse
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from atoll.errors import UsageError
+from atoll_coordinator.cli.exit_codes import DONE
+from atoll_coordinator.cli.terminal.output import as_json, say
+from atoll_coordinator.cli.verbs.simulate import load, write
+
+
+def analyse(options: argparse.Namespace) -> int:
+    """Analyse the model of ``options.result``. Return the exit code."""
+    vary = _vary(options.parameter, options.range)
+    bounds = {name: _interval(text, f"--box {name}") for name, text in _assignments(options.box, "--box", "x=0:3")}
+    held = {name: _number(text, f"--hold {name}") for name, text in _assignments(options.hold, "--hold", "u=1")}
+    found = load(options.result).analyse(bounds, inputs=held, vary=vary)
+    text = as_json(found.as_dict()) if options.json else str(found)
+    if options.output is None:
+        say(text)
+    else:
+        write(Path(options.output), text)
+    return DONE
+
+
+def _vary(parameter: str | None, bounds: str | None) -> tuple[str, tuple[float, float]] | None:
+    if parameter is None and bounds is None:
+        return None
+    if parameter is None or bounds is None:
+        given, missing = ("--range", "--parameter c1") if parameter is None else ("--parameter", "--range A:B")
+        raise UsageError(f"{given} was given without {missing}; give both")
+    return parameter, _interval(bounds, "--range")
+
+
+def _assignments(texts: Sequence[str], option: str, example: str) -> list[tuple[str, str]]:
+    """Split ``x=0:3`` into name and value; several may stand in one text, separated by commas."""
+    found: dict[str, str] = {}
+    for text in (part for each in texts for part in each.split(",")):
+        name, separator, value = (part.strip() for part in text.partition("="))
+        if not separator or not name or not value:
+            raise UsageError(f"{option} wants {example}, but got {text!r}")
+        if name in found:
+            raise UsageError(f"{option} names '{name}' twice; give one")
+        found[name] = value
+    return list(found.items())
+
+
+def _interval(text: str, option: str) -> tuple[float, float]:
+    lower, separator, upper = text.partition(":")
+    if not separator:
+        raise UsageError(f"{option} wants LOWER:UPPER, but got {text!r}")
+    low, high = _number(lower, option), _number(upper, option)
+    if not low < high:
+        raise UsageError(f"{option} wants LOWER below UPPER, but got {text!r}")
+    return low, high
+
+
+def _number(text: str, option: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise UsageError(f"{option} wants finite numbers, but got {text!r}")
+    return value
