@@ -2,6 +2,7 @@
 
 ``python -m benchmarks.many run --systems yeast lorenz96-40 --seeds 1000-1004 --out FILE.jsonl`` searches each system
 with each seed and judges every equation; ``--resume FILE.jsonl`` goes on; ``show FILE.jsonl`` prints the table again.
+``laws`` in place of ``run`` judges the laws that regression finds, and searches nothing.
 ``--dysts DIR`` adds flows of the files that ``python -m benchmarks.dysts make`` has written there, by their names.
 """
 
@@ -11,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.harness.command_line import seeds, whole
+from benchmarks.many import laws
 from benchmarks.many.campaign import run, show
 from benchmarks.many.systems import SYSTEMS
 
@@ -19,6 +21,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Do what the options ask for."""
     options = _parser().parse_args(arguments)
     words = sys.argv[1:] if arguments is None else list(arguments)
+    if options.verb == "laws":
+        return laws.run(options)
     return run(options, words) if options.verb == "run" else show(options.file)
 
 
@@ -26,13 +30,15 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.many", description=__doc__.split("\n")[0])
     verbs = parser.add_subparsers(dest="verb", required=True)
     running = verbs.add_parser("run", help="search and judge")
-    running.add_argument("--systems", nargs="+", default=["yeast"], help=f"of {', '.join(SYSTEMS)}, or of --dysts")
-    running.add_argument("--noise", type=float, nargs="+", default=[0.0], help="percent of each state's deviation")
-    running.add_argument("--seeds", type=seeds, default=seeds("1000-1004"), help="of data and search (1000-1004)")
-    running.add_argument("--runs", type=whole, help="initial conditions, instead of the system's own number")
+    regressing = verbs.add_parser("laws", help="judge the laws by regression alone")
+    for each in (running, regressing):
+        each.add_argument("--systems", nargs="+", default=["yeast"], help=f"of {', '.join(SYSTEMS)}, or of --dysts")
+        each.add_argument("--noise", type=float, nargs="+", default=[0.0], help="percent of each state's deviation")
+        each.add_argument("--seeds", type=seeds, default=seeds("1000-1004"), help="of data and search (1000-1004)")
+        each.add_argument("--runs", type=whole, help="initial conditions, instead of the system's own number")
+        each.add_argument("--max-time", type=float, metavar="SECONDS", help="end of a job; default: none")
+        each.add_argument("--dysts", type=Path, metavar="DIR", help="files of chaotic flows")
     running.add_argument("--workers", type=whole, default=2, help="worker processes (%(default)s)")
-    running.add_argument("--max-time", type=float, metavar="SECONDS", help="end of a job; default: none")
-    running.add_argument("--dysts", type=Path, metavar="DIR", help="files of chaotic flows")
     running.add_argument("--out", type=Path, metavar="FILE", help="file of JSON lines to write each search to")
     running.add_argument("--resume", type=Path, metavar="FILE", help="such a file, to go on with")
     showing = verbs.add_parser("show", help="print the table of a file")

@@ -270,6 +270,9 @@ class SelectionSettings:
     compared_numbers: int = 7_200
     """Structures of many states are compared on at most about so many numbers, rows times states: the work of a row
     grows with the square of the states and more, and each row tells as much about each equation."""
+    fitted_sensitivities: int = 1_500_000
+    """Constants of many states are fitted to at most so many rows times the square of the states: the sensitivities of
+    a row to the states at its beginning. That is 900 rows of 40 states, and more rows than a search is given of 20."""
     compared_rows: int = 1_200
     """Structures are compared on at most about so many rows; constants are then fitted on all."""
     tolerated_noise: float = 0.01

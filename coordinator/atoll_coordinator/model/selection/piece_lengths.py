@@ -49,10 +49,11 @@ def in_whole(task: ModellingTask) -> ModellingTask:
 def on_all_rows(selection: SelectedModel) -> SelectedModel | None:
     """Return the chosen system fitted to all rows, in shorter pieces if it must be; None when it cannot be.
 
-    It is integrated so precisely that its constants do not show it.
+    Of dozens of states it is fitted to fewer. It is integrated so precisely that its constants do not show it.
     """
     task = selection.task
     measurements = task.measurements(task.variables)
+    measurements = measurements.thinned(SETTINGS.selection.fitted_sensitivities // len(task.variables) ** 2)
     chosen = selection.comparison.estimator
     if measurements.rows == chosen.measurements.rows:
         comparison = task.compare(measurements, task.variables, is_precise=True)

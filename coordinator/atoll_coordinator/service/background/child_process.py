@@ -6,6 +6,7 @@ in `child_main` alone, by a process and the one that it started itself.
 
 import contextlib
 import logging
+import os
 import pickle
 import queue
 import signal
@@ -50,6 +51,7 @@ class ChildProcess:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 start_new_session=True,  # a Ctrl-C on the terminal is the coordinator's to handle
+                env={"OPENBLAS_NUM_THREADS": "1", **os.environ},  # matrices are small: threads of numpy's library wait
             )
         except OSError as error:
             raise ProcessDiedError(f"no process could be started for it: {error.strerror}") from error

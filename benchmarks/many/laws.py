@@ -1,0 +1,50 @@
+"""The laws of each state by regression alone: nothing is searched, nothing simulated, one core."""
+
+import argparse
+import time
+from collections.abc import Iterator
+
+from atoll.expression.operators import BY_NAME
+from atoll.expression.text.infix import to_infix
+from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.sparse.laws import find_laws
+from atoll_coordinator.model.sparse.rates.screening import with_screened_variables
+from benchmarks.corpus.forms import judge_form
+from benchmarks.harness.command_line import plain_errors
+from benchmarks.many.campaign import case
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print for each system, noise and seed how many laws have the truth's form, and the processor seconds."""
+    with plain_errors("benchmarks.many"):
+        wanted = [(name, noise, seed) for name in options.systems for noise in options.noise for seed in options.seeds]
+        rows = [_judged(*each, options) for each in wanted]
+        say(table(("system", "noise %", "seed", "right", "cpu s"), rows))
+    return 0
+
+
+def _judged(name: str, noise: float, seed: int, options: argparse.Namespace) -> tuple[str, ...]:
+    its = case(name, noise, seed, options)
+    begun = time.process_time()
+    preparation = prepare(its.table, its.config)
+    assert preparation.recording is not None
+    config, names = with_screened_variables(preparation, its.config), preparation.dataset.names
+
+    def found() -> Iterator[str | None]:
+        for state in its.equations:
+            operators = [BY_NAME[operator].code for operator in config.space.operators_for(state)]
+            columns = config.space.columns_for(state, names)
+            laws = find_laws(preparation.dataset.problem(state), preparation.recording, columns, operators)
+            yield to_infix(laws[0].program, names) if laws else None
+
+    texts = list(found())
+    seconds = time.process_time() - begun
+    right = 0
+    for text, (state, truth) in zip(texts, its.equations.items(), strict=True):
+        form = judge_form(text, truth, its.columns, with_extra=False)
+        right += form.is_right
+        if not form.is_right:
+            note(f"{name} seed {seed} {state}: {form.kind}: {text}")
+    note(f"{name} {noise:g} % seed {seed}: {right} of {len(texts)}, {seconds:.1f} s")
+    return name, f"{noise:g}", str(seed), f"{right}/{len(texts)}", f"{seconds:.1f}"
