@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import sys
 import uuid
 from collections.abc import Iterator, Mapping
 from typing import Any, Final, Self
@@ -13,6 +12,7 @@ from atoll.model.model import Model
 from atoll.wire.addresses import Destination, destination
 from atoll.wire.messages.views import FINAL_STATES, JobView
 from atoll.wire.security.credentials import credentials_of
+from atoll_coordinator.api.notebook import NotebookDisplay, is_notebook
 from atoll_coordinator.api.session import check_service, local_address
 from atoll_coordinator.api.tables import NAME, table_of
 from atoll_coordinator.cli.options.job_config import job_config
@@ -196,13 +196,14 @@ def _failure(view: JobView) -> AtollError:
 
 @contextlib.contextmanager
 def _display(progress: bool | None) -> Iterator[Display]:
-    shown = progress if progress is not None else is_screen() or _is_notebook()
-    with open_display("") if shown else _Silence() as display:
+    with _opened(progress) as display:
         yield display
 
 
-def _is_notebook() -> bool:
-    return "ipykernel" in sys.modules
+def _opened(progress: bool | None) -> Display:
+    if progress is False or (progress is None and not is_screen() and not is_notebook()):
+        return _Silence()
+    return NotebookDisplay() if is_notebook() else open_display("")
 
 
 class _Silence:

@@ -22,9 +22,6 @@ except ImportError:
 
 TARGET: Final = "y"
 
-EXPECTED_FAILED_CHECKS: Final[dict[str, str]] = {}
-"""Checks of scikit-learn's `check_estimator` that cannot hold, with the reason."""
-
 
 class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
     """Finds y = f(X) as an expression.

@@ -2,6 +2,8 @@
 
 import argparse
 import os
+import shlex
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -68,9 +70,9 @@ class Request:
         )
 
     def result(self, client: Client, view: JobView) -> dict[str, Any] | None:
-        """Return the result of the ended job; None when it ended before there was any."""
+        """Return the result of the ended job, with the command of this process; None when there is none yet."""
         try:
-            return client.result(self.job)
+            return {**client.result(self.job), "command": shlex.join(["coordinator", *sys.argv[1:]])}
         except RefusedError:
             if view.state == "done":
                 raise
