@@ -2,7 +2,8 @@
 
 A polynomial of all variables has too many terms for its rows where there are dozens of variables. Of all products of
 two, and cubes, one is added at a time, the one that explains most of what is left (orthogonal matching pursuit), as
-long as that is more than the best of so many explains by chance.
+long as that is more than the best of so many explains by chance. Terms that stood in for others which came later leave
+first in a backward elimination, and variables are taken from its end.
 """
 
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import log
+from atoll_coordinator.model.sparse.kernels.elimination import eliminate
 from atoll_coordinator.model.sparse.kernels.robust import select_forward
 from atoll_coordinator.model.sparse.rates.rows import RateRows, rate_rows
 from atoll_coordinator.settings import SETTINGS
@@ -56,20 +58,28 @@ def screened(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
     _, deviation = moments(its.values)
     weights = 1.0 / np.sqrt(its.errors * its.errors + (SETTINGS.common.negligible * deviation) ** 2)
     weighted, side = values * weights, its.values * weights
-    chosen, squares = np.full(3 * SETTINGS.rates.screened, -1, np.int64), np.zeros(3 * SETTINGS.rates.screened + 1)
-    select_forward(weighted, side, chosen, squares)
-    kept: list[int] = []
+    steps = 3 * SETTINGS.rates.screened
+    chosen, squares = np.full(steps, -1, np.int64), np.zeros(steps + 1)
+    select_forward(weighted.copy(), side.copy(), chosen, squares)
+    taken: list[int] = []
     chance = 2.0 * log(float(len(terms))) / len(its.values)
     for place, before, after in zip(chosen.tolist(), squares[:-1].tolist(), squares[1:].tolist(), strict=True):
         if place < 0 or before - after <= chance * before:
             break
-        new = [variable for variable in terms[place] if variable not in kept]
+        taken.append(place)
+        if after <= len(its.values):
+            break
+    if not taken:
+        return ()
+    order, count = np.zeros(len(taken), np.int64), len(taken)
+    eliminate(np.ascontiguousarray(weighted[taken]), side, order, np.zeros(count + 1), np.zeros((count, count)))
+    kept: list[int] = []
+    for index in reversed(order.tolist()):
+        new = [variable for variable in dict.fromkeys(terms[taken[index]]) if variable not in kept]
         if len(kept) + len(new) > SETTINGS.rates.screened:
             break
         kept += new
-        if after <= len(its.values):
-            break
-    return tuple(sorted(set(kept)))
+    return tuple(sorted(kept))
 
 
 def _products(inputs: FloatArray, columns: Sequence[int]) -> tuple[list[tuple[int, ...]], FloatArray]:
