@@ -98,6 +98,9 @@ def measured_trajectories(found: Mapping[str, Any], field: VectorField) -> tuple
         curves = [_curve(field, index, values, columns, times) for index in range(len(field.states))]
         if len(times) > 3 and all(its is not None for its in curves):
             states = np.array(curves, dtype=np.float64).T
+            start = each.get("start") or {}
+            if all(start.get(columns[name]) is not None for name in field.states):  # knows velocities, too
+                states[0] = [float(start[columns[name]]) for name in field.states]
             rows = np.isfinite(states).all(axis=1)
             if rows.sum() > 3:
                 trajectories.append(Measured(str(each["name"]), times[rows] - times[rows][0], states[rows]))

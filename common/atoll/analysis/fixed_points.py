@@ -37,6 +37,9 @@ _SINGULAR: Final = 1e-4
 _EXAMPLES: Final = 10
 """Points that are shown of a curve or surface of them."""
 
+_ROUNDING: Final = 1e-15
+"""A real part below this share of the largest eigenvalue is one of rounding, and shown as 0."""
+
 _ZERO: Final = 1e-6
 """A real part below this share of the largest eigenvalue decides nothing."""
 
@@ -162,6 +165,7 @@ def classified(flow: Flow, point: FloatArray, box: Box, *, is_isolated: bool = T
     if not np.isfinite(matrix).all():
         return FixedPoint(point, np.full(flow.size, np.nan + 0j), "not differentiable", False)
     eigenvalues = np.linalg.eigvals(matrix).astype(np.complex128)
+    eigenvalues.real[np.abs(eigenvalues.real) < _ROUNDING * np.abs(eigenvalues).max()] = 0.0
     eigenvalues = eigenvalues[np.lexsort((eigenvalues.imag, -np.round(eigenvalues.real, 12)))]
     kind = kind_of(eigenvalues)
     if is_isolated and kind == "centre" and not _is_centre(flow, point, eigenvalues, box):

@@ -114,3 +114,9 @@ def test_lorenz_has_saddle_foci_beside_a_saddle() -> None:
 )
 def test_kinds_follow_from_eigenvalues(eigenvalues: list[complex], kind: str) -> None:
     assert kind_of(np.array(sorted(eigenvalues, key=lambda each: -complex(each).real), dtype=complex)) == kind
+
+
+def test_a_real_part_of_rounding_is_none() -> None:
+    its = flow(theta="cot(phi)*cos(theta)", phi="(cos(phi)**2 + 0.1*sin(phi)**2)*sin(theta)")
+    (found,) = fixed_points(its, box((2.0, 4.0), (0.5, 2.5))).points
+    np.testing.assert_array_equal(found.eigenvalues.real, 0.0)

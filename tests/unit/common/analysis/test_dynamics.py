@@ -1,0 +1,39 @@
+"""The model beside the data: periods, phases, and courses of equations of second order."""
+
+import numpy as np
+import pytest
+
+from atoll.analysis.dynamics import measured_trajectories, motion
+from atoll.model.vector_field import VectorField
+
+TIMES = np.linspace(0.0, 20.0, 401)
+
+
+def test_a_wave_has_period_amplitudes_and_phases() -> None:
+    waves = np.array([np.sin(2.0 * TIMES), 3.0 * np.sin(2.0 * TIMES - 0.5 * np.pi)]).T
+    found = motion(TIMES, waves)
+    assert found.period == pytest.approx(np.pi, rel=1e-3)
+    np.testing.assert_allclose(found.amplitudes, [1.0, 3.0], rtol=1e-2)
+    assert found.phases is not None
+    np.testing.assert_allclose(found.phases, [0.0, 0.25], atol=1e-2)
+
+
+def test_a_decay_has_no_period() -> None:
+    assert motion(TIMES, np.exp(-TIMES)[:, None]).period is None
+
+
+def test_velocities_are_differences_and_begin_as_fitted() -> None:
+    angle = {
+        "name": "1",
+        "times": TIMES.tolist(),
+        "values": {"a": np.cos(TIMES).tolist()},
+        "start": {"a": 1.0, "a_dot": 7.0},
+    }
+    found = {
+        "symbols": {"a": "a", "a_dot": "a_dot"},
+        "equations": [{"variable": "a", "lhs": "d2a/dt2", "expression": "-a"}],
+        "simulation": {"trajectories": [angle]},
+    }
+    (measured,) = measured_trajectories(found, VectorField.from_result(found))
+    np.testing.assert_allclose(measured.states[1:-1, 1], -np.sin(TIMES)[1:-1], atol=1e-3)
+    assert measured.states[0].tolist() == [1.0, 7.0]
