@@ -18,7 +18,7 @@ try:
     from sklearn.base import BaseEstimator, RegressorMixin
     from sklearn.utils.validation import check_is_fitted, validate_data
 except ImportError:
-    raise UsageError("atoll.Regressor needs scikit-learn 1.6 or newer; run: pip install 'atoll[sklearn]'") from None
+    raise ImportError("atoll.Regressor needs scikit-learn 1.6 or newer; run: pip install 'atoll[sklearn]'") from None
 
 TARGET: Final = "y"
 
