@@ -309,6 +309,8 @@ class ProcessSettings:
 
     fewest_steps: int = 100
     """Steps from row to row without which no process is sought: a variance is known to 14 % then."""
+    least_noise: float = 1e-4
+    """Share of the median step that noise has at least: with less, the equations are those of a process without."""
     significant: float = 3.0
     """Standard errors beyond which measurement noise, and a correlation between states, count as seen (p = 0.003)."""
     bins: int = 512

@@ -22,7 +22,7 @@ print(json.dumps({
     "digests": [model.provenance["digest"] for model in found],
     "equations": [str(each) for each in found[0].equations],
     "threads": threading.active_count(),
-    "host": session._service._process.pid,
+    "host": session._services[2]._process.pid,
 }))
 sys.stdout.flush()
 if sys.argv[2] == "killed":

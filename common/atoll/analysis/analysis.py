@@ -89,7 +89,17 @@ def analyse(
     """
     if len(field.states) > MOST_STATES:
         raise UsageError(f"the model has {len(field.states)} states; at most {MOST_STATES} can be analysed")
-    flow = Flow.of(field, inputs)
+    with np.errstate(all="ignore"):  # a box may reach to where rates overflow
+        return _analysed(field, box, Flow.of(field, inputs), measured, vary)
+
+
+def _analysed(
+    field: VectorField,
+    box: Box,
+    flow: Flow,
+    measured: Sequence[Measured],
+    vary: tuple[int, tuple[float, float]] | None,
+) -> Analysis:
     fixed = fixed_points(flow, box)
     cycles = limit_cycles(flow, box, fixed.points)
     stable: list[Attractor] = [each for each in (*fixed.points, *cycles.resting) if each.is_stable]

@@ -228,7 +228,7 @@ def _standard_errors(task: _Task, errors: JointErrors, x0: FloatArray, t: FloatA
     kept = values > 0.0
     root = vectors[:, kept] * np.sqrt(values[kept])  # (K, M): sensitivities to directions of unit variance
     number = root.shape[1]
-    if not count or not number:
+    if not count or not number or len(t) == 1:
         return np.zeros((len(t), size))
 
     def rates(at: float, y: FloatArray) -> FloatArray:

@@ -1,4 +1,7 @@
-"""The service that this interpreter has started on this machine: one process, kept between calls, gone with us."""
+"""The services that this interpreter has started on this machine: a process for each number of workers asked for.
+
+They are kept between calls, and gone with us.
+"""
 
 import atexit
 import contextlib
@@ -79,7 +82,8 @@ class LocalService:
         return str(said["endpoint"])
 
 
-_service: LocalService | None = None
+_services: Final[dict[int, LocalService]] = {}
+"""By number of workers: another call may still use that of another number."""
 
 
 def local_address(workers: int | None = None) -> str:
@@ -87,36 +91,35 @@ def local_address(workers: int | None = None) -> str:
 
     `workers`: None: as many as there are, or else one for each core that may be used.
     """
-    global _service  # one for each interpreter
     with _LOCK:
-        if _service is not None and not (_service.is_alive and workers in (None, _service.workers)):
-            _service.close()
-            _service = None
-        if _service is None:
-            _service = LocalService(workers or usable_cores(os.environ)[0])
-        return _service.endpoint
+        for number, its in [*_services.items()]:
+            if not its.is_alive:
+                del _services[number]
+                its.close()
+        number = workers or next(iter(_services), None) or usable_cores(os.environ)[0]
+        if number not in _services:
+            _services[number] = LocalService(number)
+        return _services[number].endpoint
 
 
 def check_service(address: str) -> None:
     """Raise AtollError when `address` is that of a local service that has ended."""
-    its = _service
-    if its is not None and its.endpoint == address and not its.is_alive:
+    if any(its.endpoint == address and not its.is_alive for its in [*_services.values()]):
         raise AtollError("the local service has ended, which it never should; the next call starts another")
 
 
 def close() -> None:
-    """End the local service, if there is one; the next call starts another."""
-    global _service
+    """End the local services, if there are any; the next call starts another."""
     with _LOCK:
-        if _service is not None:
-            _service.close()
-            _service = None
+        while _services:
+            _services.popitem()[1].close()
 
 
 def _forget_lock() -> None:
     """In a fork, another thread of the parent may have held it."""
-    global _LOCK, _service
-    _LOCK, _service = threading.Lock(), None  # type: ignore[misc]
+    global _LOCK
+    _LOCK = threading.Lock()  # type: ignore[misc]
+    _services.clear()
 
 
 atexit.register(close)

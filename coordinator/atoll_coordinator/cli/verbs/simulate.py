@@ -16,6 +16,7 @@ from atoll.model.model import ROWS, Model
 from atoll.model.simulation import MOST_NUMBERS
 from atoll_coordinator.cli.exit_codes import DONE
 from atoll_coordinator.cli.terminal.output import as_json, note, say
+from atoll_coordinator.data.roles.options import TRAJECTORY_NAME
 
 _SLACK: Final = 1e-9
 """Share of a step by which rounding may shift the last time."""
@@ -44,11 +45,13 @@ def load(name: str) -> Model:
 
 
 class _Given:
-    """The initial state, and what a file adds: times and inputs."""
+    """The initial state, and what a file adds: times and inputs, all of its first trajectory."""
 
     def __init__(self, model: Model, text: str | None) -> None:
         self._model = model
         self._table: Table | None = None
+        config = model.provenance["config"] or {}
+        self._trajectory = (config.get("data") or {}).get("trajectory") or TRAJECTORY_NAME
         self.state: Mapping[str, float] | None = None
         if text is None:
             return
@@ -80,7 +83,17 @@ class _Given:
 
     def _column(self, name: str) -> FloatArray:
         assert self._table is not None
-        return self._table.column(name)
+        return self._table.column(name)[: self._rows]
+
+    @property
+    def _rows(self) -> int:
+        """The number of rows of the first trajectory."""
+        assert self._table is not None
+        end = (*self._table.starts, self._table.rows)[1]
+        if self._trajectory in self._table.names:
+            numbers = self._table.column(self._trajectory)[:end]
+            end = int(np.append(np.flatnonzero(numbers != numbers[0]), end)[0])
+        return end
 
     def _first_row(self, table: Table, name: str) -> dict[str, float]:
         symbols = self._model.result["symbols"]

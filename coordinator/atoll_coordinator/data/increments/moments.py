@@ -17,6 +17,8 @@ from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.settings import SETTINGS
 
 Pair = tuple[int, int]
+_DIFFERENCES = 6
+"""Times that differences are taken to tell noise from smooth motion."""
 _DEPENDENT = 1e-9
 """Guard: a pivot that is smaller than this share of its diagonal is rounding."""
 
@@ -147,6 +149,21 @@ def measurement_noise(residuals: FloatArray, steps: Steps) -> FloatArray:
         covariance, square = total(products), total(products * products)
         if covariance < 0.0 and covariance * covariance > SETTINGS.process.significant**2 * square:
             found[state] = -covariance / len(rows)
+    return found
+
+
+def noise_shares(steps: Steps) -> FloatArray:
+    """Return about how large noise is beside the median step, for each state (S,).
+
+    Differences of neighbouring steps, taken again and again, leave of smooth motion next to nothing, and of noise all.
+    """
+    found = np.zeros(len(steps.increments))
+    starts = np.flatnonzero(~steps.follows)[1:]
+    for state, its in enumerate(steps.increments):
+        parts = [np.diff(part, _DIFFERENCES) for part in np.split(its, starts) if len(part) > _DIFFERENCES]
+        left = float(np.median(np.abs(np.concatenate(parts)))) if parts else math.inf
+        step = float(np.median(np.abs(its)))
+        found[state] = left / (step * math.sqrt(math.comb(2 * _DIFFERENCES, _DIFFERENCES))) if step > 0.0 else math.inf
     return found
 
 

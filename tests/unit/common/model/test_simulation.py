@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from atoll.errors import UsageError
+from atoll.model.parameters import JointErrors
 from atoll.model.simulation import simulate
 from atoll.model.vector_field import VectorField
 
@@ -44,6 +45,15 @@ def test_csv_has_a_column_for_each_state_and_no_bands_without_errors() -> None:
     assert rows[0] == ["t", "x", "y"]
     assert [float(row[1]) for row in rows[1:]] == its["x"].tolist()
     assert its["x"] == pytest.approx(np.sin(TIMES), abs=1e-7)
+
+
+def test_one_time_has_a_band_without_width() -> None:
+    field = VectorField.of({"x": "3.0*x"})
+    errors = JointErrors(field, np.array([3.0]), (0,), np.ones(1), np.ones((1, 1)))
+    its = simulate(field, np.array([2.0]), TIMES[:1], bands=(errors, 2.0))
+    assert its.status == "finished"
+    assert its.lower is not None
+    assert its.lower.tolist() == its.x.tolist() == [[2.0]]
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,17 @@ def test_a_file_gives_initial_state_times_and_inputs(saved: Path, capsys: pytest
     assert capsys.readouterr().out == "t,x\n0.0,2.0\n1.0,2.0\n2.0,2.0\n"
 
 
+@pytest.mark.parametrize(
+    "text", ["t,x,u\n0,2,0\n1,9,0\n\n0,5,1\n1,5,1\n", "trajectory,t,x,u\n1,0,2,0\n1,1,9,0\n2,0,5,1\n2,1,5,1\n"]
+)
+def test_a_file_of_several_trajectories_gives_the_first(
+    saved: Path, capsys: pytest.CaptureFixture[str], text: str
+) -> None:
+    (saved / "a.csv").write_text(text)
+    assert main(["simulate", str(saved), "--initial", str(saved / "a.csv")]) == 0
+    assert capsys.readouterr().out == "t,x\n0.0,2.0\n1.0,2.0\n"
+
+
 def test_an_input_that_nothing_gives_is_named(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", str(saved / "result.json"), "--initial", "x=1"]) == 2
     assert "the input 'u', of which nothing is given" in capsys.readouterr().err
