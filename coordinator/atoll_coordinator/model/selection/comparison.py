@@ -22,6 +22,7 @@ from atoll_coordinator.model.criteria import (
     structure_length,
     system_length,
 )
+from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.independence import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import System, system_of
@@ -128,11 +129,28 @@ class ModelComparison:
         return None if fit is None else self.measure(fit)
 
     def fit_correlated(self, model: FittedModel) -> FittedModel | None:
-        """Return `model` fitted once more, with errors of neighbouring rows that go together as its residuals do."""
+        """Return `model` fitted once more, with errors of neighbouring rows that go together as its residuals do.
+
+        None where the constants differ by more than chance from those fitted to independent errors: then what the
+        residuals have in common is not errors, but what the equations miss (Hausman 1978, Econometrica 46:1251).
+        """
         its = model.fit
         errors = replace(its.errors, is_correlation_sought=True)
         fit = self.estimator.fit(its.system, None, SETTINGS.effort.steps, its.starts, errors, is_stiff=its.is_stiff)
-        return None if fit is None else self.measure(fit)
+        return None if fit is None or self._is_refuted(model, fit) else self.measure(fit)
+
+    def _is_refuted(self, model: FittedModel, fit: TrajectoryFit) -> bool:
+        """Tell whether the constants of another fit are improbable by the covariance of those of `model`."""
+        from scipy import special
+
+        moved = fit.system.values - model.fit.system.values
+        if not moved.any():
+            return False
+        spread = self.inflation(model) * bounded_covariance(model.fit)
+        scale = spread.diagonal() ** 0.5
+        unit = np.linalg.pinv(spread / np.outer(scale, scale), hermitian=True)
+        distance = float((moved / scale) @ unit @ (moved / scale))
+        return bool(special.chdtrc(len(moved), distance) < SETTINGS.inference.improbable)
 
     def fit_exchanged(self, near: FittedModel, equation: int, program: Program, steps: int) -> FittedModel | None:
         """Return `near` with another program for one equation."""

@@ -2,21 +2,29 @@
 
 import math
 from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from atoll.config import DataConfig, JobConfig
 from atoll.expression.program import Program, structure
 from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.selection import comparison
+from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison, distinct
+from atoll_coordinator.model.selection.joint_search import ModellingTask
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, compare, measurements, recording
 
+EXAMPLES = Path(__file__).parents[5] / "examples"
 TIMES = 0.1 * np.arange(40.0)
 STARTS = ([1.0, 3.0], [4.0, 1.0], [3.0, 3.0])
 NOISE = 0.02
@@ -227,3 +235,29 @@ def test_an_absent_species_must_stay_absent():
     assert np.abs(truth.fit.simulated[0, 40:]).max() == 0.0
     assert truth.fit.starts[1, 0] == wrong.fit.starts[1, 0] == 0.0
     assert wrong.nats > truth.nats + 20.0
+
+
+def test_what_the_equations_miss_is_not_taken_for_errors_that_go_together():
+    """Hares and lynxes: with errors that are a random walk, constants leave half of the deviation unexplained."""
+    config = JobConfig(data=DataConfig(time="year"))
+    preparation = prepare(read_table([EXAMPLES / "lynx_hare.csv"], config.data), config)
+    states = ("hare", "lynx")
+    task = ModellingTask(preparation.dataset, preparation.recording, config, dict.fromkeys(states, CandidateSet()))
+    comparison = task.compare(task.measurements(states), states)
+    names = preparation.dataset.names
+    programs = [from_infix(text, names) for text in ("hare*(0.5 - 0.025*lynx)", "0.025*lynx*(hare - 33.0)")]
+    model = comparison.calibrate(comparison.fit_model(programs))
+    assert comparison.fit_correlated(model) is None
+
+
+def test_errors_that_go_together_are_found():
+    rng = np.random.default_rng(3)
+    its = measurements(DECAY, ([4.0],), 0.1 * np.arange(300.0), noise=NOISE)
+    walk = np.zeros(300)
+    for row in range(1, 300):
+        walk[row] = 0.9 * walk[row - 1] + NOISE * rng.standard_normal()
+    comparison = compare(DECAY, replace(its, measured=its.measured + walk))
+    model = comparison.calibrate(comparison.fit_model([DECAY.parsed("-0.4*x")]))
+    correlated = comparison.fit_correlated(model)
+    assert correlated is not None
+    assert correlated.fit.errors.shares[0] > 0.5
