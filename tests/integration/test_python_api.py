@@ -66,3 +66,12 @@ def test_two_calls_give_the_digest_of_the_command_line_and_leave_nothing(tmp_pat
         assert found["threads"] == 1
         assert all_gone(found["host"])
         assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.slow
+def test_the_local_service_ends_without_a_word_when_its_parent_is_another(tmp_path: Path) -> None:
+    command = [sys.executable, "-P", "-m", "atoll_coordinator.api.host", "1", "1"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path) as host:
+        assert host.stderr is not None
+        assert host.stderr.read() == b""
+        assert host.wait(60.0) == 0

@@ -13,6 +13,7 @@ from atoll.data.dataset import FloatArray
 from atoll.errors import DataError, UsageError
 from atoll.model.model import DIGITS, Model
 from atoll_coordinator.api.discover import discover
+from atoll_coordinator.api.tables import numbers_of
 
 _TIME = "t"
 
@@ -152,7 +153,9 @@ def _of(t: Any, index: int, count: int) -> Any:
 
 
 def _rows(part: Any) -> FloatArray:
-    rows = np.asarray(part, dtype=np.float64)
+    rows = numbers_of(part, "an array")
+    if rows is None:
+        raise DataError("an array holds text; numbers are expected")
     rows = rows[:, np.newaxis] if rows.ndim == 1 else rows
     if rows.ndim != 2:
         raise DataError(f"an array has the shape {rows.shape}; rows by columns are expected")

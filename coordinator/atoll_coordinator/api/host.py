@@ -59,7 +59,8 @@ def _serve(number: int, parent: int, log: Path, stop: threading.Event) -> None:
 
 def _wait_for_end(stop: threading.Event) -> None:
     with contextlib.suppress(OSError, ValueError):
-        sys.stdin.buffer.read()
+        while os.read(0, 1024):  # of the file itself: a buffered reader would hold a lock that our end waits for
+            pass
     stop.set()
 
 

@@ -11,11 +11,13 @@ import queue
 import subprocess
 import sys
 import threading
+from numbers import Integral
 from typing import Final
 
-from atoll.errors import AtollError, UnreachableError
+from atoll.errors import AtollError, UnreachableError, UsageError
 from atoll.machine.cores import usable_cores
 from atoll_coordinator.cli.local.subreaper import plain_environment
+from atoll_coordinator.cli.options.parser import MOST_WORKERS
 
 _START_LIMIT_S: Final = 60.0
 _END_LIMIT_S: Final = 15.0
@@ -91,6 +93,8 @@ def local_address(workers: int | None = None) -> str:
 
     `workers`: None: as many as there are, or else one for each core that may be used.
     """
+    if workers is not None and not (isinstance(workers, Integral) and 1 <= workers <= MOST_WORKERS):
+        raise UsageError(f"workers must be a whole number from 1 to {MOST_WORKERS}, but {workers!r} was given")
     with _LOCK:
         for number, its in [*_services.items()]:
             if not its.is_alive:

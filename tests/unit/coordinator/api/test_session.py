@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from atoll.errors import AtollError
+from atoll.errors import AtollError, UsageError
 from atoll_coordinator.api import session
 
 
@@ -46,3 +46,10 @@ def test_a_service_that_has_ended_is_told_and_replaced(services: dict[int, Servi
         session.check_service(address)
     assert session.local_address() == f"tcp/{session.usable_cores(os.environ)[0]}"
     session.check_service(address)
+
+
+@pytest.mark.parametrize("workers", [0, -1, 1.5, "a", 100_000])
+def test_a_number_of_workers_that_cannot_be_is_refused(workers: object, services: dict[int, Service]) -> None:
+    with pytest.raises(UsageError, match="whole number"):
+        session.local_address(workers)  # type: ignore[arg-type]
+    assert not services

@@ -27,8 +27,25 @@ def test_a_list_has_a_trajectory_in_each_entry() -> None:
     assert table.column("x").tolist() == [1.0, 2.0, 3.0, 9.0]
 
 
-def test_text_is_numbered_by_first_appearance() -> None:
-    assert table_of({"run": ["b", "a", "b"]}, DataConfig()).column("run").tolist() == [1.0, 2.0, 1.0]
+def test_text_is_numbered_in_the_trajectory_column_alone() -> None:
+    table = table_of({"run": ["b", "a", "b"], "remark": ["", "bad", "x"], "x": [1, 2, 3]}, DataConfig(trajectory="run"))
+    assert table.names == ("run", "x")
+    assert table.column("run").tolist() == [1.0, 2.0, 1.0]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ([1.0, "2.0", "n/a"], "holds 'n/a' in row 3"),
+        (np.array([1j, 2.0]), "complex"),
+        (np.array(["2020-01-01", "2020-01-02"], dtype="M8[s]"), "dates"),
+        (["a", "b"], "all columns hold text"),
+    ],
+)
+def test_what_is_no_number_is_named(values: object, sentence: str) -> None:
+    with pytest.raises(DataError, match=sentence):
+        table_of({"x": values}, DataConfig())
 
 
 def test_files_are_read_as_the_command_line_reads_them(tmp_path: Path) -> None:
