@@ -24,7 +24,6 @@ from benchmarks.harness.service import CONNECT_LIMIT_S, Searches
 
 COORDINATOR: Final = "coordinator"
 ROUTER: Final = "router"
-STARTED_S: Final = 60.0
 STOPPED_S: Final = 10.0
 
 _TIED: Final = """
