@@ -174,10 +174,17 @@ def box_of(
     nothing below 0 was measured. Raises UsageError where a state has neither.
     """
     measured = measured_trajectories(found, field)
-    known: dict[str, tuple[float, float]] = {}
+    symbols = found.get("symbols") or {}
+    ranges = {
+        symbols.get(name, name): tuple(its) for name, its in ((found.get("system") or {}).get("ranges") or {}).items()
+    }
     if measured:
         states = np.vstack([each.states for each in measured])
-        for name, low, high in zip(field.states, states.min(axis=0).tolist(), states.max(axis=0).tolist(), strict=True):
+        ends = zip(states.min(axis=0).tolist(), states.max(axis=0).tolist(), strict=True)
+        ranges |= dict(zip(field.states, ends, strict=True))
+    known: dict[str, tuple[float, float]] = {}
+    for name, (low, high) in ranges.items():
+        if name in field.states:
             beyond = _MARGIN * (high - low) or 1.0
             known[name] = (max(low - beyond, 0.0) if low >= 0.0 else low - beyond, high + beyond)
     return Box.of(field.states, {**known, **bounds}), measured

@@ -95,7 +95,10 @@ class JointErrors:
 
     @classmethod
     def of(cls, result: Mapping[str, Any], field: VectorField) -> "JointErrors | None":
-        """Return the errors of a result's model, `field` being its right-hand sides; None where they are not known."""
+        """Return the errors of a result's model, `field` being its right-hand sides; None where they are not known.
+
+        Constants of a diffusion are left out.
+        """
         found = result.get("covariance")
         if not found or any(None in row for row in found["matrix"]):
             return None
@@ -103,7 +106,8 @@ class JointErrors:
         symbols = list(result["symbols"].values())
         texts, marks, taken = list(field.expressions), {}, 0
         by_variable = {each["variable"]: each for each in result["equations"]}
-        rows = [(each["variable"], each["constant"]) for each in found["constants"]]
+        of_rates = [place for place, each in enumerate(found["constants"]) if each["variable"] in result["symbols"]]
+        rows = [(found["constants"][place]["variable"], found["constants"][place]["constant"]) for place in of_rates]
         for variable in dict.fromkeys(name for name, _ in rows):
             its = [number for name, number in rows if name == variable]
             opened = _opened(Program.from_bytes(bytes.fromhex(by_variable[variable]["program"]), len(symbols)), its)
@@ -120,7 +124,8 @@ class JointErrors:
             taken += len(places)
         opened_field = VectorField(field.states, field.inputs, tuple(texts))
         assert set(names) == set(symbols)
-        return cls._matched(opened_field, marks, np.array(found["matrix"], dtype=np.float64))
+        matrix = np.array(found["matrix"], dtype=np.float64).reshape(len(found["constants"]), -1)
+        return cls._matched(opened_field, marks, matrix[np.ix_(of_rates, of_rates)])
 
     @classmethod
     def _matched(

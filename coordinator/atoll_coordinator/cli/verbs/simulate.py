@@ -33,6 +33,8 @@ def simulate(options: argparse.Namespace) -> int:
         say(text)
     else:
         write(Path(options.output), text)
+    if model.result.get("process") is not None:
+        note("coordinator: the drift was simulated, without the noise of the process")
     if found.status != "finished":
         note(f"coordinator: the simulation ended early: {found.message}")
     return DONE

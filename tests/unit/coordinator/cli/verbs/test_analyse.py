@@ -86,6 +86,14 @@ def test_bad_input_is_one_sentence(
 
 
 def test_a_state_without_measurements_needs_bounds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "result.json").write_text(json.dumps(result({"x": "-x"})))
+    (tmp_path / "result.json").write_text(json.dumps(result({"x": "-x"}, system={"time": "t", "ranges": {}})))
     assert main(["analyse", str(tmp_path)]) == 2
     assert "give them with --box x=LOWER:UPPER" in capsys.readouterr().err
+
+
+def test_without_simulations_the_box_is_about_the_measured_range(
+    saved: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (saved / "result.json").write_text(json.dumps(result({"x": "-x", "y": "x - y"})))
+    assert main(["analyse", str(saved)]) == 0
+    assert capsys.readouterr().out.startswith("box: x 0 to 1.5, y 0 to 1.5\n")

@@ -39,6 +39,22 @@ def test_an_input_that_nothing_gives_is_named(saved: Path, capsys: pytest.Captur
     assert "the input 'u', of which nothing is given" in capsys.readouterr().err
 
 
+def test_the_drift_of_a_process_is_simulated_with_the_band_of_its_own_constants(
+    saved: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = result({"x": "0.5 - x"}, process={})
+    diffusion = result({"x": "0.25"})["equations"][0] | {"variable": "[x]", "lhs": "d[x]/dt"}
+    found["equations"].insert(0, diffusion)
+    names = [{"variable": "[x]", "constant": 0}, {"variable": "x", "constant": 0}]
+    found["covariance"] = {"constants": names, "matrix": [[9.0, 0.5], [0.5, 0.01]], "freedom": None}
+    (saved / "result.json").write_text(json.dumps(found))
+    assert main(["simulate", str(saved), "--initial", "x=0.5", "--until", "40", "--step", "40"]) == 0
+    said = capsys.readouterr()
+    last = [float(cell) for cell in said.out.splitlines()[-1].split(",")]
+    assert last == pytest.approx([40.0, 0.5, 0.5 - 0.196, 0.5 + 0.196], abs=1e-3)
+    assert "without the noise" in said.err
+
+
 def test_an_early_end_is_said_and_is_no_error(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (saved / "result.json").write_text(json.dumps(result({"x": "x**2"})))
     words = ["simulate", str(saved), "--initial", "x=1", "--until", "2", "--step", "0.5"]
