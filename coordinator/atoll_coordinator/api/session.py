@@ -50,6 +50,16 @@ class LocalService:
         """Whether it runs, and is ours: a fork has inherited that of its parent."""
         return self.owner == os.getpid() and self._process.poll() is None
 
+    @property
+    def reason(self) -> str:
+        """Why it has ended by itself; "" where it has not said, as when it was killed."""
+        pipe = self._process.stdout
+        if pipe is None or pipe.closed:
+            return ""
+        os.set_blocking(pipe.fileno(), False)  # processes that it has started may still hold the other end
+        lines = (pipe.read() or b"").splitlines()
+        return str(json.loads(lines[-1]).get("error", "")) if lines else ""
+
     def close(self) -> None:
         """End it and wait, within a limit, until it is gone with all that it has started."""
         if self.owner != os.getpid():
@@ -108,8 +118,10 @@ def local_address(workers: int | None = None) -> str:
 
 def check_service(address: str) -> None:
     """Raise AtollError when `address` is that of a local service that has ended."""
-    if any(its.endpoint == address and not its.is_alive for its in [*_services.values()]):
-        raise AtollError("the local service has ended, which it never should; the next call starts another")
+    ended = [its for its in [*_services.values()] if its.endpoint == address and not its.is_alive]
+    if ended:
+        why = ended[0].reason or "it was killed"
+        raise AtollError(f"the local service has ended: {why}; the next call starts another")
 
 
 def close() -> None:

@@ -14,6 +14,7 @@ class Service:
     def __init__(self, workers: int) -> None:
         self.endpoint = f"tcp/{workers}"
         self.is_alive = True
+        self.reason = ""
 
     def close(self) -> None:
         self.is_alive = False
@@ -42,7 +43,10 @@ def test_a_service_that_has_ended_is_told_and_replaced(services: dict[int, Servi
     address = session.local_address(3)
     session.check_service(address)
     services[3].is_alive = False
-    with pytest.raises(AtollError, match="has ended"):
+    with pytest.raises(AtollError, match="has ended: it was killed; the next call"):
+        session.check_service(address)
+    services[3].reason = "a child was lost"
+    with pytest.raises(AtollError, match="has ended: a child was lost"):
         session.check_service(address)
     assert session.local_address() == f"tcp/{session.usable_cores(os.environ)[0]}"
     session.check_service(address)
