@@ -1,21 +1,20 @@
 """``coordinator analyse``: the dynamics of the model of a saved result, as text or JSON."""
 
 import argparse
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
 from atoll.errors import UsageError
 from atoll_coordinator.cli.exit_codes import DONE
 from atoll_coordinator.cli.terminal.output import as_json, say
-from atoll_coordinator.cli.verbs.simulate import load, write
+from atoll_coordinator.cli.verbs.simulate import finite_number, load, write
 
 
 def analyse(options: argparse.Namespace) -> int:
     """Analyse the model of ``options.result``. Return the exit code."""
     vary = _vary(options.parameter, options.range)
     bounds = {name: _interval(text, f"--box {name}") for name, text in _assignments(options.box, "--box", "x=0:3")}
-    held = {name: _number(text, f"--hold {name}") for name, text in _assignments(options.hold, "--hold", "u=1")}
+    held = {name: finite_number(text, f"--hold {name}") for name, text in _assignments(options.hold, "--hold", "u=1")}
     found = load(options.result).analyse(bounds, inputs=held, vary=vary)
     text = as_json(found.as_dict()) if options.json else str(found)
     if options.output is None:
@@ -51,17 +50,7 @@ def _interval(text: str, option: str) -> tuple[float, float]:
     lower, separator, upper = text.partition(":")
     if not separator:
         raise UsageError(f"{option} wants LOWER:UPPER, but got {text!r}")
-    low, high = _number(lower, option), _number(upper, option)
+    low, high = finite_number(lower, option), finite_number(upper, option)
     if not low < high:
         raise UsageError(f"{option} wants LOWER below UPPER, but got {text!r}")
     return low, high
-
-
-def _number(text: str, option: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise UsageError(f"{option} wants finite numbers, but got {text!r}")
-    return value

@@ -116,10 +116,11 @@ def _assignment(text: str) -> tuple[str, float]:
     name, separator, number = text.partition("=")
     if not separator or not name.strip():
         raise UsageError(f"--initial wants NAME=NUMBER, separated by commas, but got {text!r}")
-    return name.strip(), _number(number, f"--initial {name.strip()}")
+    return name.strip(), finite_number(number, f"--initial {name.strip()}")
 
 
-def _number(text: str, option: str) -> float:
+def finite_number(text: str, option: str) -> float:
+    """Return the number that is given to an option; raises UsageError."""
     try:
         value = float(text)
     except ValueError:
@@ -138,12 +139,12 @@ def _times(model: Model, given: _Given, options: argparse.Namespace) -> FloatArr
     begin = float(known[0]) if len(known) else 0.0
     if options.until is None and not len(known):
         raise UsageError("nothing tells how long to simulate; give --until")
-    end = float(known[-1]) if options.until is None else _number(options.until, "--until")
+    end = float(known[-1]) if options.until is None else finite_number(options.until, "--until")
     if end <= begin:
         raise UsageError(f"--until must be after the first time, {begin:g}, but {end:g} was given")
     if options.step is None:
         return np.linspace(begin, end, ROWS)
-    step = _number(options.step, "--step")
+    step = finite_number(options.step, "--step")
     if step <= 0.0 or (end - begin) / step > MOST_NUMBERS:
         raise UsageError(f"--step must be above 0 and give at most {MOST_NUMBERS} times, but {step:g} was given")
     return np.asarray(begin + step * np.arange(math.floor((end - begin) / step + _SLACK) + 1), dtype=np.float64)

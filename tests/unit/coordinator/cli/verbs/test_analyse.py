@@ -68,7 +68,7 @@ def test_the_model_gives_the_same_and_boxes_follow_the_data(saved: Path) -> None
     [
         (["--box", "x=3"], "--box x wants LOWER:UPPER"),
         (["--box", "x=3:1"], "wants LOWER below UPPER"),
-        (["--box", "x=0:inf"], "wants finite numbers"),
+        (["--box", "x=0:inf"], "must be a finite number"),
         (["--box", "z=0:1"], "no state 'z'"),
         (["--box", "x=0:1,x=0:2"], "names 'x' twice"),
         (["--hold", "v=1"], "no input 'v'"),
