@@ -4,6 +4,5 @@
 - `flows`: those files read; noise; the table of a search
 - `judging`: the error of the coefficients, the form, the verdict of one search
 - `campaign`: all searches that are asked for, one after another
-- `journal`: a file of searches that can be resumed
 - `tables`: what is printed, beside published errors
 """

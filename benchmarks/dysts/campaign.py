@@ -8,11 +8,11 @@ from atoll.config import PRESETS, JobConfig
 from atoll.errors import AtollError
 from atoll_coordinator.cli.terminal.output import note, say
 from benchmarks.dysts.flows import NEVER_POLYNOMIAL, Flow, available, load
-from benchmarks.dysts.journal import Journal, read
 from benchmarks.dysts.judging import Outcome, outcome
 from benchmarks.dysts.making import POLYNOMIAL
 from benchmarks.dysts.tables import by_system, line, summary
 from benchmarks.harness.command_line import plain_errors
+from benchmarks.harness.journal import Journal, read
 from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.stopwatch import Stopwatch
 
@@ -21,7 +21,7 @@ def run(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     """Search what the journal does not have, print the tables."""
     with plain_errors("benchmarks.dysts"):
         names = options.systems or available(options.data)
-        journal = Journal(options.resume or options.out, arguments, resume=options.resume is not None)
+        journal = Journal("dysts", Outcome, options.resume or options.out, arguments, resume=options.resume is not None)
         wanted = [(name, noise) for noise in options.noise for name in names]
         missing = [key for key in wanted if key not in journal.outcomes]
         note(f"{len(wanted)} searches, {len(wanted) - len(missing)} of them done before")
@@ -37,7 +37,7 @@ def run(options: argparse.Namespace, arguments: Sequence[str]) -> int:
 def show(options: argparse.Namespace) -> int:
     """Print the tables of a file."""
     with plain_errors("benchmarks.dysts"):
-        found = read(options.resume).values()
+        found = read(options.resume, Outcome).values()
         _print([each for each in found if not options.systems or each.system in options.systems], options)
     return 0
 

@@ -48,6 +48,11 @@ class Outcome:
     reasons: tuple[str | None, ...] = ()
 
     @property
+    def key(self) -> tuple[str, float]:
+        """What was searched: the system, and its noise in percent."""
+        return self.system, self.noise
+
+    @property
     def is_exact(self) -> bool:
         """Whether all equations have exactly the truth's terms."""
         return all(self.in_form)

@@ -3,6 +3,6 @@
 - `systems`: their equations, and runs from random initial conditions; flows of ``dysts`` from their files
 - `campaign`: all searches that are asked for, one after another, each judged
 - `laws`: the laws that regression alone finds, judged
-- `journal`: a file of searches that can be resumed
+- `outcomes`: how one search ended
 - `processor_time`: processor seconds by the state that a job is in
 """

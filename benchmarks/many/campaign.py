@@ -16,10 +16,11 @@ from benchmarks.corpus.forms import judge_form
 from benchmarks.dysts.flows import NEVER_POLYNOMIAL, load
 from benchmarks.dysts.making import POLYNOMIAL
 from benchmarks.harness.command_line import plain_errors
+from benchmarks.harness.journal import Journal, read
 from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.stopwatch import Stopwatch
 from benchmarks.kernels.derivatives import table_of
-from benchmarks.many.journal import Journal, Outcome, read
+from benchmarks.many.outcomes import Outcome
 from benchmarks.many.processor_time import ProcessorTime
 from benchmarks.many.systems import SYSTEMS, sampled
 
@@ -37,7 +38,7 @@ class Case:
 def run(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     """Search what the journal does not have, print the table."""
     with plain_errors("benchmarks.many"):
-        journal = Journal(options.resume or options.out, arguments, resume=options.resume is not None)
+        journal = Journal("many", Outcome, options.resume or options.out, arguments, resume=options.resume is not None)
         wanted = [(name, noise, seed) for name in options.systems for noise in options.noise for seed in options.seeds]
         missing = [key for key in wanted if key not in journal.outcomes]
         note(f"{len(wanted)} searches, {len(wanted) - len(missing)} of them done before")
@@ -54,7 +55,7 @@ def run(options: argparse.Namespace, arguments: Sequence[str]) -> int:
 def show(path: Path) -> int:
     """Print the table of a file."""
     with plain_errors("benchmarks.many"):
-        say(_table(read(path).values()))
+        say(_table(read(path, Outcome).values()))
     return 0
 
 

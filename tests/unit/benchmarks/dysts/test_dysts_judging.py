@@ -7,8 +7,8 @@ import pytest
 
 from atoll.errors import UsageError
 from benchmarks.dysts.flows import Flow
-from benchmarks.dysts.journal import Journal, read
-from benchmarks.dysts.judging import coefficient_error, outcome, polynomial
+from benchmarks.dysts.judging import Outcome, coefficient_error, outcome, polynomial
+from benchmarks.harness.journal import Journal, read
 
 STATES = ("x", "y")
 TRUTH = ("2*x*y - y", "x**2 - 1")
@@ -67,7 +67,7 @@ def test_noise_is_a_share_of_the_root_mean_square_and_the_same_for_one_seed():
 def test_a_journal_is_read_back_and_not_overwritten(tmp_path: Path):
     path = tmp_path / "journal.jsonl"
     its = outcome(flow(), 0.0, result("2*x*y - y", "x**2 - 1"), {"searching": 1.0})
-    Journal(path, [], resume=False).add(its)
-    assert read(path) == {("Some", 0.0): its}
+    Journal("dysts", Outcome, path, [], resume=False).add(its)
+    assert read(path, Outcome) == {("Some", 0.0): its}
     with pytest.raises(UsageError):
-        Journal(path, [], resume=False)
+        Journal("dysts", Outcome, path, [], resume=False)
