@@ -19,8 +19,8 @@ _GRID = 24
 
 def plot_fit(model: "Model", axes: Any = None) -> Any:
     """Plot each state over time: measured, and simulated with its 95 % band; a row of axes for each state."""
-    parts, measured = _trajectories(model), _measured(model)
-    states = [name for name in parts[0]["values"] if parts[0]["values"]]
+    parts = _trajectories(model)
+    states = list(parts[0]["values"] or {})
     axes = _axes(axes, len(states))
     for at, state in zip(axes, states, strict=True):
         for number, part in enumerate(parts):
@@ -32,9 +32,8 @@ def plot_fit(model: "Model", axes: Any = None) -> Any:
                     times, *(_numbers(part[side][state]) for side in ("lower", "upper")), color=color, alpha=0.3
                 )
             at.plot(times, _numbers(part["values"][state]), color=color, label=part["name"])
-            its = measured.get(state, {}).get(part["name"])
-            if its is not None:
-                at.plot(its["times"], _numbers(its["measured"]), ".", color=color, markersize=3)
+            if part.get("measured"):
+                at.plot(times, _numbers(part["measured"][state]), ".", color=color, markersize=3)
         at.set_ylabel(_label(model, state))
     axes[-1].set_xlabel(_label(model, model.time))
     return axes
@@ -42,18 +41,15 @@ def plot_fit(model: "Model", axes: Any = None) -> Any:
 
 def plot_residuals(model: "Model", axes: Any = None) -> Any:
     """Plot measured less simulated values over time, for each state, along each trajectory."""
-    parts, measured = _trajectories(model), _measured(model)
-    states = [name for name in (parts[0]["values"] or {}) if name in measured]
-    if not states:
-        raise UsageError("the result has no measured rows of smoothed states, so there are no residuals to plot")
+    parts = [part for part in _trajectories(model) if part["values"] and part.get("measured")]
+    if not parts:
+        raise UsageError("the result has no measured rows beside simulated ones, so there are no residuals to plot")
+    states = list(parts[0]["values"])
     axes = _axes(axes, len(states))
     for at, state in zip(axes, states, strict=True):
         for number, part in enumerate(parts):
-            its = measured[state].get(part["name"])
-            if its is None or not part["values"]:
-                continue
-            simulated = np.interp(its["times"], part["times"], _numbers(part["values"][state]))
-            at.plot(its["times"], _numbers(its["measured"]) - simulated, ".", color=f"C{number % 10}")
+            residuals = _numbers(part["measured"][state]) - _numbers(part["values"][state])
+            at.plot(part["times"], residuals, ".", color=f"C{number % 10}")
         at.axhline(0.0, color="0.5", linewidth=0.8)
         at.set_ylabel(_label(model, state))
     axes[-1].set_xlabel(_label(model, model.time))
@@ -123,15 +119,6 @@ def _trajectories(model: "Model") -> Sequence[Mapping[str, Any]]:
     if not found:
         raise UsageError("the result has no simulated trajectory; only a model of trajectories can be plotted so")
     return list(found)
-
-
-def _measured(model: "Model") -> dict[str, dict[str, Mapping[str, Any]]]:
-    """Return the measured rows by state and trajectory; only of states that were smoothed."""
-    found: dict[str, dict[str, Mapping[str, Any]]] = {}
-    for part in (model.result.get("smoothing") or {}).get("trajectories", ()):
-        for state, values in part["measured"].items():
-            found.setdefault(state, {})[part["name"]] = {"times": part["times"], "measured": values}
-    return found
 
 
 def _numbers(values: Sequence[float | None]) -> Any:

@@ -197,8 +197,9 @@ class Refined:
 class Simulated:
     """One trajectory by the model, from fitted initial conditions.
 
-    `times` (R,) are centred as in the recording; `values` and `errors` (S, R) are the simulated states and the standard
-    errors that those of the constants and initial conditions give them (None where the simulation ends early);
+    `times` (R,) are centred as in the recording; `measured` (S, R) are the measured states, NaN where one is not used;
+    `values` and `errors` (S, R) are the simulated states and the standard errors that those of the constants and
+    initial conditions give them (None where the simulation ends early);
     `start` is the initial condition, states and then velocities, without offsets (None like `values`);
     `r2` has one number for each state, None where it could not be simulated to the end. `offsets` are what was measured
     minus the state, by the names of the states that have one; `values` include them.
@@ -207,6 +208,7 @@ class Simulated:
     name: str
     held_out: bool
     times: FloatArray
+    measured: FloatArray
     values: FloatArray | None
     errors: FloatArray | None
     r2: tuple[float | None, ...]

@@ -31,7 +31,7 @@ def simulated(
     measurements: Measurements, fit: TrajectoryFit, errors: FloatArray | None, states: Sequence[str], *, held_out: bool
 ) -> list[Simulated]:
     """Return the simulations of all trajectories of `states`; `errors` are (O, N)."""
-    offsets = _offsets(measurements, fit)
+    offsets, measured = _offsets(measurements, fit), _measured(measurements)
     values = fit.simulated[measurements.observed]
     for state, offset in zip(measurements.offset.tolist(), offsets, strict=True):
         values[state] += offset
@@ -40,6 +40,7 @@ def simulated(
             name,
             held_out,
             measurements.times[rows],
+            measured[:, rows],
             values[:, rows],
             None if errors is None else errors[:, rows],
             tuple(r2_of(measurements, fit, rows)),
@@ -62,11 +63,16 @@ def _offsets(measurements: Measurements, fit: TrajectoryFit) -> list[FloatArray]
 
 def not_simulated(measurements: Measurements, *, held_out: bool) -> list[Simulated]:
     """Return as many simulations that came to nothing as there are trajectories."""
-    unknown = tuple(None for _ in measurements.observed)
+    unknown, measured = tuple(None for _ in measurements.observed), _measured(measurements)
     return [
-        Simulated(name, held_out, measurements.times[rows], None, None, unknown)
+        Simulated(name, held_out, measurements.times[rows], measured[:, rows], None, None, unknown)
         for name, rows in _rows_of(measurements)
     ]
+
+
+def _measured(measurements: Measurements) -> FloatArray:
+    """Return the measured states (O, N), NaN where a value is not used."""
+    return np.where(measurements.weights > 0.0, measurements.measured, np.nan)
 
 
 def _rows_of(measurements: Measurements) -> list[tuple[str, FloatArray]]:

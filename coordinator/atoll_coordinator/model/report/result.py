@@ -28,8 +28,9 @@ from atoll_coordinator.model.refinement import Constant, Origin, Refined, Refine
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.report.diagnostics import noise, smoothing
 from atoll_coordinator.model.report.digest import result_digest
-from atoll_coordinator.model.report.numbers import finite
+from atoll_coordinator.model.report.numbers import curve, finite, thinned
 from atoll_coordinator.model.report.process import process
+from atoll_coordinator.model.report.regression import regression
 from atoll_coordinator.model.report.source import data, settings, system
 from atoll_coordinator.model.report.trust import (
     candidates,
@@ -44,6 +45,8 @@ from atoll_coordinator.model.report.trust import (
 SCHEMA: Final = 1
 KNOWN: Final = "known"
 """Why there was no search: the equation was given."""
+MOST_STEPS: Final = 40
+"""Improvements of one island that are listed."""
 _PACKAGES: Final = ("eclipse-zenoh", "numpy", "numba", "scipy", "sympy", "msgpack", "pydantic", "polars")
 
 
@@ -56,8 +59,8 @@ class VariableOutcome:
     when none did; `evaluations` the cumulative point evaluations by part, all islands together; `seconds` the time from
     the first epoch's start to the cut's end; `why` how the search ended (None: it has not), as in
     `atoll.wire.messages.views.VariableView`; `refined` is the equation made of the front after the search (None: none
-    yet); `runners_up` is what was kept beside the front. A known equation is the only member of its front, and `why` is
-    `KNOWN`.
+    yet); `runners_up` is what was kept beside the front; `convergence` has, for each island, the generations in which
+    it found a lower error, with that error. A known equation is the only member of its front, and `why` is `KNOWN`.
     """
 
     variable: str
@@ -69,6 +72,7 @@ class VariableOutcome:
     why: str | None = None
     refined: Refined | None = None
     runners_up: tuple[FrontEntry, ...] = ()
+    convergence: Mapping[int, Sequence[tuple[int, float]]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -119,6 +123,7 @@ def build_result(
         "simulation": simulation(model.simulation, preparation),
         "chaos": chaos(model.chaos),
         "process": process(model.process, preparation.process),
+        "regression": regression(preparation, _first_program(outcomes, dataset, config)),
         "symbols": dict(dataset.symbols),
         "system": system(preparation),
         "data": data(preparation.source),
@@ -174,6 +179,7 @@ def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, s
         "derivative_floor": finite(target.uncertainty),
         "target_error": target.convergence_threshold(config.budget.target_error),
         "prediction": prediction(None if shown is None else shown.prediction),
+        "convergence": _convergence(outcome, target),
         "candidates": candidates(shown.alternatives if shown is not None else (), dataset),
         "front": [
             {
@@ -202,6 +208,11 @@ def equation_of(outcome: VariableOutcome, dataset: Dataset, config: JobConfig) -
     entry = outcome.front[member]
     origin: Origin = "known" if outcome.why == KNOWN else "front"
     return Refined(member, _written(entry, outcome, dataset), entry.error, entry.mse, origin=origin)
+
+
+def _first_program(outcomes: Sequence[VariableOutcome], dataset: Dataset, config: JobConfig) -> Program | None:
+    shown = equation_of(outcomes[0], dataset, config) if outcomes else None
+    return None if shown is None else shown.program
 
 
 def _written_front(
@@ -276,6 +287,16 @@ def _course(entry: FrontEntry | None, outcome: VariableOutcome, config: JobConfi
         "seconds": finite(outcome.seconds),
         "why": outcome.why,
     }
+
+
+def _convergence(outcome: VariableOutcome, target: Target) -> list[dict[str, Any]]:
+    """Return by island the generations in which its error fell, at most `MOST_STEPS`, and the normalized errors."""
+    found = []
+    for island, steps in sorted(outcome.convergence.items()):
+        chosen = [steps[index] for index in thinned(len(steps), MOST_STEPS)]
+        errors = np.array([error for _, error in chosen]) / (target.standard_deviation or math.nan)
+        found.append({"island": island, "generations": [step for step, _ in chosen], "errors": curve(errors)})
+    return found
 
 
 def _member(entry: FrontEntry, program: Program, dataset: Dataset, target: Target) -> dict[str, Any]:

@@ -142,7 +142,7 @@ def simulation(its: Simulation | None, given: Preparation) -> dict[str, Any] | N
         return None
     recording = given.recording
     offset = recording.offset if recording is not None else 0.0
-    numbers = len(its.trajectories) * (1 + 3 * len(its.states))
+    numbers = len(its.trajectories) * (1 + 4 * len(its.states))
     names = _with_velocities(its.states, given.source)
     most = max(LEAST_POINTS, min(MOST_POINTS, MOST_NUMBERS // max(numbers, 1)))
     return {"trajectories": [_trajectory(each, its, offset, most, names) for each in its.trajectories]}
@@ -166,6 +166,7 @@ def _trajectory(its: Simulated, of: Simulation, offset: float, most: int, names:
         if its.start is None
         else {name: finite(value) for name, value in zip(names, its.start.tolist(), strict=False)},
         "times": curve(its.times[rows] + offset, digits=12),
+        "measured": _curves(its.measured, of.states, rows),
         "values": _curves(its.values, of.states, rows),
         "lower": _curves(_beside(its, -of.quantile), of.states, rows),
         "upper": _curves(_beside(its, of.quantile), of.states, rows),

@@ -17,7 +17,7 @@ from atoll_coordinator.model.report.trust import verdict
 from atoll_coordinator.service.jobs import queue
 from atoll_coordinator.service.jobs.job import Job, Prepared
 from atoll_coordinator.service.search.archipelago import Archipelago
-from atoll_coordinator.service.search.cut import Why
+from atoll_coordinator.service.search.cut import Improvement, Why
 from atoll_coordinator.service.store.jobs import JobRecord
 
 
@@ -62,12 +62,18 @@ def outcome_of(archipelago: Archipelago) -> VariableOutcome:
         return VariableOutcome(
             archipelago.variable, pool.front, cut.epochs, cut.generation, cut.evaluations, cut.seconds, cut.why,
             runners_up=pool.runners_up,
+            convergence={each.island: _steps(each.improvements) for each in cut.convergence},
         )  # fmt: skip
     state = archipelago.collector.state
     return VariableOutcome(
         archipelago.variable, state.front, state.epochs, None, state.evaluations, state.seconds,
         runners_up=state.runners_up,
+        convergence={island: _steps(its) for island, its in state.convergence.items()},
     )  # fmt: skip
+
+
+def _steps(improvements: Sequence[Improvement]) -> tuple[tuple[int, float], ...]:
+    return tuple((each.generation, each.error) for each in improvements)
 
 
 def job_view(

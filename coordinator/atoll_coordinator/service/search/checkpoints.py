@@ -10,7 +10,7 @@ from atoll.config import Model
 from atoll.wire.messages.workers import Placement, PullStates, States
 from atoll.wire.state_transfer import Assembly, State
 from atoll_coordinator.service.search.collector import SearchState
-from atoll_coordinator.service.search.cut import CutEntry, entries, stored
+from atoll_coordinator.service.search.cut import Convergence, CutEntry, entries, stored
 
 
 class Counted(Model):
@@ -37,6 +37,7 @@ class StoredSearchState(Model):
     improved_at: int
     seconds: float
     search_seconds: float
+    convergence: tuple[Convergence, ...] = ()
 
     @classmethod
     def of(cls, state: SearchState, search_seconds: float) -> "StoredSearchState":
@@ -52,6 +53,7 @@ class StoredSearchState(Model):
             improved_at=state.improved_at,
             seconds=state.seconds,
             search_seconds=search_seconds,
+            convergence=Convergence.of(state.convergence),
         )
 
     def search_state(self) -> SearchState:
@@ -62,6 +64,7 @@ class StoredSearchState(Model):
             runners_up=entries(self.runners_up),
             evaluations=dict(self.evaluations),
             counted={each.island: dict(each.evaluations) for each in self.counted},
+            convergence={each.island: each.improvements for each in self.convergence},
             best_length=self.best_length if self.best_length is not None else math.inf,
             improved_at=self.improved_at,
             seconds=self.seconds,

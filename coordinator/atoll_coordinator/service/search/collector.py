@@ -15,7 +15,7 @@ from atoll.errors import AtollError, RemoteProtocolError
 from atoll.search.commit_order import CommitOrder, Position
 from atoll.search.pareto import FrontEntry, merge, runners_up
 from atoll.wire.messages.workers import Addition, IslandReport
-from atoll_coordinator.service.search.cut import Cut, Why, stored
+from atoll_coordinator.service.search.cut import Convergence, Cut, Improvement, Why, stored
 
 IMPROVEMENT_NATS: Final = 1.0
 """A front is better when its least description length falls by at least this much; polishing of digits is not."""
@@ -82,6 +82,8 @@ class SearchState:
     """The archipelago after its `epochs` completely reported epochs.
 
     `counted` are the point evaluations of each island that has any, `evaluations` their sums, both by part.
+    `convergence` has, for each island, the generations (counted from the start of the search) in which it found a lower
+    error than before, each with that error.
     """
 
     epochs: int = 0
@@ -89,6 +91,7 @@ class SearchState:
     runners_up: tuple[FrontEntry, ...] = ()
     evaluations: dict[str, int] = field(default_factory=dict)
     counted: dict[int, dict[str, int]] = field(default_factory=dict)
+    convergence: dict[int, tuple[Improvement, ...]] = field(default_factory=dict)
     best_length: float = math.inf
     improved_at: int = 0
     seconds: float = 0.0
@@ -259,8 +262,18 @@ class Collector:
         state.epochs = epoch + 1
         state.seconds = seconds
         state.evaluations = total_evaluations(state.counted.values())
-        self._past[state.epochs] = replace(state, counted=dict(state.counted))
+        self._follow_convergence(additions)
+        self._past[state.epochs] = replace(state, counted=dict(state.counted), convergence=dict(state.convergence))
         self._end_if_due(epoch, hit)
+
+    def _follow_convergence(self, additions: Iterable[FrontEntry]) -> None:
+        """Add the improvements of one epoch; of those in one generation the last is the best."""
+        found = self.state.convergence
+        for entry in sorted(additions, key=lambda each: (each.generation, -each.error)):
+            before = found.get(entry.island, ())
+            if math.isfinite(entry.error) and (not before or entry.error < before[-1].error):
+                generation = entry.epoch * self.limits.commit_order.generations + entry.generation
+                found[entry.island] = (*before, Improvement(generation=generation, error=entry.error))
 
     def _release(self, epoch: int) -> list[IslandReport]:
         """Return the reports of an epoch, by island, and keep no more of them than is needed to compare."""
@@ -301,6 +314,7 @@ class Collector:
             evaluations=state.evaluations,
             seconds=state.seconds,
             runners_up=tuple(stored(entry) for entry in state.runners_up),
+            convergence=Convergence.of(state.convergence),
         )
 
 

@@ -1,5 +1,6 @@
 """A cut: where the search of one equation ended and what it had found there. Durable once it is committed."""
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -23,13 +24,33 @@ class CutEntry(Model):
     program: bytes
 
 
+class Improvement(Model):
+    """A `generation`, counted from the start of the search, in which an island found a lower `error` than before."""
+
+    generation: int
+    error: float
+
+
+class Convergence(Model):
+    """The improvements of one island, by rising generation and falling error."""
+
+    island: int
+    improvements: tuple[Improvement, ...]
+
+    @classmethod
+    def of(cls, found: Mapping[int, tuple[Improvement, ...]]) -> "tuple[Convergence, ...]":
+        """Return those of several islands, by their numbers."""
+        return tuple(cls(island=island, improvements=found[island]) for island in sorted(found))
+
+
 class Cut(Model):
     """The end of one archipelago.
 
     `epochs` are counted, so the last one is `epochs` - 1; `generation`, counted from the start of the search, is the
     one that met the target (None: it was not met, and the last epoch counts to its end); `evaluations` are point
     evaluations by part of all islands up to the cut; `seconds` run from the first epoch's start to the end of the last
-    slice that counts; `runners_up` are what was kept beside the front (`atoll.search.pareto.runners_up`).
+    slice that counts; `runners_up` are what was kept beside the front (`atoll.search.pareto.runners_up`);
+    `convergence` is that of each island.
     """
 
     variable: str
@@ -40,6 +61,7 @@ class Cut(Model):
     evaluations: dict[str, int]
     seconds: float
     runners_up: tuple[CutEntry, ...] = ()
+    convergence: tuple[Convergence, ...] = ()
 
     def entries(self) -> tuple[FrontEntry, ...]:
         """Return the front."""

@@ -16,21 +16,21 @@ def model() -> Model:
     times = [0.0, 0.5, 1.0]
     curves = {"x": [1.0, 0.5, 0.0], "y": [0.0, 0.5, None]}
     found = result({"x": "-y", "y": "x"})
-    part = {"name": "1", "times": times, "values": curves, "lower": curves, "upper": curves}
+    measured = {"x": [1.0, 0.7, None], "y": [0.0, 0.5, 1.0]}
+    part = {"name": "1", "times": times, "values": curves, "lower": curves, "upper": curves, "measured": measured}
     found["simulation"] = {"trajectories": [part]}
-    found["smoothing"] = {"trajectories": [{"name": "1", "times": times, "measured": {"x": [1.0, 0.7, None]}}]}
     found["equations"][0]["front"] = [{"complexity": 3, "normalized_error": 0.1, "selected": True}]
     return Model(found)
 
 
 def test_residuals_are_measured_less_simulated(model: Model) -> None:
-    (axes,) = model.plot_residuals()
+    axes, _ = model.plot_residuals()
     assert axes.lines[0].get_ydata() == pytest.approx([0.0, 0.2, np.nan], nan_ok=True)
 
 
 def test_states_are_drawn_below_each_other_with_their_measurements(model: Model) -> None:
     above, below = model.plot_fit()
-    assert [len(above.lines), len(below.lines)] == [2, 1]
+    assert [len(above.lines), len(below.lines)] == [2, 2]
     assert (above.get_ylabel(), below.get_xlabel()) == ("x", "t")
 
 

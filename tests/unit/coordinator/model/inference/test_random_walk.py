@@ -15,7 +15,7 @@ def recording(states: np.ndarray) -> Recording:
 
 
 def simulation(values: np.ndarray) -> Simulation:
-    return Simulation(("x",), (Simulated("1", False, TIMES, values[None], None, (0.5,)),), 1.96)
+    return Simulation(("x",), (Simulated("1", False, TIMES, values[None], values[None], None, (0.5,)),), 1.96)
 
 
 def walk(seed: int) -> np.ndarray:

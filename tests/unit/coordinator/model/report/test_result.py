@@ -15,7 +15,7 @@ from atoll.errors import UsageError
 from atoll.expression.simplification import complexity
 from atoll.expression.text.parsing import from_infix
 from atoll.search.pareto import FrontEntry
-from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.data.recording import Preparation, Source
 from atoll_coordinator.model.refinement import (
     Constant,
     Correlation,
@@ -70,6 +70,25 @@ def test_the_equation_says_what_was_found_when_and_at_what_cost():
     assert equation["constants"] == [{"value": 3.0, **unknown}, {"value": 2.0, **unknown}]
     assert equation["point_evaluations"] == 2130
     assert equation["point_evaluations_by_part"] == {"fitting": 130, "offspring": 2000}
+
+
+def test_convergence_is_listed_by_island_relative_to_the_target():
+    steps = {1: ((7, 2.5),), 0: tuple((generation, 250.0 - generation) for generation in range(200))}
+    outcome = replace(outcomes()[0], convergence=steps)
+    found = build_result("job-1", JobConfig(), PREPARATION, [outcome], Account("done", 1.0, 1.0))
+    first, second = found["equations"][0]["convergence"]
+    assert second == {"island": 1, "generations": [7], "errors": [2.0]}
+    assert (len(first["errors"]), first["generations"][0], first["generations"][-1]) == (40, 0, 199)
+
+
+def test_measured_and_fitted_values_of_a_regression_are_listed():
+    source = Source("0" * 64, ("a.csv",), 50, {}, None, (), (), ("x", "S", "v [m/s]"), "v [m/s]", 1)
+    given = replace(PREPARATION, source=source)
+    found = build_result("job-1", JobConfig(), given, outcomes()[:1], Account("done", 1.0, 1.0))["regression"]
+    assert (found["rows"], found["listed"], set(found["fitted"])) == (50, 50, {0.0})
+    assert found["measured"][:2] == pytest.approx([-2.0, -1.918367])
+    assert set(found["variables"]) == {"x", "S", "v [m/s]"}
+    assert result()["regression"] is None
 
 
 def test_the_front_marks_exactly_the_selected_member():
@@ -209,7 +228,7 @@ def test_text_of_clean_data_says_the_verdict_and_is_short():
 def refined_result() -> dict:
     constants = (Constant(3.0, 2.981, 0.018, (2.945, 3.016)), Constant(2.0, 2.04, 0.05))
     shown = Refined(2, from_infix(TRUTH, NAMES), 0.1, 0.02, constants, grade="doubtful", reason="It may be another.")
-    curve = Simulated("1", False, np.arange(3.0), np.ones((1, 3)), None, (0.99,))
+    curve = Simulated("1", False, np.arange(3.0), np.ones((1, 3)), np.ones((1, 3)), None, (0.99,))
     model = Refinement({"x": shown}, Simulation(("x",), (curve,), 2.0), (Correlation(("x", 0), ("x", 1), 0.99),))
     outcome = replace(outcomes()[0], refined=shown)
     return build_result("job-1", JobConfig(), PREPARATION, [outcome], Account("done", 1.0, 1.0), model)

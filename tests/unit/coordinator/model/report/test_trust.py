@@ -33,7 +33,7 @@ PREPARATION = Preparation(DATASET, RECORDING)
 def simulated(rows: int, **changes: object) -> Simulated:
     times = np.linspace(-5.0, 5.0, rows)
     values = np.sin(times)[np.newaxis]
-    return replace(Simulated("1", False, times, values, 0.1 * np.ones_like(values), (0.99,)), **changes)
+    return replace(Simulated("1", False, times, values + 0.5, values, 0.1 * np.ones_like(values), (0.99,)), **changes)
 
 
 def test_a_curve_is_at_the_times_of_the_file_with_its_band() -> None:
@@ -44,6 +44,7 @@ def test_a_curve_is_at_the_times_of_the_file_with_its_band() -> None:
     assert curve["held_out"] is True
     assert curve["r2"] == {"x": 0.99}
     assert curve["values"]["x"] == pytest.approx(np.sin(np.linspace(-5, 5, 5)), rel=1e-6)
+    assert curve["measured"]["x"] == pytest.approx(0.5 + np.sin(np.linspace(-5, 5, 5)), rel=1e-6)
     widths = np.subtract(curve["upper"]["x"], curve["lower"]["x"])
     assert widths == pytest.approx(0.2 * 2.5 * np.ones(5), rel=1e-4)
 
@@ -66,7 +67,7 @@ def test_the_covariance_names_its_constants_and_has_no_infinite_number() -> None
     assert covariance(None) is None
 
 
-@pytest.mark.parametrize(("count", "points"), [(1, MOST_POINTS), (1000, 25)])
+@pytest.mark.parametrize(("count", "points"), [(1, MOST_POINTS), (1000, 20)])
 def test_long_curves_are_thinned_from_end_to_end(count: int, points: int) -> None:
     found = simulation(Simulation(("x",), (simulated(5001),) * count, 2.0), PREPARATION)
     assert found is not None

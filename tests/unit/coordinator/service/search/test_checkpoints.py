@@ -26,6 +26,7 @@ from atoll_coordinator.service.search.checkpoint_schedule import (
 )
 from atoll_coordinator.service.search.checkpoints import Gathering, StoredSearchState
 from atoll_coordinator.service.search.collector import SearchState
+from atoll_coordinator.service.search.cut import Improvement
 
 STATES = {island: State.of(bytes([island]) * 30) for island in range(4)}
 PLACEMENT = Placement(
@@ -132,6 +133,7 @@ def test_progress_comes_back_from_the_store_as_it_was(best_length: float) -> Non
         best_length=best_length,
         improved_at=7,
         seconds=1.5,
+        convergence={1: (Improvement(generation=3, error=0.5),)},
     )
     stored = decode(encode(StoredSearchState.of(state, 3.5)), StoredSearchState)
     assert stored.search_state() == state

@@ -119,6 +119,15 @@ def test_errors_that_are_not_finite_never_enter_the_front() -> None:
     assert merge((), additions_of(0, wild, 100)) == ()
 
 
+def test_convergence_has_the_improvements_of_each_island_in_order(collector: Collector) -> None:
+    fill(collector, 0, report(0, 1.0, found_at=(4, 4, 9)), report(1, 8.0))
+    fill(collector, 1, report(0, 1.0), report(1, 4.0, found_at=(6,)))
+    found = {
+        island: [(each.generation, each.error) for each in its] for island, its in collector.state.convergence.items()
+    }
+    assert found == {0: [(4, 1.0), (4, 0.5), (9, pytest.approx(1 / 3))], 1: [(4, 8.0), (106, 4.0)]}
+
+
 # ------------------------------------------------------------------------------------------------- ends
 
 
