@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import sympy
 
     from atoll.analysis.analysis import Analysis
+    from atoll.experiments.identifiability import Identifiability, ProfiledConstant
 
 SCHEMA: Final = 1
 DIGITS: Final = 6
@@ -152,11 +153,39 @@ class Model:
         """The constants by name: c1, c2, … as they stand in the equations, one after the other."""
         return parameters_of(self._result, self._result["equations"])
 
-    def conf_int(self, level: float = LEVEL) -> dict[str, tuple[float, float] | None]:
-        """Return the confidence interval of each constant at `level`, None where it is not known."""
+    def conf_int(
+        self, level: float = LEVEL, method: Literal["stderr", "profile"] = "stderr"
+    ) -> dict[str, tuple[float, float] | None]:
+        """Return the confidence interval of each constant at `level`, None where it is not known.
+
+        By its standard error, or by its `profile`: then an end that the data leave open is infinite.
+        """
         if not 0.0 < level < 1.0:
             raise UsageError(f"a level lies between 0 and 1, but {level!r} was given")
+        if method not in ("stderr", "profile"):
+            raise UsageError(f"the method of an interval is 'stderr' or 'profile', but {method!r} was given")
+        if method == "profile":
+            known = self.profile(level)
+            return {name: known[name].interval if name in known else None for name in self.params}
         return {name: each.interval_at(level, self._freedom) for name, each in self.params.items()}
+
+    def profile(self, level: float = LEVEL, data: Any = None) -> "dict[str, ProfiledConstant]":
+        """Return the profile likelihood of each constant, by name; see `identifiability`."""
+        return {each.name: each for each in self.identifiability(level, data).constants}
+
+    def identifiability(self, level: float = LEVEL, data: Any = None) -> "Identifiability":
+        """Return what the data determine of each constant, and which of them only together.
+
+        Args:
+            level: of the intervals.
+            data: as of `atoll.discover`, in the place of the measurements that the result has.
+
+        Raises:
+            UsageError: states were not measured in time, or the result does not have the measurements.
+            DataError: the data cannot be used as they are.
+        """
+        found: Identifiability = _experiments().identifiability(self._result, data, level)
+        return found
 
     @property
     def provenance(self) -> dict[str, Any]:
@@ -478,6 +507,13 @@ class Model:
         if rows.ndim != 2 or rows.shape[1] != len(names):
             raise UsageError(f"rows of {len(names)} numbers ({', '.join(names)}) are expected, found {rows.shape}")
         return rows
+
+
+def _experiments() -> Any:
+    """Return the module of what needs fits, which stand in the coordinator; loaded when it is first asked for."""
+    import importlib
+
+    return importlib.import_module("atoll_coordinator.api.experiments")
 
 
 def _unit(variable: str, lhs: str, units: Mapping[str, str], time: str) -> str:

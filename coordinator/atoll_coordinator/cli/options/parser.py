@@ -198,9 +198,19 @@ def _add_analyse(verbs: Any) -> None:
         "--hold", action="append", default=[], metavar="u=1", help="value of an input (default: 0); repeatable"
     )
     parser.add_argument("--parameter", metavar="c1", help="a constant to vary, by name or number")
+    parser.add_argument(
+        "--identifiability", action="store_true", help="what the data determine of each constant, by profile likelihood"
+    )
+    _add_measurements(parser)
     parser.add_argument("--range", metavar="A:B", help="what --parameter is varied over")
     parser.add_argument("-o", "--output", metavar="FILE", help="write to this file (default: stdout)")
     parser.add_argument("--json", action="store_true", help="write JSON, with all curves")
+
+
+def _add_measurements(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--data", nargs="+", metavar="DATA", help="measurements to use in the place of those that the result has"
+    )
 
 
 def _add_result(parser: argparse.ArgumentParser) -> None:

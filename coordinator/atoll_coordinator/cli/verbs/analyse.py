@@ -15,8 +15,15 @@ def analyse(options: argparse.Namespace) -> int:
     vary = _vary(options.parameter, options.range)
     bounds = {name: _interval(text, f"--box {name}") for name, text in _assignments(options.box, "--box", "x=0:3")}
     held = {name: finite_number(text, f"--hold {name}") for name, text in _assignments(options.hold, "--hold", "u=1")}
-    found = load(options.result).analyse(bounds, inputs=held, vary=vary)
-    text = as_json(found.as_dict()) if options.json else str(found)
+    if options.data is not None and not options.identifiability:
+        raise UsageError("--data was given without --identifiability, which alone uses it; give both")
+    model = load(options.result)
+    found = model.analyse(bounds, inputs=held, vary=vary)
+    known = model.identifiability(data=options.data) if options.identifiability else None
+    if options.json:
+        text = as_json(found.as_dict() | {"identifiability": None if known is None else known.as_dict()})
+    else:
+        text = str(found) if known is None else f"{found}\n{known}"
     if options.output is None:
         say(text)
     else:

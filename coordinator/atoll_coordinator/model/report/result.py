@@ -21,7 +21,7 @@ from atoll.expression.program import Program, structure
 from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
 from atoll.expression.writing.agreement import shortest_over
 from atoll.search.pareto import FrontEntry
-from atoll.wire.messages.views import JobState
+from atoll.wire.messages.views import FINAL_STATES, JobState
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import select_member
 from atoll_coordinator.model.refinement import Constant, Origin, Refined, Refinement, SimpleNumber
@@ -126,7 +126,7 @@ def build_result(
         "regression": regression(preparation, _first_program(outcomes, dataset, config)),
         "symbols": dict(dataset.symbols),
         "system": system(preparation),
-        "data": data(preparation.source),
+        "data": data(preparation, has_trajectories=account.state in FINAL_STATES),
         "config": settings(config),
         "refining": model.end if account.state == "done" else None,
         "warnings": [*dataset.warnings, *model.warnings],

@@ -3,15 +3,63 @@
 Plain dictionaries, lists, texts and numbers for ``result.json``.
 """
 
-from typing import Any
+from typing import Any, Final
+
+import numpy as np
 
 from atoll.config import JobConfig
-from atoll_coordinator.data.recording import Preparation, Source
+from atoll.data.dataset import FloatArray
+from atoll_coordinator.data.recording import Preparation, Recording, Source, Trajectory
+from atoll_coordinator.model.report.numbers import curve, thinned
+
+MOST_ROWS: Final = 2_000
+"""Rows listed, all trajectories together; of more, rows spread evenly."""
+MOST_NUMBERS: Final = 100_000
+"""Numbers listed in all, about 1 MB as text."""
+LEAST_ROWS: Final = 8
+"""Rows listed of each trajectory at least."""
+DIGITS: Final = 12
+"""Significant digits of what was measured: errors of less than 1e-11 of a value are none."""
 
 
-def data(its: Source | None) -> dict[str, Any] | None:
-    """Return the digest, the files and the number of rows of the table; None where it is not known."""
-    return None if its is None else {"digest": its.digest, "files": list(its.files), "rows": its.rows}
+def data(given: Preparation, *, has_trajectories: bool = True) -> dict[str, Any] | None:
+    """Return the digest, the files and the number of rows of the table, and what was measured of each trajectory.
+
+    None where the source is not known. `trajectories` is null where states were not measured in time, or not wanted.
+    """
+    its = given.source
+    if its is None:
+        return None
+    listed = None if given.recording is None or not has_trajectories else _trajectories(given.recording)
+    return {"digest": its.digest, "files": list(its.files), "rows": its.rows, "trajectories": listed}
+
+
+def _trajectories(recording: Recording) -> list[dict[str, Any]]:
+    rows = sum(len(each.times) for each in recording.trajectories)
+    most = min(MOST_ROWS, MOST_NUMBERS // (1 + len(recording.states) + 2 * len(recording.inputs)))
+    return [_trajectory(recording, each, min(1.0, most / max(rows, 1))) for each in recording.trajectories]
+
+
+def _trajectory(recording: Recording, its: Trajectory, share: float) -> dict[str, Any]:
+    """Return one trajectory as it was measured, a `share` of its rows; weights are null where all are 1."""
+    count = len(its.times)
+    listed = thinned(count, max(LEAST_ROWS, int(share * count)))
+    robust = its.robustness_weights
+    return {
+        "name": its.name,
+        "held_out": its.held_out,
+        "rows": count,
+        "times": curve(its.times[listed] + recording.offset, DIGITS),
+        "measured": _by_name(recording.states, its.measured, listed),
+        "inputs": _by_name(recording.inputs, its.inputs, listed),
+        "input_slopes": _by_name(recording.inputs, its.input_slopes, listed),
+        "weights": None if its.weights is None else curve(its.weights[listed], DIGITS),
+        "robustness_weights": None if robust is None else _by_name(recording.states, robust, listed),
+    }
+
+
+def _by_name(names: tuple[str, ...], values: FloatArray, listed: list[int]) -> dict[str, list[float | None]]:
+    return {name: curve(np.asarray(row[listed]), DIGITS) for name, row in zip(names, values, strict=True)}
 
 
 def system(given: Preparation) -> dict[str, Any] | None:

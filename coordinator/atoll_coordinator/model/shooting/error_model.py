@@ -25,13 +25,14 @@ class ErrorModel:
     """Errors of O states: `sigmas` their standard deviations, `shares` of the variances that go together, `decays` the
     correlation of that share between rows one median step apart. All are (O,).
 
-    With `is_correlation_sought` a fit estimates both from its residuals.
+    With `is_correlation_sought` a fit estimates both from its residuals. Errors that are `is_known` are held.
     """
 
     sigmas: FloatArray
     shares: FloatArray
     decays: FloatArray
     is_correlation_sought: bool = False
+    is_known: bool = False
 
     @classmethod
     def independent(cls, sigmas: FloatArray) -> "ErrorModel":
@@ -41,7 +42,7 @@ class ErrorModel:
     def to_bytes(self) -> bytes:
         """Return what tells this model from others."""
         numbers = self.sigmas.tobytes() + self.shares.tobytes() + self.decays.tobytes()
-        return numbers + bytes([self.is_correlation_sought])
+        return numbers + bytes([self.is_correlation_sought, self.is_known])
 
     @property
     def freedom(self) -> FloatArray:

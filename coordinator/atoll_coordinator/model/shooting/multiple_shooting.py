@@ -143,6 +143,10 @@ class MultipleShooting:
             self.work += done.work
         return done.fit
 
+    def cost(self, fit: TrajectoryFit) -> float:
+        """Return the sum of squared residuals of a fit of whole trajectories, over the variances of its errors."""
+        return _cost(self._layout(None), fit.residuals, fit.errors)
+
     def _fitted(
         self, system: System, length: int | None, steps: int, starts: FloatArray | None, errors: ErrorModel | None,
         *, is_stiff: bool,
@@ -225,6 +229,8 @@ class MultipleShooting:
 
         The states' errors may be of very different size.
         """
+        if errors.is_known:
+            return errors, here
         shares, decays = (
             layout.estimate(here.residuals, errors, (len(here.gradient) + here.own_gradient.size) / len(here.residuals))
             if errors.is_correlation_sought

@@ -9,6 +9,7 @@ import pytest
 from atoll.model.model import Model
 from atoll_coordinator.cli.main import main
 from tests.unit.common.model.results import result
+from tests.unit.coordinator.experiments.made import measured
 
 SIDES = ["--box", "x=-2:2,y=-1:2"]
 
@@ -97,3 +98,23 @@ def test_without_simulations_the_box_is_about_the_measured_range(
     (saved / "result.json").write_text(json.dumps(result({"x": "-x", "y": "x - y"})))
     assert main(["analyse", str(saved)]) == 0
     assert capsys.readouterr().out.startswith("box: x 0 to 1.5, y 0 to 1.5\n")
+
+
+def test_identifiability_is_that_of_the_measurements(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    times = np.linspace(0.0, 5.0, 20)
+    decay = 3.0 * np.exp(-0.6 * times) + 0.02 * np.random.default_rng(1).standard_normal(20)
+    (tmp_path / "result.json").write_text(json.dumps(measured({"x": "-0.5*x"}, [(times, {"x": decay})], 0.02)))
+    asked = ["analyse", str(tmp_path), "--box", "x=0:4"]
+    assert main([*asked, "--identifiability", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    (its,) = found["identifiability"]["constants"]
+    assert (its["name"], its["verdict"]) == ("c1", "determined")
+    assert found["fixed_points"]
+    (tmp_path / "a.csv").write_text("t,x\n" + "\n".join(f"{t},{x}" for t, x in zip(times, decay, strict=True)))
+    assert main([*asked, "--identifiability", "--data", str(tmp_path / "a.csv")]) == 0
+    said = capsys.readouterr().out
+    assert "identifiability (95 % profile likelihood; the data that were given):" in said
+    assert main([*asked, "--data", str(tmp_path / "a.csv")]) == 2
+    assert "--data was given without --identifiability" in capsys.readouterr().err
+    assert main([*asked, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["identifiability"] is None

@@ -1,0 +1,19 @@
+"""What `atoll.Model` asks of fits: identifiability of constants, and the next experiment."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from atoll.data.table import Table
+from atoll.experiments.identifiability import Identifiability
+from atoll_coordinator.api.tables import table_of
+from atoll_coordinator.experiments.identifiability import identify
+from atoll_coordinator.experiments.measured import config_of
+
+
+def identifiability(found: Mapping[str, Any], data: Any = None, level: float = 0.95) -> Identifiability:
+    """Return what the data determine of the constants of a result; see `atoll.Model.identifiability`."""
+    return identify(found, _table(found, data), level)
+
+
+def _table(found: Mapping[str, Any], data: Any) -> Table | None:
+    return None if data is None else table_of(data, config_of(found).data)
