@@ -26,7 +26,8 @@ class Process:
     """A process: by state its `drift` and the square of its own noise, `diffusion`.
 
     `starts` of the states, one path for each `paths`, sampled at every `step`; `noise` is the standard deviation of
-    errors of measurement. A process that does not settle begins at `starts`.
+    errors of measurement. A process that does not settle begins at `starts`. Where a state has no noise of its own, the
+    error of Euler's rule would be larger than what the state is uncertain by, so that the drift is that of Heun's then.
     """
 
     drift: Mapping[str, str]
@@ -69,6 +70,16 @@ PROCESSES: Final = {
         settles=False,
     ),
     "Ornstein-Uhlenbeck, errors of 0.1": Process({"x": "-x"}, {"x": "0.25"}, [0.0], noise=0.1),
+    "Duffing": Process({"x": "v", "v": "x-x**3-0.5*v"}, {"x": "0", "v": "0.25"}, [1.0, 0.0]),
+    "FitzHugh-Nagumo": Process(
+        {"x": "5*(x-x**3-y)", "y": "1.5*x-y+0.3"}, {"x": "0", "y": "0.09"}, [1.0, 0.0], step=0.02
+    ),
+    "Lorenz": Process(
+        {"x": "10*(y-x)", "y": "x*(28-z)-y", "z": "x*y-8*z/3"},
+        {"x": "4", "y": "4", "z": "4"},
+        [1.0, 2.0, 20.0],
+        step=0.01,
+    ),
 }
 
 
@@ -86,15 +97,23 @@ def _path(process: Process, rows: int, random: np.random.Generator) -> FloatArra
     names = ", ".join(process.names)
     rates = eval(f"lambda {names}: ({', '.join([*process.drift.values(), *process.diffusion.values()])},)")
     small, size = process.step / SUBSTEPS, len(process.names)
+    is_corrected = "0" in process.diffusion.values()
     states, found = [*process.starts], [[*process.starts]]
     for _ in range(rows - 1):
         normal = (random.standard_normal((SUBSTEPS, size)) * np.sqrt(small)).tolist()
         for each in normal:
             its = rates(*states)
-            states = [
+            moved = [
                 state + small * rate + math.sqrt(square) * draw
                 for state, rate, square, draw in zip(states, its, its[size:], each, strict=False)
             ]
+            if is_corrected:
+                after = rates(*moved)
+                moved = [
+                    state + 0.5 * small * (end - begin)
+                    for state, begin, end in zip(moved, its, after[:size], strict=False)
+                ]
+            states = moved
         found.append(states)
     return np.ascontiguousarray(np.array(found).T)
 

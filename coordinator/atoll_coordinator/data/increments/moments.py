@@ -1,4 +1,4 @@
-"""Mean and products of steps in bins of neighbouring rows, and what they say of noise and of correlations. Pure.
+"""Mean and products of steps in bins of neighbouring rows, and what they say of errors of measurement. Pure.
 
 The increments r of a process, less its drift, are independent from step to step; errors e of measurement are not: a
 step that ends too high begins the next one too high, so that E r_k r_k+1 = - var e (Roll 1984). Letters: S states, N
@@ -13,12 +13,11 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.increments.bins import Rows, split_into_bins
+from atoll_coordinator.data.increments.correlations import Pair, correlated_pairs
 from atoll_coordinator.data.increments.steps import Steps
+from atoll_coordinator.data.increments.sums import total
 from atoll_coordinator.settings import SETTINGS
 
-Pair = tuple[int, int]
-_DIFFERENCES = 6
-"""Times that differences are taken to tell noise from smooth motion."""
 _DEPENDENT = 1e-9
 """Guard: a pivot that is smaller than this share of its diagonal is rounding."""
 
@@ -40,25 +39,20 @@ class BinnedMoments:
     noise: FloatArray
 
 
-def total(values: FloatArray) -> float:
-    """Return the sum, correctly rounded: the same on every machine."""
-    return math.fsum(values.tolist())
-
-
 def bin_moments(steps: Steps) -> BinnedMoments:
     """Return the moments of the steps; their positions are those of the step before where there is noise.
 
     Where a position has errors of its own, they are errors of the increment as well, with the other sign.
     """
-    bins = split_into_bins(steps.points, _bin_count(steps))
+    bins = split_into_bins(steps.points, bin_count(steps))
     drift, residuals, factors = _drift(steps, bins)
     noise = measurement_noise(residuals, steps)
     if (noise > 0.0).any():
         steps = lagged(steps)
-        bins = split_into_bins(steps.points, _bin_count(steps))
+        bins = split_into_bins(steps.points, bin_count(steps))
         drift, residuals, factors = _drift(steps, bins)
         noise = np.where(noise > 0.0, np.maximum(measurement_noise(residuals, steps), noise), 0.0)
-    pairs = [(i, i) for i in range(len(drift))] + correlated_pairs(residuals, bins)
+    pairs = [(i, i) for i in range(len(drift))] + correlated_pairs(steps, bins)
     squares = {pair: products(residuals, steps, pair, corrected=bool((noise > 0.0).any())) for pair in pairs}
     points = np.array([[total(its[rows]) / len(rows) for rows in bins] for its in steps.points])
     means = {
@@ -71,7 +65,7 @@ def bin_moments(steps: Steps) -> BinnedMoments:
     return BinnedMoments(points, drift, means, errors, noise)
 
 
-def _bin_count(steps: Steps) -> int:
+def bin_count(steps: Steps) -> int:
     """Return how many bins there may be: twice the root of the rows, and rows to judge the lines in each by."""
     rows, variables = len(steps.lengths), len(steps.points)
     return max(min(2 * math.isqrt(rows), rows // (2 * (variables + 1))), 1)
@@ -149,40 +143,6 @@ def measurement_noise(residuals: FloatArray, steps: Steps) -> FloatArray:
         covariance, square = total(products), total(products * products)
         if covariance < 0.0 and covariance * covariance > SETTINGS.process.significant**2 * square:
             found[state] = -covariance / len(rows)
-    return found
-
-
-def noise_shares(steps: Steps) -> FloatArray:
-    """Return about how large noise is beside the median step, for each state (S,).
-
-    Differences of neighbouring steps, taken again and again, leave of smooth motion next to nothing, and of noise all.
-    """
-    found = np.zeros(len(steps.increments))
-    starts = np.flatnonzero(~steps.follows)[1:]
-    for state, its in enumerate(steps.increments):
-        parts = [np.diff(part, _DIFFERENCES) for part in np.split(its, starts) if len(part) > _DIFFERENCES]
-        left = float(np.median(np.abs(np.concatenate(parts)))) if parts else math.inf
-        step = float(np.median(np.abs(its)))
-        found[state] = left / (step * math.sqrt(math.comb(2 * _DIFFERENCES, _DIFFERENCES))) if step > 0.0 else math.inf
-    return found
-
-
-def correlated_pairs(residuals: FloatArray, bins: Sequence[Rows]) -> list[Pair]:
-    """Return the pairs of states whose increments are correlated: over all steps, or by turns of either sign in bins.
-
-    The square of a sum of products over the sum of their squares is 1 on average where signs are independent, and has
-    a variance of about 2.
-    """
-    limit, found = SETTINGS.process.significant, []
-    for i in range(len(residuals)):
-        for j in range(i + 1, len(residuals)):
-            products = residuals[i] * residuals[j]
-            sums = [total(products[rows]) for rows in bins]
-            squares = [total(products[rows] * products[rows]) for rows in bins]
-            whole, square = math.fsum(sums), math.fsum(squares)
-            local = math.fsum(its * its / each for its, each in zip(sums, squares, strict=True) if each > 0.0)
-            if whole * whole > limit * limit * square or local > len(bins) + limit * math.sqrt(2.0 * len(bins)):
-                found.append((i, j))
     return found
 
 

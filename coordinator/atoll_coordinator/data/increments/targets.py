@@ -7,7 +7,8 @@ import numpy as np
 from atoll.data.dataset import Dataset, FloatArray, Target
 from atoll.errors import DataError
 from atoll_coordinator.data.differentiation.standard_deviation import derivative_standard_deviation
-from atoll_coordinator.data.increments.moments import BinnedMoments, bin_moments, noise_shares
+from atoll_coordinator.data.increments.moments import BinnedMoments, bin_moments
+from atoll_coordinator.data.increments.roughness import is_driven, noise_shares
 from atoll_coordinator.data.increments.steps import take_steps
 from atoll_coordinator.data.recording import Preparation, ProcessRecording, SampledPath
 from atoll_coordinator.data.trajectories.measurements import Measurements
@@ -32,11 +33,11 @@ def assemble_process(measurements: Measurements, equations: Collection[str], sym
         raise DataError(
             f"there are {len(steps.lengths)} steps from row to row; a stochastic process takes at least {fewest}"
         )
-    for state, share in zip(process.states, noise_shares(steps).tolist(), strict=True):
-        if share < SETTINGS.process.least_noise:
+    for number, (state, share) in enumerate(zip(process.states, noise_shares(steps).tolist(), strict=True)):
+        if share < SETTINGS.process.least_noise and not is_driven(steps, number):
             raise DataError(
-                f"state '{state}' moves without noise of its own; leave out --stochastic, or make it an input with "
-                "--inputs if only other states have noise"
+                f"state '{state}' moves without noise, its own or that of a state it follows; leave out --stochastic, "
+                "or make it an input with --inputs if only other states have noise"
             )
     moments = bin_moments(steps)
     roles = measurements.roles
