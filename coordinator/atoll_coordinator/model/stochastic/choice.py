@@ -3,7 +3,8 @@
 The description length is that of systems along trajectories (`criteria.system_length`): minus the log-likelihood of
 all steps, the prices of the programs, and half the logarithm of the number of steps for each constant. Candidates come
 from regression by the model so far, and are fitted by the likelihood, the other equations as they are; then all
-together, and so on until none is exchanged. A covariance of two noises may be zero.
+together, and so on until none is exchanged. A covariance of two noises may be zero, and so may a variance: such a
+state follows others without noise of its own, and its equation is an ordinary one.
 """
 
 import math
@@ -27,6 +28,8 @@ from atoll_coordinator.model.stochastic.regression import CandidateFinder
 from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.settings import SETTINGS
 
+_ZERO: Final = b"zero"
+"""By what rivals keep the equation that is zero."""
 _MARGIN: Final = 2.0 * SETTINGS.inference.distinct_nats
 """Programs are reduced whose description is longer than the best by at most so many nats (odds of 400)."""
 
@@ -125,6 +128,8 @@ class ProcessChoice:
         """
         rivals = self._rivals[number] = {}
         name = self._variables[number]
+        if self._is_of_no_noise(model, number):
+            return model, self._length(self._likelihood.whitened(model).misfit, model.programs[number], 0)
         if looks_around:
             self._begun[number] = self._candidates[name].nearest if name in self._candidates else []
         found = self._finder.find(number, model, self._begun[number], looks_around=looks_around)
@@ -144,13 +149,39 @@ class ProcessChoice:
                         models[key] = self._taken_in(rivals, start.with_program(number, program), number, least)
         found_model, length = min(models.values(), key=lambda each: each[1])
         states = len(model.drift)
-        if number >= 2 * states:  # components of two states come last
-            without = model.with_program(number, _constant(0.0))
-            its = self._length(self._likelihood.whitened(without).misfit, without.programs[number], 0)
-            rivals[b"zero"] = Rival(without.programs[number], its)
-            if its < length:
-                return without, its
-        return found_model, length
+        if number < states:
+            return found_model, length
+        without, its = self._without(found_model, number)
+        rivals[_ZERO] = Rival(without.programs[number], its)
+        return (without, its) if its < length else (found_model, length)
+
+    def _without(self, model: ProcessModel, number: int) -> tuple[ProcessModel, float]:
+        """Return the model with one component of the diffusion zero, and its length.
+
+        Of a variance, all components of that state are, and its drift is fitted again: where it follows states with
+        noise, their noise is then all that it is uncertain by.
+        """
+        states = len(model.drift)
+        i, j = model.pairs[number - states]
+        without = model.with_program(number, _constant(0.0))
+        if i == j:
+            for place, pair in enumerate(model.pairs):
+                without = without.with_program(states + place, _constant(0.0)) if i in pair else without
+            free = tuple(each for each in (i,) if each in self._sought)
+            without = self._likelihood.fit(without, free, SETTINGS.selection.least_gain).model
+        misfit = self._likelihood.whitened(without).misfit
+        return without, self._length(misfit, without.programs[number], 0)
+
+    def _is_of_no_noise(self, model: ProcessModel, number: int) -> bool:
+        """Tell whether an equation is the covariance of noises of which one is none."""
+        states = len(model.drift)
+        if number < states:
+            return False
+        i, j = model.pairs[number - states]
+        variances = [
+            model.programs[states + place] for place, pair in enumerate(model.pairs) if pair in ((i, i), (j, j))
+        ]
+        return i != j and any(map(is_zero, variances))
 
     def _compared(
         self, rivals: dict[bytes, Rival], model: ProcessModel, number: int, found: Sequence[Program]

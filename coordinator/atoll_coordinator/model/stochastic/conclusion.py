@@ -45,6 +45,8 @@ from atoll_coordinator.model.stochastic.likelihood import FittedProcess, Process
 from atoll_coordinator.model.stochastic.simulation import Simulator, settle, simulate_ensemble
 from atoll_coordinator.settings import SETTINGS
 
+_NO_COVARIANCE: Final = "The noises of these states show no correlation that is worth its description."
+_NO_VARIANCE: Final = "This state has no noise of its own: the noise of the states that it follows explains its steps."
 _SAME: Final = 1e-9
 """Share of the mean square of a function that what is the same in other words differs by: where fits have settled."""
 
@@ -212,8 +214,9 @@ def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equa
     states = len(model.drift)
     found: list[tuple[Grade, str]] = []
     for number, equation in enumerate(equations):
-        if is_zero(equation.program):
-            found.append(("good", "The noises of these states show no correlation that is worth its description."))
+        if number >= states and is_zero(equation.program):
+            i, j = model.pairs[number - states]
+            found.append(("good", _NO_COVARIANCE if i != j else _NO_VARIANCE))
             continue
         if number < states:
             clauses = _drift_objections(residuals[number], bins, steps.follows)

@@ -2,12 +2,18 @@
 
 For dx = f dt + g dW with B = g g', the generator of the process is L = f . grad + 1/2 B : grad grad. In a step h from x
 
-    mean        h f + h^2/2 L f + h^3/6 J J f
+    mean        h f + h^2/2 L f + ... , the motion by f alone of order h^4
     covariance  integral over s from 0 to h of E(h - s) (B + s L B) E(h - s)'
 
 with J the Jacobian of f and E(s) = I + s J + s^2/2 J J. These are the expansion of moments in powers of h (Kessler
 1997, section 2; Florens-Zmirou 1989), written as a local linearisation (Shoji & Ozaki 1998), so that the covariance is
-positive wherever B + s L B is; the integral is that of Gauss by two nodes. Letters: S states, V variables, R rows.
+positive wherever B + s L B is; the integral is that of Gauss.
+
+A state without noise of its own is moved by that of the states it follows: over a step its variance is of the third
+order, J B J' h^3 / 3, or of the fifth where it follows such a state. That is small, and yet not zero (hypoelliptic
+processes: Ditlevsen & Samson 2019, who expand to these orders; Melnykova 2020, by the linearisation used here). What is
+so certain asks for as much of the mean: the part of the drift alone is a step of Runge and Kutta, of fourth order.
+Letters: S states, V variables, R rows.
 """
 
 import math
@@ -18,19 +24,25 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray
+from atoll.expression.evaluation import values_of
 from atoll.expression.program import Program
 from atoll_coordinator.model.stochastic.jets import Jet, jet_of
 
 Pair = tuple[int, int]
 """Two states by their index, the first not above the second: a component of the diffusion."""
 
-_NODES: Final = (0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0))
-"""Nodes of Gauss's rule on [0, 1], each of weight one half."""
+_NODES: Final = ((0.5 - 0.5 / math.sqrt(3.0), 0.5), (0.5 + 0.5 / math.sqrt(3.0), 0.5))
+_MORE_NODES: Final = ((0.5 - math.sqrt(0.15), 5.0 / 18.0), (0.5, 4.0 / 9.0), (0.5 + math.sqrt(0.15), 5.0 / 18.0))
+"""Nodes of Gauss's rule on [0, 1] and their weights; with two, what two states carry to a third would be singular."""
 
 
 @dataclass(frozen=True, eq=False)
 class StepMoments:
-    """What a step moves: `mean` (S, R), `covariance` (S, S, R), and its `jacobian` (S, S, R), that of x + mean."""
+    """What a step moves: `mean` (S, R), `covariance` (S, S, R), and its `jacobian` (S, S, R), that of x + mean.
+
+    The covariance is NaN where the diffusion of a state is negative, though that of a step may be none: what other
+    states carry over outweighs it where the state has no noise of its own.
+    """
 
     mean: FloatArray
     covariance: FloatArray
@@ -52,17 +64,26 @@ def step_moments(
     with np.errstate(all="ignore"):
         value, jacobian, hessian = _stacked([jet_of(program, points, states) for program in drift], states)
         tensor, its_change = _diffusion(diffusion, points, value, states)
-        twice = np.einsum("ijr,jr->ir", jacobian, value)
-        generated = twice + 0.5 * np.einsum("jkr,ijkr->ir", tensor, hessian)
-        thrice = np.einsum("ijr,jr->ir", jacobian, twice)
-        mean = steps * (value + 0.5 * steps * (generated + steps / 3.0 * thrice))
+        curved = 0.25 * np.einsum("jkr,ijkr->ir", tensor, hessian)
+        mean = _flow(drift, value, points, steps) + steps * steps * curved
         square = np.einsum("ijr,jkr->ikr", jacobian, jacobian)
         covariance = np.zeros_like(tensor)
-        for node in _NODES:
+        variances = tensor[range(states), range(states)]
+        for node, weight in _NODES if variances.any(axis=1).all() else _MORE_NODES:
             left = _propagator(jacobian, square, (1.0 - node) * steps)
             its = tensor + node * steps * its_change
-            covariance += 0.5 * steps * np.einsum("ijr,jkr,lkr->ilr", left, its, left)
+            covariance += weight * steps * np.einsum("ijr,jkr,lkr->ilr", left, its, left)
+        covariance[:, :, (variances < 0.0).any(axis=0)] = np.nan
         return StepMoments(mean, covariance, _propagator(jacobian, square, steps))
+
+
+def _flow(drift: Sequence[Program], value: FloatArray, points: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return how far the drift, whose `value` at `points` is known, moves the states in a step: Runge and Kutta."""
+    slopes = [value]
+    for share in (0.5, 0.5, 1.0):
+        moved = np.concatenate([points[: len(drift)] + share * steps * slopes[-1], points[len(drift) :]])
+        slopes.append(np.array([values_of(program, moved) for program in drift]))
+    return np.asarray(steps / 6.0 * (slopes[0] + 2.0 * slopes[1] + 2.0 * slopes[2] + slopes[3]))
 
 
 def _propagator(jacobian: FloatArray, square: FloatArray, steps: FloatArray) -> FloatArray:

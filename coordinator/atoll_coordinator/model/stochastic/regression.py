@@ -14,6 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from atoll.expression.program import Program, constant_places, structure
 from atoll.expression.unit_coefficients import make_coefficients_explicit
 from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.increments.bins import split_into_bins
+from atoll_coordinator.data.increments.differences import all_windows
 from atoll_coordinator.data.increments.moments import lagged, products
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length, system_length
@@ -34,6 +36,9 @@ from atoll_coordinator.model.sparse.regression import eliminated, libraries
 from atoll_coordinator.model.stochastic.likelihood import ProcessModel
 from atoll_coordinator.model.structure.term_libraries import Term, sum_of
 from atoll_coordinator.settings import SETTINGS
+
+_STEPS: Final = 3
+"""Steps of a difference by which noise is told from drift."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,14 +137,19 @@ def _problem(
 
 
 def mean_squares(steps: Steps) -> FloatArray:
-    """Return about how fast the variance of each state grows at each step (S, N): means over bins of squares.
+    """Return about how fast noise adds to the variance of each state at each step (S, N): means of squares in bins.
 
-    Weights come from these rather than from the model so far, whose first one knows nothing of the states.
+    The squares are those of high differences, so that the drift is not among them. Weights come from these rather than
+    from the model so far, whose first one knows nothing of the states.
     """
     found = np.zeros_like(steps.increments)
+    windows = all_windows(steps, _STEPS)
+    squares = np.full_like(steps.increments, np.nan)
+    for state in range(len(squares)):
+        squares[state, windows.first] = windows.differences(state) ** 2
     for rows in split_into_bins(steps.points, 2 * math.isqrt(len(steps.lengths))):
-        squares = (steps.increments[:, rows] ** 2).sum(axis=1) / steps.lengths[rows].sum()
-        found[:, rows] = squares[:, None]
+        known = squares[:, rows][:, np.isfinite(squares[0, rows])]
+        found[:, rows] = (known if known.size else squares[:, windows.first]).mean(axis=1)[:, None]
     return found
 
 

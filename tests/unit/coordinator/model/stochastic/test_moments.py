@@ -40,3 +40,32 @@ def test_noise_that_acts_on_a_velocity_alone_reaches_the_position() -> None:
     )
     expected = 4.0 * np.array([[0.2**3 / 3.0, 0.2**2 / 2.0], [0.2**2 / 2.0, 0.2]])
     assert np.allclose(found.covariance[:, :, 0], expected)
+
+
+def test_noise_reaches_a_state_two_equations_away_without_a_singular_covariance() -> None:
+    """Of x' = v, v' = a, da = dW it is that of Brownian motion integrated: h^5/20, h^4/8, h^3/6 in its first row."""
+    names, step = ["x", "v", "a"], 0.1
+    drift = [from_infix(text, names) for text in ("v", "a", "0*a")]
+    found = step_moments(drift, {(2, 2): from_infix("1", names)}, np.zeros((3, 1)), np.array([step]))
+    assert np.allclose(found.covariance[0, :, 0], [step**5 / 20.0, step**4 / 8.0, step**3 / 6.0], rtol=1e-12)
+    assert np.linalg.eigvalsh(found.covariance[:, :, 0]).min() > 0.0
+
+
+def test_what_the_drift_alone_moves_is_right_to_fourth_order() -> None:
+    names, begins = ["x", "v"], np.array([[0.8], [0.3]])
+    drift = [from_infix("v", names), from_infix("x - x*x*x - 0.5*v", names)]
+    noise = {(1, 1): from_infix("0.25", names)}
+    x, v = begins[:, 0]
+    for _ in range(20_000):
+        half_x, half_v = x + 0.5 * v * 5e-6, v + 0.5 * (x - x**3 - 0.5 * v) * 5e-6
+        x, v = x + half_v * 5e-6, v + (half_x - half_x**3 - 0.5 * half_v) * 5e-6
+    found = step_moments(drift, noise, begins, np.array([0.1]))
+    assert np.allclose(found.mean[:, 0], [x - 0.8, v - 0.3], atol=1e-7)
+
+
+def test_a_negative_diffusion_is_none_though_the_covariance_of_a_step_is_positive() -> None:
+    names = ["x", "v"]
+    drift = [from_infix(text, names) for text in ("v", "0*v")]
+    noise = {(0, 0): from_infix("-1e-6", names), (1, 1): from_infix("0.25", names)}
+    found = step_moments(drift, noise, np.zeros((2, 1)), np.array([0.1]))
+    assert not np.isfinite(found.covariance).any()
