@@ -29,7 +29,8 @@ class Table:
     `names` are unique and without units, `units` are "" where the header gives none; `columns` (C, N) float64, C order,
     may hold NaN and infinity; `starts` are the rows at which the files or blank rows begin a new trajectory, the first
     one 0. For messages: `files` are the names of the files, `file_of_row` (N,) indices into them, `line_of_row` (N,)
-    line numbers from 1, or 0 where a file has no lines. `skipped` are columns that hold text.
+    line numbers from 1, or 0 where a file has no lines. `skipped` are columns that hold text. `read_as` says how
+    the files were read, "" where that is not known.
     """
 
     names: tuple[str, ...]
@@ -40,6 +41,7 @@ class Table:
     file_of_row: IntArray
     line_of_row: IntArray
     skipped: tuple[str, ...] = ()
+    read_as: str = ""
 
     def __post_init__(self) -> None:
         """Check that the parts fit together; raises DataError."""
@@ -87,6 +89,7 @@ class Table:
             "starts": list(self.starts),
             "files": list(self.files),
             "skipped": list(self.skipped),
+            "read_as": self.read_as,
         }
         arrays = {"columns": self.columns, "file_of_row": self.file_of_row, "line_of_row": self.line_of_row}
         return encode_arrays(header, arrays)
@@ -105,6 +108,7 @@ class Table:
                 _numbers(arrays["file_of_row"], np.int64, 1),
                 _numbers(arrays["line_of_row"], np.int64, 1),
                 _texts(header["skipped"]),
+                *_texts([header.get("read_as", "")]),
             )
         except (KeyError, TypeError, ValueError, DataError) as error:
             raise RemoteProtocolError(f"the bytes of a table do not fit: {error}") from error

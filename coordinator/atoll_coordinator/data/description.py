@@ -14,7 +14,7 @@ from atoll_coordinator.data.trajectories.measurements import Measurements, take_
 
 
 def describe(table: Table, config: JobConfig) -> str:
-    """Return lines on files, trajectories, rows, time, columns and what is known beforehand.
+    """Return lines on files, how they were read, trajectories, rows, time, columns and what is known beforehand.
 
     Raises:
         UsageError: options contradict each other, or what is known beforehand cannot be used.
@@ -25,6 +25,8 @@ def describe(table: Table, config: JobConfig) -> str:
     config = config.model_copy(update={"data": options})
     resolved, _ = resolve_equations(config, roles, assign_symbols(roles.variables))
     lines = [_size(table, measurements)]
+    if table.read_as:
+        lines.append(f"read as {table.read_as}")
     if roles.time is not None:
         times = _times(measurements.columns[roles.time], measurements.ranges)
         lines.append(f"time {_with_unit(table, roles.time)}: {times}")

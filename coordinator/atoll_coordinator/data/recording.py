@@ -181,7 +181,8 @@ class Source:
     """The table that a preparation was made of, and what its columns are; column names without units.
 
     `digest` is the hex sha256 of the table as it is uploaded, `units` are those of its header by column (none: left
-    out). `states` have an equation of `order`, unless a `target` has one; `velocities` are variables for order 2.
+    out); `read_as` says how its files were read. `states` have an equation of `order`, unless a `target` has one;
+    `velocities` are variables for order 2.
     """
 
     digest: str
@@ -194,6 +195,7 @@ class Source:
     inputs: tuple[str, ...]
     target: str | None
     order: Literal[1, 2]
+    read_as: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,7 +58,7 @@ class _Given:
         if text is None:
             return
         if Path(text).is_file():
-            self._table = _read(Path(text))
+            self._table = _read(Path(text), model)
             self.state = self._first_row(self._table, text)
         elif "=" in text:
             self.state = dict(_assignment(part) for part in text.split(","))
@@ -106,10 +106,18 @@ class _Given:
         return {state: found[state] for state in self._model.states}
 
 
-def _read(path: Path) -> Table:
+def _read(path: Path, model: Model) -> Table:
+    """Read a data file; dates are counted in the model's unit of time."""
     from atoll_coordinator.data.reading.files import read_table
 
-    return read_table([path], DataConfig())
+    units = (model.result.get("system") or {}).get("units") or {}
+    return read_table([path], DataConfig(time=_named_time(model)), units)
+
+
+def _named_time(model: Model) -> str | None:
+    """Return the time column that the model's data were read with, where it was named."""
+    config = model.provenance["config"] or {}
+    return (config.get("data") or {}).get("time")
 
 
 def _assignment(text: str) -> tuple[str, float]:

@@ -132,7 +132,8 @@ def _check_time(roles: Roles, table: Table) -> None:
     """Raise DataError when there is a time, but as text."""
     name = next((name for name in TIME_NAMES if name in table.skipped), None)
     if name is not None and roles.time is None and roles.target is None and not roles.derivatives:
-        raise DataError(f"column '{name}' of {table.files[0]} holds text, such as dates; convert it to numbers first")
+        found = f"column '{name}' of {table.files[0]} holds text that is neither a number nor a date"
+        raise DataError(f"{found}; write numbers, or dates as year-month-day")
 
 
 def _check_equations(roles: Roles, config: DataConfig) -> None:

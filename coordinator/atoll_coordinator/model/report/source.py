@@ -23,7 +23,7 @@ DIGITS: Final = 12
 
 
 def data(given: Preparation, *, has_trajectories: bool = True) -> dict[str, Any] | None:
-    """Return the digest, the files and the number of rows of the table, and what was measured of each trajectory.
+    """Return digest, files and number of rows of the table, how it was read, and what was measured of each trajectory.
 
     None where the source is not known. `trajectories` is null where states were not measured in time, or not wanted.
     """
@@ -31,7 +31,13 @@ def data(given: Preparation, *, has_trajectories: bool = True) -> dict[str, Any]
     if its is None:
         return None
     listed = None if given.recording is None or not has_trajectories else _trajectories(given.recording)
-    return {"digest": its.digest, "files": list(its.files), "rows": its.rows, "trajectories": listed}
+    return {
+        "digest": its.digest,
+        "files": list(its.files),
+        "rows": its.rows,
+        "read_as": its.read_as,
+        "trajectories": listed,
+    }
 
 
 def _trajectories(recording: Recording) -> list[dict[str, Any]]:

@@ -35,6 +35,7 @@ def test_units_are_said(tmp_path):
     path.write_text("t [s],v [m/s],label\n" + "".join(f"{row},{row * row},{row}\n" for row in range(9)))
     table = read_table([path], DataConfig())
     assert describe(table, JobConfig(data=DataConfig(states=("v",)))).split("\n")[1:] == [
+        "read as text with commas",
         "time t [s]: 0 to 8, step 1",
         "states: v [m/s]",
     ]

@@ -34,6 +34,15 @@ def test_a_file_of_several_trajectories_gives_the_first(
     assert capsys.readouterr().out == "t,x\n0.0,2.0\n1.0,2.0\n"
 
 
+def test_dates_in_a_file_are_counted_in_the_unit_of_the_model(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = json.loads((saved / "result.json").read_text())
+    found["system"]["units"] = {"t": "min"}
+    (saved / "result.json").write_text(json.dumps(found))
+    (saved / "a.csv").write_text("t,x,u\n2021-03-01 06:00,2,0\n2021-03-01 07:00,9,0\n")
+    assert main(["simulate", str(saved), "--initial", str(saved / "a.csv")]) == 0
+    assert capsys.readouterr().out == "t,x\n0.0,2.0\n60.0,2.0\n"
+
+
 def test_an_input_that_nothing_gives_is_named(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", str(saved / "result.json"), "--initial", "x=1"]) == 2
     assert "the input 'u', of which nothing is given" in capsys.readouterr().err

@@ -18,7 +18,8 @@ def test_columns_units_ranges_and_digest_are_those_of_the_table(tmp_path: Path) 
     (tmp_path / "a.csv").write_text("x [m],y [m/s]\n" + "\n".join(f"{row},{2 * row}" for row in range(9)))
     table = read_table([tmp_path / "a.csv"], CONFIG.data)
     preparation = prepare(table, CONFIG)
-    assert data(preparation) == {"digest": table.digest, "files": ["a.csv"], "rows": 9, "trajectories": None}
+    source = {"digest": table.digest, "files": ["a.csv"], "rows": 9, "read_as": "text with commas"}
+    assert data(preparation) == {**source, "trajectories": None}
     assert system(preparation) == {
         "kind": "regression",
         "order": 1,

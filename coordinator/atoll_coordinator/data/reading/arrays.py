@@ -1,0 +1,104 @@
+"""Named arrays, as NPZ, MATLAB and HDF5 files hold them -> `Rows`. Pure, apart from reading an NPZ file.
+
+Letters: N rows, K columns of one array.
+"""
+
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from atoll.config import DataConfig
+from atoll.errors import DataError
+from atoll_coordinator.data.reading.rows import Rows, with_breaks
+from atoll_coordinator.data.roles.roles import TIME_NAMES
+
+
+def read_npz(path: Path, config: DataConfig) -> Rows:
+    """Read an NPZ file; raises DataError."""
+    try:
+        zipfile.ZipFile(path).close()  # whatever is none is found out here: np.load would leave it open
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: np.asarray(archive[name]) for name in archive.files}
+    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise DataError(f"{path.name} is not an NPZ file of plain arrays; write one with numpy.savez") from error
+    return rows_of_arrays(path.name, arrays, config, ("NPZ",))
+
+
+def rows_of_arrays(
+    file: str,
+    arrays: Mapping[str, Any],
+    config: DataConfig,
+    remarks: tuple[str, ...],
+    units: Mapping[str, str] | None = None,
+    first: int = 0,
+) -> Rows:
+    """Return the columns of arrays of one length: vectors (N,), and those of matrices (N, K), counted from `first`.
+
+    Where there is a time, its length is N, and arrays of another length are left out. Single numbers always are.
+
+    Raises:
+        DataError: the arrays do not fit together.
+    """
+    vectors = {name: its for name, array in arrays.items() if (its := np.squeeze(np.asarray(array))).ndim}
+    count = _length(file, vectors, config)
+    headers: list[str] = []
+    columns: list[list[str]] = []
+    its_units: list[str] = []
+    left_out = [name for name in arrays if name not in vectors]
+    for name, array in vectors.items():
+        parts = _columns(array, count)
+        if parts is None:
+            left_out.append(name)
+            continue
+        for number, part in enumerate(parts):
+            cells, unit = _cells(file, name, part)
+            headers.append(name if len(parts) == 1 else f"{name}{number + first}")
+            columns.append(cells)
+            its_units.append((units or {}).get(name, unit))
+    others = (f"left out: {', '.join(left_out)}",) if left_out else ()
+    return with_breaks(headers, columns, (*remarks, *others), its_units)
+
+
+def _length(file: str, vectors: Mapping[str, Any], config: DataConfig) -> int:
+    """Return the number of rows."""
+    time = next(
+        (name for name in (config.time or "", *TIME_NAMES) if name in vectors and vectors[name].ndim == 1), None
+    )
+    if time is not None:
+        return len(vectors[time])
+    lengths = {max(array.shape) if array.ndim == 2 else len(array) for array in vectors.values()}
+    if len(lengths) != 1 or any(array.ndim > 2 for array in vectors.values()):
+        shapes = sorted({array.shape for array in vectors.values()})
+        raise DataError(f"{file} holds arrays of shapes {shapes}; one-dimensional ones of one length fit")
+    return lengths.pop()
+
+
+def _columns(array: Any, count: int) -> list[Any] | None:
+    """Return the columns (N,) of an array; None where it has no N rows."""
+    if array.ndim == 1:
+        return [array] if len(array) == count else None
+    if array.ndim == 2 and count in array.shape:
+        return [*(array.T if array.shape[0] == count else array)]
+    return None
+
+
+def _cells(file: str, name: str, values: Any) -> tuple[list[str], str]:
+    """Return values as cells, and the unit of durations."""
+    if values.dtype.kind == "c":
+        raise DataError(f"array '{name}' of {file} holds complex numbers; real ones are expected")
+    if values.dtype.kind == "m":
+        return _texts(values / np.timedelta64(1, "s")), "s"
+    if values.dtype.kind == "M":
+        return ["" if text == "NaT" else text for text in np.datetime_as_string(values).tolist()], ""
+    if values.dtype.kind == "b":
+        return _texts(values.astype(np.float64)), ""
+    if values.dtype.kind == "S":
+        return [text.decode("utf-8", "replace") for text in values.tolist()], ""
+    return _texts(values), ""
+
+
+def _texts(values: Any) -> list[str]:
+    return [str(value) for value in values.tolist()]

@@ -1,0 +1,57 @@
+"""One cell of a file: whether it is missing, a number, or text. Pure."""
+
+import math
+import re
+from collections.abc import Iterable
+from typing import Final
+
+MISSING: Final = frozenset({"", "na", "n/a", "#n/a", "nan", "-nan", "+nan", "null", "none"})
+"""Cells, in lower case, that stand for a missing number."""
+
+SPACES: Final = " \u00a0\u2009\u202f'’"
+"""Characters, beside commas and points, that separate thousands."""
+
+_EXPONENT: Final = r"(?:[eE][+-]?\d+)?\s*"
+WITH_POINT: Final = re.compile(rf"\s*[+-]?\d{{1,3}}([,{SPACES}])\d{{3}}(?:\1\d{{3}})*(?:\.\d*)?{_EXPONENT}")
+"""A number with separators of thousands and perhaps a decimal point."""
+WITH_COMMA: Final = re.compile(
+    rf"\s*[+-]?(?:\d*,\d+|\d+,|\d{{1,3}}([.{SPACES}])\d{{3}}(?:\1\d{{3}})*(?:,\d*)?){_EXPONENT}"
+)
+"""A number with a decimal comma, or with separators of thousands that go with one."""
+
+
+def is_missing(cell: str) -> bool:
+    """Tell whether `cell` stands for a missing number."""
+    return cell.strip().lower() in MISSING
+
+
+def number(cell: str) -> float | None:
+    """Return the number in `cell` as Python writes it (NaN when missing), or None for anything else."""
+    if is_missing(cell):
+        return math.nan
+    try:
+        return float(cell)
+    except ValueError:
+        return None
+
+
+def is_numeral(cell: str) -> bool:
+    """Tell whether `cell` is a number in some country's writing."""
+    if is_missing(cell):
+        return False
+    return number(cell) is not None or any(form.fullmatch(cell) for form in (WITH_POINT, WITH_COMMA))
+
+
+def is_text(cells: Iterable[str]) -> bool:
+    """Tell whether no cell holds a number and at least one holds text."""
+    holds_text = False
+    for cell in cells:
+        if is_numeral(cell):
+            return False
+        holds_text = holds_text or not is_missing(cell)
+    return holds_text
+
+
+def on_one_line(text: str) -> str:
+    """Return `text` with single spaces for whatever white space it holds."""
+    return " ".join(text.split())

@@ -1,0 +1,107 @@
+"""`Rows` -> the columns of one file: numbers, instants, and text that is set aside. Pure."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, cast
+
+import numpy as np
+
+from atoll.config import DataConfig
+from atoll.data.dataset import FloatArray
+from atoll.errors import DataError
+from atoll_coordinator.data.reading.cells import is_missing, is_text, on_one_line
+from atoll_coordinator.data.reading.instants import Instants, is_instant
+from atoll_coordinator.data.reading.numerals import place, read_numbers
+from atoll_coordinator.data.reading.rows import Rows
+from atoll_coordinator.data.reading.times import read_times
+from atoll_coordinator.data.roles.options import find_trajectory_column, named_columns, split_unit, strip_units
+
+TIME: Final = "time"
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns of one file by name, each with its unit; `skipped` hold text, `remarks` say how it was read."""
+
+    file: str
+    values: Mapping[str, FloatArray | Instants]
+    units: Mapping[str, str]
+    lines: Sequence[int]
+    starts: Sequence[int]
+    skipped: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+
+def columns_of(file: str, rows: Rows, config: DataConfig) -> Columns:
+    """Turn cells into numbers and instants.
+
+    Text in every cell sets a column aside unless `config` names it; the trajectory column alone may hold names, which
+    are numbered. Dates are read as `times.read_times` says. A column without a name (such as a table's row numbers) is
+    set aside, by its place.
+
+    Raises:
+        DataError: columns share a name, or a cell holds nothing that is expected there.
+    """
+    rows = _with_index(rows)
+    units, cells = _headed(file, rows)
+    names = [*cells]
+    config = strip_units(config, names)
+    needed, trajectory = named_columns(config), find_trajectory_column(names, config)
+    texts = {name: its for name, its in cells.items() if is_text(its)}
+    runs = {name: _numbered(texts.pop(name)) for name in [trajectory] if name in texts}
+    times = read_times(file, texts, names, rows.starts, config, lambda row: place(rows.lines, row))
+    plain = {
+        name: its
+        for name, its in cells.items()
+        if name not in runs and name not in times.values and (name not in texts or name in needed)
+    }
+    numbers, remarks = read_numbers(file, plain, rows.lines, rows.separator)
+    read = cast(dict[str, FloatArray | Instants], {**runs, **times.values, **numbers})
+    old, new = times.renamed or ("", "")
+    skipped = (*_unnamed(rows), *(name for name in texts if name not in read and name != times.absorbed))
+    left_out = (f"text left out: {', '.join(skipped)}",) if skipped else ()
+    return Columns(
+        file,
+        {new if name == old else name: read[name] for name in names if name in read},
+        {new if name == old else name: units[name] for name in names if name in read},
+        rows.lines,
+        rows.starts,
+        skipped,
+        (*rows.remarks, *remarks, *times.remarks, *left_out),
+    )
+
+
+def _with_index(rows: Rows) -> Rows:
+    """Name a first column of dates that has no name, as an index of pandas, so that it can be the time."""
+    if rows.headers[:1] != ("",) or TIME in rows.headers or not rows.lines:
+        return rows
+    first = next((cell for cell in rows.columns[0] if not is_missing(cell)), "")
+    return replace(rows, headers=(TIME, *rows.headers[1:])) if is_instant(first) else rows
+
+
+def _headed(file: str, rows: Rows) -> tuple[dict[str, str], dict[str, list[str]]]:
+    """Return units and cells by name."""
+    units = rows.units or ("",) * len(rows.headers)
+    named = [
+        (*split_unit(on_one_line(header)), unit, cells)
+        for header, unit, cells in zip(rows.headers, units, rows.columns, strict=True)
+        if header
+    ]
+    names = [name for name, *_ in named]
+    for name in names:
+        if names.count(name) > 1:
+            raise DataError(f"{file} has {names.count(name)} columns named '{name}'; give each column its own name")
+    if not rows.lines:
+        raise DataError(f"{file} has a header but no rows; rows of numbers are expected below it")
+    return {name: its or unit for name, its, unit, _ in named}, {name: cells for name, _, _, cells in named}
+
+
+def _unnamed(rows: Rows) -> list[str]:
+    places = enumerate(zip(rows.headers, rows.columns, strict=True), start=1)
+    return [f"column {number}" for number, (header, cells) in places if not header and any(map(str.strip, cells))]
+
+
+def _numbered(cells: Sequence[str]) -> FloatArray:
+    """Number the different texts of a trajectory column by first appearance."""
+    numbers: dict[str, float] = {}
+    return np.array([numbers.setdefault(cell.strip(), float(len(numbers) + 1)) for cell in cells], dtype=np.float64)

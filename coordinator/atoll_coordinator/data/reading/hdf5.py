@@ -1,0 +1,92 @@
+"""HDF5 files -> `Rows`, by h5py, an extra: ``pip install 'atoll[hdf5]'``.
+
+Every dataset is an array of its own, or, where it is a table, one for each of its fields; an attribute ``units`` gives
+the unit. Files of netCDF 4 are such files.
+"""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.config import DataConfig
+from atoll.errors import DataError
+from atoll_coordinator.data.reading.arrays import rows_of_arrays
+from atoll_coordinator.data.reading.rows import Rows
+
+MAGIC: Final = b"\x89HDF\r\n\x1a\n"
+_Arrays = tuple[dict[str, Any], dict[str, str]]
+
+
+def read_hdf5(path: Path, config: DataConfig) -> Rows:
+    """Read an HDF5 file; raises DataError."""
+    arrays, units = read_arrays(path)
+    if not arrays:
+        raise DataError(f"{path.name} holds no numeric datasets; one for each column is expected")
+    return rows_of_arrays(path.name, arrays, config, ("HDF5",), units)
+
+
+def read_arrays(path: Path, is_matlab: bool = False) -> _Arrays:
+    """Return arrays and units by name; matrices as MATLAB means them, whose order of numbers is the other one.
+
+    Raises:
+        DataError: h5py is not installed, or the file is none that it reads, or one of pandas.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise DataError(f"reading {path.name} needs h5py; run: pip install 'atoll[hdf5]'") from None
+    try:
+        with h5py.File(path, "r") as file:
+            return _collected(path.name, file, h5py, is_matlab)
+    except OSError as error:
+        raise DataError(f"{path.name} is not an HDF5 file that can be read; write it anew, or as CSV") from error
+
+
+def _collected(name: str, file: Any, h5py: Any, is_matlab: bool) -> _Arrays:
+    found: dict[str, Any] = {}
+    units: dict[str, str] = {}
+
+    def take(path: str, item: Any) -> None:
+        if "pandas_type" in item.attrs:
+            raise DataError(f"{name} was written by pandas.to_hdf; write it with to_csv or to_parquet")
+        if not isinstance(item, h5py.Dataset) or _is_hidden(path, item, is_matlab):
+            return
+        values = _with_missing(item, item[()])
+        parts = {field: values[field] for field in values.dtype.names} if values.dtype.names else {"": values}
+        for field, part in parts.items():
+            called = _unused(path, field, found)
+            found[called] = part.T if is_matlab else part
+            units[called] = _text(item.attrs.get("units", "")) if not field else ""
+
+    file.visititems(take)
+    return found, {name: unit for name, unit in units.items() if unit}
+
+
+def _is_hidden(path: str, item: Any, is_matlab: bool) -> bool:
+    """Tell whether a dataset holds no numbers, or what only the format needs."""
+    kind = _text(item.attrs.get("MATLAB_class", ""))
+    if path.startswith("#") or (is_matlab and kind in ("char", "cell", "struct", "function_handle", "table")):
+        return True
+    if _text(item.attrs.get("NAME", "")).startswith("This is a netCDF dimension but not"):
+        return True
+    return item.dtype.kind not in "biufcSV" or item.ndim > 2 or item.size == 0
+
+
+def _with_missing(item: Any, values: Any) -> Any:
+    """Return values with NaN for what the file calls missing."""
+    fill = item.attrs.get("_FillValue", item.attrs.get("missing_value"))
+    if fill is None or values.dtype.kind not in "iuf":
+        return values
+    return np.where(values == np.ravel(fill)[0], np.nan, values)
+
+
+def _unused(path: str, field: str, taken: dict[str, Any]) -> str:
+    parts = [*path.split("/"), *([field] if field else [])]
+    return parts[-1] if parts[-1] not in taken else ".".join(parts)
+
+
+def _text(value: Any) -> str:
+    return (
+        value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value) if isinstance(value, str) else ""
+    )

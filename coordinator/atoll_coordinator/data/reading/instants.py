@@ -1,0 +1,297 @@
+"""Dates and clock times -> instants, in whole nanoseconds; instants -> times in one unit. Pure.
+
+A date is counted from 1970-01-01, a clock time from midnight, both without leap seconds. ISO dates, dates with names of
+months, and local ones are read; whether ``03/04/2020`` begins with the day is told by the other dates of the column.
+"""
+
+import datetime
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import accumulate, pairwise
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll.data.dataset import FloatArray
+from atoll.errors import DataError
+from atoll_coordinator.data.reading.cells import is_missing, on_one_line
+
+NANOSECONDS: Final = {"d": 86_400_000_000_000, "h": 3_600_000_000_000, "min": 60_000_000_000, "s": 1_000_000_000}
+"""Units of time that dates are counted in, the longest first."""
+
+_EPOCH: Final = datetime.date(1970, 1, 1).toordinal()
+_MONTHS: Final = ("january", "february", "march", "april", "may", "june", "july", "august", "september")
+_MONTHS_BY_NAME: Final = {
+    name: number
+    for number, month in enumerate((*_MONTHS, "october", "november", "december"), start=1)
+    for name in (month, month[:3], month[:4])
+}
+_CLOCK: Final = (
+    r"(?:(?P<days>\d+) days?,? )?(?P<hour>\d{1,4}):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:[.,](?P<part>\d+))?)?"
+    r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
+)
+_ZONE: Final = r"(?: ?(?P<zone>Z|UTC|GMT|[+-]\d\d(?::?\d\d)?))?"
+_DATES: Final = (
+    ("year-month-day", r"(?P<year>\d{4})[-/.](?P<month>\d{1,2})(?:[-/.](?P<day>\d{1,2}))?"),
+    ("", r"(?P<one>\d{1,2})(?P<mark>[-/.])(?P<two>\d{1,2})(?P=mark)(?P<year>\d{4}|\d\d)"),
+    ("day month year", r"(?P<day>\d{1,2})\.?[ -]?(?P<name>[A-Za-z]{3,9})\.?,?[ -](?P<year>\d{4}|\d\d)"),
+    ("month day year", r"(?P<name>[A-Za-z]{3,9})\.? (?P<day>\d{1,2}),? (?P<year>\d{4})"),
+)
+"""Forms of dates; the one without a name is resolved by the column."""
+_FORMS: Final = tuple((form, re.compile(rf"{date}(?:(?:[T ]|, ?)\s*{_CLOCK}{_ZONE})?")) for form, date in _DATES)
+_CLOCK_FORM: Final = re.compile(_CLOCK)
+_Match = re.Match[str]
+
+
+@dataclass(frozen=True)
+class Instants:
+    """Instants of the rows of a column, in nanoseconds, None where missing.
+
+    `form` is how they are written; `has_date` says whether they are counted from 1970-01-01, else from midnight;
+    `has_clock` whether any of them has a clock time; `is_utc` whether zones were given, and taken off.
+    """
+
+    nanoseconds: tuple[int | None, ...]
+    form: str
+    has_date: bool
+    has_clock: bool = True
+    is_utc: bool = False
+
+
+def is_instant(cell: str) -> bool:
+    """Tell whether `cell` has the form of a date or a clock time."""
+    text = on_one_line(cell)
+    return is_clock(text) or _form(text) is not None
+
+
+def is_clock(cell: str) -> bool:
+    """Tell whether `cell` has the form of a clock time alone."""
+    return _CLOCK_FORM.fullmatch(on_one_line(cell)) is not None
+
+
+def _form(text: str) -> tuple[str, re.Pattern[str]] | None:
+    for form, pattern in _FORMS:
+        match = pattern.fullmatch(text)
+        if match is not None and match.groupdict().get("name", "may").lower() in _MONTHS_BY_NAME:
+            return form, pattern
+    return None
+
+
+def read_instants(column: str, cells: Sequence[str], starts: Sequence[int], where: Callable[[int], str]) -> Instants:
+    """Return the instants in the cells of a column, of which the first one that is there has the form of an instant.
+
+    Args:
+        column: what messages call it, such as ``column 't' of a.csv``.
+        cells: its text.
+        starts: rows at which trajectories begin.
+        where: says where a row stands, for messages.
+
+    Raises:
+        DataError: a cell has another form or holds no such date, or day and month cannot be told apart.
+    """
+    texts = ["" if is_missing(cell) else on_one_line(cell) for cell in cells]
+    first = next(text for text in texts if text)
+    found = ("clock time", _CLOCK_FORM) if is_clock(first) else _form(first)
+    assert found is not None
+    form, pattern = found
+    matches = [pattern.fullmatch(text) if text else None for text in texts]
+    for row, (text, match) in enumerate(zip(texts, matches, strict=True)):
+        if text and match is None:
+            raise DataError(f"{column} holds '{text}' in {where(row)}, which is not written as '{first}' is")
+    if pattern is _CLOCK_FORM:
+        _check_hours(column, matches)
+        clocks = _each(matches, _clock, column, where)
+        return Instants(_past_midnight(clocks, starts), "clock times", has_date=False)
+    zones = {match["zone"] is not None for match in matches if match is not None}
+    if len(zones) > 1:
+        raise DataError(f"{column} gives a time zone in some rows only; give it in all or in none")
+    if not form:
+        form = _order(column, matches, starts)
+    values = _each(matches, lambda match: _date(match, form), column, where)
+    has_clock = any(match is not None and match["hour"] is not None for match in matches)
+    return Instants(tuple(values), f"dates {form}", has_date=True, has_clock=has_clock, is_utc=zones == {True})
+
+
+def _each(
+    matches: Sequence[_Match | None], read: Callable[[_Match], int], column: str, where: Callable[[int], str]
+) -> list[int | None]:
+    values: list[int | None] = []
+    for row, match in enumerate(matches):
+        try:
+            values.append(None if match is None else read(match))
+        except ValueError:
+            assert match is not None
+            raise DataError(f"{column} holds '{match[0]}' in {where(row)}, which is no date or time") from None
+    return values
+
+
+def _check_hours(column: str, matches: Sequence[_Match | None]) -> None:
+    """Refuse ``45:10``, which may be minutes and seconds."""
+    for match in matches:
+        if match is not None and match["second"] is None and int(match["hour"]) > 24:
+            raise DataError(
+                f"{column} holds '{match[0]}', which may be minutes and seconds; write hours:minutes:seconds"
+            )
+
+
+def _clock(match: _Match) -> int:
+    """Return the nanoseconds since midnight, or of a duration; raises ValueError."""
+    hour, minute, second = (int(match[part] or 0) for part in ("hour", "minute", "second"))
+    if match["half"]:
+        if not 1 <= hour <= 12:
+            raise ValueError(match[0])
+        hour = hour % 12 + (12 if match["half"] in "pP" else 0)
+    if minute > 59 or second > 60:
+        raise ValueError(match[0])
+    whole = ((int(match["days"] or 0) * 24 + hour) * 60 + minute) * 60 + second
+    return whole * NANOSECONDS["s"] + int((match["part"] or "0").ljust(9, "0")[:9])
+
+
+def _date(match: _Match, form: str) -> int:
+    """Return the nanoseconds since 1970-01-01; raises ValueError."""
+    parts = match.groupdict()
+    if "one" in parts:
+        day, month = (match["one"], match["two"]) if form.startswith("day") else (match["two"], match["one"])
+    else:
+        day, month = match["day"] or "1", parts.get("month")
+    number = int(month) if month is not None else _month(match["name"])
+    days = datetime.date(_year(match["year"]), number, int(day)).toordinal() - _EPOCH
+    if match["hour"] is None:
+        return days * NANOSECONDS["d"]
+    if match["half"] is None and int(match["hour"]) > 24:
+        raise ValueError(match[0])
+    return days * NANOSECONDS["d"] + _clock(match) - _offset(match["zone"])
+
+
+def _month(name: str) -> int:
+    number = _MONTHS_BY_NAME.get(name.lower())
+    if number is None:
+        raise ValueError(name)
+    return number
+
+
+def _year(text: str) -> int:
+    """Return the year; of two digits by the rule of POSIX, from 1969 to 2068."""
+    year = int(text)
+    return year if len(text) == 4 else year + (1900 if year >= 69 else 2000)
+
+
+def _offset(zone: str | None) -> int:
+    """Return how far a zone is ahead of UTC."""
+    if zone is None or zone[0] not in "+-":
+        return 0
+    digits = zone[1:].replace(":", "").ljust(4, "0")
+    minutes = int(digits[:2]) * 60 + int(digits[2:])
+    return (-minutes if zone[0] == "-" else minutes) * NANOSECONDS["min"]
+
+
+def _order(column: str, matches: Sequence[_Match | None], starts: Sequence[int]) -> str:
+    """Return whether day or month comes first: by dots, by numbers above 12, by which of both orders ascends."""
+    present = [match for match in matches if match is not None]
+    mark = present[0]["mark"]
+    forms = [mark.join(parts) for parts in (("day", "month", "year"), ("month", "day", "year"))]
+    if mark == ".":
+        return forms[0]
+    if any(int(match["one"]) > 12 for match in present):
+        return forms[0]
+    if any(int(match["two"]) > 12 for match in present):
+        return forms[1]
+    ascending = [form for form in forms if _ascends([match and _date(match, form) for match in matches], starts)]
+    if len(ascending) == 1:
+        return ascending[0]
+    raise DataError(
+        f"{column} holds '{present[0][0]}', which may be {forms[0]} or {forms[1]}, and its other rows do not tell; "
+        "write dates as year-month-day"
+    )
+
+
+def _ascends(values: Sequence[int | None], starts: Sequence[int]) -> bool:
+    return all(
+        one < other
+        for first, last in zip(starts, (*starts[1:], len(values)), strict=True)
+        for one, other in pairwise(value for value in values[first:last] if value is not None)
+    )
+
+
+def _past_midnight(values: Sequence[int | None], starts: Sequence[int]) -> tuple[int | None, ...]:
+    """Go on counting where a clock falls back by more than half a day within a trajectory."""
+    day, added, last = NANOSECONDS["d"], 0, None
+    counted: list[int | None] = []
+    begins = set(starts)
+    for row, value in enumerate(values):
+        if row in begins:
+            added, last = 0, None
+        if value is not None:
+            added += day if last is not None and 2 * (last - value) > day else 0
+            last = value
+        counted.append(None if value is None else value + added)
+    return tuple(counted)
+
+
+def with_clock(dates: Instants, clocks: Instants) -> Instants:
+    """Return the instants of a column of dates and one of clock times."""
+    day = NANOSECONDS["d"]
+    values = tuple(
+        None if date is None or clock is None else date + clock % day
+        for date, clock in zip(dates.nanoseconds, clocks.nanoseconds, strict=True)
+    )
+    return replace(dates, nanoseconds=values, has_clock=True, form=f"{dates.form} and clock times")
+
+
+def of_array(values: npt.NDArray[np.datetime64]) -> Instants:
+    """Return the instants of an array of dates (N,)."""
+    days = values.astype("M8[D]")
+    rest = (values - days).astype("m8[ns]").astype(np.int64).tolist()
+    whole = days.astype(np.int64).tolist()
+    missing = np.isnat(values).tolist()
+    found = [
+        None if is_missing else date * NANOSECONDS["d"] + part
+        for date, part, is_missing in zip(whole, rest, missing, strict=True)
+    ]
+    return Instants(tuple(found), "dates", has_date=True, has_clock=any(rest))
+
+
+def times_of(columns: Sequence[Instants], starts: Iterable[int], unit: str | None) -> tuple[FloatArray, str, str]:
+    """Return the times (N,) of one column in the files that are read together, their unit, and a remark.
+
+    Args:
+        columns: its instants in each file, of one kind.
+        starts: rows at which trajectories begin, counted over all files.
+        unit: in which times are wanted; None: the longest of days, hours, minutes and seconds of which a usual step
+            between rows has at least one.
+
+    Raises:
+        DataError: there is not one instant.
+    """
+    values = [value for each in columns for value in each.nanoseconds]
+    present = [value for value in values if value is not None]
+    if not present:
+        raise DataError("a column of dates holds none; correct it")
+    first = columns[0]
+    origin = present[0] if first.has_date else 0
+    chosen = unit if unit in NANOSECONDS else _unit(values, set(starts))
+    length = NANOSECONDS[chosen]
+    times = [float("nan") if value is None else (value - origin) / length for value in values]
+    since = _written(origin, first) if first.has_date else "midnight"
+    return np.array(times, dtype=np.float64), chosen, f"{first.form}, in {chosen} since {since}"
+
+
+def _unit(values: Sequence[int | None], starts: set[int]) -> str:
+    runs = accumulate(row in starts for row in range(len(values)))
+    present = [(run, value) for run, value in zip(runs, values, strict=True) if value is not None]
+    steps = sorted(abs(other - one) for (run, one), (its, other) in pairwise(present) if run == its and one != other)
+    usual = steps[len(steps) // 2] if steps else 0
+    return next((unit for unit, length in NANOSECONDS.items() if length <= usual), "s")
+
+
+def _written(origin: int, its: Instants) -> str:
+    days, rest = divmod(origin, NANOSECONDS["d"])
+    date = datetime.date.fromordinal(days + _EPOCH).isoformat()
+    if not its.has_clock:
+        return date
+    seconds, part = divmod(rest, NANOSECONDS["s"])
+    clock = f"{seconds // 3600:02}:{seconds // 60 % 60:02}:{seconds % 60:02}"
+    fraction = f".{part:09}".rstrip("0") if part else ""
+    return f"{date} {clock}{fraction}{' UTC' if its.is_utc else ''}"

@@ -1,0 +1,209 @@
+"""A text file -> `Rows`: which character separates cells, which lines are comments, which is the header.
+
+Lines are kept apart because messages name them. The header is the first line that is no comment, or, where that holds
+numbers, the last comment before it that has as many cells, as `numpy.savetxt` writes it.
+"""
+
+import csv
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Final
+
+from atoll.errors import DataError
+from atoll_coordinator.data.reading.cells import is_missing, is_numeral, on_one_line
+from atoll_coordinator.data.reading.encodings import decode
+from atoll_coordinator.data.reading.instants import is_instant
+from atoll_coordinator.data.reading.rows import Rows, is_units_row, plain_unit, rows_of_records
+
+SPACES: Final = " "
+"""Stands for any white space between cells."""
+
+_NAMES: Final = {",": "commas", ";": "semicolons", "\t": "tabs", SPACES: "spaces"}
+_LINE: Final = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
+_COMMENT: Final = re.compile(r"\s*(?:#(?!N/A|DIV/0!|VALUE!|REF!|NUM!|NAME\?|NULL!)|%)", re.IGNORECASE)
+"""How a comment begins; what spreadsheets write for an error is none."""
+_SEPARATOR: Final = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)
+_MARKS: Final = "#% \t"
+_Line = tuple[int, str]
+
+
+@dataclass(frozen=True)
+class _Beginning:
+    """What stands before the first row: a separator that the file names, comments, and the number of lines of these.
+
+    `first` is the first line that is neither blank nor a comment, None where there is none.
+    """
+
+    separator: str | None
+    comments: tuple[str, ...]
+    first: _Line | None
+
+
+def read_text(name: str, data: bytes) -> Rows:
+    """Split a text file into cells.
+
+    Raises:
+        DataError: it is no text, empty, has no header or cannot be split.
+    """
+    text, encoding = decode(name, data)
+    if not text.strip():
+        raise DataError(f"{name} is empty; a header line and rows of numbers are expected")
+    beginning = _beginning(text)
+    if beginning.first is None:
+        raise DataError(f"{name} holds comments only; a header line and rows of numbers are expected")
+    rows = _split(name, text, beginning, _COMMENT.match)
+    if not rows.lines and _has_other_comments(text, beginning):  # the first column begins with the mark of a comment
+        rows = _split(name, text, beginning, lambda _: None)
+    return replace(rows, remarks=(*rows.remarks, encoding)) if encoding else rows
+
+
+def _lines(text: str) -> Iterator[_Line]:
+    """Yield line numbers and lines; a StringIO would take four bytes for each character."""
+    return enumerate((match[0] for match in _LINE.finditer(text)), start=1)
+
+
+def _beginning(text: str) -> _Beginning:
+    separator: str | None = None
+    comments: list[str] = []
+    for number, line in _lines(text):
+        if not line.strip():
+            continue
+        if (named := _SEPARATOR.fullmatch(line)) and not comments and separator is None:
+            separator = named[1]
+        elif _COMMENT.match(line):
+            comments.append(line)
+        else:
+            return _Beginning(separator, tuple(comments), (number, line))
+    return _Beginning(separator, tuple(comments), None)
+
+
+def _has_other_comments(text: str, beginning: _Beginning) -> bool:
+    return sum(_COMMENT.match(line) is not None for _, line in _lines(text)) > len(beginning.comments)
+
+
+def _split(name: str, text: str, beginning: _Beginning, is_comment: Callable[[str], object]) -> Rows:
+    assert beginning.first is not None
+    number, line = beginning.first
+    where: tuple[str, ...] = ()
+    body = ((place, each) for place, each in _lines(text) if place >= number)
+    skipped = _Counted(body, is_comment)
+    found = _header_of_comments(line, beginning)
+    if found is not None:
+        separator, headers, units = found
+        rows = rows_of_records(name, headers, _records(name, skipped, separator), ())
+        rows, where = replace(rows, units=units or rows.units), ("header in a comment",)
+    else:
+        separator = beginning.separator or _separator(line, list(islice(_following(text, number), 1)))
+        records = _records(name, skipped, separator)
+        _, headers = next(records)
+        _check_header(name, headers)
+        rows = rows_of_records(name, headers, records, ())
+    used = 0 if found is None else 1 + bool(found[2])
+    comments = skipped.count + len(beginning.comments) - used
+    left_out = (f"{comments} comment {'line' if comments == 1 else 'lines'} left out",) if comments else ()
+    how = f"text with {_NAMES.get(separator, repr(separator))}"
+    return replace(rows, remarks=(how, *where, *rows.remarks, *left_out), separator=separator)
+
+
+class _Counted:
+    """The lines that are no comments; `count` says how many were."""
+
+    def __init__(self, lines: Iterator[_Line], is_comment: Callable[[str], object]) -> None:
+        self._lines = lines
+        self._is_comment = is_comment
+        self.count = 0
+
+    def __iter__(self) -> Iterator[_Line]:
+        for number, line in self._lines:
+            if self._is_comment(line):
+                self.count += 1
+            else:
+                yield number, line
+
+
+def _following(text: str, number: int) -> Iterator[str]:
+    """Yield the lines below line `number` that are neither blank nor comments."""
+    return (line for place, line in _lines(text) if place > number and line.strip() and not _COMMENT.match(line))
+
+
+def _records(name: str, lines: _Counted, separator: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield line number and cells of each record, blank lines included."""
+    if separator == SPACES:
+        for number, line in lines:
+            yield number, cells_of(line, separator)
+        return
+    numbers: list[int] = []
+
+    def fed() -> Iterator[str]:
+        for number, line in lines:
+            numbers.append(number)
+            yield line
+
+    reader = csv.reader(fed(), delimiter=separator, skipinitialspace=True)
+    before = 0
+    try:
+        for record in reader:
+            yield numbers[before], record
+            before = reader.line_num
+    except csv.Error as error:
+        raise DataError(f"line {numbers[-1]} of {name} cannot be split into cells: {error}") from error
+
+
+def cells_of(line: str, separator: str) -> list[str]:
+    """Return the cells of one line."""
+    if separator == SPACES and '"' not in line:
+        return line.split()
+    text = " ".join(line.split()) if separator == SPACES else line
+    try:
+        return next(csv.reader([text], delimiter=separator, skipinitialspace=True), [])
+    except csv.Error:
+        return [text]
+
+
+def _separator(header: str, below: Sequence[str]) -> str:
+    """Return what the header uses outside of quotes and units: tab, semicolon or comma; else perhaps spaces."""
+    bare = re.sub(r'"[^"]*"|\[[^\]]*\]', "", header)
+    for separator in "\t;,":
+        if separator in bare:
+            return separator
+    number = len(cells_of(header, SPACES))
+    return SPACES if number > 1 and below and len(cells_of(below[0], SPACES)) in (number, number + 1) else ","
+
+
+def _header_of_comments(line: str, beginning: _Beginning) -> tuple[str, Sequence[str], tuple[str, ...]] | None:
+    """Return separator, names and units where the first line holds data and comments before it name the columns."""
+    for separator in beginning.separator or "\t;, ":
+        cells = cells_of(line, separator)
+        if not all(map(_is_datum, cells)) or all(map(is_missing, cells)):
+            continue
+        named = [_names(comment, separator, len(cells)) for comment in beginning.comments]
+        fitting = [names for names in named if names]
+        if len(fitting) > 1 and is_units_row(fitting[-1], fitting[-2]):
+            return separator, fitting[-2], tuple(plain_unit(cell) for cell in fitting[-1])
+        if fitting:
+            return separator, fitting[-1], ()
+    return None
+
+
+def _is_datum(cell: str) -> bool:
+    return is_missing(cell) or is_numeral(cell) or is_instant(cell)
+
+
+def _names(comment: str, separator: str, count: int) -> list[str] | None:
+    """Return the cells of a comment if there are as many as `count`, however it separates them."""
+    text = comment.strip().lstrip(_MARKS)
+    for each in (separator, ",", ";", "\t", SPACES):
+        cells = [on_one_line(cell) for cell in cells_of(text, each)]
+        if len(cells) == count and not any(cell.endswith((",", ";")) for cell in cells):
+            return cells
+    cells = re.split(r"\s{2,}", text)
+    return cells if len(cells) == count else None
+
+
+def _check_header(name: str, headers: Sequence[str]) -> None:
+    if all(header and is_numeral(header) for header in headers):
+        raise DataError(f"the first line of {name} holds numbers only; a header with column names is expected there")
+    if len(headers) == 1 and len(headers[0].split()) > 1:
+        raise DataError(f"{name} has one column, '{headers[0]}'; separate columns with commas, semicolons or tabs")

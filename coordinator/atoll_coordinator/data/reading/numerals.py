@@ -1,0 +1,153 @@
+"""Cells -> numbers, in whatever way a country writes them: decimal commas or points, separators of thousands. Pure.
+
+Each column is read in one way. Where its own cells leave open whether ``1,234`` is 1.234 or 1234, the other columns of
+the file decide, then what separates its cells; else the file is refused.
+"""
+
+import re
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Final, Literal
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.errors import DataError
+from atoll_coordinator.data.reading.cells import SPACES, WITH_COMMA, WITH_POINT, is_missing, number, on_one_line
+
+_THOUSANDS: Final = re.compile(r"\s*[+-]?[1-9]\d{0,2}(?:\.\d{3})+\s*")
+_GROUPS: Final = str.maketrans("", "", SPACES)
+
+Decimal = Literal["point", "comma"]
+
+
+def read_numbers(
+    file: str, columns: Mapping[str, Sequence[str]], lines: Sequence[int], separator: str
+) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
+    """Return the numbers of the columns of one file, by name, and remarks on how they were read.
+
+    Args:
+        file: its name, for messages.
+        columns: cells by name.
+        lines: line numbers, 0 where there are none.
+        separator: what stands between cells.
+
+    Raises:
+        DataError: a cell holds no number, or one that may be two.
+    """
+    plain = {name: found for name, cells in columns.items() if (found := _plain(cells)) is not None}
+    ways = {name: _ways(file, name, cells, lines) for name, cells in columns.items() if name not in plain}
+    seen: set[Decimal] = {next(iter(its)) for its in ways.values() if len(its) == 1}
+    if any(len(its) > 1 for its in ways.values()) and _has_points(columns, plain):
+        seen.add("point")
+    usual: set[Decimal] = seen if len(seen) == 1 else _of_separator(separator)
+    chosen: dict[str, Decimal] = {
+        name: next(iter(its & usual)) if its & usual else _only(file, name, columns[name], its)
+        for name, its in ways.items()
+    }
+    if seen == {"comma"}:
+        chosen |= {name: "comma" for name in plain if _has_thousands(columns[name])}
+    read = {name: _converted(columns[name], chosen[name]) if name in chosen else plain[name] for name in columns}
+    return read, _remarks(columns, chosen)
+
+
+def _plain(cells: Sequence[str]) -> FloatArray | None:
+    """Return the cells as numbers; None where one of them is not written as Python writes numbers."""
+    try:
+        return np.array([float(cell) for cell in cells], dtype=np.float64)
+    except ValueError:
+        pass
+    numbers = [number(cell) for cell in cells]
+    return None if None in numbers else np.array(numbers, dtype=np.float64)
+
+
+def _ways(file: str, name: str, cells: Sequence[str], lines: Sequence[int]) -> set[Decimal]:
+    """Return in which ways all cells of a column can be read."""
+    ways: set[Decimal] = {"point", "comma"}
+    for row, cell in enumerate(cells):
+        its = _ways_of(cell)
+        if not its:
+            found = textwrap.shorten(on_one_line(cell), 40, placeholder="…")
+            raise DataError(
+                f"column '{name}' of {file} holds '{found}' in {place(lines, row)} where a number is expected"
+            )
+        if not ways & its:
+            raise DataError(
+                f"column '{name}' of {file} holds '{on_one_line(cell)}' in {place(lines, row)}, but decimal "
+                f"{'commas' if ways == {'comma'} else 'points'} above it; write all numbers in one way"
+            )
+        ways &= its
+    return ways
+
+
+def _ways_of(cell: str) -> set[Decimal]:
+    its: set[Decimal] = set()
+    if number(cell) is not None:
+        return {"point"} if "." in cell and not _THOUSANDS.fullmatch(cell) else {"point", "comma"}
+    if WITH_POINT.fullmatch(cell):
+        its.add("point")
+    if WITH_COMMA.fullmatch(cell):
+        its.add("comma")
+    return its
+
+
+def _has_points(columns: Mapping[str, Sequence[str]], plain: Mapping[str, object]) -> bool:
+    return any("." in cell for name in plain for cell in columns[name])
+
+
+def _has_thousands(cells: Sequence[str]) -> bool:
+    """Tell whether all points in a column separate thousands."""
+    pointed = [cell for cell in cells if "." in cell]
+    return bool(pointed) and all(_THOUSANDS.fullmatch(cell) for cell in pointed)
+
+
+def _of_separator(separator: str) -> set[Decimal]:
+    """Return how numbers are written where that separates cells: semicolons do where commas are decimal."""
+    return {",": {"point"}, ";": {"comma"}}.get(separator, set())  # type: ignore[return-value]
+
+
+def _only(file: str, name: str, cells: Sequence[str], ways: set[Decimal]) -> Decimal:
+    """Return the only way, or either where both give the same numbers."""
+    cell = next((cell for cell in cells if "," in cell or (number(cell) is not None and "." in cell)), None)
+    if len(ways) == 1 or cell is None:
+        return next(iter(ways))
+    both = " or ".join(f"{_number(cell, way):g}" for way in ("point", "comma"))
+    raise DataError(
+        f"column '{name}' of {file} holds '{cell.strip()}', which may be {both}; leave out separators of thousands"
+    )
+
+
+def _converted(cells: Sequence[str], way: Decimal) -> FloatArray:
+    return np.array([_number(cell, way) for cell in cells], dtype=np.float64)
+
+
+def _number(cell: str, way: Decimal) -> float:
+    if is_missing(cell):
+        return float("nan")
+    text = cell.strip().translate(_GROUPS)
+    if way == "point":
+        return float(text.replace(",", ""))
+    whole = text.replace(".", "") if "," in text or _THOUSANDS.fullmatch(text) else text
+    return float(whole.replace(",", "."))
+
+
+def _remarks(columns: Mapping[str, Sequence[str]], chosen: Mapping[str, Decimal]) -> tuple[str, ...]:
+    """Say which columns have decimal commas, and which separators of thousands."""
+    commas = [name for name, way in chosen.items() if way == "comma" and any("," in cell for cell in columns[name])]
+    grouped = [
+        name
+        for name, way in chosen.items()
+        if any(_is_grouped(cell, way) for cell in columns[name] if not is_missing(cell))
+    ]
+    remarks = [f"decimal commas in {', '.join(commas)}"] if commas else []
+    return (*remarks, *([f"separators of thousands in {', '.join(grouped)}"] if grouped else []))
+
+
+def _is_grouped(cell: str, way: Decimal) -> bool:
+    marks = "," if way == "point" else "."
+    return any(mark in cell.strip() for mark in (marks, *SPACES))
+
+
+def place(lines: Sequence[int], row: int) -> str:
+    """Return where a row stands: its line, or its number in a file without lines."""
+    return f"line {lines[row]}" if lines[row] else f"row {row + 1}"

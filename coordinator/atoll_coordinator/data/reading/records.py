@@ -1,0 +1,69 @@
+"""JSON files -> `Rows`: a list of records, one record a line, or columns by name, as pandas and polars write them."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from atoll.errors import DataError
+from atoll_coordinator.data.reading.encodings import decode
+from atoll_coordinator.data.reading.rows import Rows, with_breaks
+
+_EXPECTED = 'a list of records such as [{"t": 0, "x": 1}] is expected'
+
+
+def read_records(path: Path) -> Rows:
+    """Read a JSON file; raises DataError."""
+    text, _ = decode(path.name, path.read_bytes())
+    if not text.strip():
+        raise DataError(f"{path.name} is empty; {_EXPECTED}")
+    found, remark = _parsed(path.name, text)
+    headers, columns = _columns(path.name, found)
+    cells = [
+        [_cell(path.name, header, value) for value in column] for header, column in zip(headers, columns, strict=True)
+    ]
+    return with_breaks(headers, cells, (remark,))
+
+
+def _parsed(name: str, text: str) -> tuple[Any, str]:
+    """Return the value of the whole text, or a list of those of its lines."""
+    try:
+        return json.loads(text), "JSON"
+    except (ValueError, RecursionError) as error:
+        whole = error
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    if len(lines) < 2 or not lines[0][1].strip().endswith("}"):
+        raise DataError(f"{name} is not valid JSON: {whole}") from whole
+    records = []
+    for number, line in lines:
+        try:
+            records.append(json.loads(line))
+        except (ValueError, RecursionError) as error:
+            raise DataError(f"line {number} of {name} is not valid JSON: {error}") from error
+    return records, "JSON lines"
+
+
+def _columns(name: str, found: Any) -> tuple[list[str], list[Sequence[Any]]]:
+    """Return names and values of the columns."""
+    if isinstance(found, Mapping) and {"columns", "data"} <= set(found):  # pandas: orient="split"
+        found = [dict(zip(found["columns"], row, strict=False)) for row in found["data"]]
+    elif isinstance(found, Mapping) and {"schema", "data"} <= set(found):  # pandas: orient="table"
+        found = found["data"]
+    if isinstance(found, Mapping):
+        columns = [[*its.values()] if isinstance(its, Mapping) else its for its in found.values()]
+        lengths = {len(its) if isinstance(its, list) else 0 for its in columns}
+        if len(lengths) != 1 or lengths == {0}:
+            raise DataError(f"{name} holds an object whose values are no columns of one length; {_EXPECTED}")
+        return [str(key) for key in found], columns
+    if not isinstance(found, list) or not found or not all(isinstance(record, Mapping) for record in found):
+        raise DataError(f"{name} holds no records; {_EXPECTED}")
+    headers = list(dict.fromkeys(str(key) for record in found for key in record))
+    return headers, [[record.get(header) for record in found] for header in headers]
+
+
+def _cell(name: str, header: str, value: Any) -> str:
+    if isinstance(value, (list, dict)):
+        raise DataError(f"column '{header}' of {name} holds lists or objects; write one number a cell")
+    if isinstance(value, bool):
+        return "1" if value else "0"
+    return "" if value is None else str(value)

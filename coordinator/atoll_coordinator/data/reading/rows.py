@@ -1,0 +1,115 @@
+"""What is read from one file, before cells are numbers: `Rows`. Pure."""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final
+
+from atoll.errors import DataError
+from atoll_coordinator.data.reading.cells import is_missing, is_numeral, is_text, on_one_line
+from atoll_coordinator.data.reading.units import are_units
+
+_BRACKETS: Final = re.compile(r"^\s*[\[(](.*)[\])]\s*$")
+_NO_UNIT: Final = frozenset({"-", "–", "1"})
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Cells of one file as text: `columns[i]` are the cells under `headers[i]`; `lines` their line numbers, or 0.
+
+    `units` are those that a row of their own or the format gives, "" where there is none; `starts` are the rows at
+    which trajectories begin; `remarks` say how the file was read; `separator` is what stands between cells, "" where
+    the format has none.
+    """
+
+    headers: tuple[str, ...]
+    columns: list[list[str]]
+    lines: list[int]
+    starts: list[int]
+    remarks: tuple[str, ...]
+    units: tuple[str, ...] = ()
+    separator: str = ""
+
+
+def rows_of_records(
+    file: str, headers: Sequence[str], records: Iterable[tuple[int, list[str]]], remarks: tuple[str, ...]
+) -> Rows:
+    """Return the rows of line numbers and cells; blank records become starts of trajectories.
+
+    Raises:
+        DataError: a record has more or fewer cells than the header.
+    """
+    headers = [on_one_line(header) for header in headers]
+    lines: list[int] = []
+    kept: list[list[str]] = []
+    starts = [0]
+    for line, record in records:
+        if any(cell.strip() for cell in record):
+            kept.append(record)
+            lines.append(line)
+        else:
+            starts.append(len(lines))
+    if kept and all(len(record) == len(headers) + 1 for record in kept):
+        headers, kept = _one_cell_more(headers, kept)
+    for line, record in zip(lines, kept, strict=True):
+        if len(record) != len(headers):
+            found = f"{len(record)} {'cell' if len(record) == 1 else 'cells'}"
+            raise DataError(f"line {line} of {file} has {found} where the header has {len(headers)}; correct it")
+    columns = [list(column) for column in zip(*kept, strict=True)] or [[] for _ in headers]
+    starts = sorted({start for start in starts if start < max(len(lines), 1)})
+    return take_units(Rows(tuple(headers), columns, lines, starts, remarks))
+
+
+def _one_cell_more(headers: list[str], records: list[list[str]]) -> tuple[list[str], list[list[str]]]:
+    """Take in records with one cell more than the header: a separator at the end, or names of rows as R writes them."""
+    if not any(record[-1].strip() for record in records):
+        return headers, [record[:-1] for record in records]
+    first = [record[0] for record in records]
+    if is_text(first) or first == [str(row) for row in range(1, len(records) + 1)]:
+        return ["", *headers], records
+    return headers, records
+
+
+def take_units(rows: Rows) -> Rows:
+    """Return `rows` without a first row that holds units in place of numbers; these become the units."""
+    if len(rows.lines) < 2 or not is_units_row([column[0] for column in rows.columns], rows.headers):
+        return rows
+    if not any(plain_unit(column[0]) and is_numeral(column[1]) for column in rows.columns):
+        return rows
+    place = f"line {rows.lines[0]}" if rows.lines[0] else "the first row"
+    return replace(
+        rows,
+        columns=[column[1:] for column in rows.columns],
+        lines=rows.lines[1:],
+        starts=sorted({max(start - 1, 0) for start in rows.starts}),
+        remarks=(*rows.remarks, f"units in {place}"),
+        units=tuple(plain_unit(column[0]) for column in rows.columns),
+    )
+
+
+def is_units_row(cells: Sequence[str], headers: Sequence[str]) -> bool:
+    """Tell whether `cells` hold units: no number, nothing that cannot be a unit, and not the header once more."""
+    written = [plain_unit(cell) for cell in cells]
+    texts = [unit for unit in written if unit]
+    is_header = [on_one_line(cell) for cell in cells] == list(headers)
+    return bool(texts) and not is_header and are_units(texts)
+
+
+def plain_unit(cell: str) -> str:
+    """Return a unit without its brackets, "" for none."""
+    match = _BRACKETS.match(cell)
+    text = on_one_line(match[1] if match else cell)
+    return "" if text in _NO_UNIT or is_missing(text) else text
+
+
+def with_breaks(
+    headers: Sequence[str], columns: list[list[str]], remarks: tuple[str, ...], units: Sequence[str] = ()
+) -> Rows:
+    """Return the rows of a format without lines; those that are missing in every column separate trajectories."""
+    count = len(columns[0]) if columns else 0
+    blank = [all(is_missing(cell) for cell in row) for row in zip(*columns, strict=True)]
+    kept = [row for row in range(count) if not blank[row]]
+    starts = [0] + [place for place, (row, after) in enumerate(pairwise(kept), start=1) if after != row + 1]
+    taken = columns if len(kept) == count else [[column[row] for row in kept] for column in columns]
+    return Rows(tuple(headers), taken, [0] * len(kept), starts, remarks, tuple(units))

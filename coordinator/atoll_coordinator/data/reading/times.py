@@ -1,0 +1,107 @@
+"""Which columns of text are read as dates and clock times: those that are named, and what can be the time. Pure."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from atoll.config import DataConfig
+from atoll_coordinator.data.reading.cells import is_missing
+from atoll_coordinator.data.reading.instants import Instants, is_clock, is_instant, read_instants, with_clock
+from atoll_coordinator.data.roles.options import named_columns
+from atoll_coordinator.data.roles.roles import TIME_NAMES
+
+_NEW_NAMES: Final = ("time", "t")
+_Kind = Literal["clock", "date", "both"]
+
+
+@dataclass(frozen=True)
+class Times:
+    """Columns of instants by their name in the file.
+
+    `renamed` is the one that nobody has named, and what it is called so that it is found to be the time; `absorbed` is
+    a column of dates, or of clock times, that has become part of another one.
+    """
+
+    values: Mapping[str, Instants]
+    renamed: tuple[str, str] | None = None
+    absorbed: str | None = None
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Which column is the time, where nobody has said so."""
+        return () if self.renamed is None else (f"column '{self.renamed[0]}' is the {self.renamed[1]}",)
+
+
+def read_times(
+    file: str,
+    texts: Mapping[str, Sequence[str]],
+    names: Sequence[str],
+    starts: Sequence[int],
+    config: DataConfig,
+    where: Callable[[int], str],
+) -> Times:
+    """Return the columns of instants among the columns of text of one file.
+
+    Args:
+        file: its name, for messages.
+        texts: cells of the columns that hold text alone and are not the trajectories' names.
+        names: of all columns.
+        starts: rows at which trajectories begin.
+        config: columns named as in the file.
+        where: says where a row stands, for messages.
+
+    Raises:
+        DataError: a date cannot be read, or may be two.
+    """
+    kinds = {name: kind for name, cells in texts.items() if (kind := _kind(cells)) is not None}
+    needed = named_columns(config)
+    free = [name for name in kinds if name not in needed]
+    found = config.time if config.time in kinds else _candidate(kinds, free, names, texts, config)
+    wanted = [name for name in kinds if name in needed or name == found]
+    other = None if found is None else _other_half(found, kinds, [name for name in free if name != found])
+    values = {
+        name: read_instants(f"column '{name}' of {file}", texts[name], starts, where)
+        for name in (*wanted, *([] if other is None else [other]))
+    }
+    if found is not None and other is not None:
+        halves = values.pop(other), values[found]
+        values[found] = with_clock(*(halves if kinds[other] == "date" else halves[::-1]))
+    new = next((name for name in _NEW_NAMES if name not in names), None)
+    is_new = found is not None and found not in (config.time, *TIME_NAMES) and new is not None
+    return Times(values, (found, new) if is_new and found and new else None, other)
+
+
+def _kind(cells: Sequence[str]) -> _Kind | None:
+    """Return what the first cell that is there has the form of."""
+    first = next((cell for cell in cells if not is_missing(cell)), "")
+    if not is_instant(first):
+        return None
+    if is_clock(first):
+        return "clock"
+    return "both" if ":" in first else "date"
+
+
+def _candidate(
+    kinds: Mapping[str, _Kind],
+    free: Sequence[str],
+    names: Sequence[str],
+    texts: Mapping[str, object],
+    config: DataConfig,
+) -> str | None:
+    """Return the column of dates that is the time though nobody has said so; None where that is not clear."""
+    is_given = config.time is not None or config.target is not None or config.derivatives is not None
+    if is_given or any(name in names and name not in texts for name in TIME_NAMES):
+        return None
+    called = [name for name in free if name in TIME_NAMES]
+    clocks = [name for name in free if kinds[name] == "clock"]
+    is_pair = len(free) == 2 and len(clocks) == 1 and any(kinds[name] == "date" for name in free)
+    if called or len(free) == 1:
+        return (called or free)[0]
+    return clocks[0] if is_pair else None
+
+
+def _other_half(found: str, kinds: Mapping[str, _Kind], others: Sequence[str]) -> str | None:
+    """Return the only column of dates that goes with clock times, or the reverse."""
+    lacking = {"clock": "date", "date": "clock", "both": None}[kinds[found]]
+    fitting = [name for name in others if kinds[name] == lacking]
+    return fitting[0] if len(fitting) == 1 else None

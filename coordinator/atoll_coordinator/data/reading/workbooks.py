@@ -1,0 +1,75 @@
+"""Excel workbooks -> `Rows`, by openpyxl, an extra: ``pip install 'atoll[xlsx]'``.
+
+The first sheet that is not empty is read, from its first row that is not.
+"""
+
+import datetime
+import warnings
+import zipfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from atoll.errors import DataError
+from atoll_coordinator.data.reading.rows import Rows, rows_of_records
+
+_Record = tuple[int, list[str]]
+
+
+def read_workbook(path: Path) -> Rows:
+    """Read a workbook; raises DataError."""
+    try:
+        import openpyxl
+    except ImportError:
+        raise DataError(f"reading {path.name} needs openpyxl; run: pip install 'atoll[xlsx]'") from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of extensions that do not matter here
+            book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+            try:
+                sheets = [(sheet.title, [*_records(sheet)]) for sheet in book.worksheets]
+            finally:
+                book.close()
+    except (zipfile.BadZipFile, KeyError, ValueError, EOFError) as error:
+        raise DataError(f"{path.name} is not an Excel workbook that can be read; save it anew, or as CSV") from error
+    filled = [(title, records) for title, records in sheets if records]
+    if not filled:
+        raise DataError(f"{path.name} is empty; a header line and rows of numbers are expected")
+    title, records = filled[0]
+    others = [other for other, _ in filled[1:]]
+    remarks = (f"Excel, sheet '{title}'", *([f"other sheets left out: {', '.join(others)}"] if others else []))
+    first, last = _extent(records)
+    cut = [(line, [*cells[first:last], *[""] * (last - max(len(cells), first))]) for line, cells in records]
+    rows = rows_of_records(path.name, cut[0][1], iter(cut[1:]), ())
+    return replace(rows, remarks=(*remarks, *rows.remarks))
+
+
+def _records(sheet: Any) -> Iterator[_Record]:
+    """Yield the rows from the first that is not empty to the last."""
+    waiting: list[_Record] = []
+    for line, row in enumerate(sheet.iter_rows(values_only=True), start=1):
+        cells = [_cell(value) for value in row]
+        waiting.append((line, cells))
+        if any(cells):
+            yield from waiting if len(waiting) < line else waiting[-1:]
+            waiting = []
+
+
+def _extent(records: list[_Record]) -> tuple[int, int]:
+    """Return the half-open range of the columns that are not empty."""
+    used = [place for _, cells in records for place, cell in enumerate(cells) if cell]
+    return min(used), max(used) + 1
+
+
+def _cell(value: Any) -> str:
+    """Return a cell as text; dates in ISO form."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "1" if value else "0"
+    if isinstance(value, datetime.datetime):
+        return value.isoformat(" ")
+    if isinstance(value, datetime.timedelta):
+        return str(value)
+    return str(value)

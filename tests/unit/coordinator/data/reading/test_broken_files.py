@@ -1,0 +1,75 @@
+"""Files that cannot be read as they are: one sentence that says what was found and what helps, and exit code 2."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from atoll.config import DataConfig, JobConfig
+from atoll.errors import DataError
+from atoll_coordinator.data.description import describe
+from atoll_coordinator.data.reading.files import read_table
+
+
+def rows(form: str) -> str:
+    """Return twelve rows of a format of i, j = i + 1 and k = 20 - i."""
+    return "".join(form.format(i=i, j=i + 1, k=20 - i) + "\n" for i in range(12))
+
+
+BROKEN: dict[str, tuple[str, str | bytes, str]] = {
+    "empty": ("a.csv", "", "a.csv is empty; a header line"),
+    "comments": ("a.csv", "# a\n# b\n", "a.csv holds comments only; a header line"),
+    "no rows": ("a.csv", "# made\nt,x\n", "a.csv has a header but no rows; rows of numbers"),
+    "no header": ("a.txt", rows("{i} {j}"), "the first line of a.txt holds numbers only; a header"),
+    "a comment that is no header": ("a.txt", "# my data\n" + rows("{i} {j} 3"), "holds numbers only; a header"),
+    "a word": ("a.csv", "t,x\n" + rows("{i},{j}") + "12,two\n", "holds 'two' in line 14 where a number"),
+    "a short row": ("a.csv", "t,x\n" + rows("{i},{j}") + "12\n", "line 14 of a.csv has 1 cell where the header has 2"),
+    "a long row": ("a.txt", "t x\n" + rows("{i} {j}") + "1 2 3\n", "line 14 of a.txt has 3 cells"),
+    "decimal commas between commas": ("a.csv", "t,x\n" + rows("0,{i},1,{j}"), "line 2 of a.csv has 4 cells"),
+    "thousands or decimals": ("a.tsv", "t\tx\n" + rows("{i}\t{j},234"), "'1,234', which may be 1234 or 1.234"),
+    "commas and points": ("a.csv", "t;x\n0;1,5\n1;2.5\n", "holds '2.5' in line 3, but decimal commas above it"),
+    "day or month": ("a.csv", "date,x\n" + rows("01/{j:02}/2020,{i}"), "day/month/year or month/day/year"),
+    "no such day": ("a.csv", "date,x\n2020-02-29,1\n2020-02-30,2\n", "'2020-02-30' in line 3, which is no date"),
+    "no such month": ("a.csv", "date,x\n13/01/2020,1\n01/13/2020,2\n", "'01/13/2020' in line 3, which is no date"),
+    "dates in two forms": ("a.csv", "date,x\n2020-02-27,1\n28.02.2020,2\n", "not written as '2020-02-27' is"),
+    "zones in some rows": ("a.csv", "date,x\n2020-02-27T00:00Z,1\n2020-02-28T00:00,2\n", "a time zone in some rows"),
+    "minutes or hours": ("a.csv", "time,x\n00:10,1\n45:20,2\n", "'45:20', which may be minutes and seconds"),
+    "time that goes back": ("a.csv", "date,x\n" + rows("2020-01-{k},{i}"), "time goes back"),
+    "two columns of dates": ("a.csv", "a,b,x\n" + rows("2020-01-{k},2020-02-{k},{i}"), "no time column was found"),
+    "words for time": ("a.csv", "t,x\n" + rows("day {i},{i}"), "holds text that is neither a number nor a date"),
+    "header twice": ("a.csv", "t,x\nt,x\n" + rows("{i},{j}"), "column 't' of a.csv holds 't' in line 2"),
+    "words for units": ("a.csv", "t,x\nzero,one\n" + rows("{i},{j}"), "column 't' of a.csv holds 'zero' in line 2"),
+    "an error of a spreadsheet": ("a.csv", "t,x\n0,1\n#DIV/0!,2\n", "holds '#DIV/0!' in line 3"),
+    "damaged UTF-8": ("a.csv", "t,ø\n0,1\n".encode() + b"1,\xff\n", "a.csv is not UTF-8 text (byte 12)"),
+    "a picture": ("a.csv", b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR", "a.csv is not UTF-8 text (byte 1)"),
+    "a workbook called CSV": ("a.csv", b"PK\x03\x04 and more", "a.csv is an Excel workbook or another ZIP archive"),
+    "no workbook": ("a.xlsx", b"no", "a.xlsx is not an Excel workbook that can be read"),
+    "no MATLAB file": ("a.mat", b"no matlab" * 100, "a.mat is not a MATLAB file that can be read"),
+    "no HDF5 file": ("a.h5", b"no", "a.h5 is not an HDF5 file that can be read"),
+    "no JSON": ("a.json", "{'t': 1}", "a.json is not valid JSON: Expecting property name"),
+    "numbers in JSON": ("a.json", "[1, 2]", 'a.json holds no records; a list of records such as [{"t": 0, "x": 1}]'),
+    "a line of JSON": ("a.jsonl", '{"t": 0}\n{"t": \n{"t": 2}\n', "line 2 of a.jsonl is not valid JSON"),
+    "lists in JSON": ("a.json", '[{"t": 0, "x": [1]}]', "column 'x' of a.json holds lists or objects"),
+    "columns of two lengths": ("a.json", '{"t": [0, 1], "x": [1]}', "whose values are no columns of one length"),
+    "an old workbook": ("a.xls", b"any", "a.xls is an Excel workbook of the old format; save it as .xlsx"),
+    "a pickle": ("a.pkl", b"any", "a.pkl is a pickle, which may hold programs"),
+    "one name twice": ("a.csv", "t,x [m],x [s]\n0,1,2\n", "a.csv has 2 columns named 'x'"),
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_a_broken_file_is_one_sentence_and_code_2(kind: str, tmp_path: Path) -> None:
+    name, content, words = BROKEN[kind]
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(DataError) as raised:
+        describe(read_table([path], DataConfig()), JobConfig())
+    assert words in str(raised.value)
+    assert "\n" not in str(raised.value)
+    assert raised.value.exit_code == 2
+
+
+def test_arrays_of_several_lengths_without_a_time_are_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", a=np.zeros(3), b=np.zeros(4))
+    with pytest.raises(DataError, match=r"a\.npz holds arrays of shapes \[\(3,\), \(4,\)\]"):
+        read_table([tmp_path / "a.npz"], DataConfig())

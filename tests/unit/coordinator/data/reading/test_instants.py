@@ -1,0 +1,131 @@
+"""Dates and clock times: forms, the order of day and month, midnight, zones, and the unit of times."""
+
+import datetime
+
+import numpy as np
+import pytest
+
+from atoll.errors import DataError
+from atoll_coordinator.data.reading.instants import NANOSECONDS, of_array, read_instants, times_of, with_clock
+
+S, H, D = (NANOSECONDS[unit] for unit in ("s", "h", "d"))
+
+
+def instants(*cells, starts=(0,)):
+    return read_instants("column 't' of a.csv", cells, starts, lambda row: f"line {row + 2}")
+
+
+def since_1970(*date):
+    return int(datetime.datetime(*date, tzinfo=datetime.UTC).timestamp()) * S
+
+
+@pytest.mark.parametrize(
+    ("cell", "date"),
+    [
+        ("2020-02-29", (2020, 2, 29)),
+        ("2020/2/9 7:05", (2020, 2, 9, 7, 5)),
+        ("2020-02-29T07:05:06Z", (2020, 2, 29, 7, 5, 6)),
+        ("2020-02-29 07:05:06+02:30", (2020, 2, 29, 4, 35, 6)),
+        ("2020-02-29 07:05:06 -0100", (2020, 2, 29, 8, 5, 6)),
+        ("2020-02", (2020, 2, 1)),
+        ("29.2.2020 07:05", (2020, 2, 29, 7, 5)),
+        ("29.02.20", (2020, 2, 29)),
+        ("29/02/2020", (2020, 2, 29)),
+        ("2/29/2020 1:05 PM", (2020, 2, 29, 13, 5)),
+        ("29-Feb-2020 07:05:06", (2020, 2, 29, 7, 5, 6)),
+        ("29 February 2020", (2020, 2, 29)),
+        ("Feb 29, 2020", (2020, 2, 29)),
+        ("1969-12-31 23:00", (1969, 12, 31, 23)),
+    ],
+)
+def test_a_date_is_read(cell, date):
+    assert instants(cell).nanoseconds == (since_1970(*date),)
+
+
+@pytest.mark.parametrize(
+    ("cell", "seconds"),
+    [("7:05", 25500), ("00:00:01,25", 1.25), ("12:00:00 AM", 0), ("36:00:00", 129600), ("1 days 00:00:02", 86402)],
+)
+def test_a_clock_time_is_read(cell, seconds):
+    assert instants(cell).nanoseconds == (round(seconds * S),)
+
+
+def test_a_fraction_keeps_its_nanoseconds():
+    assert instants("2020-01-01T00:00:00.123456789").nanoseconds == (since_1970(2020, 1, 1) + 123456789,)
+
+
+@pytest.mark.parametrize(
+    ("cells", "form"),
+    [
+        (("01/02/2020", "13/02/2020"), "dates day/month/year"),
+        (("01/02/2020", "01/13/2020"), "dates month/day/year"),
+        (("31-01-2020", "01-02-2020"), "dates day-month-year"),
+        (("10/01/2020", "11/01/2020", "01/02/2020"), "dates day/month/year"),
+        (("01.02.2020", "02.02.2020"), "dates day.month.year"),
+    ],
+)
+def test_the_other_dates_tell_day_from_month(cells, form):
+    assert instants(*cells).form == form
+
+
+def test_each_trajectory_ascends_by_itself():
+    assert instants("10/01/2020", "01/02/2020", "10/01/2020", "01/02/2020", starts=(0, 2)).form.startswith("dates day")
+
+
+def test_a_clock_goes_on_past_midnight_within_a_trajectory():
+    found = instants("23:00", "01:00", "23:00", "02:00", "04:00", starts=(0, 4))
+    assert found.nanoseconds == (23 * H, 25 * H, 47 * H, 50 * H, 4 * H)
+
+
+def test_missing_instants_stay_missing():
+    times, _, _ = times_of([instants("2020-01-01", "", "NA", "2020-01-04")], (0,), None)
+    assert np.isnan(times).tolist() == [False, True, True, False]
+    assert times[3] == 3.0
+
+
+@pytest.mark.parametrize(
+    ("cells", "unit", "step"),
+    [
+        (("2020-01-01", "2020-01-02", "2020-01-03"), "d", 1.0),
+        (("2020-01-01", "2020-02-01", "2020-03-01"), "d", 31.0),
+        (("2020-01-01 00:00", "2020-01-01 06:00", "2020-01-01 12:00"), "h", 6.0),
+        (("2020-01-01 00:00", "2020-01-01 00:15", "2020-01-01 00:30"), "min", 15.0),
+        (("2020-01-01 00:00:00.0", "2020-01-01 00:00:00.5", "2020-01-01 00:00:01.0"), "s", 0.5),
+    ],
+)
+def test_the_unit_is_the_longest_that_a_usual_step_has(cells, unit, step):
+    times, its, remark = times_of([instants(*cells)], (0,), None)
+    assert (its, times[1] - times[0], times[0]) == (unit, step, 0.0)
+    assert remark.endswith(f"in {unit} since {'2020-01-01' if cells[0] == '2020-01-01' else '2020-01-01 00:00:00'}")
+
+
+def test_steps_from_one_trajectory_to_the_next_do_not_count():
+    days = instants("2020-01-01 00:00", "2021-01-01 00:00", "2021-01-01 01:00", starts=(0, 1))
+    assert times_of([days], (0, 1), None)[1] == "h"
+
+
+def test_files_read_together_have_one_unit_and_one_beginning():
+    times, unit, _ = times_of(
+        [instants("2020-01-01", "2020-01-02"), instants("2020-01-05", "2020-01-06")], (0, 2), None
+    )
+    assert (times.tolist(), unit) == ([0.0, 1.0, 4.0, 5.0], "d")
+
+
+def test_a_unit_may_be_asked_for():
+    assert times_of([instants("2020-01-01", "2020-01-02")], (0,), "h")[0].tolist() == [0.0, 24.0]
+    assert times_of([instants("2020-01-01", "2020-01-02")], (0,), "fortnights")[1] == "d"
+
+
+def test_a_column_of_dates_and_one_of_clock_times_are_one():
+    found = with_clock(instants("2020-01-01", "2020-01-02"), instants("23:00", "01:00"))
+    assert [value - since_1970(2020, 1, 1) for value in found.nanoseconds] == [23 * H, 25 * H]
+
+
+def test_arrays_of_dates_are_instants():
+    found = of_array(np.array(["1969-12-31T23:00", "NaT", "2020-02-29T07:05:06.5"], dtype="M8[ms]"))
+    assert found.nanoseconds == (-H, None, since_1970(2020, 2, 29, 7, 5, 6) + S // 2)
+
+
+def test_only_missing_dates_are_refused():
+    with pytest.raises(DataError, match="holds none"):
+        times_of([of_array(np.array(["NaT"], dtype="M8[s]"))], (0,), None)

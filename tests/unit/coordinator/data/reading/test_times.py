@@ -1,0 +1,42 @@
+"""Which column of dates is the time, and when dates are left alone."""
+
+from pathlib import Path
+
+import pytest
+
+from atoll.config import DataConfig
+from atoll.data.table import Table
+from atoll_coordinator.data.reading.files import read_table
+
+
+def read(folder: Path, header: str, *rows: str, config: DataConfig | None = None) -> Table:
+    (folder / "a.csv").write_text("\n".join([header, *rows, ""]))
+    return read_table([folder / "a.csv"], config or DataConfig())
+
+
+def test_date_and_clock_in_two_columns_are_the_time(tmp_path: Path) -> None:
+    table = read(tmp_path, "Date,Time of day,x", "2020-01-01,23:30,1", "2020-01-02,00:30,2")
+    assert (table.names, table.units, table.column("time").tolist()) == (("time", "x"), ("h", ""), [0.0, 1.0])
+    assert table.skipped == ()
+
+
+def test_a_column_that_is_named_keeps_its_name(tmp_path: Path) -> None:
+    rows = ("2020-01-01,2020-02-01,1", "2020-01-02,2020-02-02,2")
+    table = read(tmp_path, "begin,end,x", *rows, config=DataConfig(time="end"))
+    assert (table.names, table.units, table.skipped) == (("end", "x"), ("d", ""), ("begin",))
+
+
+@pytest.mark.parametrize("header", ["t,date,x", "time,date,x"])
+def test_dates_beside_a_time_of_numbers_are_left_out(header: str, tmp_path: Path) -> None:
+    table = read(tmp_path, header, "0,2020-01-01,1", "1,2020-01-02,2")
+    assert table.skipped == ("date",)
+    assert "text left out: date" in table.read_as
+
+
+def test_dates_may_name_trajectories(tmp_path: Path) -> None:
+    table = read(tmp_path, "trajectory,t,x", "2020-01-01,0,1", "2020-01-02,0,2")
+    assert table.column("trajectory").tolist() == [1.0, 2.0]
+
+
+def test_dates_are_left_out_of_a_regression(tmp_path: Path) -> None:
+    assert read(tmp_path, "date,x,y", "2020-01-01,1,2", config=DataConfig(target="y")).names == ("x", "y")
