@@ -13,7 +13,7 @@ import numpy as np
 from atoll.config import PRESETS, JobConfig, Preset
 from atoll.data.dataset import FloatArray, Problem, Target
 from atoll.search.pareto import FrontEntry
-from atoll_island_worker.evolution.island import Island, senders
+from atoll_island_worker.evolution.island import Island, reshuffle
 
 TERMINALS: Final = 7
 SAMPLE: Final = 16
@@ -61,7 +61,6 @@ class Archipelago:
     def __init__(self, problem: Problem, config: JobConfig) -> None:
         self.islands = [Island(problem, config, number) for number in range(config.evolution.islands)]
         self._config = config
-        self._variable = problem.target.variable
         self._evaluations = [0] * len(self.islands)
         self._past = 0
         self.deviation = problem.target.standard_deviation
@@ -73,23 +72,18 @@ class Archipelago:
         """
         while True:
             yield from self._epoch(generations)
-            self._reshuffle()
+            reshuffle(self.islands)
 
     def _epoch(self, generations: int) -> Iterator[Stride]:
         seen = [0] * len(self.islands)
         busy = list(range(len(self.islands)))
         while busy:
             for number in tuple(busy):
-                if self.islands[number].advance(generations):
+                island = self.islands[number]
+                if island.advance(generations):
                     busy.remove(number)
-                outcome = self.islands[number].outcome()
-                self._evaluations[number] = sum(outcome.evaluations.values())
-                additions, seen[number] = outcome.additions[seen[number] :], len(outcome.additions)
-                yield Stride(sum(self._evaluations), self._past + outcome.generations, additions)
+                self._evaluations[number] = island.spent
+                additions = island.additions(seen[number])
+                seen[number] += len(additions)
+                yield Stride(sum(self._evaluations), self._past + island.generation, additions)
         self._past += self._config.migration.generations
-
-    def _reshuffle(self) -> None:
-        sent = [island.emigrants() for island in self.islands]
-        for number, island in enumerate(self.islands):
-            sources = senders(self._config, self._variable, island.epoch, number) | {number}
-            island.immigrate({source: sent[source][number] for source in sources if number in sent[source]})

@@ -10,7 +10,7 @@ from atoll.search.seeding import Stream
 from atoll_island_worker.evolution.formula import from_tape, to_program
 from atoll_island_worker.evolution.kernels.random import below, next_bits, normal, uniform
 from atoll_island_worker.evolution.kernels.tape import compile_tape, sign
-from atoll_island_worker.evolution.kernels.variation import cross, distance, mutate, random_constant
+from atoll_island_worker.evolution.kernels.variation import cross, distance, is_unchanged, mutate, random_constant
 from atoll_island_worker.evolution.structures import Space, empty_lists, empty_tape
 from tests.oracles import variation as oracle
 from tests.oracles.spaces import random_lists, space_of, stream_of
@@ -258,3 +258,19 @@ def test_half_of_the_arguments_are_terminals_where_the_reading_says_so():
     shares = (lists.left[:, 8:] < 7).mean(axis=0)
     assert abs(shares - 0.5).max() < 0.1
     assert (random_lists(500, space_of(), 31).left[:, 30] < 7).mean() < 0.35
+
+
+@QUICK
+@given(spaces(), SEEDS)
+def test_a_child_is_unchanged_when_the_live_nodes_of_the_parent_of_its_output_are(space, seed):
+    parents, children, stream = random_lists(2, space, seed), empty_lists(2, space.nodes), stream_of(seed)
+    live, signature = np.zeros((2, -(-space.nodes // 64)), np.uint64), np.zeros((2, space.nodes), np.int64)
+    for p in range(2):
+        sign(parents, p, live[p], signature, p)
+    for _ in range(4):
+        base = cross(children, parents, 0, 1, space, stream)
+        for q, parent in ((0, base), (1, 1 - base)):
+            mutate(children, q, space, stream)
+            before, after = oracle.nodes_of(parents, parent), oracle.nodes_of(children, q)
+            same = all(before[i] == after[i] for i in oracle.live_of(before))
+            assert is_unchanged(parents, parent, children, q, live) == same

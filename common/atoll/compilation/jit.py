@@ -51,6 +51,17 @@ def kernel(function: F) -> F:
     return cast(F, _Kernel(function, _BARE)) if IS_COMPILED else function
 
 
+def entry_point(function: F, *arguments: object) -> F:
+    """Return the machine code of a kernel for arguments of the types of `arguments`; interpreted: the kernel itself.
+
+    It does not look at types again, which for the hundred arrays of an island takes as long as a generation. Whoever
+    calls it answers for them.
+    """
+    if not IS_COMPILED:
+        return function
+    return cast(F, function.compile(tuple(map(numba.typeof, arguments))))  # type: ignore[attr-defined]
+
+
 def allocating_kernel(function: F) -> F:
     """Compile `function` as `kernel` does; it may make arrays."""
     return cast(F, _Kernel(function, _STRICT)) if IS_COMPILED else function

@@ -4,6 +4,9 @@ What kernels do for many generations stops where a trainer is to be renewed or t
 both are rare, and apart from the generations they are compiled apart.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from atoll.expression.kernels.tape import functions_address
@@ -23,6 +26,13 @@ from atoll_island_worker.evolution.structures import (
     Scratch,
     Space,
 )
+
+Caller = Callable[..., Any]
+
+
+def call_plainly(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a kernel; see `IslandSetup.call` for what saves time."""
+    return function(*arguments)
 
 
 def begin_coevolution(
@@ -44,18 +54,25 @@ def use_best_predictor(
     options: Fit,
     scratch: Scratch,
     counters: Ints,
+    call: Caller = call_plainly,
 ) -> None:
     """Gather the best predictor's rows (all rows while predictors are off) and measure the population on them."""
     if rows.length < every.length:
         gather(rows, every, coevolution.predictors[coevolution.best[0]], functions_address())
-    measure_all(lists, fitness, rows, options, scratch, counters, REEVALUATION)
+    call(measure_all, lists, fitness, rows, options, scratch, counters, REEVALUATION)
 
 
 def renew_trainer(
-    lists: Lists, coevolution: Coevolution, every: Rows, options: Fit, scratch: Scratch, counters: Ints
+    lists: Lists,
+    coevolution: Coevolution,
+    every: Rows,
+    options: Fit,
+    scratch: Scratch,
+    counters: Ints,
+    call: Caller = call_plainly,
 ) -> bool:
     """Replace the oldest trainer by the most disputed individual; return True if the measuring rows changed."""
-    disputed = int(most_disputed(lists, coevolution, every, scratch.spare, options, scratch, counters))
+    disputed = int(call(most_disputed, lists, coevolution, every, scratch.spare, options, scratch, counters))
     if disputed < 0:
         return False
     oldest = int(np.argmin(coevolution.born))
@@ -80,21 +97,23 @@ def evolve(
     scratch: Scratch,
     stream: Stream,
     counters: Ints,
+    call: Caller = call_plainly,
 ) -> None:
     """Advance the island by `generations`, predictors and trainers included.
 
-    Predictors advance only while their counted share of all point evaluations is under `coevolving.effort`.
+    Predictors advance only while their counted share of all point evaluations is under `coevolving.effort`. `call`
+    calls a kernel with its arguments.
     """
     done = 0
     while done < generations:
         done += int(
-            advance(
-                generations - done, lists, fitness, coevolution, space, options, coevolving, every.length, rows,
-                scratch, stream, counters,
+            call(
+                advance, generations - done, lists, fitness, coevolution, space, options, coevolving, every.length,
+                rows, scratch, stream, counters,
             )
         )  # fmt: skip
         renews, changed = coevolution.due.tolist()
         if renews:
-            changed = renew_trainer(lists, coevolution, every, options, scratch, counters) or changed
+            changed = renew_trainer(lists, coevolution, every, options, scratch, counters, call) or changed
         if changed:
-            use_best_predictor(lists, fitness, coevolution, every, rows, options, scratch, counters)
+            use_best_predictor(lists, fitness, coevolution, every, rows, options, scratch, counters, call)

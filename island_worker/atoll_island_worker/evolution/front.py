@@ -62,6 +62,7 @@ class Front:
 
     def __init__(self) -> None:
         self._entries: tuple[FrontEntry, ...] = ()
+        self._least: npt.NDArray[np.float64] | None = None
 
     def entries(self) -> tuple[FrontEntry, ...]:
         """Return the entries by rising complexity and falling error."""
@@ -70,6 +71,7 @@ class Front:
     def replace(self, entries: Iterable[FrontEntry]) -> None:
         """Take over a front that was saved."""
         self._entries = merge((), entries)
+        self._least = None
 
     def least_error(self) -> float | None:
         """Return the least error, None while the front is empty."""
@@ -80,17 +82,19 @@ class Front:
         return min((e.error for e in self._entries if e.complexity <= complexity), default=math.inf)
 
     def least_by_size(self, sizes: int) -> npt.NDArray[np.float64]:
-        """Return `error_at` each complexity below `sizes`."""
-        least = np.full(sizes, math.inf)
-        for entry in self._entries:
-            least[entry.complexity :] = entry.error
-        return least
+        """Return `error_at` each complexity below `sizes`; not to be written to."""
+        if self._least is None or len(self._least) != sizes:
+            self._least = np.full(sizes, math.inf)
+            for entry in self._entries:
+                self._least[entry.complexity :] = entry.error
+        return self._least
 
     def add(self, entry: FrontEntry) -> bool:
         """Add `entry` unless an entry as simple is as good; return whether it was added."""
         if not entry.error < self.error_at(entry.complexity):
             return False
         self._entries = merge(self._entries, (entry,))
+        self._least = None
         return True
 
 
@@ -134,8 +138,8 @@ class FrontUpdater:
         setup = self._setup
         looks_beside = looks_beside and self._runners_up.most > 0
         number, least = self._choose(lists, fitness, looks_beside)
-        count = refit_chosen(
-            lists, self._chosen, number, setup.every, setup.fit, REFIT_STEPS if setup.fit.steps else 0,
+        count = setup.call(
+            refit_chosen, lists, self._chosen, number, setup.every, setup.fit, REFIT_STEPS if setup.fit.steps else 0,
             setup.scratch, least, _SLACK if looks_beside else math.inf, self._book, counters,
         )  # fmt: skip
         before, additions = self._front.entries(), list[FrontEntry]()
@@ -151,11 +155,13 @@ class FrontUpdater:
     ) -> tuple[int, npt.NDArray[np.float64]]:
         """Choose individuals; return their number and, by size, the loss below which one is worth offering."""
         scratch, chosen, runners_up = self._setup.scratch, self._chosen, self._runners_up
-        number = int(choose_offers(lists, fitness, scratch, self.offered, self.offered_loss, chosen))
+        call = self._setup.call
+        number = int(call(choose_offers, lists, fitness, scratch, self.offered, self.offered_loss, chosen))
         if not looks_beside:
             return number, self._front.least_by_size(len(self.offered))
         order = np.argsort(fitness, kind="stable")
-        number = int(choose_near(lists, fitness, order, runners_up.most, scratch, runners_up.known, chosen, number))
+        most, known = runners_up.most, runners_up.known
+        number = int(call(choose_near, lists, fitness, order, most, scratch, known, chosen, number))
         return number, runners_up.limits(len(self.offered))
 
     def _offer_one(self, k: int, counters: Counters, tag: Tag) -> Iterator[FrontEntry]:

@@ -6,7 +6,7 @@ No clock, no I/O, no global random state, no thread order in it: one seed, one a
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -131,7 +131,7 @@ class Island:
         else:
             use_best_predictor(
                 self._lists, self._fitness, self._coevolution, setup.every, setup.rows, setup.fit, scratch,
-                self._counters,
+                self._counters, setup.call,
             )  # fmt: skip
         self._begun = True
 
@@ -139,7 +139,7 @@ class Island:
         setup = self._setup
         evolve(
             generations, self._lists, self._fitness, self._coevolution, setup.space, setup.fit, setup.coevolving,
-            setup.every, setup.rows, setup.scratch, self._stream, self._counters,
+            setup.every, setup.rows, setup.scratch, self._stream, self._counters, setup.call,
         )  # fmt: skip
         self._generation += generations
 
@@ -162,6 +162,15 @@ class Island:
     def _normalized(self, error: float | None) -> float:
         return math.inf if error is None else error / self._setup.deviation
 
+    @property
+    def spent(self) -> int:
+        """Point evaluations since epoch 0, of all parts."""
+        return sum(self._counters.tolist())
+
+    def additions(self, first: int = 0) -> tuple[FrontEntry, ...]:
+        """Return what improved the island's front in this epoch, from entry number `first` on."""
+        return tuple(self._setup.outward(entry) for entry in self._additions[first:])
+
     def outcome(self) -> EpochOutcome:
         """Return the report of the epoch, finished or not."""
         best = self._normalized(self._front.least_error())
@@ -169,7 +178,7 @@ class Island:
             self.epoch,
             self._generation,
             self._hit,
-            tuple(self._setup.outward(entry) for entry in self._additions),
+            self.additions(),
             tuple(self._setup.outward(entry) for entry in self._near),
             self._evaluations(),
             dict(self._counters_by_slice),
@@ -199,14 +208,13 @@ class Island:
         """
         if not self._begun:
             raise LocalProtocolError(f"island {self._setup.island} cannot take immigrants before its epoch has run")
-        lists = migration.unpack(blocks, len(self._fitness), self._setup.space, self._setup.allowed)
-        self._replace_population(lists)
-        self.epoch += 1
-        self._start_epoch()
+        self._go_on_with(migration.unpack(blocks, len(self._fitness), self._setup.space, self._setup.allowed))
 
-    def _replace_population(self, lists: Lists) -> None:
+    def _go_on_with(self, lists: Lists) -> None:
         for mine, theirs in zip(self._lists._asdict().values(), lists, strict=True):
             mine[...] = theirs
+        self.epoch += 1
+        self._start_epoch()
 
     def _state_arrays(self) -> dict[str, Any]:
         coevolution = self._coevolution
@@ -281,10 +289,22 @@ class Island:
                 )
 
 
+def reshuffle(islands: Sequence[Island]) -> None:
+    """Begin the next epoch of all islands of one variable, which are in this process: no blocks are written and read.
+
+    The same solutions come to the same places as by `Island.emigrants` and `Island.immigrate`.
+    """
+    setup = islands[0]._setup
+    places = migration.destinations(setup.config, setup.variable, islands[0].epoch)
+    moved = migration.exchange([island._lists for island in islands], places)
+    for island, lists in zip(islands, moved, strict=True):
+        island._go_on_with(lists)
+
+
 def _listed(entries: Iterable[FrontEntry]) -> list[list[object]]:
     return [[e.complexity, e.error, e.mse, e.epoch, e.generation, e.island, e.program] for e in entries]
 
 
 senders = migration.senders
 receivers = migration.receivers
-__all__ = ["EpochOutcome", "Hit", "Island", "receivers", "senders"]
+__all__ = ["EpochOutcome", "Hit", "Island", "receivers", "reshuffle", "senders"]

@@ -4,7 +4,7 @@ The permutation is drawn from (seed, variable, epoch), so that every island know
 (paper, section 2; docs/protocol.md). A block holds the solutions that one island sends to another, with their slots.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Final
 
@@ -62,6 +62,18 @@ def _block(lists: Lists, rows: Slots, slots: Slots) -> bytes:
     arrays = {name: column[rows] for name, column in lists._asdict().items()}
     arrays = {name: a.astype(np.int32) if a.dtype == np.int16 else a for name, a in arrays.items()}
     return encode_arrays({}, {"slots": slots[rows].astype(np.int32), **arrays})
+
+
+def exchange(populations: Sequence[Lists], places: Slots) -> list[Lists]:
+    """Return the populations of all islands after a reshuffle; `places` (islands, P) are where each solution goes."""
+    population = places.shape[1]
+    columns = []
+    for parts in zip(*populations, strict=True):
+        column = np.empty_like(parts[0], shape=(places.size, *parts[0].shape[1:]))
+        column[places.ravel()] = np.concatenate(parts)
+        columns.append(column)
+    firsts = range(0, places.size, population)
+    return [Lists(*(column[first : first + population] for column in columns)) for first in firsts]
 
 
 def unpack(blocks: Mapping[int, bytes], population: int, space: Space, allowed: frozenset[int]) -> Lists:

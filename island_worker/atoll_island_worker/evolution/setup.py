@@ -2,11 +2,13 @@
 
 import math
 import threading
+from collections.abc import Callable
 from functools import lru_cache
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
+from atoll.compilation.jit import entry_point
 from atoll.config import Arguments, ConstantSteps, CrowdingDistance, JobConfig, MutationUnit
 from atoll.data.dataset import FloatArray, Problem, Target
 from atoll.errors import LocalProtocolError
@@ -78,6 +80,14 @@ class IslandSetup:
         )
         # What stays known of the population from one call to the next is the island's own: islands take turns.
         self.scratch = shared._replace(settled=np.zeros(evolution.population, np.bool_))
+        self._entries: dict[Callable[..., Any], Callable[..., Any]] = {}
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Call a kernel of which all arguments have the same types whenever it is called for this island."""
+        entry = self._entries.get(function)
+        if entry is None:
+            entry = self._entries[function] = entry_point(function, *arguments)
+        return entry(*arguments)
 
     def outward(self, entry: FrontEntry) -> FrontEntry:
         """Return a front member as all others know it: its program over all variables, not over those allowed here."""

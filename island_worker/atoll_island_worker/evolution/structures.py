@@ -213,6 +213,12 @@ class Scratch(NamedTuple):
     child_settled: Booleans
     signature: Ints
     """(P + 2, L) signatures of the population, while generations advance, and of the two children."""
+    live: Hashes
+    """(P + 2, words) live nodes of each of them, 64 to a word."""
+    signed: Ints
+    """(2,) row of `signature` that belongs to each child."""
+    apart: Ints
+    """(4,) distances by signature of child 0, then of child 1, from both parents."""
     tape: Tape
     canonical: Tape
     near: Work
@@ -289,6 +295,9 @@ def empty_scratch(population: int, nodes: int, variables: int, sample: int, rows
         child_loss=np.zeros(2),
         child_settled=np.zeros(2, np.bool_),
         signature=np.zeros((population + 2, nodes), np.int64),
+        live=np.zeros((population + 2, -(-nodes // 64)), np.uint64),
+        signed=np.zeros(2, np.int64),
+        apart=np.zeros(4, np.int64),
         tape=empty_tape(space),
         canonical=empty_tape(space),
         near=empty_work(space, sample),

@@ -16,6 +16,9 @@ from atoll.compilation.jit import IS_COMPILED, cgutils, intrinsic, types
 LANES: Final = 16
 """Rows in a block."""
 
+CHUNK: Final = 32
+"""Numbers that `move` copies, and `blend` and `differing` take, in a few instructions: a list of preset ``paper``."""
+
 
 def square_root(x: Any) -> Any:
     """Return the square roots of a block in `lane_operation`."""
@@ -79,6 +82,20 @@ def _total_magnitude(a: Any, b: Any) -> float:
 def _move(out: Any, p: int, source: Any, q: int, first: int, last: int) -> None:
     """Copy source[q, first:last] to out[p, first:last]; both are C-contiguous and of one type."""
     out[p, first:last] = source[q, first:last]
+
+
+def _blend(out: Any, p: int, one: Any, i: int, other: Any, j: int, start: int, cut: int) -> None:
+    """Write to out[p] the CHUNK numbers from `start` on: those of one[i] before index `cut`, of other[j] from it on."""
+    middle = min(max(cut, start), start + CHUNK)
+    out[p, start:middle] = one[i, start:middle]
+    out[p, middle : start + CHUNK] = other[j, middle : start + CHUNK]
+
+
+def _differing(one: Any, p: int, other: Any, q: int, start: int) -> np.uint64:
+    """Return bit k set for each of the CHUNK numbers from `start` on whose bits differ in one[p] and other[q]."""
+    width = f"u{one.dtype.itemsize}"
+    a, b = one[p, start : start + CHUNK].view(width), other[q, start : start + CHUNK].view(width)
+    return np.uint64(sum(1 << int(k) for k in np.flatnonzero(a != b)))
 
 
 def _get(a: Any, k: int) -> float:
@@ -297,21 +314,86 @@ if IS_COMPILED:
 
         return types.void(*[types.int64] * 6), generate
 
+    def _width(context: Any, kind: Any) -> int:
+        """Return the bytes of one number of an array of type `kind`."""
+        return int(context.get_abi_sizeof(context.get_data_type(kind.dtype)))
+
+    def _bytes_at(context: Any, builder: Any, kind: Any, array: Any, row: Any, start: Any) -> Any:
+        """Return a pointer to array[row, start]."""
+        strides = context.make_array(kind)(context, builder, array).strides
+        steps = ir.Constant(_WORD, _width(context, kind))
+        offsets = [(row, builder.extract_value(strides, 0)), (start, steps)]
+        address = _address(context, builder, kind, array, offsets)
+        return builder.inttoptr(address, ir.IntType(8).as_pointer())
+
+    def _chunk(context: Any, builder: Any, kind: Any, array: Any, row: Any, start: Any) -> tuple[Any, int]:
+        """Return a typed pointer to the CHUNK numbers of array[row] from `start` on, as integers, and their width."""
+        width = _width(context, kind)
+        pointer = ir.VectorType(ir.IntType(8 * width), CHUNK).as_pointer()
+        return builder.bitcast(_bytes_at(context, builder, kind, array, row, start), pointer), width
+
+    @intrinsic
+    def blend(typing: Any, out: Any, p: Any, one: Any, i: Any, other: Any, j: Any, start: Any, cut: Any) -> Any:
+        """See `_blend`."""
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: tuple[Any, ...]) -> Any:
+            out, p, one, i, other, j, start, cut = arguments
+            kinds = signature.args
+            target, width = _chunk(context, builder, kinds[0], out, p, start)
+            a = builder.load(_chunk(context, builder, kinds[2], one, i, start)[0], align=width)
+            b = builder.load(_chunk(context, builder, kinds[4], other, j, start)[0], align=width)
+            short = ir.IntType(8)
+            before = builder.sub(cut, start)
+            none, all_ = ir.Constant(_WORD, 0), ir.Constant(_WORD, CHUNK)
+            before = builder.select(builder.icmp_signed("<", before, none), none, before)
+            before = builder.select(builder.icmp_signed(">", before, all_), all_, before)
+            lanes = ir.VectorType(short, CHUNK)
+            single = builder.insert_element(
+                ir.Constant(lanes, ir.Undefined), builder.trunc(before, short), ir.Constant(ir.IntType(32), 0)
+            )
+            zeros = ir.Constant(ir.VectorType(ir.IntType(32), CHUNK), None)
+            limit = builder.shuffle_vector(single, ir.Constant(lanes, ir.Undefined), zeros)
+            index = ir.Constant(lanes, [ir.Constant(short, k) for k in range(CHUNK)])
+            is_first = builder.icmp_unsigned("<", index, limit)
+            builder.store(builder.select(is_first, a, b), target, align=width)
+            return context.get_dummy_value()
+
+        word = types.int64
+        return types.void(out, word, one, word, other, word, word, word), generate
+
+    @intrinsic
+    def differing(typing: Any, one: Any, p: Any, other: Any, q: Any, start: Any) -> Any:
+        """See `_differing`."""
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: tuple[Any, ...]) -> Any:
+            one, p, other, q, start = arguments
+            pointer, width = _chunk(context, builder, signature.args[0], one, p, start)
+            a = builder.load(pointer, align=width)
+            b = builder.load(_chunk(context, builder, signature.args[2], other, q, start)[0], align=width)
+            unequal = builder.icmp_unsigned("!=", a, b)
+            return builder.zext(builder.bitcast(unequal, ir.IntType(CHUNK)), _WORD)
+
+        word = types.int64
+        return types.uint64(one, word, other, word, word), generate
+
     @intrinsic
     def move(typing: Any, out: Any, p: Any, source: Any, q: Any, first: Any, last: Any) -> Any:
         """See `_move`."""
 
         def generate(context: Any, builder: Any, signature: Any, arguments: tuple[Any, ...]) -> Any:
             target, p, origin, q, first, last = arguments
-            width = context.get_abi_sizeof(context.get_data_type(signature.args[0].dtype))
-            steps = ir.Constant(_WORD, width)
-            ends = []
-            for kind, array, row in ((signature.args[0], target, p), (signature.args[2], origin, q)):
-                strides = context.make_array(kind)(context, builder, array).strides
-                offsets = [(row, builder.extract_value(strides, 0)), (first, steps)]
-                address = _address(context, builder, kind, array, offsets)
-                ends.append(builder.inttoptr(address, ir.IntType(8).as_pointer()))
-            cgutils.raw_memcpy(builder, *ends, builder.sub(last, first), width)
+            width = _width(context, signature.args[0])
+            to = _bytes_at(context, builder, signature.args[0], target, p, first)
+            source = _bytes_at(context, builder, signature.args[2], origin, q, first)
+            count = builder.sub(last, first)
+            is_chunk = builder.icmp_signed("==", count, ir.Constant(_WORD, CHUNK))
+            with builder.if_else(is_chunk) as (whole, part):
+                with whole:
+                    kind = ir.VectorType(ir.IntType(8 * width), CHUNK).as_pointer()
+                    chunk = builder.load(builder.bitcast(source, kind), align=width)
+                    builder.store(chunk, builder.bitcast(to, kind), align=width)
+                with part:
+                    cgutils.raw_memcpy(builder, to, source, count, width)
             return context.get_dummy_value()
 
         word = types.int64
@@ -330,4 +412,5 @@ else:
     lane_operation = _lane_operation
     fill, copy, get, put, move = _fill, _copy, _get, _put, _move
     add_scaled, centre, total, total_magnitude = _add_scaled, _centre, _total, _total_magnitude
+    blend, differing = _blend, _differing
     lowest_bit, highest_bit = _lowest_bit, _highest_bit

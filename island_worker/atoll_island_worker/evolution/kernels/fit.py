@@ -13,13 +13,13 @@ from typing import Final
 import numpy as np
 
 from atoll.compilation.jit import inlined
-from atoll.expression.kernels.lanes import LANES, add_scaled, copy, fill, place, total_magnitude
-from atoll.expression.kernels.tape import Int, forward, reverse_block
-from atoll.expression.operators import ADD, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SUBTRACT, VARIABLE
+from atoll.expression.kernels.lanes import LANES, add_scaled, copy, fill, lowest_bit, place, total_magnitude
+from atoll.expression.kernels.tape import Int, apply_operator, forward, reverse_block
+from atoll.expression.operators import ADD, CONSTANT, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SUBTRACT, VARIABLE
 from atoll_island_worker.evolution.kernels.rows import centre_into, product
 from atoll_island_worker.evolution.kernels.tape import ARITY_OF
 from atoll_island_worker.evolution.kernels.variation import reset_scale
-from atoll_island_worker.evolution.structures import MOST_FITTED, Fit, Floats, Ints, Rows, Tape, Work
+from atoll_island_worker.evolution.structures import MOST_FITTED, Fit, Floats, Hashes, Ints, Lists, Rows, Tape, Work
 
 INFINITY: Final = np.inf
 _FIRST_DAMPING: Final = 1e-3
@@ -30,6 +30,8 @@ _NEGLIGIBLE: Final = 1e-28
 _SUPERFLUOUS: Final = 1e-20
 _ZERO: Final = np.int64(0)
 _ONE: Final = np.int64(1)
+_NONE: Final = np.uint64(0)
+_UNIT: Final = np.uint64(1)
 
 
 @inlined
@@ -203,18 +205,41 @@ def measure_tape(
 
 
 @inlined
-def measure_plainly(tape: Tape, count: Int, rows: Rows, work: Work, result: Floats) -> None:
-    """Evaluate the tape on `rows` as it stands and set the errors; nothing of it could be fitted further."""
-    for i in range(count):
-        tape.wanted[i] = True
-    forward(
-        count, tape.code, tape.left, tape.right, tape.constants, tape.wanted, rows.inputs, rows.waves, rows.length,
-        work.values, work.functions,
-    )  # fmt: skip
+def _forward_list(lists: Lists, p: Int, live: Hashes, rows: Rows, work: Work) -> None:
+    """Write the value of each node of list `p` that is marked in `live` to the row of `work.values` with its index."""
+    for start in range(_ZERO, rows.length, LANES):
+        for word in range(live.shape[0]):
+            waiting = live[word]
+            while waiting != _NONE:
+                i = (word << 6) + lowest_bit(waiting)
+                waiting &= waiting - _UNIT
+                _forward_node(lists, p, i, rows, start, work)
+
+
+@inlined
+def _forward_node(lists: Lists, p: Int, i: Int, rows: Rows, start: Int, work: Work) -> None:
+    op, left = np.int64(lists.code[p, i]), np.int64(lists.left[p, i])
+    out = place(work.values, i, start)
+    if op == VARIABLE:
+        copy(out, place(rows.inputs, left, start))
+    elif op == CONSTANT:
+        fill(out, lists.constants[p, i])
+    elif (op == SIN or op == COS) and rows.waves.shape[0] > 0 and lists.code[p, left] == VARIABLE:
+        copy(out, place(rows.waves, 2 * np.int64(lists.left[p, left]) + (op - SIN), start))
+    else:
+        right = np.int64(lists.right[p, i])
+        apply_operator(op, out, place(work.values, left, start), place(work.values, right, start), work.functions)
+
+
+@inlined
+def measure_plainly(lists: Lists, p: Int, live: Hashes, rows: Rows, work: Work, result: Floats) -> None:
+    """Evaluate list `p`, its live nodes marked in `live`, on `rows` as it stands, without a tape; set the errors."""
+    _forward_list(lists, p, live, rows, work)
+    output = np.int64(lists.code.shape[1] - 1)
     for start in range(_ZERO, rows.length, LANES):
         out = place(work.residual, _ZERO, start)
         copy(out, place(rows.target, _ZERO, start))
-        add_scaled(out, -1.0, place(work.values, count - 1, start))
+        add_scaled(out, -1.0, place(work.values, output, start))
     centre_into(work.residual, _ZERO, work.residual, _ZERO, 0.0, rows)
     errors(rows, work, result)
     work.settled[0] = True

@@ -15,13 +15,14 @@ from atoll.expression.operators import CONSTANT
 from atoll_island_worker.evolution.kernels.fit import collect_terms, fit, measure_plainly, residual_of
 from atoll_island_worker.evolution.kernels.predictors import predictor_generation
 from atoll_island_worker.evolution.kernels.random import Stream, below
-from atoll_island_worker.evolution.kernels.tape import compile_tape, sign
+from atoll_island_worker.evolution.kernels.tape import compile_live, compile_tape, mark_live, sign
 from atoll_island_worker.evolution.kernels.variation import (
     copy_list,
     cross,
     differing_constants,
     differing_nodes,
     distance,
+    is_unchanged,
     mutate,
     random_list,
 )
@@ -77,13 +78,22 @@ def develop(
     The first value at each row is counted under `part`, the rest as constant fitting. `work.settled` tells whether
     further steps would be of no use; see `fit` for `ceiling`.
     """
-    count = compile_tape(lists, p, tape)
-    if options.steps == 0 and options.terms == 0:
-        measure_plainly(tape, count, rows, work, result)
-        counters[part] += rows.length
-        return result[options.loss]
-    used = fit(tape, count, rows, options, rows.length // 4, options.steps, ceiling, work, lists.scale[p], result)
+    mark_live(lists, p, tape.bits)
+    return develop_marked(lists, p, tape.bits, rows, options, ceiling, tape, work, result, counters, part)
+
+
+@inlined
+def develop_marked(
+    lists: Lists, p: Int, live: Hashes, rows: Rows, options: Fit, ceiling: float, tape: Tape, work: Work,
+    result: Floats, counters: Ints, part: Int,
+) -> float:  # fmt: skip
+    """Do what `develop` does with individual `p`, whose live nodes are marked in `live`."""
     counters[part] += rows.length
+    if options.steps == 0 and options.terms == 0:
+        measure_plainly(lists, p, live, rows, work, result)
+        return result[options.loss]
+    count = compile_live(lists, p, live, tape)
+    used = fit(tape, count, rows, options, rows.length // 4, options.steps, ceiling, work, lists.scale[p], result)
     counters[FITTING] += used - rows.length
     for i in range(count if used > rows.length else 0):
         if tape.code[i] == CONSTANT:
@@ -135,44 +145,70 @@ def _shuffle(order: Ints, stream: Stream) -> None:
 
 
 @inlined
-def _sign_families(
-    parents: Lists, first: Int, second: Int, children: Lists, kind: Int, signature: Ints, bits: Hashes
-) -> bool:
-    """Sign the two children; return whether they face the parents they began as, who are signed already.
+def _sign_child(parents: Lists, base: Int, children: Lists, q: Int, signature: Ints, live: Hashes) -> Int:
+    """Return the row of the signature of child `q`, whose output is that of parent `base`: the parent's or its own.
 
-    Parents and children are matched by their distances; a tie goes uncrossed.
+    It is the parent's where no node that is live there has changed; the child is the same program then.
     """
-    one = np.int64(parents.code.shape[0])
-    sign(children, 0, bits, signature, one)
-    sign(children, 1, bits, signature, one + 1)
-    straight = distance(signature, first, one) + distance(signature, second, one + 1)
-    across = distance(signature, first, one + 1) + distance(signature, second, one)
+    if is_unchanged(parents, base, children, q, live):
+        return base
+    own = np.int64(parents.code.shape[0]) + q
+    sign(children, q, live[own], signature, own)
+    return own
+
+
+@inlined
+def _copy_signature(signature: Ints, live: Hashes, i: Int, j: Int) -> None:
+    """Copy row `i` of both to row `j`."""
+    move(signature, j, signature, i, 0, signature.shape[1])
+    move(live, j, live, i, 0, live.shape[1])
+
+
+@inlined
+def _distance(signature: Ints, i: Int, j: Int) -> int:
+    return 0 if i == j else distance(signature, i, j)
+
+
+@inlined
+def _is_straight(
+    parents: Lists, first: Int, second: Int, children: Lists, kind: Int, signature: Ints, signed: Ints, apart: Ints
+) -> bool:
+    """Return whether the two children face the parents they began as; all are signed, the children at rows `signed`.
+
+    Parents and children are matched by their distances; a tie goes uncrossed. `apart` comes to be the distances by
+    signature of child 0 and then of child 1 from first and second parent.
+    """
+    for q in range(2):
+        apart[2 * q] = _distance(signature, first, signed[q])
+        apart[2 * q + 1] = _distance(signature, second, signed[q])
+    straight, across = apart[0] + apart[3], apart[1] + apart[2]
     if kind == 1:
+        one, two = signed[0], signed[1]
         straight += differing_constants(parents, first, children, _ZERO, signature, first, one)
-        straight += differing_constants(parents, second, children, _ONE, signature, second, one + 1)
-        across += differing_constants(parents, first, children, _ONE, signature, first, one + 1)
+        straight += differing_constants(parents, second, children, _ONE, signature, second, two)
+        across += differing_constants(parents, first, children, _ONE, signature, first, two)
         across += differing_constants(parents, second, children, _ZERO, signature, second, one)
     elif kind == 2:
         straight = differing_nodes(parents, first, children, _ZERO) + differing_nodes(parents, second, children, _ONE)
         across = differing_nodes(parents, first, children, _ONE) + differing_nodes(parents, second, children, _ZERO)
-    return straight <= across
+    return bool(straight <= across)
 
 
 @inlined
-def _is_same(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints) -> bool:
-    """Return whether child `q` computes just what individual `p` does; both are signed."""
-    if distance(signature, p, lists.code.shape[0] + q) > 0:
+def _is_same(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints, signed: Int, apart: Int) -> bool:
+    """Return whether child `q`, signed at row `signed` and so far `apart`, computes just what individual `p` does."""
+    if apart > 0:
         return False
-    for k in range(signature.shape[1]):
+    for k in range(signature.shape[1] if signed != p else 0):
         if signature[p, k] == CONSTANT + 1 and lists.constants[p, k] != children.constants[q, k]:
             return False
     return True
 
 
 @inlined
-def _inherits(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints) -> bool:
+def _inherits(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints, signed: Int, apart: Int) -> bool:
     """Return whether child `q` computes just what parent `p` does; its scaling is then the parent's."""
-    if not _is_same(lists, p, children, q, signature):
+    if not _is_same(lists, p, children, q, signature, signed, apart):
         return False
     for j in range(lists.scale.shape[1]):
         children.scale[q, j] = lists.scale[p, j]
@@ -207,40 +243,50 @@ def advance(
     """
     order, due = scratch.order, coevolution.due
     children, tape, near, result = scratch.children, scratch.tape, scratch.near, scratch.result
-    signature, loss = scratch.signature, scratch.child_loss
+    signature, live, loss = scratch.signature, scratch.live, scratch.child_loss
+    signed, apart = scratch.signed, scratch.apart
     child_settled, settled = scratch.child_settled, scratch.settled
     due[0] = due[1] = False
     inherits = options.terms > 0 or options.steps > 0
     population = order.shape[0]
     for p in range(population):
-        sign(lists, p, tape.bits, signature, p)
+        sign(lists, p, live[p], signature, p)
     for done in range(generations):
         for p in range(population):
             order[p] = p
         _shuffle(order, stream)
         for pair in range(0, order.shape[0], 2):
             first, second = order[pair], order[pair + 1]
-            cross(children, lists, first, second, space, stream)
+            base = cross(children, lists, first, second, space, stream)
             for q in range(2):
                 mutate(children, q, space, stream)
-            is_straight = _sign_families(lists, first, second, children, space.distance, signature, tape.bits)
+            for q in range(2):
+                signed[q] = _sign_child(lists, base if q == 0 else first + second - base, children, q, signature, live)
+            is_straight = _is_straight(lists, first, second, children, space.distance, signature, signed, apart)
             ceiling = options.gate * max(fitness[first], fitness[second])
             for q in range(2):
                 child_settled[q] = True
-                if settled[first] and _inherits(lists, first, children, q, signature):
+                one, two = apart[2 * q], apart[2 * q + 1]
+                if settled[first] and _inherits(lists, first, children, q, signature, signed[q], one):
                     loss[q] = fitness[first]
                     counters[OFFSPRING] += 0 if inherits else rows.length
-                elif settled[second] and _inherits(lists, second, children, q, signature):
+                elif settled[second] and _inherits(lists, second, children, q, signature, signed[q], two):
                     loss[q] = fitness[second]
                     counters[OFFSPRING] += 0 if inherits else rows.length
                 else:
-                    loss[q] = develop(children, q, rows, options, ceiling, tape, near, result, counters, OFFSPRING)
+                    loss[q] = develop_marked(
+                        children, q, live[signed[q]], rows, options, ceiling, tape, near, result, counters, OFFSPRING
+                    )
                     child_settled[q] = near.settled[0]
             for q in range(2):
                 p = first if (q == 0) == is_straight else second
                 if loss[q] < fitness[p] or (loss[q] == fitness[p] and space.ties == 1):
+                    if q == 0 and signed[1] == p:  # the second child's signature is about to be overwritten
+                        signed[1] = population + 1
+                        _copy_signature(signature, live, p, population + 1)
                     copy_list(lists, p, children, q)
-                    move(signature, p, signature, population + q, 0, space.nodes)
+                    if signed[q] != p:
+                        _copy_signature(signature, live, signed[q], p)
                     fitness[p] = loss[q]
                     settled[p] = child_settled[q]
         total = 0

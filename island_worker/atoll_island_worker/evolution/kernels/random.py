@@ -17,13 +17,18 @@ _S30, _S27, _S31, _S32, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.u
 
 
 @inlined
-def next_bits(stream: Stream) -> np.uint64:
-    """Return the next 64 bits; the finaliser of SplitMix64 (Steele, Lea & Flood 2014)."""
-    stream[0] += GAMMA
-    z = stream[0]
+def bits_of(z: np.uint64) -> np.uint64:
+    """Return the 64 bits that a stream at `z` gives; the finaliser of SplitMix64 (Steele, Lea & Flood 2014)."""
     z = (z ^ (z >> _S30)) * _FIRST
     z = (z ^ (z >> _S27)) * _SECOND
     return z ^ (z >> _S31)
+
+
+@inlined
+def next_bits(stream: Stream) -> np.uint64:
+    """Return the next 64 bits."""
+    stream[0] += GAMMA
+    return bits_of(stream[0])
 
 
 @inlined

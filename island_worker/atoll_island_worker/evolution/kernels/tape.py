@@ -3,20 +3,51 @@
 import numpy as np
 
 from atoll.compilation.jit import inlined, kernel
-from atoll.expression.kernels.lanes import fill, get, highest_bit, lowest_bit, place
+from atoll.expression.kernels.lanes import LANES, fill, get, highest_bit, lowest_bit, place
 from atoll.expression.kernels.tape import Int, apply_operator
-from atoll.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, SQUARE
+from atoll.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, POW, SQUARE
 from atoll_island_worker.evolution.structures import Hashes, Ints, Lists, Tape, Work
 
 ARITY_OF = np.array(ARITY, np.int64)
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
+_ALL = np.uint64(2**64 - 1)
+_S8, _S32 = np.uint64(8), np.uint64(32)
+
+
+@inlined
+def _is_binary(op: Int) -> bool:
+    return bool((op >= ADD and op <= DIVIDE) or op == POW)
+
+
+@inlined
+def _where(condition: bool) -> np.uint64:
+    """Return all bits set where `condition` holds, none elsewhere."""
+    return _ALL if condition else _NONE
+
+
+@inlined
+def _mark_in_word(lists: Lists, p: Int) -> np.uint64:
+    """Return what `mark_live` does for a list of at most 64 nodes; a node's arity is no branch that can be mistaken."""
+    last = np.uint64(lists.code.shape[1] - 1)
+    live = waiting = _ONE << last
+    while waiting != _NONE:
+        i = highest_bit(waiting)
+        op = np.int64(lists.code[p, i])
+        arguments = (_ONE << np.uint64(lists.left[p, i] & 63)) & _where(bool(op > CONSTANT))
+        arguments |= (_ONE << np.uint64(lists.right[p, i] & 63)) & _where(_is_binary(op))
+        waiting = (waiting ^ (_ONE << np.uint64(i))) | arguments
+        live |= arguments
+    return live
 
 
 @inlined
 def mark_live(lists: Lists, p: Int, bits: Hashes) -> None:
     """Set the bit of every node of list `p` that its output (the last node) depends on, 64 nodes to a word."""
+    if bits.shape[0] == 1:
+        bits[0] = _mark_in_word(lists, p)
+        return
     for word in range(bits.shape[0]):
         bits[word] = _NONE
     last = lists.code.shape[1] - 1
@@ -44,9 +75,15 @@ def mark_live(lists: Lists, p: Int, bits: Hashes) -> None:
 def compile_tape(lists: Lists, p: Int, tape: Tape) -> int:
     """Write the live nodes of list `p` onto `tape`; return their number."""
     mark_live(lists, p, tape.bits)
+    return compile_live(lists, p, tape.bits, tape)
+
+
+@inlined
+def compile_live(lists: Lists, p: Int, bits: Hashes, tape: Tape) -> int:
+    """Write the live nodes of list `p`, which are marked in `bits`, onto `tape`; return their number."""
     count = 0
-    for word in range(tape.bits.shape[0]):
-        waiting = tape.bits[word]
+    for word in range(bits.shape[0]):
+        waiting = bits[word]
         while waiting != _NONE:
             b = lowest_bit(waiting)
             waiting &= waiting - _ONE
@@ -68,10 +105,14 @@ def compile_tape(lists: Lists, p: Int, tape: Tape) -> int:
 def sign(lists: Lists, p: Int, bits: Hashes, signature: Ints, q: Int) -> None:
     """Write the signature of list `p` to row `q` of `signature`: 0 for each dead node, else operator and arguments.
 
-    Arguments that the operator does not have, and the values of constants, are left out. `bits` are scratch.
+    Arguments that the operator does not have, and the values of constants, are left out. `bits` come to mark the nodes
+    that are live.
     """
     mark_live(lists, p, bits)
-    for i in range(signature.shape[1]):
+    whole = signature.shape[1] - signature.shape[1] % LANES
+    for start in range(0, whole, LANES):
+        fill(place(signature, q, start), 0.0)
+    for i in range(whole, signature.shape[1]):
         signature[q, i] = 0
     for word in range(bits.shape[0]):
         waiting = bits[word]
@@ -79,12 +120,9 @@ def sign(lists: Lists, p: Int, bits: Hashes, signature: Ints, q: Int) -> None:
             i = (word << 6) + lowest_bit(waiting)
             waiting &= waiting - _ONE
             op = np.int64(lists.code[p, i])
-            signed = op + 1
-            if op != CONSTANT:
-                signed |= np.int64(lists.left[p, i]) << 8
-            if ARITY_OF[op] > 1:
-                signed |= np.int64(lists.right[p, i]) << 32
-            signature[q, i] = signed
+            left = (np.uint64(lists.left[p, i]) << _S8) & _where(bool(op != CONSTANT))
+            right = (np.uint64(lists.right[p, i]) << _S32) & _where(_is_binary(op))
+            signature[q, i] = (op + 1) | np.int64(left | right)
 
 
 @inlined

@@ -4,14 +4,15 @@ import numpy as np
 
 from atoll.compilation.jit import inlined, kernel
 from atoll.expression.kernels.elementary import strict_exp
-from atoll.expression.kernels.lanes import lowest_bit, move
+from atoll.expression.kernels.lanes import CHUNK, blend, differing, lowest_bit, move
 from atoll.expression.kernels.tape import Int
 from atoll.expression.operators import CONSTANT, VARIABLE
-from atoll_island_worker.evolution.kernels.random import Stream, below, next_bits, normal, uniform
-from atoll_island_worker.evolution.structures import Floats, Ints, Lists, Space
+from atoll_island_worker.evolution.kernels.random import GAMMA, Stream, below, bits_of, normal, uniform
+from atoll_island_worker.evolution.structures import Floats, Hashes, Ints, Lists, Space
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
+_TWO = np.uint64(2)
 _LOW = np.uint64(0xFFFFFFFF)
 _S32 = np.uint64(32)
 _STEP_EXPONENTS = (-5.0, 1.0)
@@ -120,6 +121,24 @@ def _mutate_node(lists: Lists, p: Int, i: Int, space: Space, stream: Stream) -> 
 
 
 @inlined
+def _drawn_bits(count: Int, threshold: np.uint64, stream: Stream) -> np.uint64:
+    """Return `count` random bits, at most 64, each set with probability threshold / 2**32.
+
+    Each number of the stream is a function of its place alone, so that the loop has no order and is vectorised.
+    """
+    pairs = np.uint64((count + 1) >> 1)
+    begin = stream[0]
+    bits = _NONE
+    for k in range(pairs):
+        drawn = bits_of(begin + (k + _ONE) * GAMMA)
+        low = _ONE if (drawn & _LOW) < threshold else _NONE
+        high = _TWO if (drawn >> _S32) < threshold else _NONE
+        bits |= (low | high) << (k + k)
+    stream[0] = begin + pairs * GAMMA
+    return bits if count & 1 == 0 else bits & ((_ONE << np.uint64(count)) - _ONE)
+
+
+@inlined
 def mutate(lists: Lists, p: Int, space: Space, stream: Stream) -> None:
     """Change each node of list `p` with probability `space.mutation`: one of its operator and its two arguments.
 
@@ -134,12 +153,7 @@ def mutate(lists: Lists, p: Int, space: Space, stream: Stream) -> None:
     threshold = np.uint64(space.mutation * 4294967296.0)
     for first in range(0, space.nodes, 64):
         last = min(first + 64, space.nodes)
-        changed = _NONE
-        for i in range(first, last, 2):
-            bits = next_bits(stream)
-            low = _ONE if (bits & _LOW) < threshold else _NONE
-            high = _ONE if (bits >> _S32) < threshold and i + 1 < last else _NONE
-            changed |= (low | (high << _ONE)) << np.uint64(i - first)
+        changed = _drawn_bits(last - first, threshold, stream)
         while changed != _NONE:
             i = first + lowest_bit(changed)
             changed &= changed - _ONE
@@ -164,18 +178,68 @@ def copy_list(target: Lists, p: Int, source: Lists, q: Int) -> None:
 
 
 @inlined
-def cross(children: Lists, parents: Lists, first: Int, second: Int, space: Space, stream: Stream) -> None:
+def _join(out: Lists, q: Int, one: Lists, i: Int, other: Lists, j: Int, cut: Int) -> None:
+    """Write list `q` of `out`: list `i` of `one` before node `cut`, list `j` of `other` from it on."""
+    nodes = one.code.shape[1]
+    whole = nodes - nodes % CHUNK
+    for start in range(0, whole, CHUNK):
+        blend(out.code, q, one.code, i, other.code, j, start, cut)
+        blend(out.left, q, one.left, i, other.left, j, start, cut)
+        blend(out.right, q, one.right, i, other.right, j, start, cut)
+        blend(out.constants, q, one.constants, i, other.constants, j, start, cut)
+    if whole < nodes:
+        middle = max(cut, whole)
+        copy_nodes(out, q, one, i, whole, middle)
+        copy_nodes(out, q, other, j, middle, nodes)
+
+
+@inlined
+def cross(children: Lists, parents: Lists, first: Int, second: Int, space: Space, stream: Stream) -> Int:
     """Write two complementary children of parents `first` and `second` to lists 0 and 1 of `children`.
 
     With probability `space.crossover` both lists are cut at one common random place; else the children are copies.
+
+    Returns:
+        The parent that the first child has its output from; the second child has it from the other one.
     """
     cut: Int = space.nodes
     if uniform(stream) < space.crossover:
         cut = 1 + below(stream, space.nodes - 1)
-    copy_list(children, 0, parents, first)
-    copy_list(children, 1, parents, second)
-    copy_nodes(children, 0, parents, second, cut, space.nodes)
-    copy_nodes(children, 1, parents, first, cut, space.nodes)
+    _join(children, 0, parents, first, parents, second, cut)
+    _join(children, 1, parents, second, parents, first, cut)
+    for j in range(parents.scale.shape[1]):
+        children.scale[0, j] = parents.scale[first, j]
+        children.scale[1, j] = parents.scale[second, j]
+    return first if cut == space.nodes else second
+
+
+@inlined
+def _bits_differ(one: Lists, p: Int, other: Lists, q: Int, i: Int) -> bool:
+    return bool(
+        one.code[p, i] != other.code[q, i]
+        or one.left[p, i] != other.left[q, i]
+        or one.right[p, i] != other.right[q, i]
+        or one.constants[p, i] != other.constants[q, i]
+    )
+
+
+@inlined
+def is_unchanged(parents: Lists, p: Int, children: Lists, q: Int, live: Hashes) -> bool:
+    """Return whether all nodes that are live in parent `p`, marked in `live`[p], are the same in child `q`."""
+    nodes = parents.code.shape[1]
+    whole = nodes - nodes % CHUNK
+    for start in range(0, whole, CHUNK):
+        bits = differing(parents.code, p, children.code, q, start)
+        bits |= differing(parents.left, p, children.left, q, start)
+        bits |= differing(parents.right, p, children.right, q, start)
+        bits |= differing(parents.constants, p, children.constants, q, start)
+        if bits & (live[p, start >> 6] >> np.uint64(start & 63)) != _NONE:
+            return False
+    for i in range(whole, nodes):
+        is_live = (live[p, i >> 6] >> np.uint64(i & 63)) & _ONE
+        if is_live != _NONE and _bits_differ(parents, p, children, q, i):
+            return False
+    return True
 
 
 @inlined

@@ -9,7 +9,7 @@ import pytest
 from numba.core import caching, ccallback, dispatcher, registry
 
 from atoll.compilation.cache import cache_directory
-from atoll.compilation.jit import IS_COMPILED
+from atoll.compilation.jit import IS_COMPILED, entry_point, kernel
 from atoll.compilation.sources import packages_compiled_into
 
 KERNELS = """
@@ -91,3 +91,12 @@ def test_each_program_has_a_folder_and_shares_what_both_stand_on() -> None:
 def test_numba_has_the_internals_that_kernels_are_compiled_with(owner: object, names: tuple[str, ...]) -> None:
     """They are no public interface: a version of numba that fails here needs changes in `atoll.compilation.jit`."""
     assert [name for name in names if not hasattr(owner, name)] == []
+
+
+@kernel
+def halved(x: float) -> float:
+    return 0.5 * x
+
+
+def test_an_entry_point_is_the_kernel_for_those_types():
+    assert entry_point(halved, 1.0)(3.0) == halved(3.0) == 1.5

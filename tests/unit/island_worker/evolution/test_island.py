@@ -24,6 +24,7 @@ from atoll.expression.program import Program
 from atoll.expression.simplification import complexity
 from atoll.wire.codec import decode_arrays, encode_arrays
 from atoll_island_worker.evolution.island import Island, receivers, senders
+from atoll_island_worker.evolution.island import reshuffle as reshuffle_here
 from tests.archipelago import advance, reshuffle, search
 from tests.oracles import fitting
 from tests.oracles.tapes import node_values
@@ -81,6 +82,26 @@ def test_islands_that_take_turns_within_an_epoch_know_nothing_of_each_other(stri
     while waiting:
         waiting = [island for island in waiting if not island.advance(stride)]
     assert [island.outcome() for island in islands] == list(run(epochs=1).outcomes)
+
+
+def test_islands_of_one_process_are_reshuffled_as_by_blocks():
+    by_blocks, at_once = ([Island(PROBLEM, CONFIG, number) for number in range(2)] for _ in range(2))
+    for islands in (by_blocks, at_once):
+        for island in islands:
+            while not island.advance():
+                pass
+    reshuffle(by_blocks, CONFIG, PROBLEM.target.variable)
+    reshuffle_here(at_once)
+    assert [island.to_bytes() for island in at_once] == [island.to_bytes() for island in by_blocks]
+
+
+def test_what_was_spent_and_added_is_that_of_the_outcome():
+    island = Island(PROBLEM, CONFIG, 0)
+    island.advance(20)
+    outcome = island.outcome()
+    assert island.spent == sum(outcome.evaluations.values())
+    assert island.additions() == outcome.additions
+    assert island.additions(2) == outcome.additions[2:]
 
 
 @pytest.mark.parametrize("generations", [10, 25, 33])

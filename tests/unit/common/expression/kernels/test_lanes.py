@@ -10,10 +10,13 @@ from hypothesis import strategies as st
 from atoll.compilation.jit import kernel
 from atoll.expression.kernels import lanes as kernels_lanes
 from atoll.expression.kernels.lanes import (
+    CHUNK,
     LANES,
     add_scaled,
+    blend,
     centre,
     copy,
+    differing,
     fill,
     get,
     highest_bit,
@@ -137,6 +140,16 @@ def moved(out, p: int, source, q: int, first: int, last: int) -> None:
 
 
 @kernel
+def blended(out, p: int, one, i: int, other, j: int, start: int, cut: int) -> None:
+    blend(out, p, one, i, other, j, start, cut)
+
+
+@kernel
+def differences(one, p: int, other, q: int, start: int) -> np.uint64:
+    return differing(one, p, other, q, start)
+
+
+@kernel
 def exchanged(numbers, start: int, i: int, j: int) -> None:
     """Exchange two lanes of one-dimensional `numbers`."""
     block = place_in(numbers, start)
@@ -251,3 +264,29 @@ def test_the_lowest_and_the_highest_bit_of_a_word_are_found():
     ends(np.array(words, np.uint64), lowest, highest)
     assert lowest.tolist() == [(word & -word).bit_length() - 1 for word in words]
     assert highest.tolist() == [word.bit_length() - 1 for word in words]
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.int16, np.int64, np.float64])
+@pytest.mark.parametrize(("start", "cut"), [(0, 0), (0, 1), (0, 31), (0, 32), (32, 7), (32, 40), (32, 64), (8, 99)])
+def test_a_blend_is_of_one_row_before_the_cut_and_of_the_other_from_it_on(kind, start, cut):
+    random = np.random.default_rng(3)
+    one, other, out = (random.integers(-99, 99, (3, 70)).astype(kind) for _ in range(3))
+    expected = out.copy()
+    for k in range(start, start + CHUNK):
+        expected[1, k] = one[0, k] if k < cut else other[2, k]
+    blended(out, 1, one, 0, other, 2, start, cut)
+    np.testing.assert_array_equal(out, expected)
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.int16, np.int64, np.float64])
+def test_bits_are_set_where_numbers_differ(kind):
+    one, other = np.zeros((2, 70), kind), np.zeros((2, 70), kind)
+    other[0, 40:45] = one[1, 40] = one[1, 44] = 1
+    for start, places in ((0, []), (32, [41, 42, 43]), (38, [41, 42, 43])):
+        assert int(differences(one, 1, other, 0, start)) == sum(1 << (place - start) for place in places)
+
+
+def test_zeros_of_two_signs_differ_and_one_nan_is_itself():
+    one, other = np.full((1, 32), np.nan), np.full((1, 32), np.nan)
+    one[0, 5], other[0, 5] = 0.0, -0.0
+    assert int(differences(one, 0, other, 0, 0)) == 1 << 5
