@@ -1,15 +1,17 @@
 """A model as people read it: text, LaTeX, MathML, HTML."""
 
 import html as escaping
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from atoll.expression.text.export import left_side_to_latex, to_latex
+from atoll.expression.text.export import left_side_to_latex, left_side_to_mathml, to_latex, to_mathml
 from atoll.expression.text.parsing import from_infix
 
 if TYPE_CHECKING:
     from atoll.model.model import Model
     from atoll.model.parameters import Parameter
 
+_MATH = '<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">'
 _HEADS = ("constant", "value", "standard error", "95 % interval", "equation of")
 
 
@@ -46,19 +48,21 @@ def latex(model: "Model") -> str:
 
 def mathml(model: "Model") -> str:
     """Return the equations as the rows of a table in presentation MathML."""
-    from sympy.printing.mathml import mathml as printed
-
-    from atoll.expression.text.export import to_sympy
-
     names = list(model.result["symbols"].values())
-    rows = []
-    for each in model.equations:
-        shown = to_sympy(from_infix(each.expression, names), names)
-        left = f"<mtext>{escaping.escape(each.lhs)}</mtext>"
-        cells = (left, "<mo>=</mo>", printed(shown, printer="presentation"))
-        rows.append("<mtr>" + "".join(f"<mtd>{cell}</mtd>" for cell in cells) + "</mtr>")
-    name = '<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">'
-    return f"{name}<mtable>{''.join(rows)}</mtable></math>"
+    rows = [
+        "<mtr>" + "".join(f"<mtd>{cell}</mtd>" for cell in _mathml_parts(each.lhs, each.expression, names)) + "</mtr>"
+        for each in model.equations
+    ]
+    return f"{_MATH}<mtable>{''.join(rows)}</mtable></math>"
+
+
+def equation_mathml(lhs: str, expression: str, names: Sequence[str]) -> str:
+    """Return one equation as MathML (presentation); `expression` is its right-hand side over `names`."""
+    return f"{_MATH}<mrow>{''.join(_mathml_parts(lhs, expression, names))}</mrow></math>"
+
+
+def _mathml_parts(lhs: str, expression: str, names: Sequence[str]) -> tuple[str, str, str]:
+    return left_side_to_mathml(lhs), "<mo>=</mo>", to_mathml(from_infix(expression, names), names)
 
 
 def html(model: "Model") -> str:

@@ -19,6 +19,7 @@ from atoll.expression.evaluation import values_of
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.model.parameters import LEVEL, JointErrors, Parameter, parameters_of
+from atoll.model.saved import check_result, read_result, write_text
 from atoll.model.simulation import Inputs, Simulation, interpolated, simulate, together
 from atoll.model.vector_field import VectorField
 
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from atoll.analysis.analysis import Analysis
     from atoll.experiments.identifiability import Identifiability, ProfiledConstant
 
-SCHEMA: Final = 1
 DIGITS: Final = 6
 """Significant digits of the constants that people are shown."""
 ROWS: Final = 501
@@ -64,11 +64,10 @@ class Model:
 
     def __init__(self, result: Mapping[str, Any]) -> None:
         """Take the content of result.json; raises UsageError when it is none, or of another version."""
-        if not isinstance(result, Mapping) or result.get("schema") != SCHEMA or "equations" not in result:
-            raise UsageError("this is no result of this version; give the content of a result.json")
-        if not result["equations"] or any(each.get("expression") is None for each in result["equations"]):
+        found = check_result(dict(result) if isinstance(result, Mapping) else result)
+        if not found["equations"] or any(each.get("expression") is None for each in found["equations"]):
             raise UsageError("the result has not found every equation, so there is no model; look at its verdicts")
-        self._result = dict(result)
+        self._result = found
 
     @classmethod
     def from_result(cls, result: Mapping[str, Any]) -> "Model":
@@ -78,12 +77,7 @@ class Model:
     @classmethod
     def load(cls, path: str | Path) -> "Model":
         """Return the model of a saved result; raises UsageError when the file cannot be read or holds none."""
-        try:
-            found = json.loads(Path(path).read_text("utf-8"))
-        except OSError as error:
-            raise UsageError(f"{path} cannot be read ({error.strerror}); give the path of a result.json") from error
-        except ValueError as error:
-            raise UsageError(f"{path} holds no JSON; give the path of a result.json") from error
+        found = read_result(path)
         try:
             return cls(found)
         except UsageError as error:
@@ -91,11 +85,7 @@ class Model:
 
     def save(self, path: str | Path) -> None:
         """Write the result as JSON, which `load` and ``coordinator result`` read; raises UsageError."""
-        text = json.dumps(self._result, ensure_ascii=False, allow_nan=False)
-        try:
-            Path(path).write_text(text + "\n", "utf-8")
-        except OSError as error:
-            raise UsageError(f"{path} cannot be written ({error.strerror}); name another file") from error
+        write_text(path, json.dumps(self._result, ensure_ascii=False, allow_nan=False) + "\n")
 
     # ------------------------------------------------------------------------------------------- what it is
 
@@ -364,6 +354,21 @@ class Model:
         from atoll.model.display import mathml
 
         return mathml(self)
+
+    def report(self, path: str | Path | None = None) -> str:
+        """Return the result as one HTML page that needs neither network nor script, and write it to `path` if given.
+
+        The model is analysed for it, which takes a second or two for two states.
+
+        Raises:
+            UsageError: the file cannot be written.
+        """
+        from atoll.report.page import as_html
+
+        text = as_html(self._result)
+        if path is not None:
+            write_text(path, text)
+        return text
 
     def _repr_latex_(self) -> str:
         return f"$\\displaystyle {self.latex()}$"

@@ -1,7 +1,9 @@
-"""Expressions for other programs: sympy objects and LaTeX. sympy is imported only when asked for."""
+"""Expressions for other programs: sympy objects, LaTeX and MathML. sympy is imported only when asked for."""
 
+import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from html import escape, unescape
+from typing import TYPE_CHECKING, Final
 
 from atoll.expression.program import Program
 from atoll.expression.text.infix import to_infix
@@ -9,6 +11,9 @@ from atoll.expression.text.parsing import from_infix
 
 if TYPE_CHECKING:
     import sympy
+
+_HTML_ENTITY: Final = re.compile(r"&(?!lt;|gt;|amp;|quot;|apos;|#)\w+;")
+"""An entity that XML does not have, such as the invisible times."""
 
 
 def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
@@ -27,8 +32,23 @@ def to_latex(program: Program, names: Sequence[str], *, digits: int = 6) -> str:
     """Return `program` as LaTeX mathematics, constants rounded to `digits` significant digits."""
     import sympy
 
-    rounded = from_infix(to_infix(program, names, digits=digits), names)
-    return str(sympy.latex(_plain_numbers(to_sympy(rounded, names))))
+    return str(sympy.latex(_rounded(program, names, digits)))
+
+
+def to_mathml(program: Program, names: Sequence[str], *, digits: int = 6) -> str:
+    """Return `program` as presentation MathML without its ``math`` element, constants rounded to `digits` digits.
+
+    Factors are separated by dots where a name has several letters.
+    """
+    from sympy.printing.mathml import mathml
+
+    product = "dot" if any(len(name) > 1 for name in names) else None
+    text = mathml(_rounded(program, names, digits), printer="presentation", mul_symbol=product)
+    return _HTML_ENTITY.sub(lambda found: unescape(found[0]), text)
+
+
+def _rounded(program: Program, names: Sequence[str], digits: int) -> "sympy.Expr":
+    return _plain_numbers(to_sympy(from_infix(to_infix(program, names, digits=digits), names), names))
 
 
 def _plain_numbers(expression: "sympy.Expr") -> "sympy.Expr":
@@ -48,11 +68,33 @@ def left_side_to_latex(lhs: str) -> str:
     """Return ``dx/dt`` and ``d2x/dt2`` as fractions, any other left-hand side as a name."""
     import sympy
 
+    order, *names = _derivative(lhs)
+    above, below = (str(sympy.latex(sympy.Symbol(name))) if name else "" for name in names)
+    power = "^{2}" if order == 2 else ""
+    return rf"\frac{{d{power} {above}}}{{d {below}{power}}}" if order else above
+
+
+def left_side_to_mathml(lhs: str) -> str:
+    """Return ``dx/dt`` and ``d2x/dt2`` as fractions of MathML, any other left-hand side as a name."""
+    order, *names = _derivative(lhs)
+    above, below = (f"<mi>{escape(name)}</mi>" for name in names)
+    if order == 0:
+        return above
+    d = "<mi>d</mi>"
+    if order == 2:
+        return f"<mfrac><mrow>{_squared(d)}{above}</mrow><mrow>{d}{_squared(below)}</mrow></mfrac>"
+    return f"<mfrac><mrow>{d}{above}</mrow><mrow>{d}{below}</mrow></mfrac>"
+
+
+def _squared(content: str) -> str:
+    return f"<msup>{content}<mn>2</mn></msup>"
+
+
+def _derivative(lhs: str) -> tuple[int, str, str]:
+    """Return the order of a left-hand side, what is derived and by what; order 0 and the name where it is none."""
     above, slash, below = lhs.rpartition("/")
     if not slash:
-        return str(sympy.latex(sympy.Symbol(lhs)))
-    second = above.startswith("d2") and below.endswith("2")
-    numerator = str(sympy.latex(sympy.Symbol(above[2:] if second else above[1:])))
-    denominator = str(sympy.latex(sympy.Symbol(below[1:-1] if second else below[1:])))
-    order = "^{2}" if second else ""
-    return rf"\frac{{d{order} {numerator}}}{{d {denominator}{order}}}"
+        return 0, lhs, ""
+    if above.startswith("d2") and below.endswith("2"):
+        return 2, above[2:], below[1:-1]
+    return 1, above[1:], below[1:]

@@ -11,7 +11,7 @@ from atoll_coordinator.cli.local.coordinator import LocalCoordinator
 from atoll_coordinator.cli.local.workers import LocalWorkers, NoWorkerLeftError
 from atoll_coordinator.cli.request import request_of
 from atoll_coordinator.cli.terminal.follow import Follower
-from atoll_coordinator.cli.terminal.output import duration, note, write_result
+from atoll_coordinator.cli.terminal.output import REPORT, duration, note, write_report, write_result
 from atoll_coordinator.cli.terminal.progress import Display, open_display
 from atoll_coordinator.client import Client, connected
 from atoll_coordinator.service.background.process_pool import ProcessPool
@@ -30,6 +30,7 @@ class LocalRun:
     ) -> None:  # fmt: skip
         """`started` is the monotonic second at which the command began; raises UsageError or DataError."""
         self._request = request_of(options)
+        self._has_report: bool = options.report
         self._folder = folder
         self._endpoint = endpoint
         self._workers = workers
@@ -56,6 +57,8 @@ class LocalRun:
             path = write_result(self._folder, result)
             self._request.show(result)
             self._print_times(result, follower.timeline.phases, path)
+            if self._has_report:
+                write_report(path.with_name(REPORT), result)
         return self._request.finish(view) if self._forced is None else self._forced
 
     def _follow(self, follower: Follower, client: Client, display: Display) -> JobView:

@@ -27,11 +27,12 @@ HANDLERS: Final = {
     "result": "atoll_coordinator.cli.verbs.result",
     "simulate": "atoll_coordinator.cli.verbs.simulate",
     "analyse": "atoll_coordinator.cli.verbs.analyse",
+    "report": "atoll_coordinator.cli.verbs.report",
     "doctor": "atoll_coordinator.cli.doctor.doctor",
 }
 """The module of each verb. Its function of the verb's name takes the parsed options and returns the exit code."""
 
-LATER_VERBS: Final = ("report", "export")
+LATER_VERBS: Final = ("export",)
 
 EXIT_CODES: Final = (
     "exit codes: 0 done, 1 job failed, 2 bad usage or bad data, 3 coordinator not reachable,\n"
@@ -87,6 +88,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_readers(verbs)
     _add_simulate(verbs)
     _add_analyse(verbs)
+    _add_report(verbs)
     _add_data(add_doctor(_verb, verbs).add_argument_group("data"))
     return parser
 
@@ -207,6 +209,12 @@ def _add_analyse(verbs: Any) -> None:
     parser.add_argument("--json", action="store_true", help="write JSON, with all curves")
 
 
+def _add_report(verbs: Any) -> None:
+    parser = _verb(verbs, "report", "a saved result as one HTML page that needs neither network nor script")
+    parser.add_argument("result", metavar="RESULT", help="PATH/result.json, or its folder")
+    parser.add_argument("-o", "--output", metavar="FILE", help="the page (default: report.html beside the result)")
+
+
 def _add_measurements(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--data", nargs="+", metavar="DATA", help="measurements to use in the place of those that the result has"
@@ -228,6 +236,7 @@ def _add_connect(parser: argparse.ArgumentParser) -> None:
 def _add_job(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("data", nargs="+", metavar="DATA", help="CSV, TSV or Parquet files with a header")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--report", action="store_true", help="also write the result as a page, report.html")
     parser.add_argument("--name", metavar="NAME", help="a label for lists (default: the first file's name)")
     parser.add_argument("--id", metavar="ID", help="the job's id (default: made up)")
     parser.add_argument("--config", metavar="job.toml", help="the same settings as a file; options override it")

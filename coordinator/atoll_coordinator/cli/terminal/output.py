@@ -5,9 +5,12 @@ import re
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from atoll.errors import AtollError, UsageError
+
+REPORT: Final = "report.html"
+"""The page of a result, beside it."""
 
 _NUMBERS = re.compile(r"\[\n[^\[\]{}\"]+\]")
 _NUMBER = re.compile(r"(?<![\w.])\d+\.?\d*(?:[eE][+-]?\d+)?")
@@ -104,6 +107,15 @@ def write_result(folder: Path, result: dict[str, Any]) -> Path:
     except OSError as error:
         raise UsageError(f"{path} cannot be written ({error.strerror}); name another folder with --out") from error
     return path
+
+
+def write_report(path: Path, result: dict[str, Any]) -> None:
+    """Write a result as a page, and say where; raises UsageError when it cannot be written."""
+    from atoll.model.saved import write_text
+    from atoll.report.page import as_html
+
+    write_text(path, as_html(result))
+    note(f"report in {path}")
 
 
 def _publish(draft: Path, path: Path) -> None:

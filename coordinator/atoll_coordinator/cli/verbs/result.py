@@ -4,12 +4,11 @@ The job is one of a coordinator, or a saved ``result.json``.
 """
 
 import argparse
-import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from atoll.errors import UsageError
+from atoll.model.saved import read_result
 from atoll_coordinator.cli.exit_codes import DONE
 from atoll_coordinator.cli.request import CONNECT_LIMIT_S, address_of
 from atoll_coordinator.cli.terminal.output import as_json, say
@@ -21,27 +20,12 @@ def result(options: argparse.Namespace) -> int:
     if options.json and options.format not in (None, "json"):
         raise UsageError(f"--json and --format {options.format} contradict each other; give one of them")
     if options.job.endswith(".json"):
-        found = _saved(Path(options.job))
+        found = read_result(options.job)
     else:
         with connected(address_of(options), CONNECT_LIMIT_S) as client:
             found = client.result(client.resolve(options.job))
     say(_text(found, "json" if options.json else options.format or "text", options.pick))
     return DONE
-
-
-def _saved(path: Path) -> dict[str, Any]:
-    """Return a saved result; raises UsageError when there is none."""
-    from atoll_coordinator.model.report.result import SCHEMA
-
-    try:
-        found = json.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise UsageError(f"{path} cannot be read ({error.strerror}); give a job's id or a saved result.json") from error
-    except ValueError as error:
-        raise UsageError(f"{path} holds no JSON; give a job's id or a saved result.json") from error
-    if not isinstance(found, dict) or found.get("schema") != SCHEMA or "equations" not in found:
-        raise UsageError(f"{path} holds no result of this version; give a job's id or a saved result.json")
-    return found
 
 
 def _text(found: dict[str, Any], how: str, picks: list[str]) -> str:

@@ -10,7 +10,7 @@ from atoll_coordinator.cli.exit_codes import DONE, INTERRUPTED
 from atoll_coordinator.cli.request import CONNECT_LIMIT_S, Request, address_of, request_of
 from atoll_coordinator.cli.signals import raising_interrupts
 from atoll_coordinator.cli.terminal.follow import Follower
-from atoll_coordinator.cli.terminal.output import note, refuse_existing_result, say, write_result
+from atoll_coordinator.cli.terminal.output import REPORT, note, refuse_existing_result, say, write_report, write_result
 from atoll_coordinator.cli.terminal.progress import open_display, waiting
 from atoll_coordinator.client import Client, connected
 
@@ -21,6 +21,8 @@ def submit(options: argparse.Namespace) -> int:
     folder = Path(options.out) if options.out is not None else None
     if folder is not None and options.no_wait:
         raise UsageError("--out and --no-wait contradict each other: there is no result yet; fetch it later")
+    if options.report and (folder is None or options.no_wait):
+        raise UsageError("--report writes a page beside the result, so it needs --out and the wait for the result")
     if folder is not None:
         refuse_existing_result(folder)
     with raising_interrupts(), connected(address, CONNECT_LIMIT_S) as client:
@@ -29,7 +31,7 @@ def submit(options: argparse.Namespace) -> int:
             _say_what_it_waits_for(view, client, address)
             say(request.job)
             return DONE
-        return _follow_to_result(request, client, address, folder)
+        return _follow_to_result(request, client, address, folder, has_report=options.report)
 
 
 def _say_what_it_waits_for(view: JobView, client: Client, address: Destination) -> None:
@@ -40,7 +42,9 @@ def _say_what_it_waits_for(view: JobView, client: Client, address: Destination) 
         note(f"job {view.job} {view.state}; {waits}")
 
 
-def _follow_to_result(request: Request, client: Client, address: Destination, folder: Path | None) -> int:
+def _follow_to_result(
+    request: Request, client: Client, address: Destination, folder: Path | None, *, has_report: bool
+) -> int:
     try:
         view = _follow(request, client, address)
     except KeyboardInterrupt:
@@ -51,6 +55,8 @@ def _follow_to_result(request: Request, client: Client, address: Destination, fo
         if folder is not None:
             note(f"result in {write_result(folder, result)}")
         request.show(result)
+        if has_report and folder is not None:
+            write_report(folder / REPORT, result)
     return request.finish(view)
 
 

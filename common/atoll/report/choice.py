@@ -1,0 +1,79 @@
+"""Why this equation: the front of each search, and the candidates that were compared."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from atoll.report.chart import Axis, Chart
+from atoll.report.findings import Findings
+from atoll.report.markup import Element, element, figure, number, paragraph, section, table
+
+
+def choice(its: Findings) -> list[Element]:
+    """Return the sections of fronts and of candidates."""
+    equations = its.result["equations"]
+    fronts = [_front(each, its) for each in equations if any(member["normalized_error"] for member in each["front"])]
+    compared = [part for each in equations for part in _candidates(each, its)]
+    sections = []
+    if compared:
+        text = paragraph(
+            "In nats, how much longer the data are to describe by another equation than by the one shown: below "
+            "about 3 the data hardly decide."
+        )
+        sections.append(section("candidates", "Candidates", text, *compared))
+    if fronts:
+        text = paragraph(
+            "The best expression of each complexity that the search found, by its error over the target's deviation. A "
+            "ring marks the one that the equation is made of; the line is how uncertain the target itself is."
+        )
+        sections.append(section("front", "Accuracy and complexity", text, element("div", *fronts, class_="pictures")))
+    return sections
+
+
+def _front(equation: Mapping[str, Any], its: Findings) -> Element:
+    members = [each for each in equation["front"] if each["normalized_error"]]
+    drawn = Chart(f"error over complexity of {equation['lhs']}", Axis("complexity"), Axis("error", is_logarithmic=True))
+    sizes, errors = [each["complexity"] for each in members], [each["normalized_error"] for each in members]
+    if equation.get("derivative_floor"):
+        drawn.add_line((min(sizes), max(sizes)), (equation["derivative_floor"],) * 2, "rule")
+    drawn.add_line(sizes, errors, "c0")
+    drawn.add_points(sizes, errors, "c0")
+    chosen = [each for each in members if each["selected"]]
+    drawn.add_points(
+        [each["complexity"] for each in chosen], [each["normalized_error"] for each in chosen], "chosen c1"
+    )
+    rows = [
+        [str(each["complexity"]), number(each["normalized_error"], 3), "yes" if each["selected"] else "",
+         element("code", its.rounded(each["expression"]))]
+        for each in equation["front"]
+    ]  # fmt: skip
+    numbers = table(f"front of {equation['lhs']}", ["complexity", "error", "chosen", "expression"], rows)
+    return figure(drawn.svg(), equation["lhs"], numbers)
+
+
+def _candidates(equation: Mapping[str, Any], its: Findings) -> list[Element]:
+    others = equation.get("candidates") or []
+    if not others:
+        return []
+    rows = [
+        [
+            element("code", its.rounded(each["expression"])),
+            "shown" if each["selected"] else number(each["nats"], 3),
+            number(each["r2"], 5),
+            number(each["held_out_r2"], 5) + (" (left out in turn)" if each["cross_validated"] else ""),
+            str(each["complexity"]),
+            each["origin"] or "",
+        ]
+        for each in others
+    ]
+    heads = ["expression", "nats", "R²", "held-out R²", "complexity", "origin"]
+    return [table(f"Candidates of {equation['lhs']}", heads, rows), *_decision(equation)]
+
+
+def _decision(equation: Mapping[str, Any]) -> list[Element]:
+    """Return what would decide between the candidates, where that is known."""
+    its = equation.get("prediction") or {}
+    if not its.get("measure_from"):
+        return []
+    start = ", ".join(f"{name} = {number(value)}" for name, value in its["measure_from"].items())
+    disputed = "The candidates foretell different courses from other initial states. " if its.get("is_disputed") else ""
+    return [paragraph(f"{disputed}A measurement that begins at {start} would tell most between them.")]

@@ -1,0 +1,65 @@
+"""What a page is about: a result, and where there is one its model and how it moves."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from atoll.errors import UsageError
+from atoll.expression.text.infix import to_infix
+from atoll.expression.text.parsing import from_infix
+from atoll.model.model import DIGITS, Model
+
+if TYPE_CHECKING:
+    from atoll.analysis.analysis import Analysis
+
+
+@dataclass(frozen=True)
+class Findings:
+    """The content of result.json; its model, None where an equation was not found; the dynamics of that.
+
+    `unanalysed` says why there is no analysis, "" where there is one.
+    """
+
+    result: Mapping[str, Any]
+    model: Model | None
+    analysis: "Analysis | None" = None
+    unanalysed: str = ""
+
+    @classmethod
+    def of(cls, result: Mapping[str, Any]) -> "Findings":
+        """Return the findings of a result; the model is analysed, which takes a second or two for two states."""
+        try:
+            model = Model(result)
+        except UsageError as error:
+            return cls(result, None, None, str(error))
+        if model.is_regression:
+            return cls(result, model, None, "the model has no time")
+        try:
+            return cls(result, model, model.analyse())
+        except UsageError as error:
+            return cls(result, model, None, str(error))
+
+    @property
+    def system(self) -> Mapping[str, Any]:
+        """What the columns are; empty of a result that does not say."""
+        return self.result.get("system") or {}
+
+    @property
+    def time(self) -> str:
+        """The name of the time column."""
+        return str(self.system.get("time") or "t")
+
+    @property
+    def trajectories(self) -> Sequence[Mapping[str, Any]]:
+        """The simulated trajectories; empty where nothing was simulated."""
+        return (self.result.get("simulation") or {}).get("trajectories") or ()
+
+    def rounded(self, expression: str) -> str:
+        """Return an expression with its constants in a few digits."""
+        names = list(self.result["symbols"].values())
+        return to_infix(from_infix(expression, names), names, digits=DIGITS)
+
+    def labelled(self, column: str) -> str:
+        """Return a column name with its unit."""
+        unit = (self.system.get("units") or {}).get(column)
+        return f"{column} [{unit}]" if unit else column

@@ -1,0 +1,102 @@
+"""Elements of HTML, SVG and MathML. Texts and attributes are escaped when a page is written, whatever they hold."""
+
+from collections.abc import Iterable, Sequence
+from typing import Final
+from xml.etree import ElementTree
+
+Element = ElementTree.Element
+Child = Element | str
+
+MATHML: Final = "{http://www.w3.org/1998/Math/MathML}"
+
+
+def element(tag: str, *children: Child, **attributes: str | float) -> Element:
+    """Return an element; ``class_`` stands for the attribute ``class``, and ``stroke_width`` for ``stroke-width``."""
+    made = Element(tag, {name.rstrip("_").replace("_", "-"): str(value) for name, value in attributes.items()})
+    extend(made, children)
+    return made
+
+
+def extend(parent: Element, children: Iterable[Child]) -> None:
+    """Add children behind those that are there."""
+    for child in children:
+        if isinstance(child, str):
+            _add_text(parent, child)
+        else:
+            parent.append(child)
+
+
+def _add_text(parent: Element, text: str) -> None:
+    if len(parent):
+        parent[-1].tail = (parent[-1].tail or "") + text
+    else:
+        parent.text = (parent.text or "") + text
+
+
+def section(identifier: str, title: str, *children: Child) -> Element:
+    """Return a section with its heading, which others may link to."""
+    return element("section", element("h2", title), *children, id=identifier)
+
+
+def paragraph(*children: Child, **attributes: str) -> Element:
+    """Return a paragraph."""
+    return element("p", *children, **attributes)
+
+
+def facts(pairs: Iterable[tuple[str, Child]]) -> Element:
+    """Return a list of terms and what is said of each."""
+    listed = element("dl")
+    for term, said in pairs:
+        extend(listed, (element("dt", term), element("dd", said)))
+    return listed
+
+
+def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Child]]) -> Element:
+    """Return a table that scrolls by itself where it is wider than the page; texts that are numbers stand right."""
+    head = element("tr", *(element("th", text, scope="col") for text in heads))
+    body = element("tbody", *(element("tr", *map(_cell, row)) for row in rows))
+    made = element("table", element("caption", caption), element("thead", head), body)
+    return scrolling(caption, made)
+
+
+def _cell(content: Child) -> Element:
+    is_number = isinstance(content, str) and content[:1] in "-0123456789" and content != ""
+    return element("td", content, class_="number") if is_number else element("td", content)
+
+
+def scrolling(label: str, content: Element) -> Element:
+    """Return content in a box that scrolls sideways, also by keyboard."""
+    return element("div", content, class_="wide", role="region", tabindex="0", aria_label=label)
+
+
+def figure(picture: Element, caption: str, numbers: Element | None, *legend: Element) -> Element:
+    """Return a picture with its caption, its legend, and its numbers behind it."""
+    behind = () if numbers is None else (element("details", element("summary", "Numbers"), numbers),)
+    return element("figure", picture, *legend, element("figcaption", caption), *behind)
+
+
+def legend(names: Iterable[tuple[str, str]]) -> Element:
+    """Return a legend: the class of a mark, and what it stands for."""
+    return element(
+        "ul",
+        *(element("li", element("span", class_=f"swatch {kind}"), name) for kind, name in names),
+        class_="legend",
+    )
+
+
+def parse_mathml(text: str) -> Element:
+    """Return MathML as elements without the prefix of a namespace, as HTML has them."""
+    found = ElementTree.fromstring(text)
+    for each in found.iter():
+        each.tag = each.tag.removeprefix(MATHML)
+    return found
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Return a number as text with so many significant digits; "" of None."""
+    return "" if value is None else f"{value:.{digits}g}"
+
+
+def to_text(root: Element) -> str:
+    """Return an element as HTML."""
+    return ElementTree.tostring(root, encoding="unicode", method="html")

@@ -1,0 +1,40 @@
+"""``coordinator report``: a page beside the result or where it is wanted, and a sentence for what is no result."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from atoll_coordinator.cli.main import main
+from tests.unit.common.report.results import regression
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    (tmp_path / "result.json").write_text(json.dumps(regression()), "utf-8")
+    return tmp_path
+
+
+def test_the_page_stands_beside_the_result_or_where_it_is_wanted(
+    saved: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["report", str(saved)]) == 0
+    assert capsys.readouterr() == ("", f"report in {saved / 'report.html'}\n")
+    assert main(["report", str(saved / "result.json"), "-o", str(saved / "page.html")]) == 0
+    assert (saved / "page.html").read_text("utf-8") == (saved / "report.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize("text", ["no JSON", "[]", '{"schema": 1}', '{"schema": 2, "equations": []}'])
+def test_what_is_no_result_ends_with_a_sentence(saved: Path, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    (saved / "result.json").write_text(text, "utf-8")
+    assert main(["report", str(saved)]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith(f"coordinator: {saved / 'result.json'}")
+    assert printed.err.count("\n") == 1
+    assert not (saved / "report.html").exists()
+
+
+def test_a_page_that_cannot_be_written_is_refused(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", str(saved), "-o", str(saved / "none" / "page.html")]) == 2
+    assert "cannot be written" in capsys.readouterr().err
