@@ -15,7 +15,7 @@ from atoll_island_worker.processes.signals import end_with_parent
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-RUN_LIMIT_S: Final = 1800.0
+RUN_LIMIT_S: Final = 4 * 3600.0
 """How long to wait for the next run to end: far longer than any takes, short enough to learn of a lost process."""
 
 Task = TypeVar("Task")

@@ -4,7 +4,7 @@ No bus and no coordinator; what is found is the same function of the seed as in 
 know who advances it.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -58,24 +58,35 @@ class Stride:
 class Archipelago:
     """The islands of one equation, which take turns."""
 
-    def __init__(self, problem: Problem, config: JobConfig) -> None:
-        self.islands = [Island(problem, config, number) for number in range(config.evolution.islands)]
+    def __init__(self, problem: Problem, config: JobConfig, states: Sequence[bytes] | None = None) -> None:
+        """Begin at epoch 0, or where the islands' `states`, as `states` returned them, begin."""
+        numbers = range(config.evolution.islands)
+        if states is None:
+            self.islands = [Island(problem, config, number) for number in numbers]
+        else:
+            self.islands = [Island.from_bytes(states[number], problem, config, number) for number in numbers]
         self._config = config
-        self._evaluations = [0] * len(self.islands)
-        self._past = 0
+        self._evaluations = [island.spent for island in self.islands]
         self.deviation = problem.target.standard_deviation
 
-    def strides(self, generations: int) -> Iterator[Stride]:
+    def states(self) -> list[bytes]:
+        """Return the islands as bytes, between two epochs."""
+        return [island.to_bytes() for island in self.islands]
+
+    def strides(self, generations: int, between: Callable[[], None] = lambda: None) -> Iterator[Stride]:
         """Advance every island in turn by `generations`, without end, and yield after each turn.
 
-        After an epoch the solutions are reshuffled. An island that met the target waits for the end of the epoch.
+        After an epoch the solutions are reshuffled, and `between` is called. An island that met the target waits for
+        the end of the epoch.
         """
         while True:
             yield from self._epoch(generations)
             reshuffle(self.islands)
+            between()
 
     def _epoch(self, generations: int) -> Iterator[Stride]:
         seen = [0] * len(self.islands)
+        past = self.islands[0].epoch * self._config.migration.generations
         busy = list(range(len(self.islands)))
         while busy:
             for number in tuple(busy):
@@ -85,5 +96,4 @@ class Archipelago:
                 self._evaluations[number] = island.spent
                 additions = island.additions(seen[number])
                 seen[number] += len(additions)
-                yield Stride(sum(self._evaluations), self._past + island.generation, additions)
-        self._past += self._config.migration.generations
+                yield Stride(sum(self._evaluations), past + island.generation, additions)

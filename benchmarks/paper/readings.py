@@ -4,7 +4,7 @@
 and equations of Table III under each reading (`benchmarks.paper.readings_runs`), one island after the other in this
 process, on several processes. A run of Table III has converged when an equation on its front has the right form with
 constants within 1 %, one of Table I when its error at 1,000 fresh points is below 1e-6; nothing is refined. The journal
-holds every run, so that a second call goes on where the first one ended.
+holds every run, so that a second call goes on where the first one ended, within a run, too.
 
 Of Table I the budget is not published. So the table gives, for rows that were compared with one publication and
 therefore have one budget, the range of budgets at which each row agrees with the paper's column within its binomial
@@ -16,8 +16,9 @@ import itertools
 import json
 import math
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -118,12 +119,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         journal = Journal(options.resume, sys.argv[1:] if arguments is None else arguments)
         asked = tasks(options)
         missing = [task for task in asked if journal.known(task) is None]
-        for number, each in enumerate(in_parallel(run, missing, options.workers) if missing else (), start=1):
+        for number, each in enumerate(
+            in_parallel(_running(options.resume), missing, options.workers) if missing else (), start=1
+        ):
             journal.add(each)
             note(f"{number} of {len(missing)}: {_told(each)}")
         runs = [its for its in map(journal.known, asked) if its is not None]
         _show(runs)
     return 0
+
+
+def _running(journal: Path | None) -> Callable[[Task], Run]:
+    """Return what runs a task; beside a `journal`, runs that were interrupted go on where they were."""
+    if journal is None:
+        return run
+    folder = journal.with_name(journal.name + ".states")
+    folder.mkdir(exist_ok=True)
+    return partial(run, folder=folder)
 
 
 def _told(its: Run) -> str:

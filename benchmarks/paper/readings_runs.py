@@ -4,14 +4,17 @@ A reading is a set of fields of the configuration. Those that change one thing h
 and what comes later wins. All of them begin from `FIRST`, the reading that was taken before any was measured.
 """
 
+import pickle
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from atoll import ENGINE_REVISION
 from atoll.config import JobConfig
 from atoll.data.dataset import Problem, Target
 from atoll.errors import UsageError
@@ -94,6 +97,9 @@ CLOSE: Final = 0.03
 UNREACHABLE: Final = 1e-300
 """A normalized error that no island meets: the benchmark ends a run, not the search."""
 
+KEPT_EVERY_S: Final = 60.0
+"""Seconds from one time that the state of a run is kept to the next."""
+
 STRIDE: Final = 10
 """Generations of one island between two looks at its front in Table III."""
 
@@ -123,6 +129,15 @@ class Run:
     expression: str | None
 
 
+@dataclass(frozen=True)
+class Saved:
+    """A run between two epochs: the islands (None: at its beginning), the least error and the seconds so far."""
+
+    states: list[bytes] | None = None
+    least: float = np.inf
+    seconds: float = 0.0
+
+
 def config_of(reading: str, seed: int, operators: tuple[str, ...], **evolution: Any) -> JobConfig:
     """Return the configuration of a run; `evolution` replaces what the reading says.
 
@@ -142,12 +157,30 @@ def _reading(name: str) -> Changes:
     return READINGS[name]
 
 
-def run(task: Task) -> Run:
-    """Search until convergence or the end of the budget. Pure but for the seconds: the task decides the rest."""
+def run(task: Task, folder: Path | None = None) -> Run:
+    """Search until convergence or the end of the budget. Pure but for the seconds: the task decides the rest.
+
+    With a `folder`, a run that takes long leaves its state there from time to time, and goes on from it when it is
+    called again, also with a larger budget.
+    """
     began = time.process_time()
-    archipelago, stride, is_right = _of_table1(task) if task.problem in ROWS else _of_table3(task)
-    cost, expression, evaluations, least = None, None, 0, np.inf
-    for each in archipelago.strides(stride):
+    of = _of_table1 if task.problem in ROWS else _of_table3
+    file = None if folder is None else folder / f"{_named(task)}.pickle"
+    saved = pickle.loads(file.read_bytes()) if file is not None and file.exists() else Saved()
+    archipelago, stride, is_right = of(task, saved.states)
+    began -= saved.seconds
+    least, evaluations, cost, expression = saved.least, 0, None, None
+    kept_at = time.monotonic()
+
+    def keep() -> None:
+        nonlocal kept_at
+        if file is not None and time.monotonic() - kept_at > KEPT_EVERY_S:
+            kept_at = time.monotonic()
+            state = Saved(archipelago.states(), float(least), time.process_time() - began)
+            file.with_suffix(".new").write_bytes(pickle.dumps(state))
+            file.with_suffix(".new").replace(file)
+
+    for each in archipelago.strides(stride, keep):
         if each.evaluations > task.budget:
             break
         evaluations = each.evaluations
@@ -156,14 +189,20 @@ def run(task: Task) -> Run:
         if expression is not None:
             cost = evaluations
             break
+    if file is not None and cost is not None:
+        file.unlink(missing_ok=True)
     seconds = time.process_time() - began
     return Run(task, cost, evaluations, seconds, float(least / archipelago.deviation), expression)
+
+
+def _named(task: Task) -> str:
+    return f"{task.reading}-{task.problem}-{task.seed}-engine-{ENGINE_REVISION}".replace(" ", "-")
 
 
 Judge = Callable[[FrontEntry], str | None]
 
 
-def _of_table1(task: Task) -> tuple[Archipelago, int, Judge]:
+def _of_table1(task: Task, states: Sequence[bytes] | None) -> tuple[Archipelago, int, Judge]:
     """Return the search for a row of Table I, and what writes down a program that is right at fresh points."""
     row = ROWS[task.problem]
     x, fresh = row.points(task.seed, "points", row.rows), row.points(task.seed, "fresh points", FRESH)
@@ -173,10 +212,10 @@ def _of_table1(task: Task) -> tuple[Archipelago, int, Judge]:
         program = converged(row, entry, x, fresh)
         return None if program is None else to_infix(program, ("x",))
 
-    return Archipelago(problem_of(x, row.values(x)), config), row.interval, is_right
+    return Archipelago(problem_of(x, row.values(x)), config, states), row.interval, is_right
 
 
-def _of_table3(task: Task) -> tuple[Archipelago, int, Judge]:
+def _of_table3(task: Task, states: Sequence[bytes] | None = None) -> tuple[Archipelago, int, Judge]:
     """Return the search for an equation of Table III, and what writes down a program that has its form."""
     system, variable = task.problem.split()
     problem = _problem(system, variable, task.seed, "near" in task.reading.split("+"))
@@ -190,7 +229,7 @@ def _of_table3(task: Task) -> tuple[Archipelago, int, Judge]:
         return text if compare(text, TRUTH[system][variable], data, deviation).exact else None
 
     config = config_of(task.reading, task.seed, ("+", "-", "*", "/", "sin", "cos"))
-    return Archipelago(problem, config), STRIDE, is_right
+    return Archipelago(problem, config, states), STRIDE, is_right
 
 
 def _problem(system: str, variable: str, seed: int, is_near: bool) -> Problem:

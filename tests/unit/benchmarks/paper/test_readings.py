@@ -1,12 +1,13 @@
 """Readings of the paper as a benchmark: what they change, what is kept of runs, and at which budgets a row agrees."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from atoll.config import PRESETS
 from atoll.errors import DataError, UsageError
-from benchmarks.paper import readings
+from benchmarks.paper import readings, readings_runs
 from benchmarks.paper.readings import Journal, agreement, best_budget, equation_rows, main
 from benchmarks.paper.readings_runs import CHOSEN, READINGS, Run, Task, config_of, run
 
@@ -44,6 +45,16 @@ def test_a_run_ends_where_it_converges_or_its_budget_does(problem):
     short = run(Task("first", problem, 1, found.cost - 1))
     assert short.cost is None
     assert short.evaluations < found.cost
+
+
+def test_a_run_that_was_interrupted_goes_on_where_it_was(tmp_path, monkeypatch):
+    monkeypatch.setattr(readings_runs, "KEPT_EVERY_S", -1.0)
+    small, whole = (Task("log", "predator_prey y", 1, budget) for budget in (1_000_000, 1_900_000))
+    run(small, tmp_path)
+    assert len(list(tmp_path.iterdir())) == 1
+    resumed = run(whole, tmp_path)
+    assert resumed.cost is None
+    assert resumed == replace(run(whole), seconds=resumed.seconds)
 
 
 def test_a_row_agrees_between_two_budgets():
