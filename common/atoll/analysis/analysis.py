@@ -10,12 +10,14 @@ from atoll.analysis.basins import Attractor, Basins, basins
 from atoll.analysis.box import Box
 from atoll.analysis.conserved import ConservedQuantity, conserved_quantities, is_volume_preserving
 from atoll.analysis.continuation import Branch, continuation
+from atoll.analysis.cycle_continuation import CycleBranch, cycle_continuation
 from atoll.analysis.dynamics import Comparison, Measured, compared, measured_trajectories
 from atoll.analysis.fixed_points import FixedPoints, fixed_points
 from atoll.analysis.flow import Flow
-from atoll.analysis.limit_cycles import LimitCycles, limit_cycles
+from atoll.analysis.limit_cycles import LimitCycle, LimitCycles, limit_cycles
 from atoll.analysis.lyapunov import LyapunovSpectrum, lyapunov_spectrum
 from atoll.analysis.nullclines import nullclines
+from atoll.analysis.varied import Coefficients, Varied
 from atoll.data.dataset import FloatArray
 from atoll.errors import UsageError
 from atoll.model.vector_field import VectorField
@@ -32,8 +34,9 @@ class Analysis:
     """The dynamics of `field` in `box`.
 
     `inputs` (U,) were held. `nullclines` has the polylines (n, 2) of each of two states, and is empty for others.
-    `lyapunov` is of courses that no fixed point or cycle explains, None where there are none. `branches` are those of
-    the `parameter` (its index) that was varied. `comparisons` stand beside the measured trajectories.
+    `lyapunov` is of courses that no fixed point or cycle explains, None where there are none. `comparisons` stand
+    beside the measured trajectories. `branches` (of fixed points) and `cycle_branches` are those along what was
+    `varied`; `coefficients` name what can be.
     """
 
     field: VectorField
@@ -47,8 +50,10 @@ class Analysis:
     conserved: tuple[ConservedQuantity, ...]
     is_volume_preserving: bool
     comparisons: tuple[Comparison, ...]
-    parameter: int | None = None
+    coefficients: Coefficients
+    varied: Varied | None = None
     branches: tuple[Branch, ...] = ()
+    cycle_branches: tuple[CycleBranch, ...] = ()
 
     def __str__(self) -> str:
         from atoll.analysis.report import as_text
@@ -73,7 +78,7 @@ def analyse(
     *,
     inputs: FloatArray | None = None,
     measured: Sequence[Measured] = (),
-    vary: tuple[int, tuple[float, float]] | None = None,
+    vary: tuple[str, tuple[float, float]] | None = None,
 ) -> Analysis:
     """Return the dynamics of `field` in `box`; every part is bounded in steps and says what was searched.
 
@@ -82,23 +87,25 @@ def analyse(
         box: what is looked at.
         inputs: values (U,) at which inputs are held; zeros unless given.
         measured: trajectories that the model is compared with.
-        vary: index of a parameter (from 0) and the range that it is varied over.
+        vary: what to vary, as `Coefficients.find` takes it, and over which range.
 
     Raises:
-        UsageError: there are too many states.
+        UsageError: there are too many states, or nothing to vary has that name.
     """
     if len(field.states) > MOST_STATES:
         raise UsageError(f"the model has {len(field.states)} states; at most {MOST_STATES} can be analysed")
+    flow, coefficients = Flow.of(field, inputs), Coefficients.of(field)
+    along = None if vary is None else (*coefficients.find(flow, vary[0]), vary[1])
     with np.errstate(all="ignore"):  # a box may reach to where rates overflow
-        return _analysed(field, box, Flow.of(field, inputs), measured, vary)
+        return _analysed(coefficients, box, flow, measured, along)
 
 
 def _analysed(
-    field: VectorField,
+    coefficients: Coefficients,
     box: Box,
     flow: Flow,
     measured: Sequence[Measured],
-    vary: tuple[int, tuple[float, float]] | None,
+    along: tuple[Flow, Varied, tuple[float, float]] | None,
 ) -> Analysis:
     fixed = fixed_points(flow, box)
     cycles = limit_cycles(flow, box, fixed.points)
@@ -106,8 +113,9 @@ def _analysed(
     stable += [each for each in cycles.cycles if each.is_stable]
     reached = basins(flow, box, stable)
     is_open = flow.size > 2 and len(cycles.unsettled) > 0
+    branches, cycle_branches = ((), ()) if along is None else _followed(box, *along, cycles.cycles)
     return Analysis(
-        field,
+        flow.field,
         box,
         flow.inputs,
         fixed,
@@ -118,9 +126,25 @@ def _analysed(
         conserved_quantities(flow, box),
         is_volume_preserving(flow, box),
         compared(flow, box, stable, measured, reached.duration),
-        None if vary is None else vary[0],
-        () if vary is None else continuation(flow, box, *vary),
+        coefficients,
+        None if along is None else along[1],
+        branches,
+        cycle_branches,
     )
+
+
+def _followed(
+    box: Box, flow: Flow, varied: Varied, bounds: tuple[float, float], cycles: Sequence[LimitCycle]
+) -> tuple[tuple[Branch, ...], tuple[CycleBranch, ...]]:
+    """Return the branches of fixed points and of limit cycles; `cycles` are those of the model as it is."""
+    branches = continuation(flow, box, varied, bounds)
+    value = varied.value
+    if not bounds[0] <= value <= bounds[1]:
+        value = 0.5 * (bounds[0] + bounds[1])
+        there = varied.at(flow, value)
+        cycles = limit_cycles(there, box, fixed_points(there, box).points).cycles
+    known = [(value, each) for each in cycles]
+    return branches, cycle_continuation(flow, box, varied, bounds, branches=branches, known=known)
 
 
 def analyse_result(
@@ -136,7 +160,8 @@ def analyse_result(
         found: the result.
         bounds: of states, by name; see `box_of` for the others.
         inputs: values at which inputs are held, by name; zeros unless given.
-        vary: name or number (from 1) of a parameter, and the range that it is varied over.
+        vary: what to vary, and over which range: constants (c1, or c1,c2 in their ratio), the coefficient of a term
+            (y:x*y for that of x*y in dy/dt), or an input.
 
     Raises:
         UsageError: a name is unknown, or a range is none.
@@ -147,21 +172,13 @@ def analyse_result(
             raise UsageError(f"there is no input '{name}' to hold; inputs: {', '.join(field.inputs) or 'none'}")
     held = np.array([float((inputs or {}).get(name, 0.0)) for name in field.inputs])
     box, measured = box_of(found, field, bounds)
-    varied = None if vary is None else (_parameter(field, vary[0]), _range(*vary[1]))
+    varied = None if vary is None else (vary[0], _range(*vary[1]))
     return analyse(field, box, inputs=held, measured=measured, vary=varied)
-
-
-def _parameter(field: VectorField, name: str) -> int:
-    for index, each in enumerate(field.parameters):
-        if name in (each.name, str(index + 1)):
-            return index
-    known = ", ".join(f"{each.name} = {each.value:g} of {each.variable}" for each in field.parameters)
-    raise UsageError(f"there is no parameter '{name}'; the model has {known or 'none'}")
 
 
 def _range(lower: float, upper: float) -> tuple[float, float]:
     if not (np.isfinite([lower, upper]).all() and lower < upper):
-        raise UsageError(f"the range {lower:g}:{upper:g} of the parameter is no interval; give LOWER:UPPER")
+        raise UsageError(f"the range from {lower:g} to {upper:g} is no interval; give a lower bound, then an upper one")
     return lower, upper
 
 

@@ -24,10 +24,12 @@ class Box:
                 raise UsageError(f"there is no state '{name}' to bound; the states are {', '.join(states)}")
         for name in states:
             if name not in bounds:
-                raise UsageError(f"state '{name}' has no bounds; give them with --box {name}=LOWER:UPPER")
+                raise UsageError(f"state '{name}' was not measured, so that the box needs its lower and upper bound")
             lower, upper = bounds[name]
             if not (np.isfinite([lower, upper]).all() and lower < upper):
-                raise UsageError(f"the bounds {lower:g}:{upper:g} of '{name}' are no interval; give LOWER:UPPER")
+                raise UsageError(
+                    f"the bounds {lower:g} and {upper:g} of '{name}' are no interval; give the lower one first"
+                )
         ends = np.array([bounds[name] for name in states], dtype=np.float64)
         return cls(ends[:, 0].copy(), ends[:, 1].copy())
 

@@ -62,20 +62,25 @@ class Flow:
         """Return the Jacobian (D, D) or (N, D, D)."""
         return self.direction * self.field.jacobian(x, self.inputs, self.parameters)
 
-    def by_parameter(self, x: FloatArray, index: int) -> FloatArray:
-        """Return the derivative of dx/dt by one parameter, (D,)."""
-        derivatives = self.field.parameter_derivatives(x, self.inputs, self.parameters)
-        return self.direction * derivatives[..., index]
+    def by_parameters(self, x: FloatArray) -> FloatArray:
+        """Return the derivative of dx/dt by the parameters, (D, P) or (N, D, P)."""
+        return self.direction * self.field.parameter_derivatives(x, self.inputs, self.parameters)
+
+    def by_inputs(self, x: FloatArray) -> FloatArray:
+        """Return the derivative of dx/dt by the inputs, (D, U) or (N, D, U)."""
+        return self.direction * self.field.input_derivatives(x, self.inputs, self.parameters)
 
     def backward(self) -> "Flow":
         """Return the flow in backward time."""
         return replace(self, direction=-self.direction)
 
-    def with_parameter(self, index: int, value: float) -> "Flow":
-        """Return the flow at another value of one parameter."""
-        parameters = self.parameters.copy()
-        parameters[index] = value
-        return replace(self, parameters=parameters)
+    def at(self, parameters: FloatArray, inputs: FloatArray) -> "Flow":
+        """Return the flow at other parameters and inputs."""
+        return replace(self, parameters=parameters, inputs=inputs)
+
+    def at_field(self, field: VectorField, parameters: FloatArray) -> "Flow":
+        """Return the flow of another field of the same states and inputs, at these parameters of it."""
+        return replace(self, field=field, parameters=parameters)
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,7 +41,7 @@ MOST_FAILURES: Final = 2
 
 SAMPLES: Final = 400
 _NEAR: Final = 0.1
-_SMALLEST: Final = 1e-3
+SMALLEST: Final = 1e-3
 """Smallest extent of a cycle, in widths of the box."""
 
 _CLOSED: Final = 1e-8
@@ -150,7 +150,7 @@ def _rests(flow: Flow, ends: FloatArray, box: Box) -> list[FixedPoint]:
 
 def _is_at_rest(end: FloatArray, fixed: Sequence[FixedPoint], box: Box) -> bool:
     for each in fixed:
-        near = _SMALLEST if each.kind != "non-hyperbolic" or not each.is_stable else 0.05
+        near = SMALLEST if each.kind != "non-hyperbolic" or not each.is_stable else 0.05
         if np.abs((end - each.point) / box.widths).max() < near * (10.0 if each.is_stable else 1.0):
             return True
     return False
@@ -197,7 +197,7 @@ def _first_return(flow: Flow, start: FloatArray, box: Box, longest: float) -> fl
             if returns[-1][1] < 1e-3 * farthest:
                 break
     nearest = min((each[1] for each in returns), default=np.inf)
-    if farthest < _SMALLEST or nearest > _NEAR * min(farthest, 1.0):
+    if farthest < SMALLEST or nearest > _NEAR * min(farthest, 1.0):
         return None
     return next(time for time, far in returns if far <= 3.0 * nearest + 1e-5)
 
@@ -235,9 +235,9 @@ def _closed_orbit(flow: Flow, start: FloatArray, period: float, box: Box) -> Lim
         return None
     points = follow(flow, point, np.linspace(0.0, period, SAMPLES, endpoint=False))
     extent = ((points.max(axis=0) - points.min(axis=0)) / box.widths).max()
-    if not extent > _SMALLEST or not period > 0.0:
+    if not extent > SMALLEST or not period > 0.0:
         return None
-    return LimitCycle(point, period, _multipliers(monodromy, divergence), divergence, points)
+    return LimitCycle(point, period, multipliers_of(monodromy, divergence), divergence, points)
 
 
 def transported(flow: Flow, start: FloatArray, duration: float) -> tuple[FloatArray, FloatArray, float]:
@@ -260,7 +260,7 @@ def transported(flow: Flow, start: FloatArray, duration: float) -> tuple[FloatAr
     return end[:size], end[size:-1].reshape(size, size), float(end[-1])
 
 
-def _multipliers(monodromy: FloatArray, divergence: float) -> Complexes:
+def multipliers_of(monodromy: FloatArray, divergence: float) -> Complexes:
     """Return the eigenvalues, that of the flow first, then by falling size."""
     if len(monodromy) == 2:
         return np.array([1.0, np.exp(min(divergence, 700.0))], dtype=np.complex128)

@@ -9,6 +9,7 @@ import numpy as np
 from atoll.analysis.analysis import Analysis
 from atoll.analysis.basins import NO_VALUE, RUNS_AWAY, UNDECIDED, Attractor
 from atoll.analysis.continuation import Branch
+from atoll.analysis.cycle_continuation import CycleBranch
 from atoll.analysis.dynamics import Comparison, Motion
 from atoll.analysis.fixed_points import FixedPoint
 from atoll.analysis.limit_cycles import LimitCycle
@@ -16,6 +17,11 @@ from atoll.data.dataset import FloatArray
 
 SCHEMA: Final = 1
 _CODES: Final = {UNDECIDED: "undecided", RUNS_AWAY: "runs away", NO_VALUE: "no value"}
+_ENDINGS: Final = {
+    UNDECIDED: "reach none of these within the time that was simulated",
+    RUNS_AWAY: "run away",
+    NO_VALUE: "meet a point where a rate has no value",
+}
 
 
 def as_data(its: Analysis) -> dict[str, Any]:
@@ -29,6 +35,7 @@ def as_data(its: Analysis) -> dict[str, Any]:
         "parameters": [
             {"name": each.name, "variable": each.variable, "value": each.value} for each in its.field.parameters
         ],
+        "unit_coefficients": list(its.coefficients.units),
         "fixed_points": [_fixed_point(each) for each in its.fixed_points.points],
         "fixed_points_search": {
             "starts": its.fixed_points.starts,
@@ -160,12 +167,13 @@ def _comparison(each: Comparison, its: Analysis) -> dict[str, Any]:
 
 
 def _continuation(its: Analysis) -> dict[str, Any] | None:
-    if its.parameter is None:
+    if its.varied is None:
         return None
-    parameter = its.field.parameters[its.parameter]
+    named = {each.name: each.variable for each in its.field.parameters}
     return {
-        "parameter": {"name": parameter.name, "variable": parameter.variable, "value": parameter.value},
+        "parameter": {"name": its.varied.name, "variable": named.get(its.varied.name), "value": its.varied.value},
         "branches": [_branch(each) for each in its.branches],
+        "cycle_branches": [_cycle_branch(each) for each in its.cycle_branches],
     }
 
 
@@ -178,6 +186,27 @@ def _branch(its: Branch) -> dict[str, Any]:
             {"kind": each.kind, "value": each.value, "point": _list(each.point), "frequency": each.frequency}
             for each in its.special
         ],
+    }
+
+
+def _cycle_branch(its: CycleBranch) -> dict[str, Any]:
+    return {
+        "values": _list(its.values),
+        "periods": [each.period for each in its.cycles],
+        "minima": [_list(each.points.min(axis=0)) for each in its.cycles],
+        "maxima": [_list(each.points.max(axis=0)) for each in its.cycles],
+        "multipliers": [_complex(each.multipliers) for each in its.cycles],
+        "is_stable": [each.is_stable for each in its.cycles],
+        "special": [
+            {
+                "kind": each.kind,
+                "value": each.value,
+                "period": each.cycle.period,
+                "multipliers": _complex(each.cycle.multipliers),
+            }
+            for each in its.special
+        ],
+        "ends": list(its.ends),
     }
 
 
@@ -241,9 +270,16 @@ def _basin_lines(its: Analysis) -> list[str]:
     lines = [f"basins: of {len(its.basins.reached)} starts in the box"]
     for which in _codes(its):
         share, error = its.basins.fraction(which)
-        verb = "" if which < 0 else "reach the "
-        lines.append(f"  {100 * share:.1f} ± {100 * error:.1f} % {verb}{_reached(which, its)}")
+        ending = _ENDINGS[which] if which < 0 else f"reach the {_reached(which, its)}"
+        lines.append(f"  {_share(share, error)} {ending}")
     return lines
+
+
+def _share(share: float, error: float) -> str:
+    """Return a share in per cent; its error says nothing where all starts, or none, end alike."""
+    if share in (0.0, 1.0):
+        return "all" if share else "none"
+    return f"{100 * share:.1f} ± {100 * error:.1f} %"
 
 
 def _other_lines(its: Analysis) -> list[str]:
@@ -270,20 +306,33 @@ def _beside(each: Comparison, its: Analysis) -> list[str]:
 
 
 def _branch_lines(its: Analysis) -> list[str]:
-    if its.parameter is None:
+    if its.varied is None:
         return []
-    parameter = its.field.parameters[its.parameter]
-    lines = [
-        f"fixed points as {parameter.name} = {parameter.value:.6g} of the equation of {parameter.variable} varies:"
-    ]
-    for branch in its.branches:
-        unstable = sorted(set(branch.unstable.tolist()))
-        counts = f"{unstable[0]} to {unstable[-1]}" if len(unstable) > 1 else f"{unstable[0]}"
-        lines.append(
-            f"  a branch from {branch.values[0]:.4g} to {branch.values[-1]:.4g}, least {np.min(branch.values):.4g}, "
-            f"greatest {np.max(branch.values):.4g}; unstable eigenvalues: {counts}"
-        )
-        for each in branch.special:
-            turning = f", frequency {each.frequency:.6g}" if each.frequency is not None else ""
-            lines.append(f"    {each.kind} at {each.value:.8g} ({_point(each.point)}){turning}")
+    lines = [f"fixed points as {its.varied.name} (now {its.varied.value:.6g}) varies:"]
+    lines += [line for branch in its.branches for line in _fixed_point_branch(branch)]
+    lines.append(f"limit cycles as {its.varied.name} varies: {len(its.cycle_branches)} branches")
+    return [*lines, *(line for branch in its.cycle_branches for line in _cycle_branch_lines(branch))]
+
+
+def _fixed_point_branch(branch: Branch) -> list[str]:
+    unstable = sorted(set(branch.unstable.tolist()))
+    counts = f"{unstable[0]} to {unstable[-1]}" if len(unstable) > 1 else f"{unstable[0]}"
+    lines = [f"  a branch {_extent(branch.values)}; unstable eigenvalues: {counts}"]
+    for each in branch.special:
+        turning = f", frequency {each.frequency:.6g}" if each.frequency is not None else ""
+        lines.append(f"    {each.kind} at {each.value:.8g} ({_point(each.point)}){turning}")
     return lines
+
+
+def _cycle_branch_lines(branch: CycleBranch) -> list[str]:
+    first, last = branch.cycles[0].period, branch.cycles[-1].period
+    stable = sum(each.is_stable for each in branch.cycles)
+    how = "stable" if stable == len(branch.cycles) else "unstable" if not stable else "stable in parts"
+    lines = [f"  a branch {_extent(branch.values)}; period {first:.6g} to {last:.6g}, {how}"]
+    lines.append(f"    begins: {branch.ends[0]}; ends: {branch.ends[1]}")
+    lines += [f"    {each.kind} at {each.value:.8g}, period {each.cycle.period:.6g}" for each in branch.special]
+    return lines
+
+
+def _extent(values: FloatArray) -> str:
+    return f"from {values[0]:.4g} to {values[-1]:.4g}, least {np.min(values):.4g}, greatest {np.max(values):.4g}"

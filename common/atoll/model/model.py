@@ -282,7 +282,8 @@ class Model:
         Args:
             box: bounds of states, by name; None: about the measured range.
             inputs: values at which inputs are held, by name; zeros unless given.
-            vary: the name of a parameter, such as c1, and the range over which fixed points are followed.
+            vary: what to vary, and the range over which fixed points and limit cycles are followed: a constant (c1),
+                several in their ratio (c1,c2), the coefficient of a term (y:x*y, of x*y in dy/dt), or an input.
 
         Raises:
             UsageError: a name is unknown, a range is none, or a state has neither bounds nor measurements.

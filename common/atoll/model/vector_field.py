@@ -123,6 +123,19 @@ class VectorField:
         """Return d(dx_i/dt)/dp_k as (D, P), or (N, D, P) at N points; otherwise as `values`."""
         return self._evaluated(self._formulas.by_parameters, (len(self.states), len(self.parameters)), x, u, p)
 
+    def input_derivatives(
+        self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None
+    ) -> FloatArray:
+        """Return d(dx_i/dt)/du_k as (D, U), or (N, D, U) at N points; otherwise as `values`."""
+        return self._evaluated(self._formulas.by_inputs, (len(self.states), len(self.inputs)), x, u, p)
+
+    def term_of(self, index: int, p: FloatArray) -> str:
+        """Return what a parameter (from 0) is the coefficient of, as infix text without its sign: x*y for c1*x*y.
+
+        Other parameters in it have the values `p` (P,).
+        """
+        return self._formulas.term_of(index, p.tolist())
+
     @cached_property
     def _formulas(self) -> "_Formulas":
         return _Formulas(self)
@@ -211,6 +224,25 @@ class _Formulas:
     @cached_property
     def by_parameters(self) -> "_Function":
         return self._compiled([jet.slopes.get(each, 0) for jet in self._jets for each in self._symbols[1]])
+
+    @cached_property
+    def by_inputs(self) -> "_Function":
+        inputs = self._symbols[0][len(self._field.states) :]
+        return self._compiled([jet.slopes.get(each, 0) for jet in self._jets for each in inputs])
+
+    def term_of(self, index: int, values: Sequence[float]) -> str:
+        import sympy
+
+        variables, parameters = self._symbols
+        slope = next(jet.slopes[parameters[index]] for jet in self._jets if parameters[index] in jet.slopes)
+        names = zip(variables, (*self._field.states, *self._field.inputs), strict=True)
+        known = {symbol: sympy.Symbol(name) for symbol, name in names}
+        known |= {
+            symbol: sympy.Integer(value) if value.is_integer() else sympy.Float(value)
+            for symbol, value in zip(parameters, values, strict=True)
+        }
+        term = sympy.sympify(slope).xreplace(known)
+        return str(-term if term.could_extract_minus_sign() else term)
 
     def _compiled(self, formulas: "list[sympy.Expr | int]") -> "_Function":
         variables, parameters = self._symbols

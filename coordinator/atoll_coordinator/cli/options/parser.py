@@ -199,11 +199,15 @@ def _add_analyse(verbs: Any) -> None:
     parser.add_argument(
         "--hold", action="append", default=[], metavar="u=1", help="value of an input (default: 0); repeatable"
     )
-    parser.add_argument("--parameter", metavar="c1", help="a constant to vary, by name or number")
     parser.add_argument(
         "--identifiability", action="store_true", help="what the data determine of each constant, by profile likelihood"
     )
     _add_measurements(parser)
+    parser.add_argument(
+        "--parameter",
+        metavar="c1",
+        help="what varies: a constant, several in their ratio (c1,c2), a coefficient (y:x*y of x*y in dy/dt), an input",
+    )
     parser.add_argument("--range", metavar="A:B", help="what --parameter is varied over")
     parser.add_argument("-o", "--output", metavar="FILE", help="write to this file (default: stdout)")
     parser.add_argument("--json", action="store_true", help="write JSON, with all curves")

@@ -6,11 +6,13 @@ import pytest
 from atoll.analysis.conserved import conserved_quantities, is_volume_preserving
 from atoll.analysis.continuation import continuation, special_points
 from atoll.analysis.nullclines import nullclines
+from atoll.analysis.varied import Varied
 from tests.unit.common.analysis.systems import COMPETITION, LORENZ, box, flow
 
 
 def test_folds_of_the_cubic_are_where_its_derivative_vanishes() -> None:
-    branches = continuation(flow(x="0.1 + x - x**3"), box((-2.0, 2.0)), 0, (-1.0, 1.0))
+    its = flow(x="0.1 + x - x**3")
+    branches = continuation(its, box((-2.0, 2.0)), Varied.parameter(its, 0), (-1.0, 1.0))
     found = special_points(branches)
     assert [each.kind for each in found] == ["fold", "fold"]
     fold = 2.0 / (3.0 * np.sqrt(3.0))
@@ -24,7 +26,7 @@ def test_hopf_points_of_the_nerve_are_where_the_trace_vanishes() -> None:
     """FitzHugh-Nagumo: v' = v - v**3/3 - w + i, w' = e (v + a - b w): the trace is 0 at v = +-sqrt(1 - b e)."""
     a, b, e = 0.7, 0.8, 0.08
     nerve = flow(v="0.5 + v - v**3/3.0 - w", w=f"{e}*(v + {a} - {b}*w)")
-    found = special_points(continuation(nerve, box((-3.0, 3.0), (-2.0, 3.0)), 0, (-0.5, 2.0)))
+    found = special_points(continuation(nerve, box((-3.0, 3.0), (-2.0, 3.0)), Varied.parameter(nerve, 0), (-0.5, 2.0)))
     assert [each.kind for each in found] == ["Hopf", "Hopf"]
     v = np.sqrt(1.0 - b * e) * np.array([-1.0, 1.0])
     np.testing.assert_allclose([each.point[0] for each in found], v, rtol=1e-8)
@@ -34,7 +36,8 @@ def test_hopf_points_of_the_nerve_are_where_the_trace_vanishes() -> None:
 
 
 def test_a_pitchfork_is_a_branch_point() -> None:
-    found = special_points(continuation(flow(x="0.5*x - x**3"), box((-2.0, 2.0)), 0, (-1.0, 1.0)))
+    its = flow(x="0.5*x - x**3")
+    found = special_points(continuation(its, box((-2.0, 2.0)), Varied.parameter(its, 0), (-1.0, 1.0)))
     assert {each.kind for each in found} == {"branch point"}
     np.testing.assert_allclose([each.value for each in found], 0.0, atol=1e-6)
 

@@ -89,7 +89,7 @@ def test_bad_input_is_one_sentence(
 def test_a_state_without_measurements_needs_bounds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "result.json").write_text(json.dumps(result({"x": "-x"}, system={"time": "t", "ranges": {}})))
     assert main(["analyse", str(tmp_path)]) == 2
-    assert "give them with --box x=LOWER:UPPER" in capsys.readouterr().err
+    assert "the box needs its lower and upper bound" in capsys.readouterr().err
 
 
 def test_without_simulations_the_box_is_about_the_measured_range(
