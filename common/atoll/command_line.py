@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any, Final, NoReturn
 
 from atoll.errors import UsageError
+from atoll.suggestions import did_you_mean
 
 LOG_FORMATS: Final = ("text", "json")
 LOG_LEVELS: Final = ("debug", "info", "warning", "error")
@@ -27,16 +28,37 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **settings: Any) -> None:
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, **settings)
 
+    def parse_args(self, args: Any = None, namespace: Any = None) -> argparse.Namespace:  # type: ignore[override]
+        """Parse the words; raises UsageError, and for an unknown option says which one may have been meant."""
+        found: argparse.Namespace
+        found, left = self.parse_known_args(args, namespace)
+        if left:
+            used = self._used(found)
+            hint = did_you_mean(left[0].partition("=")[0], used._option_string_actions) if left[0][:1] == "-" else ""
+            raise UsageError(f"unknown option {' '.join(left)}; see {used.prog} --help{hint}")
+        return found
+
+    def _used(self, found: argparse.Namespace) -> argparse.ArgumentParser:
+        """Return the parser of the verb that was given, or this one."""
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                verb: argparse.ArgumentParser | None = action.choices.get(getattr(found, action.dest))
+                return verb or self
+        return self
+
     def error(self, message: str) -> NoReturn:
-        raise UsageError(f"{_reworded(message)}; see {self.prog} --help")
+        text, hint = _reworded(message)
+        raise UsageError(f"{text}; see {self.prog} --help{hint}")
 
 
-def _reworded(message: str) -> str:
-    """Return argparse's complaint in the order found, expected."""
+def _reworded(message: str) -> tuple[str, str]:
+    """Return argparse's complaint in the order found, expected; and what may have been meant."""
     choice = re.fullmatch(r"argument (.+): invalid choice: (.+) \(choose from (.+)\)", message)
     if choice:
-        return f"{choice[1]} must be one of {choice[3]}, but {choice[2]} was given"
-    return message.replace("unrecognized arguments:", "unknown option").removeprefix("argument ")
+        known = [word.strip("' ") for word in choice[3].split(",")]
+        hint = did_you_mean(choice[2].strip("'"), known)
+        return f"{choice[1]} must be one of {choice[3]}, but {choice[2]} was given", hint
+    return message.removeprefix("argument "), ""
 
 
 def whole_number(least: int, most: int) -> Callable[[str], int]:

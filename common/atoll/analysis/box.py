@@ -7,6 +7,7 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.errors import UsageError
+from atoll.suggestions import did_you_mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +22,8 @@ class Box:
         """Return the box of these bounds by state; raises UsageError where a state has none or they are no interval."""
         for name in bounds:
             if name not in states:
-                raise UsageError(f"there is no state '{name}' to bound; the states are {', '.join(states)}")
+                hint = did_you_mean(name, states)
+                raise UsageError(f"there is no state '{name}' to bound; the states are {', '.join(states)}{hint}")
         for name in states:
             if name not in bounds:
                 raise UsageError(f"state '{name}' was not measured, so that the box needs its lower and upper bound")

@@ -22,6 +22,7 @@ from atoll.model.parameters import LEVEL, JointErrors, Parameter, parameters_of
 from atoll.model.saved import check_result, read_result, write_text
 from atoll.model.simulation import Inputs, Simulation, interpolated, simulate, together
 from atoll.model.vector_field import VectorField
+from atoll.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     import sympy
@@ -453,7 +454,8 @@ class Model:
         missing = next((name for name in self.states if name not in named), None)
         if unknown is not None or missing is not None:
             fault = f"names {unknown!r}" if unknown is not None else f"lacks {missing!r}"
-            raise UsageError(f"the initial state {fault}; the states are {', '.join(self.states)}")
+            hint = "" if unknown is None else did_you_mean(unknown, self.states)
+            raise UsageError(f"the initial state {fault}; the states are {', '.join(self.states)}{hint}")
         return np.array([float(named[name]) for name in self.states])
 
     def _times(self, t: npt.ArrayLike | float | None) -> FloatArray:

@@ -53,6 +53,7 @@ def refusal(text: str | None, *options: str) -> str:
         (changed(5, "0.3,1,1.4"), ["t", "0.3"]),
         (GOOD.replace("t,x,y", "t,x,x"), ["'x'", "name"]),
         (GOOD.replace("t,x,y", "s,x,y"), ["time", "t"]),
+        (GOOD.replace("t,x,y", "Time,x,y"), ["no time column", "did you mean 'Time'?"]),
         ("t,x,y\n" + "".join(f"{i},{i * i},3\n" for i in range(40)), ["y", "constant"]),
     ],
 )
@@ -70,6 +71,11 @@ def test_a_device_is_not_called_missing(folder: Path) -> None:
     ("options", "words"),
     [
         ("--states x,z", ["'z'", "x, y"]),
+        ("--states x,Y", ["'Y'", "did you mean 'y'?"]),
+        ("--known dy=sim(x)", ["'sim'", "did you mean 'sin'?"]),
+        ("--operators +,tanx", ["'tanx'", "did you mean 'tanh'?"]),
+        ("--preset papr", ["'papr'", "did you mean 'paper'?"]),
+        ("--missing drops", ["'drops'", "did you mean 'drop'?"]),
         ("--time when", ["'when'", "t"]),
         ("--target q", ["'q'"]),
         ("--only z", ["'z'"]),

@@ -32,6 +32,7 @@ from atoll.expression.operators import (
     VARIABLE,
 )
 from atoll.expression.program import MAX_NODES, Program
+from atoll.suggestions import did_you_mean
 
 LARGEST_POWER: Final = 64
 """Largest natural exponent that is written as multiplications."""
@@ -142,7 +143,9 @@ class _Parser:
         if token.text == "pi":
             return self._constant(math.pi)
         known = ", ".join(self._variables)
-        raise UsageError(f"{token.text!r} {self._where(token)} is unknown; known: {known}")
+        raise UsageError(
+            f"{token.text!r} {self._where(token)} is unknown; known: {known}{did_you_mean(token.text, self._variables)}"
+        )
 
     def _close(self, token: _Token) -> None:
         self._reduce(0)
@@ -157,7 +160,8 @@ class _Parser:
             return self._builder.add(_CALLS[token.text], argument)
         if token.text not in ("tan", "cot"):
             known = ", ".join(sorted({*_CALLS, "tan", "cot"}))
-            raise UsageError(f"{token.text!r} {self._where(token)} is no known function; known: {known}")
+            hint = did_you_mean(token.text, _CALLS)
+            raise UsageError(f"{token.text!r} {self._where(token)} is no known function; known: {known}{hint}")
         parts = (self._builder.add(SIN, argument), self._builder.add(COS, argument))
         return self._builder.add(DIVIDE, *(parts if token.text == "tan" else parts[::-1]))
 

@@ -5,6 +5,7 @@ Pure apart from reading the job file. Every refusal is one sentence that names t
 
 import argparse
 import contextlib
+import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -16,6 +17,7 @@ from atoll.command_line import duration
 from atoll.config import PRESETS, DataConfig, JobConfig
 from atoll.errors import UsageError
 from atoll.expression.operators import BY_NAME
+from atoll.suggestions import did_you_mean
 from atoll_coordinator.cli.options.names import names
 from atoll_coordinator.cli.options.prior_knowledge import prior_settings
 
@@ -190,9 +192,12 @@ def _sentence(error: ValidationError, given: Mapping[str, Any], file: str | None
     place = [str(part) for part in complaint["loc"] if isinstance(part, str) and part != "[key]"]
     found = complaint.get("input")
     if complaint["type"] == "extra_forbidden":
-        return f"{_place(place, given, file)} is not a known setting; known here: {', '.join(_settings(place[:-1]))}"
+        settings = _settings(place[:-1])
+        known = f"known here: {', '.join(settings)}{did_you_mean(place[-1], settings)}"
+        return f"{_place(place, given, file)} is not a known setting; {known}"
     what = complaint["msg"].removeprefix("Input should be ").replace("a valid tuple", "a list")
-    return f"{_place(place, given, file)} must be {what}, but {found!r} was given"
+    close = did_you_mean(str(found), re.findall("'([^']*)'", what)) if complaint["type"] == "literal_error" else ""
+    return f"{_place(place, given, file)} must be {what}, but {found!r} was given{close}"
 
 
 def _settings(group: Sequence[str]) -> tuple[str, ...]:
@@ -227,7 +232,8 @@ def _check_operators(operators: Sequence[str]) -> None:
         raise UsageError(f"the list of operators is empty; choose from {','.join(BY_NAME)}")
     for name in operators:
         if name not in BY_NAME:
-            raise UsageError(f"the operators name {name!r}, which is unknown; choose from {','.join(BY_NAME)}")
+            known = f"choose from {','.join(BY_NAME)}{did_you_mean(name, BY_NAME)}"
+            raise UsageError(f"the operators name {name!r}, which is unknown; {known}")
         if operators.count(name) > 1:
             raise UsageError(f"the operators name {name!r} twice; name every operator once")
 

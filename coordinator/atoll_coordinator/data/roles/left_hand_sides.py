@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Final, TypeVar
 
 from atoll.errors import UsageError
+from atoll.suggestions import did_you_mean
 from atoll_coordinator.data.roles.options import split_unit
 
 Value = TypeVar("Value")
@@ -64,7 +65,8 @@ class LeftSides:
         for order in _FORMS:
             if any(self._is_derivative(text, name, order) for name in self.variables):
                 raise UsageError(f"{option} names '{text}', a {_ORDINALS[order]} derivative, but {self._sought()}")
-        raise UsageError(f"{option} names '{text}', but equations are sought for {', '.join(self.variables)}")
+        sought = f"{', '.join(self.variables)}{did_you_mean(text, self.variables)}"
+        raise UsageError(f"{option} names '{text}', but equations are sought for {sought}")
 
     def symbols_of(self, option: str, texts: Sequence[str]) -> tuple[str, ...]:
         """Return the symbols of variables named by column or symbol; raises UsageError, naming `option`."""
@@ -78,7 +80,8 @@ class LeftSides:
                 return self.symbols[name]
         if text in self.symbols.values():
             return text
-        raise UsageError(f"{option} names '{text}', but the variables are {', '.join(self.symbols)}")
+        variables = f"{', '.join(self.symbols)}{did_you_mean(text, self.symbols)}"
+        raise UsageError(f"{option} names '{text}', but the variables are {variables}")
 
     def _is_derivative(self, text: str, name: str, order: int | None) -> bool:
         if order is None:

@@ -1,6 +1,5 @@
 """The role of every column: time, trajectory, state, input, target, derivative, weight. Pure."""
 
-import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -8,6 +7,7 @@ from typing import Final, Literal
 from atoll.config import Angle, DataConfig
 from atoll.data.table import Table
 from atoll.errors import DataError, UsageError
+from atoll.suggestions import did_you_mean
 from atoll_coordinator.data.roles.options import check_options, find_trajectory_column, named_columns, strip_units
 
 TIME_NAMES: Final = ("t", "time")
@@ -84,7 +84,7 @@ def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
         _check_known(config.holdout.rpartition("=")[0], table)
     roles = _assigned(table.names, config, trajectory)
     _check_time(roles, table)
-    _check_equations(roles, config)
+    _check_equations(roles, config, table)
     _check_angles(roles)
     return roles, config
 
@@ -95,8 +95,7 @@ def _check_known(name: str, table: Table) -> None:
         return
     if name in table.skipped:
         raise DataError(f"column '{name}' holds text; a column of numbers is expected")
-    close = difflib.get_close_matches(name, table.names, n=1, cutoff=0.6)
-    hint = f"; did you mean '{close[0]}'?" if close else ""
+    hint = did_you_mean(name, table.names)
     raise DataError(f"there is no column '{name}' in {table.files[0]}, which has {', '.join(table.names)}{hint}")
 
 
@@ -136,7 +135,7 @@ def _check_time(roles: Roles, table: Table) -> None:
         raise DataError(f"{found}; write numbers, or dates as year-month-day")
 
 
-def _check_equations(roles: Roles, config: DataConfig) -> None:
+def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
     if not roles.equations:
         raise DataError("no column is left to be a state; name the states with --states")
     if roles.target is not None and not roles.inputs:
@@ -147,10 +146,12 @@ def _check_equations(roles: Roles, config: DataConfig) -> None:
         raise UsageError(f"{counts}; name as many states with --states, in the same order")
     if roles.target is None and not roles.derivatives and roles.time is None:
         looked = config.time or " or ".join(TIME_NAMES)
-        raise DataError(f"no time column was found (looked for {looked}); name it with --time, or use --target COLUMN")
+        found = f"no time column was found (looked for {looked}); name it with --time, or use --target COLUMN"
+        raise DataError(found + did_you_mean(TIME_NAMES[-1], (*table.names, *table.skipped)))
     for name in config.only or ():
         if name not in roles.equations:
-            raise UsageError(f"--only names '{name}', but equations are sought for {', '.join(roles.equations)}")
+            sought = f"equations are sought for {', '.join(roles.equations)}{did_you_mean(name, roles.equations)}"
+            raise UsageError(f"--only names '{name}', but {sought}")
     for name in config.offsets:
         if name not in roles.states:
             raise UsageError(f"--offsets names '{name}', but the states are {', '.join(roles.states)}; remove it")

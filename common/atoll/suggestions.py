@@ -1,0 +1,16 @@
+"""What a person may have meant by a name that is not known. Light, because the command line is."""
+
+from collections.abc import Iterable
+from typing import Final
+
+_LIKENESS: Final = 0.6
+"""Least share of characters that two names have in common, in order, as `difflib` measures it by default."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return ``; did you mean 'states'?`` for the end of a sentence, "" where nothing known is like `name`."""
+    import difflib  # takes a few milliseconds, and is rarely needed
+
+    by_lower = {each.lower(): each for each in known}
+    close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=_LIKENESS)
+    return f"; did you mean '{by_lower[close[0]]}'?" if close else ""
