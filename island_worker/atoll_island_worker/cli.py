@@ -13,6 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from atoll.command_line import Parser, add_log_options, add_tls_options, duration, seconds
+from atoll.completion import complete
 from atoll.program import exit_code_of, raise_interrupts
 from atoll_island_worker.launch import work, work_together
 from atoll_island_worker.processes.exit_reasons import complain, report_to
@@ -100,6 +101,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--exit-reasons", type=int, help=argparse.SUPPRESS)  # why we end is written there
     parser.add_argument("--detach", action="store_true", help=argparse.SUPPRESS)  # the workers to the parent, and end
     parser.add_argument("--version", action="version", version=f"atoll {VERSION}")
+    complete(parser)
     return parser.parse_args(argv)
 
 

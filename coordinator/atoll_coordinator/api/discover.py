@@ -24,7 +24,7 @@ from atoll_coordinator.client import Client, connected
 CONNECT_LIMIT_S: Final = 20.0
 CANCEL_LIMIT_S: Final = 10.0
 _REPEATABLE: Final = ("angle", "operators", "allow", "guess", "known")
-_NOT_OURS: Final = ("json", "out", "workers", "help", "id", "name")
+_NOT_OURS: Final = ("json", "out", "workers", "help", "id", "name", "dry_run")
 
 
 class Job:

@@ -13,6 +13,7 @@ from atoll.errors import DataError, RefusedError, UsageError
 from atoll.wire.addresses import Destination, destination
 from atoll.wire.messages.views import JobView
 from atoll.wire.security.credentials import credentials_of
+from atoll_coordinator.cli.exit_codes import DONE
 from atoll_coordinator.cli.options.job_config import job_config
 from atoll_coordinator.cli.options.names import job_id
 from atoll_coordinator.cli.terminal.follow import ending, exit_code
@@ -53,6 +54,14 @@ class Request:
         table = read_table(self.files, self.config.data)
         note(describe(table, self.config))
         return table
+
+    def rehearse(self) -> int:
+        """Say how the data are read and what would be searched, and start nothing; return the exit code."""
+        from atoll_coordinator.data.outline import outline
+
+        its = outline(self.read(), self.config)
+        say(as_json(its.as_dict()) if self.json else its.as_text())
+        return DONE
 
     def submit(self, client: Client, table: "Table") -> JobView:
         """Upload `table` and submit the job."""
@@ -107,7 +116,7 @@ def request_of(options: argparse.Namespace) -> Request:
     for file in files:
         if not file.is_file():
             found = _what_is_there(file)
-            raise DataError(f"{file} {found}, but a CSV, TSV or Parquet file was expected; check the name")
+            raise DataError(f"{file} {found}, but a data file was expected, such as CSV; check the name")
     return request
 
 

@@ -1,6 +1,7 @@
 """A local run: read the data, submit the job, follow it, write and print its result."""
 
 import argparse
+import sys
 import time
 from pathlib import Path
 from typing import Any, Final
@@ -11,6 +12,7 @@ from atoll_coordinator.cli.local.coordinator import LocalCoordinator
 from atoll_coordinator.cli.local.workers import LocalWorkers, NoWorkerLeftError
 from atoll_coordinator.cli.request import request_of
 from atoll_coordinator.cli.terminal.follow import Follower
+from atoll_coordinator.cli.terminal.next_step import next_step
 from atoll_coordinator.cli.terminal.output import REPORT, duration, note, write_report, write_result
 from atoll_coordinator.cli.terminal.progress import Display, open_display
 from atoll_coordinator.client import Client, connected
@@ -59,6 +61,9 @@ class LocalRun:
             self._print_times(result, follower.timeline.phases, path)
             if self._has_report:
                 write_report(path.with_name(REPORT), result)
+            proposed = next_step(result, self._folder, sys.argv[1:])
+            if proposed is not None:
+                note(f"next: {proposed}")
         return self._request.finish(view) if self._forced is None else self._forced
 
     def _follow(self, follower: Follower, client: Client, display: Display) -> JobView:

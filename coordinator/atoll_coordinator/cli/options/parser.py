@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any, Final, NoReturn
 
 from atoll.command_line import Parser, add_tls_options, whole_number
+from atoll.completion import SHELLS, complete
 from atoll.errors import UsageError
 from atoll_coordinator.cli.options.service import add_doctor, add_router, add_serve
 
@@ -29,6 +30,8 @@ HANDLERS: Final = {
     "analyse": "atoll_coordinator.cli.verbs.analyse",
     "report": "atoll_coordinator.cli.verbs.report",
     "doctor": "atoll_coordinator.cli.doctor.doctor",
+    "schema": "atoll_coordinator.cli.verbs.schema",
+    "completion": "atoll_coordinator.cli.verbs.completion",
 }
 """The module of each verb. Its function of the verb's name takes the parsed options and returns the exit code."""
 
@@ -53,7 +56,9 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     verb = next((word for word in argv if not word.startswith("-")), None)
     if verb in LATER_VERBS:
         raise UsageError(f"{verb} is not in this version")
-    options = build_parser().parse_args(_join_leading_minus(argv))
+    parser = build_parser()
+    complete(parser)
+    options = parser.parse_args(_join_leading_minus(argv))
     if options.verb is None:
         raise UsageError(f"no command was given, expected one of {', '.join(HANDLERS)}; see coordinator --help")
     return options
@@ -90,6 +95,9 @@ def build_parser() -> argparse.ArgumentParser:
     _add_analyse(verbs)
     _add_report(verbs)
     _add_data(add_doctor(_verb, verbs).add_argument_group("data"))
+    _verb(verbs, "schema", "print what a --config file may hold, as JSON schema")
+    completion = _verb(verbs, "completion", "print what makes a shell complete commands and options")
+    completion.add_argument("shell", choices=SHELLS, help="where the printed lines are to be read")
     return parser
 
 
@@ -238,12 +246,20 @@ def _add_connect(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_job(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("data", nargs="+", metavar="DATA", help="CSV, TSV or Parquet files with a header")
+    parser.add_argument(
+        "data",
+        nargs="+",
+        metavar="DATA",
+        help="data files: CSV and other text, Excel, MATLAB, HDF5, Parquet, NPZ, JSON",
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--report", action="store_true", help="also write the result as a page, report.html")
     parser.add_argument("--name", metavar="NAME", help="a label for lists (default: the first file's name)")
     parser.add_argument("--id", metavar="ID", help="the job's id (default: made up)")
     parser.add_argument("--config", metavar="job.toml", help="the same settings as a file; options override it")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="say how the data are read and what would be searched; start nothing"
+    )
     _add_data(parser.add_argument_group("data"))
     _add_search(parser.add_argument_group("search"))
     _add_budget(parser.add_argument_group("budget"))

@@ -31,6 +31,10 @@ _COORDINATOR_LOG: Final = "coordinator.log"
 def run(options: argparse.Namespace) -> int:
     """Search the equations behind ``options.data``; return the exit code."""
     started = time.monotonic()
+    if options.dry_run:
+        from atoll_coordinator.cli.request import request_of
+
+        return request_of(options).rehearse()
     options.id = job_id(options.id)
     folder = Path(options.out) if options.out is not None else Path("runs") / options.id
     refuse_existing_result(folder)

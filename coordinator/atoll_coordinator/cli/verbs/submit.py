@@ -17,7 +17,10 @@ from atoll_coordinator.client import Client, connected
 
 def submit(options: argparse.Namespace) -> int:
     """Submit ``options.data`` as a job; return the exit code of the job unless told not to wait for it."""
-    request, address = request_of(options), address_of(options)
+    request = request_of(options)
+    if options.dry_run:
+        return request.rehearse()
+    address = address_of(options)
     folder = Path(options.out) if options.out is not None else None
     if folder is not None and options.no_wait:
         raise UsageError("--out and --no-wait contradict each other: there is no result yet; fetch it later")

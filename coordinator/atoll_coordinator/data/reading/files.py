@@ -42,7 +42,7 @@ def read_table(paths: Sequence[Path], config: DataConfig, time_units: Mapping[st
         DataError: with one sentence about what cannot be read.
     """
     if not paths:
-        raise DataError("no data file was given; name at least one CSV, TSV or Parquet file")
+        raise DataError("no data file was given; name at least one, such as a CSV file")
     return joined([_read_file(path, config) for path in paths], time_units or {})
 
 

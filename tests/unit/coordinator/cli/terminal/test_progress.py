@@ -113,3 +113,19 @@ def test_the_live_display_shows_the_same_contents(monkeypatch: pytest.MonkeyPatc
     text = screen.getvalue()
     for words in ("job a1b2c3d4 running", "3*x - x**2 - 2*x*y", "d[y]/dt", "worker [w1] ended", "converged"):
         assert words in text
+
+
+@pytest.mark.parametrize(("no_color", "is_coloured"), [(None, True), ("", True), ("1", False)])
+def test_colours_are_left_out_where_the_user_wants_none(
+    no_color: str | None, is_coloured: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    screen = io.StringIO()
+    screen.isatty = lambda: True  # type: ignore[method-assign]
+    monkeypatch.setattr("sys.stderr", screen)
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    if no_color is not None:
+        monkeypatch.setenv("NO_COLOR", no_color)
+    with LiveDisplay(HINT) as display:
+        display.show(job(variables=(X,)), [worker()], 0.0)
+    assert ("\x1b[32m" in screen.getvalue()) == is_coloured

@@ -1,9 +1,12 @@
-"""How many workers a local run starts."""
+"""How many workers a local run starts, and that a dry run starts none."""
 
+import json
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from atoll_coordinator.cli.main import main
 from atoll_coordinator.cli.options.parser import parse
 from atoll_coordinator.cli.verbs import run as module
 
@@ -25,3 +28,27 @@ def test_workers_are_as_many_as_the_cores_that_may_be_used(
     with pytest.raises(Started) as started:
         module.run(parse(["run", "data.csv", "--out", str(tmp_path / "out"), *options]))
     assert started.value.args == (number,)
+
+
+@pytest.mark.parametrize("verb", ["run", "submit"])
+def test_a_dry_run_says_what_would_be_done_and_does_nothing(
+    verb: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("ATOLL_CONNECT", raising=False)
+    Path("a.txt").write_text("# t x\n" + "".join(f"{row} {row * row}\n" for row in range(20)))
+    assert main([verb, "a.txt", "--dry-run"]) == 0
+    printed = capsys.readouterr()
+    assert printed.out.startswith("1 equation would be searched:\n  dx/dt = f(x) of + - * / sin cos\n")
+    assert "read as text with spaces; header in a comment\n" in printed.err
+    assert main([verb, "a.txt", "--dry-run", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["equations"][0]["lhs"] == "dx/dt"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_a_dry_run_refuses_what_a_run_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.csv").write_text("t,x\n0,1\n1,two\n")
+    assert main(["run", str(tmp_path / "a.csv"), "--dry-run"]) == 2
+    assert (
+        capsys.readouterr().err == "coordinator: column 'x' of a.csv holds 'two' in line 3 where a number is expected\n"
+    )
