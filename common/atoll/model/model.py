@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from atoll.analysis.analysis import Analysis
     from atoll.experiments.identifiability import Identifiability, ProfiledConstant
+    from atoll.experiments.suggestions import Cost, Suggestions
 
 DIGITS: Final = 6
 """Significant digits of the constants that people are shown."""
@@ -176,6 +177,49 @@ class Model:
             DataError: the data cannot be used as they are.
         """
         found: Identifiability = _experiments().identifiability(self._result, data, level)
+        return found
+
+    def suggest(  # noqa: PLR0913, the keywords are the options of the command
+        self,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+        *,
+        duration: float | None = None,
+        samples: int | None = None,
+        cost: "Cost" = "trajectory",
+        count: int = 3,
+        rivals: Mapping[str, str] | Sequence[Mapping[str, str]] = (),
+        seed: int = 0,
+        data: Any = None,
+    ) -> "Suggestions":
+        """Return the experiments to make next: those that tell most about which candidate is right, for their cost.
+
+        Where candidates do not differ, or there is only one, those that determine its constants best.
+
+        Args:
+            bounds: of initial states and constant inputs, by name; None: the range of the data.
+            duration: of an experiment; None: that of the median trajectory that was measured.
+            samples: measurements of each state; None: those of the median trajectory.
+            cost: ``"trajectory"`` (each the same), ``"duration"`` or ``"samples"``; then shorter ones are tried, too.
+            count: how many are suggested.
+            rivals: another system to tell apart, or several, as right-hand sides by state; its constants are fitted.
+            seed: of the experiments that are tried.
+            data: as of `identifiability`.
+
+        Raises:
+            UsageError: a name or number does not fit, or the result does not have the measurements.
+            DataError: the data cannot be used as they are.
+        """
+        found: Suggestions = _experiments().suggestions(
+            self._result,
+            data,
+            bounds=bounds or {},
+            duration=duration,
+            samples=samples,
+            cost=cost,
+            count=count,
+            seed=seed,
+            rivals=[rivals] if isinstance(rivals, Mapping) else [*rivals],
+        )
         return found
 
     @property

@@ -29,6 +29,7 @@ HANDLERS: Final = {
     "simulate": "atoll_coordinator.cli.verbs.simulate",
     "analyse": "atoll_coordinator.cli.verbs.analyse",
     "report": "atoll_coordinator.cli.verbs.report",
+    "suggest": "atoll_coordinator.cli.verbs.suggest",
     "doctor": "atoll_coordinator.cli.doctor.doctor",
     "schema": "atoll_coordinator.cli.verbs.schema",
     "completion": "atoll_coordinator.cli.verbs.completion",
@@ -94,6 +95,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_simulate(verbs)
     _add_analyse(verbs)
     _add_report(verbs)
+    _add_suggest(verbs)
     _add_data(add_doctor(_verb, verbs).add_argument_group("data"))
     _verb(verbs, "schema", "print what a --config file may hold, as JSON schema")
     completion = _verb(verbs, "completion", "print what makes a shell complete commands and options")
@@ -225,6 +227,33 @@ def _add_report(verbs: Any) -> None:
     parser = _verb(verbs, "report", "a saved result as one HTML page that needs neither network nor script")
     parser.add_argument("result", metavar="RESULT", help="PATH/result.json, or its folder")
     parser.add_argument("-o", "--output", metavar="FILE", help="the page (default: report.html beside the result)")
+
+
+def _add_suggest(verbs: Any) -> None:
+    parser = _verb(verbs, "suggest", "the next experiment: where the candidates of a saved result differ most")
+    parser.add_argument("result", metavar="RESULT", help="PATH/result.json, or its folder")
+    parser.add_argument(
+        "--box",
+        action="append",
+        default=[],
+        metavar="x=0:3",
+        help="bounds of an initial state or a constant input (default: the range of the data); repeatable",
+    )
+    parser.add_argument("--duration", metavar="T", help="of an experiment (default: of the median trajectory)")
+    parser.add_argument("--samples", metavar="N", help="measurements of each state (default: of the median trajectory)")
+    parser.add_argument(
+        "--cost", metavar="trajectory|duration|samples", default="trajectory",
+        help="what an experiment costs: as much as any other, its duration, its samples (default: trajectory)",
+    )  # fmt: skip
+    parser.add_argument("--count", metavar="N", default="3", help="how many experiments (default: 3)")
+    parser.add_argument(
+        "--rival", action="append", default=[], metavar="dx=EXPR",
+        help="another system to tell apart, its equations separated by ';', its constants fitted; repeatable",
+    )  # fmt: skip
+    parser.add_argument("--seed", metavar="S", default="0", help="of the experiments that are tried (default: 0)")
+    _add_measurements(parser)
+    parser.add_argument("-o", "--output", metavar="FILE", help="write to this file (default: stdout)")
+    parser.add_argument("--json", action="store_true", help="write JSON, with all times")
 
 
 def _add_measurements(parser: argparse.ArgumentParser) -> None:

@@ -13,8 +13,8 @@ from atoll_coordinator.cli.verbs.simulate import finite_number, load, write
 def analyse(options: argparse.Namespace) -> int:
     """Analyse the model of ``options.result``. Return the exit code."""
     vary = _vary(options.parameter, options.range)
-    bounds = {name: _interval(text, f"--box {name}") for name, text in _assignments(options.box, "--box", "x=0:3")}
-    held = {name: finite_number(text, f"--hold {name}") for name, text in _assignments(options.hold, "--hold", "u=1")}
+    bounds = {name: interval(text, f"--box {name}") for name, text in assignments(options.box, "--box", "x=0:3")}
+    held = {name: finite_number(text, f"--hold {name}") for name, text in assignments(options.hold, "--hold", "u=1")}
     if options.data is not None and not options.identifiability:
         raise UsageError("--data was given without --identifiability, which alone uses it; give both")
     model = load(options.result)
@@ -37,11 +37,11 @@ def _vary(parameter: str | None, bounds: str | None) -> tuple[str, tuple[float, 
     if parameter is None or bounds is None:
         given, missing = ("--range", "--parameter c1") if parameter is None else ("--parameter", "--range A:B")
         raise UsageError(f"{given} was given without {missing}; give both")
-    return parameter, _interval(bounds, "--range")
+    return parameter, interval(bounds, "--range")
 
 
-def _assignments(texts: Sequence[str], option: str, example: str) -> list[tuple[str, str]]:
-    """Split ``x=0:3`` into name and value; several may stand in one text, separated by commas."""
+def assignments(texts: Sequence[str], option: str, example: str) -> list[tuple[str, str]]:
+    """Split ``x=0:3`` into name and value; several may stand in one text, separated by commas; raises UsageError."""
     found: dict[str, str] = {}
     for text in (part for each in texts for part in each.split(",")):
         name, separator, value = (part.strip() for part in text.partition("="))
@@ -53,7 +53,8 @@ def _assignments(texts: Sequence[str], option: str, example: str) -> list[tuple[
     return list(found.items())
 
 
-def _interval(text: str, option: str) -> tuple[float, float]:
+def interval(text: str, option: str) -> tuple[float, float]:
+    """Return the bounds of ``0:3``; raises UsageError."""
     lower, separator, upper = text.partition(":")
     if not separator:
         raise UsageError(f"{option} wants LOWER:UPPER, but got {text!r}")

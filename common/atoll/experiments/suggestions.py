@@ -1,0 +1,143 @@
+"""The experiments that are worth most, as they are said."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal, get_args
+
+SCHEMA: Final = 1
+
+Cost = Literal["trajectory", "duration", "samples"]
+"""What an experiment costs: as much as any other, its duration, or its samples."""
+COSTS: Final[tuple[str, ...]] = get_args(Cost)
+Purpose = Literal["discrimination", "precision"]
+"""To tell candidates apart, or to determine the constants of the only one."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A candidate with its fitted constants: `equations` by left-hand side, `origin` where it comes from.
+
+    Its `weight` among all candidates is Akaike's, `nats` how much longer it describes the data than the best one.
+    """
+
+    equations: Mapping[str, str]
+    origin: str
+    weight: float
+    nats: float
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """An experiment: a trajectory from the `initial` state with constant `inputs`, measured at `times`.
+
+    `information` in nats is what its outcome is expected to tell, about which candidate is right or of the constants;
+    `evidence` how many nats the right candidate is expected to gain on the others. `worth` is what experiments are
+    ranked by, over their cost: the evidence, of each pair of candidates as much as decides, or the information about
+    constants. `worst` is the constant of largest relative error, with that error before and after the experiment (None
+    where candidates are told apart).
+    """
+
+    initial: Mapping[str, float]
+    inputs: Mapping[str, float]
+    times: tuple[float, ...]
+    cost: float
+    worth: float
+    information: float
+    evidence: float
+    worst: tuple[str, float, float] | None = None
+
+    @property
+    def worth_per_cost(self) -> float:
+        """What it is ranked by, nats per unit of its cost."""
+        return self.worth / self.cost
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        worst = None
+        if self.worst is not None:
+            name, before, after = self.worst
+            worst = {"name": name, "relative_error": before, "expected_relative_error": after}
+        return {
+            "initial": dict(self.initial),
+            "inputs": dict(self.inputs),
+            "times": list(self.times),
+            "cost": self.cost,
+            "worth": self.worth,
+            "worth_per_cost": self.worth_per_cost,
+            "information": self.information,
+            "evidence": self.evidence,
+            "worst_constant": worst,
+        }
+
+
+@dataclass(frozen=True)
+class Suggestions:
+    """Experiments in the order of what they tell per cost.
+
+    `purpose` and `reason` say what for and why; `entropy` in nats is how undecided the candidates are, the most that an
+    experiment can tell about them. `bounds` are those of initial states and inputs, of which `measured` are the range
+    of the data. `source` says which data.
+    """
+
+    purpose: Purpose
+    reason: str
+    entropy: float
+    candidates: tuple[Candidate, ...]
+    experiments: tuple[Suggestion, ...]
+    bounds: Mapping[str, tuple[float, float]]
+    measured: tuple[str, ...]
+    cost: Cost
+    source: str
+
+    def __str__(self) -> str:
+        return "\n".join([*self._candidate_lines(), *self._bound_lines(), *self._experiment_lines()])
+
+    def _candidate_lines(self) -> list[str]:
+        lines = [f"candidates ({self.source}):"]
+        for number, each in enumerate(self.candidates, start=1):
+            texts = "; ".join(f"{side} = {text}" for side, text in each.equations.items())
+            lines.append(f"  {number}. weight {each.weight:.2g} ({each.origin})  {texts}")
+        purpose = "to tell them apart" if self.purpose == "discrimination" else "to determine constants"
+        return [*lines, f"purpose: {purpose}, since {self.reason}"]
+
+    def _bound_lines(self) -> list[str]:
+        parts = [
+            f"{name} {low:.4g} to {high:.4g}" + (" (the data's)" if name in self.measured else "")
+            for name, (low, high) in self.bounds.items()
+        ]
+        return ["bounds: " + ", ".join(parts)]
+
+    def _experiment_lines(self) -> list[str]:
+        lines = []
+        for number, each in enumerate(self.experiments, start=1):
+            where = ", ".join(f"{name} = {value:.4g}" for name, value in {**each.initial, **each.inputs}.items())
+            span = f"{len(each.times)} samples from {each.times[0]:.4g} to {each.times[-1]:.4g}"
+            lines.append(f"experiment {number}: {where}; {span}; {self._worth(each)}")
+        return lines
+
+    def _worth(self, each: Suggestion) -> str:
+        per = "" if self.cost == "trajectory" else f" ({each.worth_per_cost:.3g} per unit of {self.cost})"
+        if each.worst is None:
+            told = f"the right one is expected to gain {each.evidence:.3g} nats, {each.worth:.3g} of use{per}"
+            return f"{told}; {each.information:.3g} of {self.entropy:.3g} nats of doubt resolved"
+        name, before, after = each.worst
+        shrinks = f"the error of {name} from {100 * before:.2g} to {100 * after:.2g} %"
+        return f"{each.information:.3g} nats about the constants expected{per}, {shrinks}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all of it as plain data, as ``coordinator suggest --json`` prints it."""
+        return {
+            "schema": SCHEMA,
+            "purpose": self.purpose,
+            "reason": self.reason,
+            "entropy": self.entropy,
+            "candidates": [
+                {"equations": dict(each.equations), "origin": each.origin, "weight": each.weight, "nats": each.nats}
+                for each in self.candidates
+            ],
+            "bounds": {name: [*ends] for name, ends in self.bounds.items()},
+            "bounds_of_data": list(self.measured),
+            "cost": self.cost,
+            "data": self.source,
+            "experiments": [each.as_dict() for each in self.experiments],
+        }
