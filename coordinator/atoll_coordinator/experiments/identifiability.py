@@ -38,7 +38,7 @@ def identify(found: Mapping[str, Any], table: Table | None = None, level: float 
     measured, equations = measured_of(found, table), equations_of(found)
     if not constants_of(equations, found):
         raise UsageError("the model has no constants that were fitted, so there is nothing to profile")
-    fitted = fit_shown(measured, equations)
+    fitted = fit_shown(measured, found)
     return identified(fitted, constants_of(fitted.equations, found), measured, level)
 
 

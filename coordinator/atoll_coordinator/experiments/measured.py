@@ -174,6 +174,19 @@ def _stacked(rows: Sequence[Any], count: int) -> FloatArray:
     return np.ascontiguousarray(np.array(rows, dtype=np.float64).reshape(len(rows), count))
 
 
+def starts_of(found: Mapping[str, Any], measured: Measured) -> FloatArray | None:
+    """Return the initial states (G, D) that a result has fitted to its trajectories; None where they are others."""
+    known = {each["name"]: each.get("start") for each in (found.get("simulation") or {}).get("trajectories") or ()}
+    its, symbols = measured.measurements, found["symbols"]
+    columns = {symbol: column for column, symbol in symbols.items()}
+    rows = [known.get(its.names[owner]) for owner in its.owners.tolist()]
+    names = [columns[name] for name in its.variables[: len(its.scales)]]
+    if len(set(its.owners.tolist())) < len(rows) or not all(row and all(name in row for name in names) for row in rows):
+        return None
+    starts = np.array([[row[name] for name in names] for row in rows if row], dtype=np.float64)
+    return starts if np.isfinite(starts).all() else None
+
+
 def config_of(found: Mapping[str, Any]) -> JobConfig:
     """Return the configuration of the job that a result is of."""
     return JobConfig.model_validate({"preset": found.get("preset") or "default", **(found.get("config") or {})})

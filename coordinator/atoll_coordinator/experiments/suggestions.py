@@ -31,7 +31,7 @@ from atoll_coordinator.experiments.designs import (
 )
 from atoll_coordinator.experiments.measured import Measured, measured_of
 from atoll_coordinator.experiments.rivals import Rival, rivals_of
-from atoll_coordinator.experiments.systems import Fitted, constants_of, equations_of, fit_shown
+from atoll_coordinator.experiments.systems import Fitted, constants_of, fit_shown
 from atoll_coordinator.settings import SETTINGS
 
 MOST_SAMPLES: Final = 2_000
@@ -80,7 +80,7 @@ def suggest(found: Mapping[str, Any], request: Request, table: Table | None = No
     """
     _check(request)
     measured = measured_of(found, table)
-    shown = fit_shown(measured, equations_of(found))
+    shown = fit_shown(measured, found)
     rivals = rivals_of(found, shown.measured, shown, _named(found, request.rivals))
     return _Search(found, shown, rivals, request).suggestions()
 

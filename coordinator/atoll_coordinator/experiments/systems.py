@@ -17,7 +17,7 @@ from atoll.expression.program import Program, constant_places
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.expression.unit_coefficients import ExplicitCoefficients, as_written, make_coefficients_explicit
-from atoll_coordinator.experiments.measured import Measured
+from atoll_coordinator.experiments.measured import Measured, starts_of
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements
@@ -204,20 +204,21 @@ def fit_equations(measured: Measured, equations: Equations, starts: FloatArray |
     return _fitted(measured, equations, starts) or _fitted(measured, equations.written(), starts)
 
 
-def fit_shown(measured: Measured, equations: Equations) -> Fitted:
+def fit_shown(measured: Measured, found: Mapping[str, Any]) -> Fitted:
     """Return the equations of a result fitted again; raises AtollError where they cannot be simulated.
 
     In shorter pieces where whole trajectories leave more than the noise.
     """
+    equations = equations_of(found)
     tried: list[Fitted] = []
     for here in (measured, *_shorter(measured)):
-        found = fit_equations(here, equations)
-        if found is not None:
-            tried.append(found)
+        fitted = fit_equations(here, equations, starts_of(found, here))
+        if fitted is not None:
+            tried.append(fitted)
             its = here.measurements
             noise = np.maximum(its.noise, SETTINGS.common.negligible * its.scales[its.observed])
-            if np.all(found.errors.sigmas <= SETTINGS.inference.excess * noise):
-                return found
+            if np.all(fitted.errors.sigmas <= SETTINGS.inference.excess * noise):
+                return fitted
     if not tried:
         raise AtollError("the equations cannot be simulated along the measured trajectories, so nothing can be fitted")
     return tried[0]

@@ -1,0 +1,148 @@
+"""How often intervals by profile likelihood, and by the standard error, hold the true constant.
+
+``python -m benchmarks.experiments.coverage --seeds 0-199`` simulates the measurements of each case with fresh errors
+for each seed and fits the true structure; no search. Intervals are of 95 %.
+"""
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from atoll.errors import AtollError
+from atoll_coordinator.experiments.identifiability import identify
+from benchmarks.experiments.results import Course, FloatArray, result_of
+
+
+@dataclass(frozen=True)
+class Case:
+    """A system with `rates`, the `equations` to fit, true `constants` in the order of the text, and how it is measured.
+
+    `noise` is over the standard deviation of each state, pooled over trajectories.
+    """
+
+    rates: Callable[[FloatArray], list[float]]
+    equations: dict[str, str]
+    constants: tuple[float, ...]
+    starts: tuple[tuple[float, ...], ...]
+    duration: float
+    rows: int
+    noise: float
+
+
+def _saturation(x: FloatArray) -> list[float]:
+    return [-2.0 * x[0] / (3.0 + x[0])]
+
+
+def _logistic(x: FloatArray) -> list[float]:
+    return [0.8 * x[0] - 0.08 * x[0] ** 2]
+
+
+def _predation(x: FloatArray) -> list[float]:
+    eaten = x[0] * x[1] / (1.0 + x[0])
+    return [x[0] * (1.0 - 0.2 * x[0]) - eaten, 0.8 * eaten - 0.4 * x[1]]
+
+
+def _lotka_volterra(x: FloatArray) -> list[float]:
+    return [0.5 * x[0] - 0.3 * x[0] * x[1], 0.2 * x[0] * x[1] - 0.6 * x[1]]
+
+
+SATURATION: Final = {"x": "-2*x/(3 + x)"}, (-2.0, 3.0)
+LOGISTIC: Final = {"x": "0.8*x - 0.08*x**2"}, (0.8, 0.08)
+PREDATION: Final = {"x": "1*x - 0.2*x**2 - x*y/(1.0001 + x)", "y": "0.8*x*y/(1.0001 + x) - 0.4*y"}
+CASES: Final = {
+    "saturation, both sides of the knee, 5 %": Case(_saturation, *SATURATION, ((12.0,), (2.0,)), 8.0, 20, 0.05),
+    "saturation, at the knee, 20 %": Case(_saturation, *SATURATION, ((3.0,), (1.5,)), 4.0, 20, 0.2),
+    "saturation, below the knee, 8 %": Case(_saturation, *SATURATION, ((1.5,), (1.0,)), 4.0, 20, 0.08),
+    "saturation, far below the knee, 10 %": Case(_saturation, *SATURATION, ((0.8,),), 4.0, 8, 0.1),
+    "logistic growth, up to the bend, 20 %": Case(_logistic, *LOGISTIC, ((0.4,),), 5.0, 10, 0.2),
+    "decay to a rest, 7 rows, 20 %": Case(
+        lambda x: [1.0 - 0.4 * x[0]], {"x": "1 - 0.4*x"}, (1.0, 0.4), ((0.2,),), 5.0, 7, 0.2
+    ),
+    "saturating predation, 15 %": Case(
+        _predation, PREDATION, (1.0, 0.2, 1.0, 0.8, 1.0, 0.4), ((0.8, 0.6),), 12.0, 25, 0.15
+    ),
+    "Lotka-Volterra, 5 %": Case(
+        _lotka_volterra, {"x": "0.5*x - 0.3*x*y", "y": "0.2*x*y - 0.6*y"}, (0.5, 0.3, 0.2, 0.6),
+        ((4.0, 1.0), (2.0, 2.0)), 12.0, 30, 0.05,
+    ),
+}  # fmt: skip
+
+
+@dataclass
+class Count:
+    """Of one constant: intervals that hold the truth by profile and by standard error, open ones, and all."""
+
+    profile: int = 0
+    quadratic: int = 0
+    below: int = 0
+    above: int = 0
+    opened: int = 0
+    seeds: int = 0
+
+
+def courses(case: Case, rng: np.random.Generator) -> tuple[list[Course], FloatArray]:
+    """Return noisy trajectories, and the standard deviation of the errors of each state."""
+    times = np.linspace(0.0, case.duration, case.rows)
+    clean = [
+        solve_ivp(lambda _, x: case.rates(x), (0.0, case.duration), start, "DOP853", times, rtol=1e-10, atol=1e-12).y.T
+        for start in case.starts
+    ]
+    errors = case.noise * np.concatenate(clean).std(axis=0)
+    return [(times, each + errors * rng.standard_normal(each.shape)) for each in clean], errors
+
+
+def count(case: Case, numbers: Sequence[int]) -> tuple[dict[str, Count], int]:
+    """Return what the intervals of each constant hold, and how many fits failed."""
+    found = {f"c{number}": Count() for number in range(1, len(case.constants) + 1)}
+    failed = 0
+    for seed in numbers:
+        measured, errors = courses(case, np.random.default_rng([17, seed]))
+        try:
+            known = identify(result_of(case.equations, measured, errors.tolist(), case.starts))
+        except AtollError:
+            failed += 1
+            continue
+        for (name, counts), truth in zip(found.items(), case.constants, strict=True):
+            its = known[name]
+            counts.seeds += 1
+            counts.profile += its.interval[0] <= truth <= its.interval[1]
+            counts.quadratic += its.quadratic[0] <= truth <= its.quadratic[1]
+            counts.below += truth < its.quadratic[0]
+            counts.above += truth > its.quadratic[1]
+            counts.opened += its.verdict != "determined"
+    return found, failed
+
+
+def lines(numbers: Sequence[int], names: Sequence[str]) -> Iterator[str]:
+    """Yield a table, a row for each constant of each case."""
+    yield "| case | constant | truth | profile | standard error | it lies below, above | open |"
+    yield "|---|---|---|---|---|---|---|"
+    for name in names:
+        case = CASES[name]
+        counts, failed = count(case, numbers)
+        for (constant, its), truth in zip(counts.items(), case.constants, strict=True):
+            share = [f"{100.0 * each / max(its.seeds, 1):.1f} %" for each in (its.profile, its.quadratic)]
+            label = f"{name} ({failed} not fitted)" if failed else name
+            cells = (label, constant, f"{truth:g}", *share, f"{its.below}, {its.above}", f"{its.opened} of {its.seeds}")
+            yield f"| {' | '.join(cells)} |"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.experiments.coverage", description=__doc__.split("\n")[0]
+    )
+    parser.add_argument("--seeds", default="0-199", metavar="A-B")
+    parser.add_argument("--case", action="append", choices=CASES)
+    options = parser.parse_args(arguments)
+    first, last = map(int, options.seeds.split("-"))
+    for line in lines(range(first, last + 1), options.case or [*CASES]):
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()
