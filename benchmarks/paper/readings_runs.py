@@ -62,6 +62,7 @@ READINGS: Final[Mapping[str, Changes]] = {
     "one": {"evolution": {"mutation_unit": "list", "mutation": 1.0}},
     "one-half": {"evolution": {"mutation_unit": "list", "mutation": 0.5}},
     "constants-count": {"evolution": {"crowding_distance": "live nodes and constants"}},
+    "outputs": {"evolution": {"crowding_distance": "outputs"}},
     "all-nodes": {"evolution": {"crowding_distance": "all nodes"}},
     "no-ties": {"evolution": {"ties_replace": False}},
     "all-rows": {"predictors": {"enabled": False}},

@@ -5,9 +5,9 @@ Fields left ``None`` are resolved from the data when the job is prepared, see `a
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, model_validator
 from pydantic_core import CoreSchema
 
 Preset = Literal["default", "paper"]
@@ -15,7 +15,7 @@ Loss = Literal["mae", "rmse"]
 ConstantSteps = Literal["relative", "normal", "log-uniform", "log-uniform relative"]
 Arguments = Literal["any node", "terminal or operator"]
 MutationUnit = Literal["node", "list"]
-CrowdingDistance = Literal["live nodes", "live nodes and constants", "all nodes"]
+CrowdingDistance = Literal["live nodes", "live nodes and constants", "all nodes", "outputs"]
 
 PAPER_TERMINALS = 7
 TERMINALS_BEYOND_VARIABLES = 5
@@ -143,6 +143,13 @@ class EvolutionConfig(Model):
     runners_up: Annotated[int, Field(ge=0, le=64)] | None = Field(
         None, description="next best of each complexity kept beside the front; None: 0, or 8 with noisy targets"
     )
+
+    @model_validator(mode="after")
+    def _compare_outputs_as_they_stand(self) -> Self:
+        """What a fit leaves of the target is not kept of each trial, so that outputs are known without fits only."""
+        if self.crowding_distance == "outputs" and (self.constant_fit_steps or self.linear_terms):
+            raise ValueError("crowding_distance is outputs, which needs constant_fit_steps 0 and linear_terms 0")
+        return self
 
 
 class PredictorConfig(Model):

@@ -1,12 +1,18 @@
 """Slow, obvious versions of variation and selection, by sets and Python's own lists."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
+from atoll.expression.kernels.tape import LANES
 from atoll.expression.operators import ARITY, CONSTANT, VARIABLE
 from atoll.search.seeding import Stream
 from atoll_island_worker.evolution.structures import Lists, Space
 
+Values = npt.NDArray[np.float64]
 Node = tuple[int, int, int, float]
 
 
@@ -67,6 +73,26 @@ DISTANCES = (distance, distance_with_constants, distance_of_all_nodes)
 """By their number in a space."""
 
 
+def are_straight(first: Values, second: Values, one: Values, two: Values) -> bool:
+    """Return whether children face the parents they began as, by what parents and children leave of the target.
+
+    Equal sums are common, so that they are rounded as the kernel's: blocks in order, a block's lanes by a tree.
+    """
+
+    def apart(a: Values, b: Values) -> float:
+        magnitudes = np.abs(a - b)
+        blocks = np.pad(magnitudes, (0, -len(magnitudes) % LANES)).reshape(-1, LANES)
+        total = 0.0
+        for block in blocks:
+            x = block
+            while len(x) > 1:
+                x = x[: len(x) // 2] + x[len(x) // 2 :]
+            total += float(x[0])
+        return total if math.isfinite(total) else math.inf
+
+    return apart(first, one) + apart(second, two) <= apart(first, two) + apart(second, one)
+
+
 def is_same(one: Sequence[Node], two: Sequence[Node]) -> bool:
     """Return whether two lists compute the same: the same live nodes, with the same constants."""
     return distance(one, two) == 0 and all(one[i][3] == two[i][3] for i in live_of(one) if one[i][0] == CONSTANT)
@@ -94,18 +120,22 @@ class Member:
 
 
 def survivors(
-    parents: tuple[Member, Member], children: tuple[Member, Member], kind: int = 0, ties: int = 1
+    parents: tuple[Member, Member],
+    children: tuple[Member, Member],
+    kind: int = 0,
+    ties: int = 1,
+    is_straight: bool | None = None,
 ) -> tuple[Member, Member]:
     """Return who has the two places after deterministic crowding: a child no worse than the parent it resembles.
 
     The children are paired with the parents so that the distances, of that kind, add up to less; a tie goes uncrossed.
-    Without `ties` a child must be better.
+    Without `ties` a child must be better. `is_straight`, if given, says how they are paired.
     """
     one, two = parents
     between = DISTANCES[kind]
     straight = between(one.nodes, children[0].nodes) + between(two.nodes, children[1].nodes)
     across = between(one.nodes, children[1].nodes) + between(two.nodes, children[0].nodes)
-    rivals = children if straight <= across else children[::-1]
+    rivals = children if (straight <= across if is_straight is None else is_straight) else children[::-1]
     winners = [
         child if child.fitness < parent.fitness or (ties and child.fitness == parent.fitness) else parent
         for parent, child in zip(parents, rivals, strict=True)

@@ -12,7 +12,7 @@ from atoll.compilation.jit import entry_point
 from atoll.config import Arguments, ConstantSteps, CrowdingDistance, JobConfig, MutationUnit
 from atoll.data.dataset import FloatArray, Problem, Target
 from atoll.errors import LocalProtocolError
-from atoll.expression.kernels.tape import functions_address
+from atoll.expression.kernels.tape import functions_address, padded
 from atoll.expression.operators import COS, SIN
 from atoll.search.pareto import FrontEntry
 from atoll_island_worker.evolution.kernels.rows import gather, padded_rows
@@ -79,7 +79,10 @@ class IslandSetup:
             threading.get_ident(), evolution.population, self.space.nodes, variables, self.sample, rows
         )
         # What stays known of the population from one call to the next is the island's own: islands take turns.
-        self.scratch = shared._replace(settled=np.zeros(evolution.population, np.bool_))
+        self.scratch = shared._replace(
+            settled=np.zeros(evolution.population, np.bool_),
+            outputs=np.zeros((evolution.population + 2, padded(self.sample) if self.space.distance == 3 else 0)),
+        )
         self._entries: dict[Callable[..., Any], Callable[..., Any]] = {}
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Any:

@@ -56,7 +56,7 @@ class Space(NamedTuple):
     unit: int = 0
     """What `mutation` is the probability of: 0: a change of each node, 1: a change of one node of the list."""
     distance: int = 0
-    """What crowding compares: 0: live nodes, 1: live nodes with the values of constants, 2: all nodes."""
+    """What crowding compares: 0: live nodes, 1: live nodes with the values of constants, 2: all nodes, 3: outputs."""
     arguments: int = 0
     """0: an argument is any earlier node; 1: a terminal or an operator node, with equal odds."""
     ties: int = 1
@@ -209,6 +209,11 @@ class Scratch(NamedTuple):
     settled: Booleans
     """(P,) of the island under way: no further step would change the individual's constants."""
     children: Lists
+    outputs: Floats
+    """(P + 2, padded rows) of the island under way: target less output of each individual and of the two children on
+    the predictor's rows; (P + 2, 0) where crowding does not compare outputs."""
+    measured: Ints
+    """(2,) row of `outputs` that belongs to each child."""
     child_loss: Floats
     child_settled: Booleans
     signature: Ints
@@ -292,6 +297,8 @@ def empty_scratch(population: int, nodes: int, variables: int, sample: int, rows
         order=np.zeros(population, np.int64),
         settled=np.zeros(population, np.bool_),
         children=empty_lists(2, nodes),
+        outputs=np.zeros((population + 2, 0)),
+        measured=np.zeros(2, np.int64),
         child_loss=np.zeros(2),
         child_settled=np.zeros(2, np.bool_),
         signature=np.zeros((population + 2, nodes), np.int64),

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from atoll.compilation.jit import inlined, kernel
-from atoll.expression.kernels.lanes import move
+from atoll.expression.kernels.lanes import LANES, add_scaled, copy, move, place, total_magnitude
 from atoll.expression.kernels.tape import Int, forward
 from atoll.expression.operators import CONSTANT
 from atoll_island_worker.evolution.kernels.fit import collect_terms, fit, measure_plainly, residual_of
@@ -115,6 +115,14 @@ def measure_all(
             lists, p, rows, options, INFINITY, scratch.tape, scratch.near, scratch.result, counters, part
         )
         scratch.settled[p] = scratch.near.settled[0]
+        _keep_output(scratch.outputs, p, scratch.near)
+
+
+@inlined
+def _keep_output(outputs: Floats, row: Int, work: Work) -> None:
+    """Keep what was measured last, as what it leaves of the target, in a row of `outputs` where these are wanted."""
+    for start in range(_ZERO, outputs.shape[1], LANES):
+        copy(place(outputs, row, start), place(work.residual, _ZERO, start))
 
 
 @kernel
@@ -195,6 +203,36 @@ def _is_straight(
 
 
 @inlined
+def _copy_output(outputs: Floats, i: Int, j: Int) -> None:
+    for start in range(_ZERO, outputs.shape[1], LANES):
+        copy(place(outputs, j, start), place(outputs, i, start))
+
+
+@inlined
+def _output_distance(outputs: Floats, i: Int, j: Int, rows: Rows, work: Work) -> float:
+    """Return the sum over rows of the absolute difference of two outputs; inf where one is not finite."""
+    if i == j:
+        return 0.0
+    total = 0.0
+    for start in range(_ZERO, outputs.shape[1], LANES):
+        out = place(work.residual, _ZERO, start)
+        copy(out, place(outputs, i, start))
+        add_scaled(out, -1.0, place(outputs, j, start))
+        total += total_magnitude(out, place(rows.mask, _ZERO, start))
+    return total if np.isfinite(total) else INFINITY
+
+
+@inlined
+def _is_straight_by_outputs(outputs: Floats, first: Int, second: Int, measured: Ints, rows: Rows, work: Work) -> bool:
+    """Return whether the two children face the parents they began as; their outputs are the rows `measured`."""
+    straight = _output_distance(outputs, first, measured[0], rows, work)
+    straight += _output_distance(outputs, second, measured[1], rows, work)
+    across = _output_distance(outputs, first, measured[1], rows, work)
+    across += _output_distance(outputs, second, measured[0], rows, work)
+    return bool(straight <= across)
+
+
+@inlined
 def _is_same(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints, signed: Int, apart: Int) -> bool:
     """Return whether child `q`, signed at row `signed` and so far `apart`, computes just what individual `p` does."""
     if apart > 0:
@@ -244,7 +282,7 @@ def advance(
     order, due = scratch.order, coevolution.due
     children, tape, near, result = scratch.children, scratch.tape, scratch.near, scratch.result
     signature, live, loss = scratch.signature, scratch.live, scratch.child_loss
-    signed, apart = scratch.signed, scratch.apart
+    signed, apart, outputs, measured = scratch.signed, scratch.apart, scratch.outputs, scratch.measured
     child_settled, settled = scratch.child_settled, scratch.settled
     due[0] = due[1] = False
     inherits = options.terms > 0 or options.steps > 0
@@ -269,22 +307,32 @@ def advance(
                 one, two = apart[2 * q], apart[2 * q + 1]
                 if settled[first] and _inherits(lists, first, children, q, signature, signed[q], one):
                     loss[q] = fitness[first]
+                    measured[q] = first
                     counters[OFFSPRING] += 0 if inherits else rows.length
                 elif settled[second] and _inherits(lists, second, children, q, signature, signed[q], two):
                     loss[q] = fitness[second]
+                    measured[q] = second
                     counters[OFFSPRING] += 0 if inherits else rows.length
                 else:
                     loss[q] = develop_marked(
                         children, q, live[signed[q]], rows, options, ceiling, tape, near, result, counters, OFFSPRING
                     )
                     child_settled[q] = near.settled[0]
+                    measured[q] = population + q
+                    _keep_output(outputs, population + q, near)
+            if space.distance == 3:
+                is_straight = _is_straight_by_outputs(outputs, first, second, measured, rows, near)
             for q in range(2):
                 p = first if (q == 0) == is_straight else second
                 if loss[q] < fitness[p] or (loss[q] == fitness[p] and space.ties == 1):
                     if q == 0 and signed[1] == p:  # the second child's signature is about to be overwritten
                         signed[1] = population + 1
                         _copy_signature(signature, live, p, population + 1)
+                    if q == 0 and measured[1] == p:
+                        measured[1] = population + 1
+                        _copy_output(outputs, p, population + 1)
                     copy_list(lists, p, children, q)
+                    _copy_output(outputs, measured[q], p)
                     if signed[q] != p:
                         _copy_signature(signature, live, signed[q], p)
                     fitness[p] = loss[q]

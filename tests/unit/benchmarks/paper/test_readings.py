@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from atoll.config import PRESETS
+from atoll.config import PRESETS, EvolutionConfig
 from atoll.errors import DataError, UsageError
 from benchmarks.paper import readings, readings_runs
 from benchmarks.paper.readings import Journal, agreement, best_budget, equation_rows, main
@@ -27,6 +27,12 @@ def test_preset_paper_is_the_chosen_reading():
     chosen = config_of(CHOSEN, 0, PRESETS["paper"].space.operators)
     for group in ("space", "evolution", "predictors", "migration"):
         assert getattr(chosen, group) == getattr(PRESETS["paper"], group)
+
+
+def test_outputs_are_compared_only_where_nothing_is_fitted():
+    with pytest.raises(ValueError, match="crowding_distance is outputs, which needs constant_fit_steps 0"):
+        EvolutionConfig(crowding_distance="outputs")
+    assert EvolutionConfig(crowding_distance="outputs", constant_fit_steps=0, linear_terms=0)
 
 
 def test_readings_are_joined_and_unknown_ones_refused():

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from atoll.expression.kernels.tape import padded
 from atoll.expression.operators import CONSTANT
 from atoll.search.seeding import Stream
 from atoll_island_worker.evolution.kernels.generation import (
@@ -44,6 +45,8 @@ class Arena:
         self.lists = random_lists(POPULATION, SPACE, seed)
         self.fitness = np.full(POPULATION, np.inf)
         self.scratch = empty_scratch(POPULATION, SPACE.nodes, 2, ROWS, ROWS)
+        if self.space.distance == 3:
+            self.scratch = self.scratch._replace(outputs=np.zeros((POPULATION + 2, padded(ROWS))))
         self.counters = np.zeros(len(PARTS), np.int64)
         self.stream = stream_of(seed)
         self.remeasure()
@@ -65,9 +68,12 @@ class Arena:
             self.rows, self.scratch, self.stream, self.counters,
         )  # fmt: skip
 
+    def residual(self, lists, p):
+        residual_of_list(lists, p, self.rows, self.options, self.scratch.tape, self.scratch.work)
+        return self.scratch.work.residual[0, :ROWS].copy()
+
     def output(self, p):
-        residual_of_list(self.lists, p, self.rows, self.options, self.scratch.tape, self.scratch.work)
-        return self.rows.target[0, :ROWS] - self.scratch.work.residual[0, :ROWS]
+        return self.rows.target[0, :ROWS] - self.residual(self.lists, p)
 
     def members(self):
         return [oracle.Member(oracle.nodes_of(self.lists, p), float(self.fitness[p])) for p in range(POPULATION)]
@@ -188,6 +194,34 @@ def test_crowding_is_that_of_the_definition_in_other_readings(kind, ties):
             losses = [float(reference.develop(children, q, math.inf)) for q in range(2)]
             born = tuple(oracle.Member(oracle.nodes_of(children, q), losses[q]) for q in range(2))
             expected = oracle.survivors((before[first], before[second]), born, kind, ties)
+            assert (after[first], after[second]) == expected
+            moved += expected != oracle.survivors((before[first], before[second]), born)
+        for mine, theirs in zip(reference.lists, arena.lists, strict=True):
+            mine[...] = theirs
+    assert moved > 0
+
+
+def test_crowding_by_outputs_pairs_those_that_compute_alike():
+    """Distances are of outputs on the rows that measure; what is kept of them follows from the lists at any time."""
+    arena, reference = (Arena(PLAIN, distance=3) for _ in range(2))
+    moved = 0
+    for _ in range(12):
+        stream, before = Stream(int(arena.stream[0])), arena.members()
+        outputs = [reference.residual(reference.lists, p) for p in range(POPULATION)]
+        arena.generation()
+        after = arena.members()
+        order = stream.permutation(POPULATION)
+        children = empty_lists(2, SPACE.nodes)
+        for first, second in zip(order[::2], order[1::2], strict=True):
+            cross(children, reference.lists, first, second, SPACE, reference_stream := stream_of(stream._state))
+            for q in range(2):
+                mutate(children, q, SPACE, reference_stream)
+            stream = Stream(int(reference_stream[0]))
+            losses = [float(reference.develop(children, q, math.inf)) for q in range(2)]
+            born = tuple(oracle.Member(oracle.nodes_of(children, q), losses[q]) for q in range(2))
+            of_children = [reference.residual(children, q) for q in range(2)]
+            straight = oracle.are_straight(outputs[first], outputs[second], *of_children)
+            expected = oracle.survivors((before[first], before[second]), born, is_straight=straight)
             assert (after[first], after[second]) == expected
             moved += expected != oracle.survivors((before[first], before[second]), born)
         for mine, theirs in zip(reference.lists, arena.lists, strict=True):
