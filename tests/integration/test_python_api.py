@@ -14,15 +14,34 @@ from tests.integration.test_processes import until
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / "examples" / "lotka_volterra.csv"
 SCRIPT = """
-import json, os, sys, threading
+import json, os, signal, sys, threading
+from pathlib import Path
 import atoll
-found = [atoll.discover(sys.argv[1], workers=2) for _ in range(2)]
 from atoll_coordinator.api import session
+
+def workers(host):
+    for each in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (each / "cmdline").read_bytes().split(b"\\0")
+            parent = (each / "stat").read_text().rpartition(")")[2]
+        except OSError:
+            continue
+        if b"--supervise" in words and str(host).encode() in words and int(parent.split()[1]) != host:
+            yield int(each.name)
+
+found = [atoll.discover(sys.argv[1], workers=2)]
+host = session._services[2]._process.pid
+killed = [*workers(host)]
+for pid in killed:
+    os.kill(pid, signal.SIGKILL)
+found.append(atoll.discover(sys.argv[1], workers=2))
 print(json.dumps({
     "digests": [model.provenance["digest"] for model in found],
     "equations": [str(each) for each in found[0].equations],
     "threads": threading.active_count(),
-    "host": session._services[2]._process.pid,
+    "host": host,
+    "killed": len(killed),
+    "is_same": session._services[2]._process.pid == host,
 }))
 sys.stdout.flush()
 if sys.argv[2] == "killed":
@@ -64,6 +83,7 @@ def test_two_calls_give_the_digest_of_the_command_line_and_leave_nothing(tmp_pat
         assert found["digests"] == [expected, expected]
         assert found["equations"] == ["dx/dt = x*(3 - x - 2*y)", "dy/dt = y*(2 - x - y)"]
         assert found["threads"] == 1
+        assert (found["killed"], found["is_same"]) == (2, True)  # workers that die are replaced
         assert all_gone(found["host"])
         assert sorted(tmp_path.iterdir()) == before
 

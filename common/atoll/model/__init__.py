@@ -1,6 +1,7 @@
 """A model in a user's hands, after it was found.
 
 ``model`` has the class `atoll.Model`, read from ``result.json``; ``vector_field`` the right-hand sides as functions of
-numbers, with their derivatives; ``parameters`` the constants and their joint errors; ``simulation`` integrates from any
-initial state, within bounds; ``display`` writes a model as text, LaTeX, MathML and HTML; ``plots`` draws it.
+numbers, with their derivatives; ``parameters`` the constants and their joint errors; ``arguments`` reads what users
+give as numbers; ``simulation`` integrates from any initial state, within bounds; ``display`` writes a model as text,
+LaTeX, MathML and HTML; ``plots`` draws it.
 """

@@ -18,6 +18,7 @@ from atoll.errors import UsageError
 from atoll.expression.evaluation import values_of
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
+from atoll.model.arguments import by_name, interval, number, numbers, shown
 from atoll.model.parameters import LEVEL, JointErrors, Parameter, parameters_of
 from atoll.model.saved import check_result, read_result, write_text
 from atoll.model.simulation import Inputs, Simulation, interpolated, simulate, together
@@ -152,7 +153,7 @@ class Model:
 
         By its standard error, or by its `profile`: then an end that the data leave open is infinite.
         """
-        if not 0.0 < level < 1.0:
+        if not 0.0 < number(level, "a level") < 1.0:
             raise UsageError(f"a level lies between 0 and 1, but {level!r} was given")
         if method not in ("stderr", "profile"):
             raise UsageError(f"the method of an interval is 'stderr' or 'profile', but {method!r} was given")
@@ -313,7 +314,10 @@ class Model:
         given = u if u is not None else (x if _has_columns(x) else None)
         if given is None:
             raise UsageError(f"the model has the inputs {', '.join(self.inputs)}; give their values as u")
-        return self.field.values(points, self._rows(given, self.inputs))
+        held = self._rows(given, self.inputs)
+        if len(held) != len(points):
+            raise UsageError(f"there are {len(held)} rows of inputs for {len(points)} of states; give one for each")
+        return self.field.values(points, held)
 
     def analyse(
         self,
@@ -335,7 +339,14 @@ class Model:
         """
         from atoll.analysis.analysis import analyse_result
 
-        return analyse_result(self._result, box or {}, inputs=inputs, vary=vary)
+        bounds = {name: interval(its, f"the bounds of {name!r}") for name, its in by_name(box, "the box").items()}
+        held = {name: number(its, f"the input {name!r}") for name, its in by_name(inputs, "inputs").items()}
+        if vary is not None and not (isinstance(vary, tuple) and len(vary) == 2 and isinstance(vary[0], str)):
+            raise UsageError(
+                f"vary must be a name and a range, such as ('c1', (0.0, 1.0)), but {shown(vary)} was given"
+            )
+        varied = None if vary is None else (vary[0], interval(vary[1], f"the range of {vary[0]!r}"))
+        return analyse_result(self._result, bounds, inputs=held, vary=varied)
 
     def score(self, data: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> float:
         """Return R2 on data: columns by name (also a frame), or a list of these, one for each trajectory.
@@ -344,18 +355,20 @@ class Model:
         states; minus infinity where a simulation does not reach the end. A regression is judged by its target.
         """
         parts: list[Any] = [*data] if isinstance(data, (list, tuple)) else [data]
+        if not parts or not all(map(_has_columns, parts)):
+            raise UsageError(f"a score takes columns by name, a frame or a list of these, but {shown(data)} was given")
         if self.is_regression:
             target = self._result["equations"][0]["variable"]
-            measured = np.concatenate([_column(part, target) for part in parts])
-            return _r2(measured, np.concatenate([self.predict(part) for part in parts]))
+            both = [_stacked([_column(part, target), self.predict(part)]) for part in parts]
+            return _r2(*np.concatenate(both, axis=1))
         found, measured_parts = [], []
         states = [name for name in self.states if all(_has(part, self._columns[name]) for part in parts)]
         for part in parts:
             its = self._simulated(part)
             if its.status != "finished":
                 return -np.inf
-            found.append(np.stack([its[name] for name in states]))
-            measured_parts.append(np.stack([_column(part, self._columns[name]) for name in states]))
+            found.append(_stacked([its[name] for name in states]))
+            measured_parts.append(_stacked([_column(part, self._columns[name]) for name in states]))
         pairs = zip(np.concatenate(measured_parts, axis=1), np.concatenate(found, axis=1), strict=True)
         return float(np.mean([_r2(measured, values) for measured, values in pairs]))
 
@@ -488,7 +501,7 @@ class Model:
         else:
             given = x0
         if not isinstance(given, Mapping):
-            values = np.asarray(given, dtype=np.float64)
+            values = numbers(given, "an initial state")
             if values.shape != (len(self.states),):
                 raise UsageError(f"an initial state has one number for each of {', '.join(self.states)}")
             return values
@@ -500,7 +513,7 @@ class Model:
             fault = f"names {unknown!r}" if unknown is not None else f"lacks {missing!r}"
             hint = "" if unknown is None else did_you_mean(unknown, self.states)
             raise UsageError(f"the initial state {fault}; the states are {', '.join(self.states)}{hint}")
-        return np.array([float(named[name]) for name in self.states])
+        return np.array([number(named[name], f"the initial value of {name!r}") for name in self.states])
 
     def _times(self, t: npt.ArrayLike | float | None) -> FloatArray:
         first = np.array(self._first.get("times") or (), dtype=np.float64)
@@ -508,7 +521,7 @@ class Model:
             if not len(first):
                 raise UsageError("the result has no simulated trajectory; give the times, such as t=10.0")
             return first
-        times = np.asarray(t, dtype=np.float64)
+        times = numbers(t, "times")
         if times.ndim:
             return times
         begin = float(first[0]) if len(first) else 0.0
@@ -522,9 +535,9 @@ class Model:
         if not self.inputs:
             return None
         if callable(u):
-            return lambda t: np.atleast_1d(np.asarray(u(t), dtype=np.float64))
+            return lambda t: np.atleast_1d(numbers(u(t), "what u returns"))
         if u is not None and not isinstance(u, Mapping) and not _has_columns(u):
-            values = np.asarray(u, dtype=np.float64)
+            values = numbers(u, "inputs")
             values = values.reshape(len(times), -1) if values.ndim and len(values) == len(times) else values
             if values.shape != (len(times), len(self.inputs)):
                 shape = f"({len(times)}, {len(self.inputs)})"
@@ -541,8 +554,8 @@ class Model:
             raise UsageError(f"the model has the input {name!r}, of which nothing is given; name it in u")
         its = given[column]
         if callable(its):
-            return lambda t: float(its(t))
-        values = np.asarray(its, dtype=np.float64)
+            return lambda t: number(its(t), f"what the function of the input {name!r} returns")
+        values = numbers(its, f"the input {name!r}")
         if values.ndim == 0:
             return lambda _: float(values)
         if values.shape != times.shape:
@@ -553,8 +566,8 @@ class Model:
     def _rows(self, given: Any, names: Sequence[str]) -> FloatArray:
         """Return rows (N, len(names)) from an array or from columns by name."""
         if _has_columns(given):
-            return np.stack([_column(given, self._columns.get(name, name), name) for name in names], axis=1)
-        rows = np.asarray(given, dtype=np.float64)
+            return _stacked([_column(given, self._columns.get(name, name), name) for name in names]).T
+        rows = numbers(given, f"rows of {', '.join(names)}")
         rows = rows[:, np.newaxis] if rows.ndim == 1 and len(names) == 1 else np.atleast_2d(rows)
         if rows.ndim != 2 or rows.shape[1] != len(names):
             raise UsageError(f"rows of {len(names)} numbers ({', '.join(names)}) are expected, found {rows.shape}")
@@ -590,7 +603,16 @@ def _column(given: Any, *names: str) -> FloatArray:
     name = next((each for each in names if _has(given, each)), None)
     if name is None:
         raise UsageError(f"the data have no column {names[0]!r}; give one, by that name")
-    return np.asarray(given[name], dtype=np.float64)
+    return numbers(given[name], f"column {name!r}")
+
+
+def _stacked(columns: Sequence[FloatArray]) -> FloatArray:
+    """Return columns (N,) as one array (K, N); raises UsageError where their lengths differ."""
+    shapes = {each.shape for each in columns}
+    if len(shapes) > 1 or any(each.ndim != 1 for each in columns):
+        lengths = ", ".join(sorted(str(each.shape[0] if each.ndim == 1 else each.shape) for each in columns))
+        raise UsageError(f"columns have {lengths} rows; one number of rows is expected")
+    return np.stack(columns)
 
 
 def _r2(measured: FloatArray, values: FloatArray) -> float:

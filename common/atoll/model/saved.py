@@ -5,13 +5,21 @@ from pathlib import Path
 from typing import Any, Final
 
 from atoll.errors import UsageError
+from atoll.model.arguments import path_of
 
 SCHEMA: Final = 1
 
 
 def check_result(found: object) -> dict[str, Any]:
     """Return the content of a result.json; raises UsageError when it is none, or of another version."""
-    if not isinstance(found, dict) or found.get("schema") != SCHEMA or "equations" not in found:
+    equations = found.get("equations") if isinstance(found, dict) and found.get("schema") == SCHEMA else None
+    known = ("variable", "lhs", "expression")
+    if (
+        not isinstance(found, dict)
+        or not isinstance(equations, list)
+        or not isinstance(found.get("symbols"), dict)
+        or not all(isinstance(each, dict) and set(known) <= set(each) for each in equations)
+    ):
         raise UsageError("this is no result of this version; give the content of a saved result.json")
     return found
 
@@ -19,7 +27,7 @@ def check_result(found: object) -> dict[str, Any]:
 def read_result(path: str | Path) -> dict[str, Any]:
     """Return a saved result; raises UsageError when the file cannot be read or holds none."""
     try:
-        found = json.loads(Path(path).read_text("utf-8"))
+        found = json.loads(path_of(path).read_text("utf-8"))
     except OSError as error:
         raise UsageError(f"{path} cannot be read ({error.strerror}); give the path of a saved result.json") from error
     except ValueError as error:
@@ -33,6 +41,6 @@ def read_result(path: str | Path) -> dict[str, Any]:
 def write_text(path: str | Path, text: str) -> None:
     """Write a file; raises UsageError."""
     try:
-        Path(path).write_text(text, "utf-8")
+        path_of(path).write_text(text, "utf-8")
     except OSError as error:
         raise UsageError(f"{path} cannot be written ({error.strerror}); name another file") from error

@@ -8,6 +8,7 @@ from typing import Any, Final, Self
 
 from atoll.config import JobConfig
 from atoll.errors import AtollError, DataError, RefusedError, UsageError
+from atoll.model.arguments import shown
 from atoll.model.model import Model
 from atoll.wire.addresses import Destination, destination
 from atoll.wire.messages.views import FINAL_STATES, JobView
@@ -15,6 +16,7 @@ from atoll.wire.security.credentials import credentials_of
 from atoll_coordinator.api.notebook import NotebookDisplay, is_notebook
 from atoll_coordinator.api.session import check_service, local_address
 from atoll_coordinator.api.tables import NAME, table_of
+from atoll_coordinator.api.wording import in_python, python_words
 from atoll_coordinator.cli.options.job_config import job_config
 from atoll_coordinator.cli.options.parser import parse
 from atoll_coordinator.cli.terminal.follow import Follower, ending
@@ -24,6 +26,7 @@ from atoll_coordinator.client import Client, connected
 CONNECT_LIMIT_S: Final = 20.0
 CANCEL_LIMIT_S: Final = 10.0
 _REPEATABLE: Final = ("angle", "operators", "allow", "guess", "known")
+_TLS: Final = ("ca", "cert", "key")
 _NOT_OURS: Final = ("json", "out", "workers", "help", "id", "name", "dry_run")
 
 
@@ -137,8 +140,9 @@ def submit(
 ) -> Job:
     """Submit `data` as a job and return it at once; arguments are those of `discover`."""
     config = config_of(options)
-    table = table_of(data, config.data)
-    address = _address(connect, tls, workers)
+    with python_words():
+        table = table_of(data, config.data)
+        address = _address(connect, tls, workers)
     job = Job(f"py-{uuid.uuid4().hex[:12]}", address)
     with connected(address, CONNECT_LIMIT_S) as client:
         client.submit(job.id, table.files[0] if table.files else NAME, config, client.upload(table.to_bytes()))
@@ -147,12 +151,14 @@ def submit(
 
 def config_of(options: Mapping[str, Any]) -> JobConfig:
     """Return the configuration that keyword arguments describe, as the options of ``run`` do; raises UsageError."""
+    unknown = next((name for name in options if name in _NOT_OURS), None)
+    if unknown is not None:
+        raise UsageError(f"{unknown} is no option here; see help(atoll.discover)")
     words = ["run", NAME]
     for name, value in options.items():
-        if name in _NOT_OURS:
-            raise UsageError(f"{name} is no option here; see help(atoll.discover)")
         words += _words(f"--{name.replace('_', '-')}", value, is_repeatable=name in _REPEATABLE)
-    return job_config(parse(words))
+    with python_words():
+        return job_config(parse(words))
 
 
 def _words(flag: str, value: Any, *, is_repeatable: bool) -> list[str]:
@@ -177,7 +183,11 @@ def _text(value: Any) -> str:
 def _address(connect: str | None, tls: Mapping[str, str] | None, workers: int | None) -> str | Destination:
     if connect is None:
         return local_address(workers)
-    files = {f"tls_{name}": file for name, file in (tls or {}).items()}
+    if not isinstance(connect, str):
+        raise UsageError(f"connect must be an address such as 'tcp/HOST:7447', but {shown(connect)} was given")
+    if tls is not None and not (isinstance(tls, Mapping) and set(tls) <= set(_TLS)):
+        raise UsageError(f"tls must have the files {', '.join(_TLS)} by these names, but {shown(tls)} was given")
+    files = {f"tls_{name}": str(file) for name, file in (tls or {}).items()}
     return destination(connect, credentials_of(files, os.environ, "connect"))
 
 
@@ -191,7 +201,7 @@ def _cancel(client: Client, job: str) -> None:
 
 def _failure(view: JobView) -> AtollError:
     kind = DataError if view.fault == "data" else AtollError
-    return kind(ending(view, None) or f"job {view.job} failed")
+    return kind(in_python(ending(view, None) or f"job {view.job} failed"))
 
 
 @contextlib.contextmanager

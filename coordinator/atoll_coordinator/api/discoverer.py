@@ -11,6 +11,7 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.errors import DataError, UsageError
+from atoll.model.arguments import numbers
 from atoll.model.model import DIGITS, Model
 from atoll_coordinator.api.discover import discover
 from atoll_coordinator.api.tables import numbers_of
@@ -116,8 +117,8 @@ class Discoverer:
 
     def simulate(self, x0: Any, t: Any, u: Any = None) -> FloatArray:
         """Return the states (N, D) at the times `t` from `x0`; NaN after an early end (see `model_.simulate`)."""
-        times = np.asarray(t, dtype=np.float64)
-        found = self._model.simulate(np.asarray(x0, dtype=np.float64), times, u, has_bands=False)
+        times = np.atleast_1d(numbers(t, "times"))
+        found = self._model.simulate(numbers(x0, "an initial state"), times, u, has_bands=False)
         states = np.full((len(times), found.x.shape[1]), np.nan)
         states[: len(found.x)] = found.x
         return states
@@ -144,7 +145,14 @@ class Discoverer:
 
 
 def _parts(x: Any) -> list[Any]:
-    return [*x] if isinstance(x, (list, tuple)) else [x]
+    """Return the trajectories: those of a list of arrays; a list of rows of numbers is one."""
+    if not isinstance(x, (list, tuple)):
+        return [x]
+    if not x:
+        raise DataError("the list of trajectories is empty; give one array for each")
+    return (
+        [x] if all(np.ndim(row) == 0 or (isinstance(row, (list, tuple)) and np.ndim(row) == 1) for row in x) else [*x]
+    )
 
 
 def _of(t: Any, index: int, count: int) -> Any:
@@ -163,7 +171,7 @@ def _rows(part: Any) -> FloatArray:
 
 
 def _times(t: Any, rows: int) -> FloatArray:
-    times = np.asarray(t, dtype=np.float64)
+    times = numbers(t, "times")
     if times.ndim == 0:
         return np.asarray(float(times) * np.arange(rows), dtype=np.float64)
     if times.shape != (rows,):

@@ -34,8 +34,10 @@ class NoWorkerLeftError(AtollError):
 class LocalWorkers:
     """Worker processes of this machine; a context manager that leaves none behind, and kills them after an error."""
 
-    def __init__(self, endpoint: str, number: int, log: Path) -> None:
+    def __init__(self, endpoint: str, number: int, log: Path, *, are_replaced: bool = False) -> None:
+        """`are_replaced`: a worker that dies is started again, by a process that watches over all of them."""
         self.log = log
+        self._are_replaced = are_replaced
         self.number = number
         self._endpoint = endpoint
         self._processes: dict[str, subprocess.Popen[bytes] | AdoptedProcess] = {}
@@ -45,11 +47,13 @@ class LocalWorkers:
     def __enter__(self) -> Self:
         self._file = self.log.open("ab")
         try:
-            if self.number > 1 and become_subreaper():
+            if self._are_replaced:
+                self._start("w", supervisor_command(self._endpoint, self.number))
+            elif self.number > 1 and become_subreaper():
                 self._fork_server = ForkServer(fork_server_command(self._endpoint, self.number), self._file)
             else:
                 for index in range(self.number):
-                    self._start(f"w-{index}")
+                    self._start(f"w-{index}", worker_command(self._endpoint, f"w-{index}"))
         except BaseException:
             self.stop()
             raise
@@ -120,9 +124,9 @@ class LocalWorkers:
         for process in self._processes.values():
             process.kill()
 
-    def _start(self, name: str) -> None:
+    def _start(self, name: str, command: Sequence[str]) -> None:
         self._processes[name] = subprocess.Popen(
-            worker_command(self._endpoint, name),
+            command,
             stdin=subprocess.DEVNULL,
             stdout=self._file,
             stderr=self._file,
@@ -138,6 +142,11 @@ class LocalWorkers:
 def worker_command(endpoint: str, name: str) -> Sequence[str]:
     """Return the command of one worker process, which ends when this process does."""
     return _command(endpoint, name, 1)
+
+
+def supervisor_command(endpoint: str, number: int) -> Sequence[str]:
+    """Return the command of the process that keeps so many workers, w-0, w-1 and so on, and ends when this one does."""
+    return [*_command(endpoint, "w", number), "--supervise"]
 
 
 def fork_server_command(endpoint: str, number: int) -> Sequence[str]:

@@ -70,3 +70,13 @@ def test_what_does_not_fit_is_refused() -> None:
         Discoverer().fit(X, u=X[:2])
     with pytest.raises(UsageError, match="feature_names has 1 names"):
         Discoverer().fit(X, feature_names=["a"])
+    with pytest.raises(DataError, match="list of trajectories is empty"):
+        Discoverer().fit([])
+    with pytest.raises(UsageError, match="times must be numbers"):
+        Discoverer().fit(X, "abc")
+
+
+def test_a_list_of_rows_is_one_trajectory(calls: list[tuple[Any, dict[str, Any]]]) -> None:
+    Discoverer().fit(X.tolist())
+    ((data, _),) = calls
+    assert [each["x1"].tolist() for each in data] == [[2.0, 4.0, 7.0]]

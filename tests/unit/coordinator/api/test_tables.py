@@ -39,13 +39,49 @@ def test_text_is_numbered_in_the_trajectory_column_alone() -> None:
     [
         ([1.0, "2.0", "n/a"], "holds 'n/a' in row 3"),
         (np.array([1j, 2.0]), "complex"),
-        (np.array(["2020-01-01", "2020-01-02"], dtype="M8[s]"), "dates"),
         (["a", "b"], "all columns hold text"),
     ],
 )
 def test_what_is_no_number_is_named(values: object, sentence: str) -> None:
     with pytest.raises(DataError, match=sentence):
         table_of({"x": values}, DataConfig())
+
+
+DAYS = np.array(["2020-01-01", "2020-01-02", "2020-01-04"], dtype="M8[s]")
+
+
+@pytest.mark.parametrize("name", ["t", "time", "day"])
+def test_dates_are_the_time(name: str) -> None:
+    table = table_of([{name: DAYS, "x": [1.0, 2.0, 3.0]}, {name: DAYS + 1, "x": [1.0, 2.0, 3.0]}], DataConfig())
+    assert (table.names[0], table.units[0]) == ("t" if name == "t" else "time", "d")
+    assert table.columns[0][:3].tolist() == [0.0, 1.0, 3.0]
+    assert table.columns[0][3] == pytest.approx(1.0 / 86400.0)
+    assert "since 2020-01-01" in table.read_as
+    assert table_of({"t": DAYS.astype(object), "x": [1.0, 2.0, 3.0]}, DataConfig()).columns[0].tolist() == [0, 1, 3]
+    durations = table_of({"t": DAYS - DAYS[0], "x": [1.0, 2.0, 3.0]}, DataConfig())
+    assert (durations.names, durations.units, durations.columns[0][1]) == (("t", "x"), ("s", ""), 86400.0)
+
+
+def test_dates_beside_a_time_are_refused() -> None:
+    with pytest.raises(DataError, match="'day' holds dates or times beside the time 't'"):
+        table_of({"t": [0.0, 1.0, 2.0], "day": DAYS}, DataConfig())
+
+
+def test_an_index_of_a_pandas_frame_is_a_column_where_it_says_something() -> None:
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame({"x": [1.0, 2.0, 3.0]}, index=pandas.DatetimeIndex(DAYS))
+    assert table_of(frame, DataConfig()).columns.tolist() == [[0.0, 1.0, 3.0], [1.0, 2.0, 3.0]]
+    assert table_of(frame.tz_localize("Europe/Berlin"), DataConfig()).names == ("time", "x")
+    assert table_of(frame.reset_index(drop=True), DataConfig()).names == ("x",)
+    frame.index = pandas.Index([0.5, 1.0, 2.0], name="t")
+    assert table_of(frame, DataConfig()).column("t").tolist() == [0.5, 1.0, 2.0]
+    assert table_of({"x": frame["x"], "t": frame.index}, DataConfig()).names == ("x", "t")
+
+
+def test_coordinates_of_an_xarray_data_set_are_columns() -> None:
+    xarray = pytest.importorskip("xarray")
+    its = xarray.Dataset({"x": ("t", [1.0, 2.0])}, coords={"t": [0.0, 0.5]})
+    assert table_of(its, DataConfig()).names == ("t", "x")
 
 
 def test_files_are_read_as_the_command_line_reads_them(tmp_path: Path) -> None:
