@@ -6,9 +6,10 @@ PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 py
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/atoll-installed
+DOCS := $(VENV)/atoll-docs-installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-wheel quick kernels check soak bench lock release-rehearsal deploy-rehearsal clean
+.PHONY: help demo test test-wheel quick kernels check soak bench docs lock release-rehearsal deploy-rehearsal clean
 
 help:
 	@echo "make demo    find the two equations of a Lotka-Volterra system, on two workers"
@@ -19,6 +20,7 @@ help:
 	@echo "make soak    schedules of faults, simulated, on all cores: make soak SCHEDULES=10000"
 	@echo "make bench   the short benchmarks; benchmarks/RESULTS.md has the long ones"
 	@echo "             with STROGATZ=folder also the label files there"
+	@echo "make docs    the documentation as a site, site/index.html, to be read without network"
 	@echo "make lock    the newest versions of the development tools into requirements-dev.txt"
 	@echo "make release-rehearsal   build, check, install and sign a release without publishing it"
 	@echo "make deploy-rehearsal    run what deploy/ describes: STEPS='compose slurm', WORK=folder, INSTALL=1 (as root)"
@@ -83,6 +85,14 @@ bench: $(STAMP)
 	@test -z "$(STROGATZ)" || $(BIN)/python -m benchmarks.peers.strogatz --data "$(STROGATZ)" --seeds 0 --noise 0.001 --max-time 5
 
 # One file for all systems and versions of Python, with hashes; what is packaged keeps its ranges.
+$(DOCS): $(STAMP)
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[docs]'
+	@touch $@
+
+docs: $(DOCS)
+	@$(BIN)/python docs/build_site.py site
+	@echo "site/index.html"
+
 lock: $(STAMP)
 	@$(BIN)/python -m pip install -q --disable-pip-version-check uv
 	@$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes --extra dev \

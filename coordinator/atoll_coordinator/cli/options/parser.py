@@ -227,6 +227,7 @@ def _add_report(verbs: Any) -> None:
     parser = _verb(verbs, "report", "a saved result as one HTML page that needs neither network nor script")
     parser.add_argument("result", metavar="RESULT", help="PATH/result.json, or its folder")
     parser.add_argument("-o", "--output", metavar="FILE", help="the page (default: report.html beside the result)")
+    parser.add_argument("--pictures", metavar="DIR", help="also write every picture as an SVG file of its own")
 
 
 def _add_suggest(verbs: Any) -> None:

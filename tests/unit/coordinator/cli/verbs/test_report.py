@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -22,6 +23,14 @@ def test_the_page_stands_beside_the_result_or_where_it_is_wanted(
     assert capsys.readouterr() == ("", f"report in {saved / 'report.html'}\n")
     assert main(["report", str(saved / "result.json"), "-o", str(saved / "page.html")]) == 0
     assert (saved / "page.html").read_text("utf-8") == (saved / "report.html").read_text("utf-8")
+
+
+def test_pictures_are_files_that_need_no_page(saved: Path) -> None:
+    assert main(["report", str(saved), "--pictures", str(saved / "pictures")]) == 0
+    assert sorted(path.name for path in (saved / "pictures").iterdir()) == ["fit-1.svg", "fit-2.svg", "front-1.svg"]
+    root = ElementTree.parse(saved / "pictures" / "fit-1.svg").getroot()
+    assert root.tag == "{http://www.w3.org/2000/svg}svg"
+    assert ".line" in (root[0].text or "")
 
 
 @pytest.mark.parametrize("text", ["no JSON", "[]", '{"schema": 1}', '{"schema": 2, "equations": []}'])
