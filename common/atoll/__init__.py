@@ -16,7 +16,7 @@ from typing import Any, Final
 VERSION: Final = "0.1.0"
 """Version of the distribution; kept equal to pyproject.toml by a test."""
 
-PROTOCOL_VERSION: Final = 5
+PROTOCOL_VERSION: Final = 6
 """Raised whenever a message on the wire changes its shape or meaning."""
 
 ENGINE_REVISION: Final = 4

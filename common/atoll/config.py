@@ -75,6 +75,9 @@ class DataConfig(Model):
     )
     weights: str | None = Field(None, description="column of row weights: inverse variances, up to a factor; 0: unused")
     offsets: tuple[str, ...] = Field((), description="states measured up to an offset that each trajectory has its own")
+    group: str | None = Field(None, description="column: trajectories of one value share constants, others have own")
+    per_trajectory: bool = Field(False, description="each trajectory has constants of its own")
+    units: dict[str, str] = Field(default_factory=dict, description="units of columns, by name; over those of headers")
     missing: Literal["refuse", "drop"] = Field("refuse", description="what to do with NaN and infinity")
 
 
@@ -85,6 +88,9 @@ class SpaceConfig(Model):
     operators_of: dict[str, tuple[str, ...]] = Field(default_factory=dict, description="per equation; overrides")
     variables_of: dict[str, tuple[str, ...]] = Field(
         default_factory=dict, description="per equation, the variables that it may use; all unless named"
+    )
+    required_of: dict[str, tuple[str, ...]] = Field(
+        default_factory=dict, description="per equation, the variables that it must have"
     )
     terminals: PositiveInt | None = Field(None, description="first nodes of a list; None: max(7, variables + 5)")
     fixed_terminals: bool = Field(
@@ -118,6 +124,9 @@ class PriorConfig(Model):
         default_factory=dict, description="expressions among which the islands begin; their constants are fitted"
     )
     known: dict[str, str] = Field(default_factory=dict, description="equations that are given, not searched")
+    bounds: dict[str, tuple[str, ...]] = Field(
+        default_factory=dict, description="on constants, such as c > 0, by left-hand side, or * for all equations"
+    )
 
 
 class EvolutionConfig(Model):

@@ -7,7 +7,7 @@ coordinator. Letters: R rows, V input variables.
 import hashlib
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 CLEAN_UNCERTAINTY: Final = 1e-3
 """Targets known better than this, relative to their spread, count as noise-free."""
@@ -58,11 +59,23 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One regression problem: the inputs, shape (V, R), C order, and one target over the same R rows."""
+    """One regression problem: the inputs, shape (V, R), C order, and one target over the same R rows.
+
+    `groups` (R,) number the groups of trajectories that have constants of their own; None: all share them.
+    """
 
     names: tuple[str, ...]
     inputs: FloatArray
     target: Target
+    groups: IntArray | None = None
+
+    def of_group(self, group: int) -> "Problem":
+        """Return the problem on the rows of one group; itself where there are no groups."""
+        if self.groups is None:
+            return self
+        rows = np.flatnonzero(self.groups == group)
+        target = replace(self.target, values=np.ascontiguousarray(self.target.values[rows]))
+        return Problem(self.names, np.ascontiguousarray(self.inputs[:, rows]), target)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +83,8 @@ class Dataset:
     """All regression problems of a job over the same rows.
 
     `names` are the V symbols used in expressions, in the order of the rows of `inputs`; `symbols` maps each column name
-    of the user's file to its symbol; `warnings` are sentences for the user about how the data were treated.
+    of the user's file to its symbol; `warnings` are sentences for the user about how the data were treated; `groups`
+    are as in `Problem`.
     """
 
     names: tuple[str, ...]
@@ -78,6 +92,7 @@ class Dataset:
     targets: tuple[Target, ...]
     symbols: dict[str, str]
     warnings: tuple[str, ...] = ()
+    groups: IntArray | None = None
 
     @property
     def variables(self) -> tuple[str, ...]:
@@ -88,7 +103,7 @@ class Dataset:
         """Return the regression problem of `variable`; raises KeyError for an unknown one."""
         for target in self.targets:
             if target.variable == variable:
-                return Problem(self.names, self.inputs, target)
+                return Problem(self.names, self.inputs, target, self.groups)
         raise KeyError(variable)
 
     @cached_property
@@ -101,6 +116,8 @@ class Dataset:
             _update(digest, (target.variable, target.lhs))
             digest.update(target.values.tobytes())
             digest.update(struct.pack("<ddd", target.uncertainty, target.standard_deviation, target.noise))
+        if self.groups is not None:
+            digest.update(self.groups.tobytes())
         return digest.hexdigest()
 
 

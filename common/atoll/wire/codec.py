@@ -117,8 +117,11 @@ def dataset_to_bytes(dataset: Dataset) -> bytes:
             for t in dataset.targets
         ],
     }
-    values = {f"target {index}": target.values for index, target in enumerate(dataset.targets)}
-    return encode_arrays(header, {"inputs": dataset.inputs, **values})
+    arrays: dict[str, AnyArray] = {"inputs": dataset.inputs}
+    arrays |= {f"target {index}": target.values for index, target in enumerate(dataset.targets)}
+    if dataset.groups is not None:
+        arrays["groups"] = dataset.groups
+    return encode_arrays(header, arrays)
 
 
 def dataset_from_bytes(data: bytes, max_bytes: int = MAX_ARRAYS_BYTES) -> Dataset:
@@ -137,6 +140,7 @@ def dataset_from_bytes(data: bytes, max_bytes: int = MAX_ARRAYS_BYTES) -> Datase
             targets=tuple(_target(arrays, inputs, *each) for each in enumerate(header["targets"])),
             symbols=dict(map(_pair, header["symbols"])),
             warnings=_texts(header["warnings"]),
+            groups=_groups(arrays["groups"], inputs) if "groups" in arrays else None,
         )
     except _BROKEN as error:
         raise RemoteProtocolError(f"a dataset is malformed: {_brief(error)}") from error
@@ -329,6 +333,12 @@ def _finite(name: str, array: AnyArray, shape: tuple[int, ...]) -> FloatArray:
     _require(fits, f"{name} have shape {array.shape} instead of {shape}")
     _require(bool(np.isfinite(array).all()), f"{name} hold NaN or infinity")
     return np.array(array, dtype=np.float64, order="C")
+
+
+def _groups(array: AnyArray, inputs: FloatArray) -> npt.NDArray[np.int64]:
+    fits = array.dtype == np.int64 and array.shape == inputs.shape[1:] and (array >= 0).all()
+    _require(bool(fits), "the groups of rows are not numbers from 0, one for each row")
+    return np.array(array, dtype=np.int64, order="C")
 
 
 def _target(arrays: Mapping[str, AnyArray], inputs: FloatArray, index: int, fields: object) -> Target:

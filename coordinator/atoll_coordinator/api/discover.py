@@ -25,7 +25,7 @@ from atoll_coordinator.client import Client, connected
 
 CONNECT_LIMIT_S: Final = 20.0
 CANCEL_LIMIT_S: Final = 10.0
-_REPEATABLE: Final = ("angle", "operators", "allow", "guess", "known")
+_REPEATABLE: Final = ("angle", "operators", "allow", "guess", "known", "require", "bound", "unit")
 _TLS: Final = ("ca", "cert", "key")
 _NOT_OURS: Final = ("json", "out", "workers", "help", "id", "name", "dry_run")
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from atoll.config import JobConfig, PriorConfig
+from atoll.config import JobConfig
 from atoll.data.dataset import FloatArray
 from atoll.data.table import Table
 from atoll_coordinator.data.prior_knowledge import resolve_equations
@@ -35,13 +35,17 @@ def describe(table: Table, config: JobConfig) -> str:
         named = [("target", (roles.target,)), ("inputs", roles.inputs)]
     named.append(("weights", () if roles.weights is None else (roles.weights,)))
     lines += [f"{role}: {', '.join(_with_unit(table, name) for name in names)}" for role, names in named if names]
-    return "\n".join([*lines, *_prior(resolved.prior, roles)])
+    if measurements.group_names:
+        lines.append(f"constants may differ between {len(measurements.group_names)} groups of trajectories")
+    return "\n".join([*lines, *_prior(resolved, roles)])
 
 
-def _prior(prior: PriorConfig, roles: Roles) -> list[str]:
-    sides = roles.left_hand_sides
-    known = [f"known: {sides[name]} = {text}" for name, text in prior.known.items()]
-    return known + [f"guess: {sides[name]} = {text}" for name, texts in prior.guesses.items() for text in texts]
+def _prior(config: JobConfig, roles: Roles) -> list[str]:
+    prior, sides = config.prior, roles.left_hand_sides
+    lines = [f"known: {sides[name]} = {text}" for name, text in prior.known.items()]
+    lines += [f"guess: {sides[name]} = {text}" for name, texts in prior.guesses.items() for text in texts]
+    lines += [f"required: {sides[name]} has {', '.join(its)}" for name, its in config.space.required_of.items()]
+    return lines + [f"bounds: {sides[name]}: {'; '.join(texts)}" for name, texts in prior.bounds.items()]
 
 
 def _size(table: Table, measurements: Measurements) -> str:

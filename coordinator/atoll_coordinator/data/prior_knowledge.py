@@ -10,6 +10,7 @@ from typing import Final
 from atoll.config import JobConfig, PriorConfig, SpaceConfig
 from atoll.data.dataset import Dataset
 from atoll.errors import UsageError
+from atoll.expression.bounds import ALL_EQUATIONS, parse_bound
 from atoll.expression.operation_list import placed_text
 from atoll.expression.operators import BY_NAME, VARIABLE
 from atoll.expression.program import Program
@@ -31,6 +32,10 @@ def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str
     component of its diffusion, some of which the data may not show. Raises UsageError.
     """
     names = roles.equations
+    asked = {"--bound": config.prior.bounds, "--require": config.space.required_of}
+    option = next((name for name, given in asked.items() if given and config.data.stochastic), None)
+    if option is not None:
+        raise UsageError(f"--stochastic and {option} exclude each other; the law of a process is chosen by its steps")
     if config.data.stochastic:
         names = (*names, *(component_name(*pair) for pair in combinations_with_replacement(roles.states, 2)))
     known = _sides(config, names, symbols).single("--known", config.prior.known)
@@ -58,12 +63,50 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
     given = sides.several("--guess", config.prior.guesses)
     guesses = {name: tuple(text for texts in those for text in texts) for name, those in given.items()}
     space = _resolved_space(config.space, sides)
-    for option, those in (("--guess", guesses), ("--operators", space.operators_of), ("--allow", space.variables_of)):
+    bounds = _resolved_bounds(config.prior.bounds, sides, [name for name in variables if name not in known])
+    for option, those in (
+        ("--guess", guesses),
+        ("--operators", space.operators_of),
+        ("--allow", space.variables_of),
+        ("--require", space.required_of),
+        ("--bound", bounds),
+    ):
         _check_sought(option, those, known)
-    resolved = config.model_copy(update={"prior": PriorConfig(guesses=guesses, known=known), "space": space})
+    _check_required(space, names)
+    prior = PriorConfig(guesses=guesses, known=known, bounds=bounds)
+    resolved = config.model_copy(update={"prior": prior, "space": space})
     for name, texts in guesses.items():
         _check_guesses(resolved, name, texts, names)
     return resolved
+
+
+def _resolved_bounds(
+    bounds: Mapping[str, tuple[str, ...]], sides: LeftSides, sought: Sequence[str]
+) -> dict[str, tuple[str, ...]]:
+    """Return the bounds by variable, those on all equations among them; raises UsageError."""
+    general = tuple(bounds.get(ALL_EQUATIONS, ()))
+    given = sides.several("--bound", {side: texts for side, texts in bounds.items() if side != ALL_EQUATIONS})
+    own = {name: tuple(text for texts in those for text in texts) for name, those in given.items()}
+    names = tuple(sides.symbols.values())
+    for text in (*general, *(text for texts in own.values() for text in texts)):
+        try:
+            parse_bound(text, names)
+        except UsageError as error:
+            raise UsageError(f"--bound: {error}") from error
+    whole = {name: (*general, *own.get(name, ())) for name in (*sought, *(name for name in own if name not in sought))}
+    return {name: texts for name, texts in whole.items() if texts}
+
+
+def _check_required(space: SpaceConfig, names: Sequence[str]) -> None:
+    """Raise UsageError where an equation must have a variable that it may not use."""
+    for variable, required in space.required_of.items():
+        allowed = [names[column] for column in space.columns_for(variable, names)]
+        excluded = next((name for name in required if name not in allowed), None)
+        if excluded is not None:
+            raise UsageError(
+                f"--require wants {excluded} in the equation of '{variable}', but --allow lets it use "
+                f"{', '.join(allowed)} only; change one of the two"
+            )
 
 
 def known_programs(dataset: Dataset, config: JobConfig) -> dict[str, Program]:
@@ -100,8 +143,10 @@ def _sides(config: JobConfig, variables: Sequence[str], symbols: Mapping[str, st
 
 def _resolved_space(space: SpaceConfig, sides: LeftSides) -> SpaceConfig:
     allowed = sides.single("--allow", space.variables_of)
+    required = sides.single("--require", space.required_of)
     update = {
         "operators_of": sides.single("--operators", space.operators_of),
+        "required_of": {name: sides.symbols_of("--require", texts) for name, texts in required.items()},
         "variables_of": {name: sides.symbols_of("--allow", texts) for name, texts in allowed.items()},
     }
     return space.model_copy(update=update)

@@ -4,7 +4,7 @@ The search sees a `atoll.data.dataset.Dataset` of smoothed rows; everything afte
 were measured. Pure data. Letters: R rows of one trajectory, S states, U inputs.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -60,7 +60,7 @@ class Trajectory:
     `robustness_weights` (S, R), from 0 (an outlier) to 1, reduce the weight of single measurements; None: all are 1.
     `weights` (R,) divide the variance of the errors of each row and are 1 on average over all rows; None: all are 1.
     `rates` and `rate_errors` (S, R) are the derivatives sought and their standard errors, with those of the estimated
-    bias; infinite where nothing is known. None: they were not kept.
+    bias; infinite where nothing is known. None: they were not kept. `group` is one of the recording's, if it has any.
     """
 
     name: str
@@ -76,6 +76,7 @@ class Trajectory:
     is_known: npt.NDArray[np.bool_] | None = None
     rates: FloatArray | None = None
     rate_errors: FloatArray | None = None
+    group: str = ""
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,8 @@ class Recording:
     `states` and `inputs` are column names, `state_symbols` and `input_symbols` the names in expressions, in the order
     of the arrays' rows; `offsets` are states measured up to an offset that each trajectory has its own. With `order` 2
     the variables of expressions are the states, then `velocity_symbols`, then the inputs. `offset` is what was taken
-    from the times of the file to centre them.
+    from the times of the file to centre them. `groups` are the names of groups of trajectories that have constants of
+    their own; none: all share them.
     """
 
     states: tuple[str, ...]
@@ -126,6 +128,7 @@ class Recording:
     smoothing: tuple[Smoothing, ...]
     trajectories: tuple[Trajectory, ...]
     offsets: tuple[str, ...] = ()
+    groups: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,3 +218,21 @@ class Preparation:
     weights: FloatArray | None = None
     process: ProcessRecording | None = None
     source: Source | None = None
+
+
+def of_group(recording: Recording, group: str) -> Recording:
+    """Return the trajectories of one group, as if there were no others."""
+    chosen = tuple(replace(each, group="") for each in recording.trajectories if each.group == group)
+    return replace(recording, trajectories=chosen, groups=())
+
+
+def by_group(preparation: Preparation) -> Iterator[Preparation]:
+    """Yield what each group of trajectories that may have constants of its own gives by itself."""
+    dataset, recording = preparation.dataset, preparation.recording
+    for place, group in enumerate(() if recording is None else recording.groups):
+        assert recording is not None
+        rows = np.flatnonzero(dataset.groups == place)
+        targets = tuple(dataset.problem(name).of_group(place).target for name in dataset.variables)
+        inputs = np.ascontiguousarray(dataset.inputs[:, rows])
+        part = replace(dataset, inputs=inputs, targets=targets, groups=None)
+        yield Preparation(part, of_group(recording, group))

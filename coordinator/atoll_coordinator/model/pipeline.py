@@ -20,6 +20,7 @@ from atoll.machine.cores import usable_cores
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference.conclusion import summarize
+from atoll_coordinator.model.inference.groups import summarize_groups
 from atoll_coordinator.model.inference.random_walk import stochastic_remarks
 from atoll_coordinator.model.refinement import Pools, Refined, Refinement
 from atoll_coordinator.model.regression.equation import fit_equation
@@ -75,7 +76,8 @@ def _refined(preparation: Preparation, config: JobConfig, pools: Pools, deadline
         )
         selected = select_model(task)
         deadline.begin_last_stage()
-        model = None if selected is None else summarize(selected)
+        summarized = summarize_groups if preparation.recording.groups else summarize
+        model = None if selected is None else summarized(selected)
     if model is not None:
         remarks = stochastic_remarks(preparation.recording, model.simulation)
         return replace(model, warnings=(*model.warnings, *remarks))
@@ -87,7 +89,10 @@ def _refined(preparation: Preparation, config: JobConfig, pools: Pools, deadline
 
 def _has_converged(preparation: Preparation, config: JobConfig, name: str, its: CandidateSet) -> bool:
     """Tell whether the search of a target without noise has met the error at which an equation counts as found."""
-    target = preparation.dataset.problem(name).target
+    problem = preparation.dataset.problem(name)
+    if problem.groups is not None:
+        return False  # it converged on the rows of one group
+    target = problem.target
     limit = target.convergence_error(config.budget.target_error)
     return not target.is_noisy and any(member.error <= limit for member in its.front)
 

@@ -70,7 +70,9 @@ class Constant:
 
     `value` is printed: the estimate with the digits that its standard error leaves, or a simple number. `fitted` is its
     value by maximum likelihood, and `std_error` and `interval` (95 %) belong to that; `identifiable` is false where the
-    data do not determine it. `simple` is the most probable simple number near it, None where there is none.
+    data do not determine it. `simple` is the most probable simple number near it, None where there is none. `bounds`
+    are those that the user has set, infinite on an open side. Where it `is_at_bound`, the data would have it beyond:
+    there is no standard error, and 95 % of its distribution lie in the one-sided interval.
     """
 
     value: float
@@ -79,6 +81,8 @@ class Constant:
     interval: tuple[float, float] | None = None
     identifiable: bool = True
     simple: SimpleNumber | None = None
+    bounds: tuple[float, float] | None = None
+    is_at_bound: bool = False
 
     @property
     def is_within(self) -> bool:
@@ -172,12 +176,31 @@ class Chaos:
 
 
 @dataclass(frozen=True, eq=False)
+class GroupEquation:
+    """An equation with the constants of one `group` of trajectories, in node order."""
+
+    group: str
+    program: Program
+    constants: tuple[Constant, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class GroupCovariance:
+    """The joint covariance of the constants of one `group`, shared ones among them; None where none was fitted."""
+
+    group: str
+    covariance: Covariance | None
+
+
+@dataclass(frozen=True, eq=False)
 class Refined:
     """The equation of one variable as it is shown; before refinement, a member of the front as it stands.
 
     `member` is the index of the front member it came from, None when it came from elsewhere; `error` is the job's loss
     and `mse` the mean squared error on all rows of the dataset; `constants` has one for each constant of `program`, in
-    node order (empty before refinement); `unit_coefficients` has the factors of one that are not written.
+    node order (empty before refinement); `unit_coefficients` has the factors of one that are not written. Where groups
+    of trajectories have constants of their own, `by_group` has the equation of each, and `shared` says which constants
+    all groups have in common; the other ones of `program` are means.
     """
 
     member: int | None
@@ -191,6 +214,8 @@ class Refined:
     reason: str | None = None
     origin: Origin | None = None
     prediction: Prediction | None = None
+    by_group: tuple[GroupEquation, ...] = ()
+    shared: tuple[bool, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,6 +338,7 @@ class Refinement:
     chaos: Chaos | None = None
     process: ProcessFindings | None = None
     covariance: Covariance | None = None
+    by_group: tuple[GroupCovariance, ...] = ()
     end: RefiningEnd = "finished"
 
 

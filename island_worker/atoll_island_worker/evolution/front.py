@@ -33,6 +33,7 @@ from atoll_island_worker.evolution.kernels.offers import (
 )
 from atoll_island_worker.evolution.kernels.rows import padded_rows
 from atoll_island_worker.evolution.kernels.tape import canonical_tape
+from atoll_island_worker.evolution.restricted import restrained
 from atoll_island_worker.evolution.runners_up import RunnersUp
 from atoll_island_worker.evolution.setup import IslandSetup
 from atoll_island_worker.evolution.structures import MOST_FITTED, MOST_TERMS, Fit, Lists, Rows, empty_book
@@ -233,11 +234,16 @@ class FrontUpdater:
         size = self._canonical(formula)
         if size > self._largest or not self._is_wanted(size, expected):
             return None
-        self._refit(size, setup.every, POLISH_STEPS if setup.fit.steps else 0, counters)
-        program = to_program(from_tape(scratch.canonical, size))
-        if not math.isfinite(self._error()) or tree_size(program) > PRINTABLE_SIZE:
+        steps = POLISH_STEPS if setup.fit.steps else 0
+        self._refit(size, setup.every, steps, counters)
+        program: Program | None = to_program(from_tape(scratch.canonical, size))
+        if program is not None and not setup.restrictions.are_none:
+            program = restrained(
+                program, setup.restrictions, scratch, lambda nodes: self._refit(nodes, setup.every, steps, counters)
+            )
+        if program is None or not math.isfinite(self._error()) or tree_size(program) > PRINTABLE_SIZE:
             return None
-        return self._entry(program, tag)
+        return self._entry(program, tag) if len(program) <= self._largest else None
 
     def _refit(self, size: int, rows: Rows, steps: int, counters: Counters) -> None:
         scratch = self._setup.scratch
@@ -282,8 +288,9 @@ class FrontUpdater:
             if size >= len(formula) or not self._promising(size, target, counters):
                 continue
             self._refit(size, self._setup.every, PRUNE_STEPS, counters)
-            if self._error() <= target:
-                return from_tape(scratch.canonical, size)
+            found = from_tape(scratch.canonical, size)
+            if self._error() <= target and self._setup.restrictions.are_kept(to_program(found)):
+                return found
         return None
 
     def _promising(self, size: int, target: float, counters: Counters) -> bool:

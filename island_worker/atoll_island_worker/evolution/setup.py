@@ -14,11 +14,13 @@ from atoll.data.dataset import FloatArray, Problem, Target
 from atoll.errors import LocalProtocolError
 from atoll.expression.kernels.tape import functions_address, padded
 from atoll.expression.operators import COS, SIN
+from atoll.expression.restrictions import restrictions_of
 from atoll.search.pareto import FrontEntry
 from atoll_island_worker.evolution.kernels.rows import gather, padded_rows
 from atoll_island_worker.evolution.migration import operator_codes
 from atoll_island_worker.evolution.narrowing import narrow, widen
 from atoll_island_worker.evolution.structures import (
+    MOST_REQUIRED,
     Coevolution,
     Coevolving,
     Fit,
@@ -43,6 +45,8 @@ class IslandSetup:
     """Everything about one island that follows from problem and configuration, as kernels want it."""
 
     def __init__(self, problem: Problem, config: JobConfig, island: int) -> None:
+        if problem.groups is not None:  # solutions meet the rows of all groups on their way from island to island
+            problem = problem.of_group(island % (int(problem.groups.max()) + 1))
         self.config = config
         self.variable = problem.target.variable
         self.columns = config.space.columns_for(self.variable, problem.names)
@@ -51,6 +55,7 @@ class IslandSetup:
             problem = narrow(problem, self.columns)
         self.names = problem.names
         self.island = island
+        self.restrictions = restrictions_of(config, self.variable, problem.names)
         self.deviation = problem.target.standard_deviation
         self.target = target_error(config, problem.target) * self.deviation
         self.space = _space(problem, config)
@@ -68,7 +73,7 @@ class IslandSetup:
         self.sample = sample if self.coevolving.enabled else rows
         self.fit = Fit(
             evolution.constant_fit_steps, evolution.linear_terms, LEAST_INNER, int(evolution.loss != "mae"),
-            evolution.constant_fit_gate,
+            evolution.constant_fit_gate, sum(1 << each for each in self.restrictions.required if each < MOST_REQUIRED),
         )  # fmt: skip
         self.runners_up = island_share(evolution.runners_up or 0, evolution.islands)
         variables = problem.inputs.shape[0]

@@ -76,6 +76,8 @@ class Fit(NamedTuple):
     """0: mean absolute error, 1: mean squared error."""
     gate: float
     """A child takes steps only when its loss is at most this share of its worse parent's."""
+    required: int = 0
+    """Bits of the variables that individuals must have, those below `MOST_REQUIRED`; others have no finite loss."""
 
 
 class Rows(NamedTuple):
@@ -151,6 +153,8 @@ class Work(NamedTuple):
     """(1,) whether further steps of the last fit would be of no use."""
     functions: int
     """Address of the compiled functions, see `atoll.expression.kernels.functions`."""
+    held: Booleans
+    """(nodes,) constants on the tape that are not fitted."""
 
 
 class Coevolution(NamedTuple):
@@ -247,6 +251,10 @@ MOST_TERMS = 4
 """Top-level terms with a coefficient of their own, at most."""
 
 
+MOST_REQUIRED = 62
+"""Variables of higher index are required of what enters a front alone: an integer has no more bits."""
+
+
 def empty_lists(population: int, nodes: int) -> Lists:
     """Return lists of `population` individuals with `nodes` nodes each, all zero, unscaled."""
     shape = (population, nodes)
@@ -287,6 +295,7 @@ def empty_work(nodes: int, rows: int) -> Work:
         trial=np.zeros(2),
         settled=np.zeros(1, np.bool_),
         functions=functions_address(),
+        held=np.zeros(nodes, np.bool_),
     )
 
 

@@ -45,7 +45,7 @@ def written(its: Sum) -> Written:
     if len(its) == 1:
         negative, cost, expression = _term(*its[0])
         return _signed(negative, cost, expression)
-    best = _listed([_term(*term) for term in _in_order(its)])
+    best = _listed([_term(*term) for term in in_order(its)])
     grouped = _grouped(its)
     return best if grouped is None else min(best, grouped, key=_cost)
 
@@ -107,7 +107,7 @@ def _grouped(its: Sum) -> Written | None:
     if not shared:
         return None
     grouped = {term for _, group in shared for term in group}
-    parts = [_term(*term) for term in _in_order(tuple(term for term in its if term not in grouped))]
+    parts = [_term(*term) for term in in_order(tuple(term for term in its if term not in grouped))]
     for size, group in shared:
         sign = 1.0 if group[0][1] > 0.0 or any(coefficient > 0.0 for _, coefficient in group) else -1.0
         cost, inner = written(tuple((monomial, sign * coefficient / size) for monomial, coefficient in group))
@@ -119,7 +119,7 @@ def _grouped(its: Sum) -> Written | None:
     return _listed(parts)
 
 
-def _in_order(its: Sum) -> list[tuple[Monomial, float]]:
+def in_order(its: Sum) -> list[tuple[Monomial, float]]:
     """Return terms in the order of reading: numbers, products of variables by degree, quotients, functions."""
     return sorted(its, key=_place)
 

@@ -112,6 +112,7 @@ _OPTIONS: Final[Mapping[str, tuple[str, _Reader]]] = {
     "missing": ("data.missing", _text),
     "holdout": ("data.holdout", _holdout),
     "weights": ("data.weights", _text),
+    "group": ("data.group", _text),
     "max_size": ("space.max_size", _whole),
     "islands": ("evolution.islands", _whole),
     "max_time": ("budget.max_time", seconds),
@@ -119,7 +120,7 @@ _OPTIONS: Final[Mapping[str, tuple[str, _Reader]]] = {
 }
 """By option: the key of the configuration that it sets, and how its text is read."""
 
-_PRIOR: Final = ("guess", "known", "operators", "allow")
+_PRIOR: Final = ("guess", "known", "operators", "allow", "require", "bound", "unit")
 _FLAGS: Final = {
     "data.angles": "--angle",
     "budget.max_epochs": "--max-epochs",
@@ -127,6 +128,10 @@ _FLAGS: Final = {
     "space.operators": "--operators",
     "space.operators_of": "--operators",
     "space.variables_of": "--allow",
+    "space.required_of": "--require",
+    "prior.bounds": "--bound",
+    "data.units": "--unit",
+    "data.per_trajectory": "--per-trajectory",
     "prior.guesses": "--guess",
     "prior.known": "--known",
 }
@@ -140,7 +145,7 @@ def _given(options: argparse.Namespace) -> dict[str, Any]:
         text = getattr(options, option)
         if text is not None:
             values[key] = read(text, _flag(option))
-    for switch in ("robust", "stochastic"):
+    for switch in ("robust", "stochastic", "per_trajectory"):
         if getattr(options, switch):
             values[f"data.{switch}"] = True
     if options.angle is not None:
@@ -264,6 +269,7 @@ def _check_columns(data: DataConfig) -> None:
         "--target": (data.target,) if data.target is not None else (),
         "--trajectory": (data.trajectory,) if data.trajectory is not None else (),
         "--weights": (data.weights,) if data.weights is not None else (),
+        "--group": (data.group,) if data.group not in (None, data.trajectory) else (),
     }
     first: dict[str, str] = {}
     for role, columns in roles.items():

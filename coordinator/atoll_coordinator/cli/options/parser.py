@@ -300,6 +300,14 @@ def _add_data(group: Any) -> None:
     group.add_argument("--states", metavar="x,y", help="state columns (default: all other numeric columns)")
     group.add_argument("--inputs", metavar="u", help="columns that are variables without an equation; may name time")
     group.add_argument("--trajectory", metavar="run", help="column whose value changes where a trajectory begins")
+    group.add_argument(
+        "--group",
+        metavar="strain",
+        help="column: one structure is sought, whose constants may differ between its values",
+    )
+    group.add_argument(
+        "--per-trajectory", action="store_true", help="one structure is sought, whose constants each trajectory may own"
+    )
     group.add_argument("--target", metavar="y", help="explicit regression of y on the other columns")
     group.add_argument("--derivatives", metavar="dx,dy", help="measured derivatives, one column per state")
     group.add_argument("--order", metavar="1|2", help="2: seek d2x/dt2 from positions (default: 1)")
@@ -321,6 +329,9 @@ def _add_data(group: Any) -> None:
     group.add_argument(
         "--weights", metavar="w", help="column of row weights, such as 1/variance; rows of weight 0 are left out"
     )
+    group.add_argument(
+        "--unit", action="append", metavar="x=m/s", help="the unit of a column, or of the time; repeatable"
+    )
 
 
 def _add_search(group: Any) -> None:
@@ -336,6 +347,16 @@ def _add_search(group: Any) -> None:
     )
     group.add_argument(
         "--allow", action="append", metavar="x=x,y", help="the variables that one equation may use; repeatable"
+    )
+    group.add_argument(
+        "--require", action="append", metavar="x=y", help="the variables that one equation must have; repeatable"
+    )
+    group.add_argument(
+        "--bound",
+        action="append",
+        metavar='"[x:] c > 0"',
+        help="bounds on constants: c every one, |c| every size, inner those inside terms, x*y the coefficient of that "
+        "term, as in 'x: -2 < x*y < 0'; repeatable",
     )
     group.add_argument(
         "--guess",

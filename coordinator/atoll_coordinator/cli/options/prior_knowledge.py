@@ -11,14 +11,19 @@ _EXAMPLES: Final = {
     "--known": "dy=-x/10",
     "--operators": "x=+,-,*",
     "--allow": "x=x,y",
+    "--require": "x=y",
+    "--bound": "c > 0, or x: x*y < 0",
+    "--unit": "x=m/s",
 }
+_ALL: Final = "*"
 
 
 def prior_settings(given: Mapping[str, Sequence[str] | None]) -> dict[str, Any]:
     """Return the values that repeatable options set, by dotted key of the configuration.
 
     Args:
-        given: the texts of ``--guess``, ``--known``, ``--operators`` and ``--allow``, by option; None where not given.
+        given: the texts of ``--guess``, ``--known``, ``--operators``, ``--allow``, ``--require``, ``--bound`` and
+            ``--unit``, by option; None where not given.
 
     Raises:
         UsageError: a text has not the form of its option, or says something twice.
@@ -33,7 +38,26 @@ def prior_settings(given: Mapping[str, Sequence[str] | None]) -> dict[str, Any]:
     if given["--allow"] is not None:
         allowed = _by_equation("--allow", given["--allow"])
         values["space.variables_of"] = {side: names(text, "--allow", "variable") for side, text in allowed.items()}
+    if given["--require"] is not None:
+        required = _by_equation("--require", given["--require"])
+        values["space.required_of"] = {side: names(text, "--require", "variable") for side, text in required.items()}
+    if given["--bound"] is not None:
+        values["prior.bounds"] = _bounds(given["--bound"])
+    if given["--unit"] is not None:
+        values["data.units"] = _by_equation("--unit", given["--unit"], noun="the unit")
     return values
+
+
+def _bounds(texts: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Return bounds by equation; what stands before a colon names it."""
+    bounds: dict[str, tuple[str, ...]] = {}
+    for text in texts:
+        side, colon, rest = text.rpartition(":")
+        if not rest.strip() or (colon and not side.strip()):
+            raise UsageError(f"--bound must be of the form {_EXAMPLES['--bound']}, but {text!r} was given")
+        key = side.strip() or _ALL
+        bounds[key] = (*bounds.get(key, ()), rest.strip())
+    return bounds
 
 
 def _guesses(texts: Sequence[str]) -> dict[str, tuple[str, ...]]:
@@ -59,12 +83,12 @@ def _operators(texts: Sequence[str]) -> dict[str, Any]:
     return values
 
 
-def _by_equation(option: str, texts: Sequence[str]) -> dict[str, str]:
+def _by_equation(option: str, texts: Sequence[str], noun: str = "the equation") -> dict[str, str]:
     found: dict[str, str] = {}
     for text in texts:
         side, right = _parted(option, text)
         if side in found:
-            raise UsageError(f"{option} names the equation of {side!r} twice; give one")
+            raise UsageError(f"{option} names {noun} of {side!r} twice; give one")
         found[side] = right
     return found
 

@@ -95,7 +95,8 @@ def assemble_differentiated(
         for name, estimate in zip(roles.states, estimates, strict=True)
     ]
     sought = [target for target in targets if target.variable in equations]
-    whole = Dataset(tuple(symbols.values()), np.array(values), tuple(sought), dict(symbols), warnings)
+    groups = measurements.group_of_row
+    whole = Dataset(tuple(symbols.values()), np.array(values), tuple(sought), dict(symbols), warnings, groups)
     return Preparation(
         _take_rows(whole, selected.searched),
         build_recording(measurements, weights, estimates, inputs, selected, symbols),
@@ -105,7 +106,9 @@ def assemble_differentiated(
 
 def _take_rows(dataset: Dataset, rows: list[int]) -> Dataset:
     targets = [replace(each, values=np.ascontiguousarray(each.values[rows])) for each in dataset.targets]
-    return replace(dataset, inputs=np.ascontiguousarray(dataset.inputs[:, rows]), targets=tuple(targets))
+    groups = None if dataset.groups is None else np.ascontiguousarray(dataset.groups[rows])
+    inputs = np.ascontiguousarray(dataset.inputs[:, rows])
+    return replace(dataset, inputs=inputs, targets=tuple(targets), groups=groups)
 
 
 def _target(name: str, lhs: str, estimate: StateEstimate, rows: list[int]) -> Target:

@@ -64,9 +64,15 @@ def build_recording(
             None if is_known.all() else np.ascontiguousarray(is_known[:, slice(*place)]),
             _part(rates, place),
             _part(rate_errors, place),
+            group,
         )
-        for name, times, place, held_out in zip(
-            whole.names, whole.times, measurements.ranges, measurements.held_out, strict=True
+        for name, times, place, held_out, group in zip(
+            whole.names,
+            whole.times,
+            measurements.ranges,
+            measurements.held_out,
+            measurements.groups or [""] * len(whole.names),
+            strict=True,
         )
     ]
     smoothing = [
@@ -86,6 +92,7 @@ def build_recording(
         tuple(smoothing),
         tuple(trajectories),
         roles.offsets,
+        measurements.group_names,
     )
 
 

@@ -71,7 +71,9 @@ class LeftSides:
     def symbols_of(self, option: str, texts: Sequence[str]) -> tuple[str, ...]:
         """Return the symbols of variables named by column or symbol; raises UsageError, naming `option`."""
         if not texts:
-            raise UsageError(f"{option} allows an equation no variable; name at least one of {', '.join(self.symbols)}")
+            raise UsageError(
+                f"{option} names no variable for an equation; name at least one of {', '.join(self.symbols)}"
+            )
         return tuple(dict.fromkeys(self._symbol(option, text) for text in texts))
 
     def _symbol(self, option: str, text: str) -> str:

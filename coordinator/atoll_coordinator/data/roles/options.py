@@ -13,7 +13,7 @@ _WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]$", re.DOTALL)
 
 def named_columns(config: DataConfig) -> frozenset[str]:
     """Return every column that the options name."""
-    named = (config.time, config.trajectory, config.target, config.weights)
+    named = (config.time, config.trajectory, config.group, config.target, config.weights)
     single = [name for name in named if name is not None]
     angles = [angle.column for angle in config.angles]
     several = (*(config.states or ()), *config.inputs, *(config.derivatives or ()), *(config.only or ()))
@@ -38,7 +38,7 @@ def strip_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
     def several(those: Iterable[str] | None) -> tuple[str, ...] | None:
         return None if those is None else tuple(plain(name) for name in those)
 
-    single = {part: getattr(config, part) for part in ("time", "trajectory", "target", "weights")}
+    single = {part: getattr(config, part) for part in ("time", "trajectory", "group", "target", "weights")}
     changes: dict[str, object] = {part: plain(name) for part, name in single.items() if name is not None}
     changes |= {part: several(getattr(config, part)) for part in ("states", "inputs", "derivatives", "only", "offsets")}
     if isinstance(config.holdout, str):
@@ -74,7 +74,23 @@ def check_options(config: DataConfig) -> None:
         other = "--target" if config.target is not None else "--derivatives"
         raise UsageError(f"--offsets and {other} exclude each other; offsets belong to states measured in time")
     _check_stochastic(config)
+    _check_groups(config)
     _check_parts(config)
+
+
+def _check_groups(config: DataConfig) -> None:
+    """Raise UsageError when groups of trajectories are asked for where there are none."""
+    if config.group is None and not config.per_trajectory:
+        return
+    option = "--per-trajectory" if config.per_trajectory else "--group"
+    if config.group is not None and config.per_trajectory:
+        raise UsageError("--group and --per-trajectory exclude each other; name the column, or let all differ")
+    others = {"--target": config.target is not None, "--derivatives": config.derivatives is not None}
+    other = next((name for name, is_given in others.items() if is_given), None)
+    if other is not None:
+        raise UsageError(f"{option} and {other} exclude each other; constants by group need states measured in time")
+    if config.per_trajectory and config.holdout is not None:
+        raise UsageError("--per-trajectory and --holdout exclude each other; constants of what is held out are unknown")
 
 
 def _check_stochastic(config: DataConfig) -> None:
@@ -87,6 +103,8 @@ def _check_stochastic(config: DataConfig) -> None:
         "--robust": (config.robust, "nothing is smoothed"),
         "--weights": (config.weights is not None, "the diffusion says how much each step counts"),
         "--offsets": (bool(config.offsets), "increments know nothing of offsets"),
+        "--group": (config.group is not None, "the likelihood of a step has one set of constants"),
+        "--per-trajectory": (config.per_trajectory, "the likelihood of a step has one set of constants"),
     }
     for option, (is_given, reason) in reasons.items():
         if config.stochastic and is_given:
@@ -101,6 +119,7 @@ def _check_parts(config: DataConfig) -> None:
         ("a derivative", config.derivatives or ()),
         ("the target", [config.target] if config.target is not None else []),
         ("the trajectory column", [config.trajectory] if config.trajectory is not None else []),
+        ("the group", [config.group] if config.group not in (None, config.trajectory) else []),
         ("the time", [config.time] if config.time is not None else []),
         ("the weights", [config.weights] if config.weights is not None else []),
     ]

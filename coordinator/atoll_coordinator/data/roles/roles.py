@@ -20,6 +20,8 @@ class Roles:
     `target` is set in explicit regression and `derivatives` (one per state) where they are given; with neither, the
     states are differentiated in time, `order` times. `weights` is the column that says how much each row counts.
     `angles` are the states and inputs that are angles, with their unit; `offsets` the states measured up to an offset.
+    Trajectories with different values in column `group` may differ in constants; so may all where this
+    `is_by_trajectory`.
     """
 
     time: str | None
@@ -32,11 +34,15 @@ class Roles:
     order: Literal[1, 2] = 1
     angles: tuple[Angle, ...] = ()
     offsets: tuple[str, ...] = ()
+    group: str | None = None
+    is_by_trajectory: bool = False
 
     @property
     def used(self) -> tuple[str, ...]:
         """Every column that is used, once."""
-        extra = [name for name in (self.time, self.trajectory, self.target, self.weights) if name is not None]
+        extra = [
+            name for name in (self.time, self.trajectory, self.group, self.target, self.weights) if name is not None
+        ]
         return tuple(dict.fromkeys((*extra, *self.states, *self.inputs, *self.derivatives)))
 
     @property
@@ -101,7 +107,7 @@ def _check_known(name: str, table: Table) -> None:
 
 def _assigned(names: Sequence[str], config: DataConfig, trajectory: str | None) -> Roles:
     time = config.time or next((name for name in TIME_NAMES if name in names and _is_free(name, config)), None)
-    taken = {time, trajectory, config.target, config.weights, *config.inputs, *(config.derivatives or ())}
+    taken = {time, trajectory, config.group, config.target, config.weights, *config.inputs, *(config.derivatives or ())}
     rest = tuple(name for name in names if name not in taken)
     states, inputs = config.states if config.states is not None else rest, config.inputs
     if config.target is not None:
@@ -118,6 +124,8 @@ def _assigned(names: Sequence[str], config: DataConfig, trajectory: str | None) 
         config.order,
         config.angles,
         config.offsets,
+        config.group,
+        config.per_trajectory,
     )
 
 

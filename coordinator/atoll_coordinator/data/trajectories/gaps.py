@@ -82,5 +82,6 @@ def _split(measurements: Measurements, pieces: Sequence[Sequence[Range]], reason
         ranges=tuple(pairwise(ends)),
         held_out=tuple(measurements.held_out[number] for number, _ in parts),
         trajectories=Trajectories(names, times, whole.offset, states),
+        groups=tuple(measurements.groups[number] for number, _ in parts) if measurements.groups else (),
         warnings=tuple(warnings),
     )

@@ -9,13 +9,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from atoll.config import DataConfig
-from atoll.data.dataset import FloatArray
+from atoll.data.dataset import FloatArray, IntArray
 from atoll.data.table import Table
 from atoll_coordinator.data.roles.roles import Roles
 from atoll_coordinator.data.trajectories.angles import convert_to_radians, unwrap
 from atoll_coordinator.data.trajectories.checks import check_searched_rows, select_usable_rows
 from atoll_coordinator.data.trajectories.holdout import select_held_out
-from atoll_coordinator.data.trajectories.trajectories import Range, Trajectories, find_ranges, split_trajectories
+from atoll_coordinator.data.trajectories.trajectories import (
+    Range,
+    Trajectories,
+    find_ranges,
+    name_groups,
+    split_trajectories,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +30,8 @@ class Measurements:
 
     `columns[name]` (R,) are the used columns, angles in radians, states not finite where they are missing; `ranges` are
     half-open ranges of rows, one for each trajectory, and `held_out` says of each whether it is kept from the search;
-    `trajectories` is None where the left-hand sides are given; `warnings` are sentences for the user.
+    `trajectories` is None where the left-hand sides are given; `warnings` are sentences for the user; `groups` has the
+    group of each trajectory where these may differ in constants, else nothing.
     """
 
     roles: Roles
@@ -33,6 +40,7 @@ class Measurements:
     held_out: tuple[bool, ...]
     trajectories: Trajectories | None
     warnings: tuple[str, ...]
+    groups: tuple[str, ...] = ()
 
     @property
     def row_count(self) -> int:
@@ -53,6 +61,20 @@ class Measurements:
     def held_out_rows(self) -> list[int]:
         """The rows of held-out trajectories."""
         return self._rows(held_out=True)
+
+    @property
+    def group_names(self) -> tuple[str, ...]:
+        """The groups whose constants may differ, in the order of the data; none where all share them."""
+        return tuple(dict.fromkeys(self.groups))
+
+    @property
+    def group_of_row(self) -> IntArray | None:
+        """The group of each row (R,), by its place among `group_names`; None where there are none."""
+        if not self.groups:
+            return None
+        names = self.group_names
+        lengths = [last - first for first, last in self.ranges]
+        return np.repeat(np.array([names.index(group) for group in self.groups], np.int64), lengths)
 
     def _rows(self, *, held_out: bool) -> list[int]:
         chosen = [each for each, is_held_out in zip(self.ranges, self.held_out, strict=True) if is_held_out == held_out]
@@ -84,7 +106,8 @@ def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measure
     raw = dict(zip(table.names, table.columns, strict=True))
     rows, warnings = select_usable_rows(table, roles, raw, config)
     numbers = np.zeros(table.rows) if roles.trajectory is None else raw[roles.trajectory]
-    ranges = find_ranges(table.starts, rows, numbers)
+    marks = [numbers] if roles.group is None else [numbers, raw[roles.group]]
+    ranges = find_ranges(table.starts, rows, *marks)
     first_rows = [rows[first] for first, _ in ranges]
     held_out = select_held_out(config.holdout, roles.trajectory, numbers[first_rows].tolist())
     searched = [row for (first, last), out in zip(ranges, held_out, strict=True) if not out for row in rows[first:last]]
@@ -96,4 +119,5 @@ def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measure
     columns = {name: convert_to_radians(raw[name][rows], angles.get(name)) for name in roles.used}
     is_given = roles.target is not None or roles.derivatives
     trajectories = None if is_given else split_trajectories(table, roles, rows, ranges, raw, columns)
-    return Measurements(roles, columns, ranges, held_out, trajectories, tuple(warnings))
+    groups = () if trajectories is None else name_groups(roles, trajectories.names, raw, first_rows, held_out)
+    return Measurements(roles, columns, ranges, held_out, trajectories, tuple(warnings), groups)

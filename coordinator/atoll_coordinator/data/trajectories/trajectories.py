@@ -13,6 +13,7 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.data.table import Table
+from atoll.errors import DataError
 from atoll_coordinator.data.roles.roles import Roles
 from atoll_coordinator.data.trajectories.angles import unwrap
 from atoll_coordinator.data.trajectories.checks import check_no_turns, check_trajectory, check_varies
@@ -40,16 +41,18 @@ class Trajectories:
     states: Mapping[str, Sequence[FloatArray]]
 
 
-def find_ranges(starts: Sequence[int], rows: Sequence[int], numbers: FloatArray) -> tuple[Range, ...]:
+def find_ranges(starts: Sequence[int], rows: Sequence[int], *marks: FloatArray) -> tuple[Range, ...]:
     """Return the half-open ranges into `rows`, one for each trajectory.
 
     Args:
         starts: rows of the table at which a file begins or blank rows end, the first one 0.
         rows: the rows of the table that are used.
-        numbers: of the trajectories, at all rows of the table: where they change, another trajectory begins.
+        marks: numbers at all rows of the table: where one of them changes, another trajectory begins.
     """
     segments = np.searchsorted(starts, rows, side="right")
-    is_break = (segments[1:] != segments[:-1]) | (numbers[rows[1:]] != numbers[rows[:-1]])
+    is_break = segments[1:] != segments[:-1]
+    for numbers in marks:
+        is_break = is_break | (numbers[rows[1:]] != numbers[rows[:-1]])
     return tuple(pairwise([0, *(np.flatnonzero(is_break) + 1).tolist(), len(rows)]))
 
 
@@ -93,6 +96,37 @@ def split_trajectories(
     centre = 0.5 * (float(np.min(times)) + float(np.max(times)))
     centred = tuple(_center_times(times[first:last], centre) for first, last in ranges)
     return Trajectories(names, centred, centre, states)
+
+
+def name_groups(
+    roles: Roles, names: Sequence[str], raw: Mapping[str, FloatArray], first_rows: Sequence[int],
+    held_out: Sequence[bool],
+) -> tuple[str, ...]:  # fmt: skip
+    """Return the group of each trajectory, nothing where constants are the same for all.
+
+    Args:
+        roles: with a time.
+        names: of the trajectories.
+        raw: columns of the table at all its rows, by name.
+        first_rows: of each trajectory, rows of the table.
+        held_out: which trajectories are.
+
+    Raises:
+        DataError: there is one group only, or one whose trajectories are all held out.
+    """
+    if roles.group is None and not roles.is_by_trajectory:
+        return ()
+    option = f"--group {roles.group}" if roles.group is not None else "--per-trajectory"
+    groups = tuple(names)
+    if roles.group is not None:
+        groups = tuple(format_number(float(raw[roles.group][row])) for row in first_rows)
+    if len(set(groups)) < 2:
+        raise DataError(f"{option} needs constants of two groups at least, but there is one only; leave it out")
+    searched = {group for group, is_out in zip(groups, held_out, strict=True) if not is_out}
+    unseen = next((group for group in groups if group not in searched), None)
+    if unseen is not None:
+        raise DataError(f"--holdout keeps all trajectories of group {unseen}, so its constants are unknown; keep fewer")
+    return groups
 
 
 def format_number(value: float) -> str:

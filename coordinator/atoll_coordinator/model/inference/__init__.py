@@ -1,6 +1,7 @@
 """What is said of the selected model.
 
 - `conclusion`: the model fitted to all rows, rounded, simulated and judged: `summarize`
+- `groups`: the same where groups of trajectories have constants of their own: `summarize_groups`
 - `standard_errors`: standard errors, intervals and correlations of constants
 - `simulation`: the model along measured trajectories, with bands
 - `attractor`: whether a long simulation of a chaotic model keeps the measured averages

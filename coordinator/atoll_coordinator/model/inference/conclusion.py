@@ -48,7 +48,7 @@ from atoll_coordinator.model.refinement import (
     StateErrors,
 )
 from atoll_coordinator.model.regression.covariance import Known, student_95
-from atoll_coordinator.model.regression.errors import errors_on
+from atoll_coordinator.model.regression.errors import grouped_errors_on
 from atoll_coordinator.model.regression.rounding import ERROR_DIGITS
 from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
 from atoll_coordinator.model.selection.candidates import form
@@ -66,7 +66,7 @@ from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)
-class _Shown:
+class Shown:
     """Equations as they are shown: `rounded` and their `fit`; `free` is that of `explicit`, all constants free."""
 
     rounded: RoundedSystem
@@ -76,12 +76,13 @@ class _Shown:
 
 
 @dataclass(frozen=True, eq=False)
-class _Final:
+class Final:
     """The model on all rows.
 
     `comparison` is where constants are fitted; `seen` where the equations are simulated as they are shown, over whole
     trajectories, also where constants are fitted to short pieces of them, and `seen_fit` what that gives. `unseen` is a
-    comparison over the held-out trajectories, None when there are none.
+    comparison over the held-out trajectories, None when there are none. `by_group` has the equations with the constants
+    of each group of trajectories, where these have constants of their own.
     """
 
     task: ModellingTask
@@ -89,9 +90,10 @@ class _Final:
     origins: Sequence[Mapping[bytes, Origin]]
     unseen: ModelComparison | None
     comparison: ModelComparison
-    equations: _Shown
+    equations: Shown
     seen: ModelComparison
     seen_fit: TrajectoryFit
+    by_group: Sequence[Sequence[Program]] = ()
 
     @property
     def shown(self) -> tuple[Program, ...]:
@@ -116,7 +118,7 @@ class _Final:
 
 
 @dataclass(frozen=True, eq=False)
-class _HeldOut:
+class HeldOut:
     """The simulations of trajectories that took no part, and their R2 by variable."""
 
     trajectories: tuple[Simulated, ...]
@@ -138,7 +140,7 @@ def summarize(selection: SelectedModel) -> Refinement | None:
     chaos = _chaos(final)
     predictions = _predictions(final, errors, is_near=chaos is not None and chaos.is_kept)
     equations = {
-        name: _refined(
+        name: refined_equation(
             final,
             index,
             constants[index],
@@ -163,14 +165,14 @@ def summarize(selection: SelectedModel) -> Refinement | None:
             student_95(errors.freedom),
         ),
         find_correlations(final.comparison, task.variables, final.explicit, errors),
-        _state_errors(final),
-        (*remarks(task), *_pole_remarks(final)),
+        state_errors(final),
+        (*remarks(task), *pole_remarks(final)),
         chaos,
         covariance=joint_covariance(final.comparison, task.variables, final.explicit, errors),
     )
 
 
-def _pole_remarks(final: _Final) -> Iterator[str]:
+def pole_remarks(final: Final) -> Iterator[str]:
     """Yield a sentence for each pole of an equation in the region that the data visit."""
     dataset = final.task.dataset
     for name, program in zip(final.task.variables, final.shown, strict=True):
@@ -179,7 +181,7 @@ def _pole_remarks(final: _Final) -> Iterator[str]:
             yield f"The equation of {name} has a pole within the region that was measured, where {where} is 0."
 
 
-def _state_errors(final: _Final) -> dict[str, StateErrors]:
+def state_errors(final: Final) -> dict[str, StateErrors]:
     """Return what is known of the errors of each state, by name."""
     comparison, fit = final.comparison, final.free.fit
     if comparison.is_exact(final.free):
@@ -202,7 +204,7 @@ def _state_errors(final: _Final) -> dict[str, StateErrors]:
     return found
 
 
-def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> _Final | None:
+def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> Final | None:
     """Fit the chosen system to all rows, make its constants simple, and fit what is shown again."""
     whole = on_all_rows(ranking.selection)
     if whole is None:
@@ -212,7 +214,9 @@ def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> _
         round_system(comparison, best),
         best.programs,
     ):
-        tidy = tuple(_shortest(whole.task, comparison, equation, program) for equation, program in enumerate(programs))
+        tidy = tuple(
+            shortest_writing(whole.task, comparison, equation, program) for equation, program in enumerate(programs)
+        )
         shown = _show(comparison, best, tidy)
         if shown is None:
             continue
@@ -221,23 +225,23 @@ def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> _
         if other is not None and other.fit.misfit <= shown.fit.misfit:
             shown = other
         shown = _shortened(whole.task, comparison, best, shown)
-        task, seen, fit = _simulate(whole.task, comparison, shown)
-        return _Final(task, ranking, origins, _unseen(task), comparison, shown, seen, fit)
+        task, seen, fit = seen_in_whole(whole.task, comparison, shown)
+        return Final(task, ranking, origins, unseen_comparison(task), comparison, shown, seen, fit)
     return None
 
 
-def _shortened(task: ModellingTask, comparison: ModelComparison, near: FittedModel, shown: _Shown) -> _Shown:
+def _shortened(task: ModellingTask, comparison: ModelComparison, near: FittedModel, shown: Shown) -> Shown:
     """Return what is shown without constants that are one or equal as rounded, if the description is no longer."""
     programs = shown.rounded.programs
-    shorter = tuple(_shortest(task, comparison, equation, program) for equation, program in enumerate(programs))
+    shorter = tuple(shortest_writing(task, comparison, equation, program) for equation, program in enumerate(programs))
     if sum(map(len, shorter)) >= sum(map(len, programs)):
         return shown
     other = _show(comparison, near, shorter)
     return shown if other is None or other.fit.nats > shown.fit.nats else other
 
 
-def _simulate(
-    task: ModellingTask, comparison: ModelComparison, shown: _Shown
+def seen_in_whole(
+    task: ModellingTask, comparison: ModelComparison, shown: Shown
 ) -> tuple[ModellingTask, ModelComparison, TrajectoryFit]:
     """Return the equations as they are shown along whole trajectories, if they were fitted to pieces and can be."""
     whole = in_whole(task)
@@ -249,7 +253,7 @@ def _simulate(
     return task, comparison, shown.fit.fit
 
 
-def _show(comparison: ModelComparison, near: FittedModel, programs: tuple[Program, ...]) -> _Shown | None:
+def _show(comparison: ModelComparison, near: FittedModel, programs: tuple[Program, ...]) -> Shown | None:
     """Return equations of these structures as they are shown, fitted beside another model; None if they cannot be."""
     explicit, free = _freed(comparison, near, programs)
     fitted = comparison.fit_beside(near, programs)
@@ -269,10 +273,10 @@ def _show(comparison: ModelComparison, near: FittedModel, programs: tuple[Progra
         return frozenset(number for number, its in enumerate(written) if not its.is_within)
 
     found = _rounded(comparison, fitted, outside)
-    return None if found is None else _Shown(*found, explicit, free)
+    return None if found is None else Shown(*found, explicit, free)
 
 
-def _without_refuted(task: ModellingTask, comparison: ModelComparison, shown: _Shown) -> tuple[Program, ...] | None:
+def _without_refuted(task: ModellingTask, comparison: ModelComparison, shown: Shown) -> tuple[Program, ...] | None:
     """Return the programs with those factors of one written out that the data refute; None where there are none."""
     programs = shown.rounded.programs
     known = describe_constants(comparison, shown.explicit, programs, estimate_errors(comparison, shown.free))
@@ -322,9 +326,15 @@ def _with_digits(
     return None if fit is None else (rounded, comparison.measure(fit))
 
 
-def _shortest(task: ModellingTask, comparison: ModelComparison, equation: int, program: Program) -> Program:
-    """Return the shortest writing of a program, unless it is given or would be larger than is allowed."""
-    made = program if equation in comparison.fixed else shortest_over(program, task.dataset.inputs)
+def shortest_writing(task: ModellingTask, comparison: ModelComparison, equation: int, program: Program) -> Program:
+    """Return the shortest writing of a program, unless it is given or would be larger than is allowed.
+
+    Where constants have bounds, the shortest one in which each of them stands by itself.
+    """
+    if equation in comparison.fixed:
+        return program
+    bounds = comparison.restrictions(equation).bounds
+    made = shortest_over(program, task.dataset.inputs) if bounds is None else bounds.written(program) or program
     return made if task.may_be_shown(made) else program
 
 
@@ -333,7 +343,9 @@ def _freed(
 ) -> tuple[tuple[ExplicitCoefficients, ...], FittedModel | None]:
     """Fit what is shown with all its constants free, factors of one that are not written among them if that can be."""
     explicit = tuple(
-        as_written(program) if equation in comparison.fixed else make_coefficients_explicit(program)
+        as_written(program)
+        if equation in comparison.fixed or comparison.restrictions(equation).bounds is not None
+        else make_coefficients_explicit(program)
         for equation, program in enumerate(shown)
     )
     free = comparison.fit_beside(best, [each.program for each in explicit])
@@ -342,7 +354,7 @@ def _freed(
     return tuple(map(as_written, shown)), comparison.fit_beside(best, shown)
 
 
-def _unseen(task: ModellingTask) -> ModelComparison | None:
+def unseen_comparison(task: ModellingTask) -> ModelComparison | None:
     """Return a comparison over the held-out trajectories; None when there are none."""
     if not any(each.held_out for each in task.recording.trajectories):
         return None
@@ -350,8 +362,8 @@ def _unseen(task: ModellingTask) -> ModelComparison | None:
 
 
 def _held_out(
-    final: _Final, unseen: ModelComparison, programs: Sequence[Program], errors: Errors | None = None
-) -> _HeldOut:
+    final: Final, unseen: ModelComparison, programs: Sequence[Program], errors: Errors | None = None
+) -> HeldOut:
     """Simulate the held-out trajectories from initial states that are fitted to them.
 
     With the `errors` of the constants there are bands; these programs are the ones shown, then.
@@ -359,17 +371,15 @@ def _held_out(
     measurements = unseen.estimator.measurements
     fit = fit_starts(unseen, programs)
     if fit is None:
-        return _HeldOut(
-            tuple(not_simulated(measurements, held_out=True)), tuple(-np.inf for _ in measurements.observed)
-        )
+        return HeldOut(tuple(not_simulated(measurements, held_out=True)), tuple(-np.inf for _ in measurements.observed))
     spread = None if errors is None else _carried_bands(final, unseen, fit, errors)
-    return _HeldOut(
+    return HeldOut(
         tuple(simulated(measurements, fit, spread, final.task.variables, held_out=True)),
         tuple(r2_of(measurements, fit, slice(None))),
     )
 
 
-def _carried_bands(final: _Final, unseen: ModelComparison, fit: TrajectoryFit, errors: Errors) -> FloatArray | None:
+def _carried_bands(final: Final, unseen: ModelComparison, fit: TrajectoryFit, errors: Errors) -> FloatArray | None:
     """Return the standard errors (O, N) of held-out trajectories as simulated; None when they cannot be told."""
     system = unseen.system([each.program for each in final.explicit])
     free = final.free.fit
@@ -377,7 +387,7 @@ def _carried_bands(final: _Final, unseen: ModelComparison, fit: TrajectoryFit, e
     return None if near is None else bands(unseen.estimator.measurements, near, *scaled_covariance(free, errors))
 
 
-def _chaos(final: _Final) -> Chaos | None:
+def _chaos(final: Final) -> Chaos | None:
     """Return what is known of a model whose initial states are of no use for a whole trajectory, else None."""
     fit, comparison = final.free.fit, final.comparison
     if predictable_rows(fit, comparison) >= longest(final.task):
@@ -385,7 +395,7 @@ def _chaos(final: _Final) -> Chaos | None:
     return look_for_chaos(final.seen_fit, growth_rate(fit), final.seen.estimator.tolerance)
 
 
-def _predictions(final: _Final, errors: Errors, *, is_near: bool) -> list[Prediction] | None:
+def _predictions(final: Final, errors: Errors, *, is_near: bool) -> list[Prediction] | None:
     """Return how far each state can be foretold from other initial states, see `foretell`."""
     ranking = final.ranking
     least = ranking.selection.model.nats
@@ -399,14 +409,15 @@ def _predictions(final: _Final, errors: Errors, *, is_near: bool) -> list[Predic
     return foretell(seen.measurements, final.seen_fit.system, rivals, seen.tolerance, is_near=is_near)
 
 
-def _refined(
-    final: _Final, index: int, known: Known, held_out_r2: float | None, prediction: Prediction | None,
+def refined_equation(
+    final: Final, index: int, known: Known, held_out_r2: float | None, prediction: Prediction | None,
     chaos: Chaos | None,
 ) -> Refined:  # fmt: skip
     task = final.task
     name, program = task.variables[index], final.shown[index]
     problem = task.dataset.problem(name)
-    error, mse = errors_on(problem, program, task.config.evolution.loss)
+    programs = [its[index] for its in final.by_group] or [program]
+    error, mse = grouped_errors_on(problem, programs, task.config.evolution.loss)
     alternatives = _reported_alternatives(final, index, held_out_r2)
     nearest = _no_elaborations(final.ranking.selection.model.programs[index], alternatives)
     variance = problem.target.standard_deviation**2
@@ -419,7 +430,7 @@ def _refined(
         convergence_threshold=problem.target.convergence_threshold(),
         target_r2=1.0 - mse / variance if variance else None,
         residuals=_residuals(measurements, final.seen_fit, index),
-        parameters=(len(final.free.fit.system.places) + final.seen_fit.starts.size) / len(measurements.observed),
+        parameters=(final.free.fit.system.count + final.seen_fit.starts.size) / len(measurements.observed),
         noise=0.0 if smoothing.method == "interpolation" and smoothing.quantisation is None else noise,
         standard_deviation=_standard_deviation(measurements, index),
         reference=_reference_smoother(smoothing, noise),
@@ -480,13 +491,13 @@ def _standard_deviation(measurements: Measurements, index: int) -> float:
     return max(float(values.std()), 1e-300) if len(values) else 1e-300
 
 
-def _prediction_r2(final: _Final, out: _HeldOut | None, index: int) -> float | None:
+def _prediction_r2(final: Final, out: HeldOut | None, index: int) -> float | None:
     """Return R2 of a state along trajectories that were held out, or else left out one at a time, if any were."""
     its = out if out is not None else final.ranking.validated
     return None if its is None else its.r2[index]
 
 
-def _reported_alternatives(final: _Final, index: int, held_out_r2: float | None) -> tuple[Alternative, ...]:
+def _reported_alternatives(final: Final, index: int, held_out_r2: float | None) -> tuple[Alternative, ...]:
     """Return the equation that is shown and what came closest to it, all other equations as they are."""
     ranking = final.ranking
     comparison, best = ranking.selection.comparison, ranking.selection.model
@@ -498,7 +509,7 @@ def _reported_alternatives(final: _Final, index: int, held_out_r2: float | None)
         program, nats = alternative.model.programs[index], alternative.model.nats - best.nats
         r2 = r2_of(comparison.estimator.measurements, alternative.model.fit, slice(None))[index]
         held_out_r2 = None if alternative.validated is None else alternative.validated.r2[index]
-        if nats <= SETTINGS.inference.distinct_nats and final.unseen is not None:
+        if nats <= SETTINGS.inference.distinct_nats and final.unseen is not None and not final.by_group:
             held_out_r2 = _held_out(final, final.unseen, alternative.model.programs).r2[index]
         is_crossed = alternative.validated is not None
         found.append(Alternative(program, nats, r2, held_out_r2, False, is_crossed, final.origin(index, program)))

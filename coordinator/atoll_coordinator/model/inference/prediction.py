@@ -213,7 +213,7 @@ def draws(system: System, covariance: FloatArray, group: int) -> Iterator[Rival]
         group: of the rivals.
     """
     count = SETTINGS.effort.beam
-    if not len(system.places):
+    if not system.count:
         return
     values, vectors = np.linalg.eigh(covariance)
     scales = vectors * np.sqrt(np.maximum(values, 0.0))

@@ -122,7 +122,7 @@ def bands(measurements: Measurements, fit: TrajectoryFit, spread: FloatArray, sc
         spread: S, the covariance (P, P) of the constants.
         scale: what variances that follow from normal equations are multiplied by.
     """
-    fitted = len(fit.system.places)
+    fitted = fit.system.count
     found = np.zeros((len(measurements.observed), measurements.rows))
     sensitivities = fit.integrated_sensitivities()
     for group, (first, end) in enumerate(fit.segments.tolist()):

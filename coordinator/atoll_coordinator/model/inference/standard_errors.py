@@ -3,8 +3,9 @@
 Letters: P fitted constants.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -17,6 +18,7 @@ from atoll_coordinator.model.regression.covariance import Known, describe, stude
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
+from atoll_coordinator.model.structure.one_sided import one_sided_reaches, within_bounds
 
 _HIGH_CORRELATION: Final = 0.95
 """Correlations of at least this size between two constants are reported."""
@@ -28,7 +30,8 @@ class Errors:
 
     `values` (P,) have the joint `covariance` (P, P), which is that of the normal equations times `scale`, rows over
     those left to judge by, and at least that of `widening` (P,) times as large standard errors. Student's t has so many
-    degrees of `freedom`.
+    degrees of `freedom`. `lower` and `upper` (P,) are bounds, None without any; constants on one have a one-sided
+    interval that `reaches` so far from it.
     """
 
     values: FloatArray
@@ -36,6 +39,9 @@ class Errors:
     freedom: float
     scale: float
     widening: FloatArray
+    lower: FloatArray | None = None
+    upper: FloatArray | None = None
+    reaches: Mapping[int, float] = field(default_factory=dict)
 
 
 def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
@@ -47,14 +53,18 @@ def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
     """
     fit = model.fit
     counts = float(comparison.counts.sum())
-    fitted = len(fit.system.places) + fit.starts.size
+    fitted = fit.system.count + fit.starts.size
     left = max(counts - fitted, 1.0)
     certain = float(comparison.counts @ fit.errors.freedom) / counts
     found, scale = covariance(fit), counts / left
     widening = _widening(comparison, model, np.diag(found))
     return Errors(
-        fit.system.values, found * scale * np.outer(widening, widening), max(left * certain, 1.0), scale, widening
-    )
+        fit.system.values, found * scale * np.outer(widening, widening), max(left * certain, 1.0), scale, widening,
+        fit.system.lower, fit.system.upper,
+        one_sided_reaches(
+            fit.reduced / scale, None if fit.gradient is None else fit.gradient / scale, fit.system.on_bounds
+        ),
+    )  # fmt: skip
 
 
 def _widening(comparison: ModelComparison, model: FittedModel, variances: FloatArray) -> FloatArray:
@@ -92,9 +102,22 @@ def describe_constants(
             found.append(Known(tuple(map(Constant, values)), ()))
             continue
         count = len(each.origins)
-        found.append(describe(each, program, fitted[:count], spreads[:count], quantile))
+        known = describe(each, program, fitted[:count], spreads[:count], quantile)
+        found.append(_bounded(known, each, errors, len(errors.values) - len(fitted)))
         fitted, spreads = fitted[count:], spreads[count:]
     return found
+
+
+def _bounded(known: Known, explicit: ExplicitCoefficients, errors: Errors, first: int) -> Known:
+    """Return the constants of an equation, whose first number is `first`, with intervals within their bounds."""
+    if errors.lower is None or errors.upper is None:
+        return known
+    written = list(known.written)
+    for number, origin in enumerate(explicit.origins, start=first):
+        lower, upper = float(errors.lower[number]), float(errors.upper[number])
+        if origin is not None and (math.isfinite(lower) or math.isfinite(upper)):
+            written[origin] = within_bounds(written[origin], lower, upper, errors.reaches.get(number))
+    return Known(tuple(written), known.unit_coefficients)
 
 
 def find_correlations(

@@ -236,6 +236,9 @@ def _objections_to_model(evidence: Evidence) -> Iterator[str]:
             else f"{-evidence.alternative:.2g} nats shorter"
         )
         yield f"another equation describes the data about as well ({nats})"
+    bound = next((constant for constant in evidence.constants if constant.is_at_bound), None)
+    if bound is not None:
+        yield f"the data would have the constant {bound.value:.3g} beyond its bound"
     loose = sum(not constant.identifiable for constant in evidence.constants)
     if loose:
         many = (

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places
@@ -22,6 +23,7 @@ from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.refinement import Constant, SimpleNumber, UnitCoefficient
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.simple_numbers import fitted_length
+from atoll_coordinator.model.structure.one_sided import one_sided_reaches, within_bounds
 
 _RIDGE: Final = 1e-14
 _FLAT: Final = 1e-100
@@ -88,18 +90,56 @@ def estimate_constants(
         has_intervals: whether the errors are independent, so that there are 95 % intervals (Student's t with n - K
             degrees of freedom) and constants that the data do not determine can be told.
     """
-    explicit = make_coefficients_explicit(program)
+    bounds = least_squares.restrictions.bounds
+    explicit = make_coefficients_explicit(program) if bounds is None else as_written(program)
     fitted = least_squares.fit(explicit.program)
     if not math.isfinite(fitted.mse):
         explicit = as_written(program)
         fitted = least_squares.fit(program)
     values = fitted.program.constants[constant_places(fitted.program)].tolist()
     freedom = criterion.rows - len(values)
+    ranges = None if bounds is None else bounds.ranges(fitted.program)
+    whole = fitted
+    if ranges is not None:
+        fitted = _with_held(fitted, _on_bounds(values, ranges))
     errors = [math.inf] * len(values)
     if freedom > 0 and math.isfinite(fitted.mse):
         unbiased = Fitted(fitted.program, fitted.mse * criterion.rows / freedom, fitted.normal)
         errors = standard_errors(unbiased, criterion)
-    return describe(explicit, program, values, errors, student_95(freedom) if has_intervals else None)
+    known = describe(explicit, program, values, errors, student_95(freedom) if has_intervals else None)
+    return known if ranges is None else _bounded(known, whole, ranges, criterion, freedom)
+
+
+def _on_bounds(values: Sequence[float], ranges: tuple[FloatArray, FloatArray]) -> npt.NDArray[np.bool_]:
+    """Return which of the constants (K,) lie on a bound."""
+    return np.asarray((np.asarray(values) <= ranges[0]) | (np.asarray(values) >= ranges[1]))
+
+
+def _with_held(fitted: Fitted, held: npt.NDArray[np.bool_]) -> Fitted:
+    """Return a fit whose normal equations say nothing of the others where some constants are held."""
+    normal = fitted.normal.copy()
+    diagonal = np.diag(normal).copy()
+    normal[held, :] = normal[:, held] = 0.0
+    np.fill_diagonal(normal, diagonal)
+    return replace(fitted, normal=normal)
+
+
+def _bounded(
+    known: Known, fitted: Fitted, ranges: tuple[FloatArray, FloatArray], criterion: RegressionCriterion, freedom: int
+) -> Known:
+    """Return the constants with intervals within their bounds; those on a bound are as good as given for the others."""
+    lower, upper = ranges
+    values = fitted.program.constants[constant_places(fitted.program)]
+    variance = criterion.variance(fitted.mse * criterion.rows / max(freedom, 1))
+    likelier = None if fitted.gradient is None else -fitted.gradient / variance
+    reaches = one_sided_reaches(fitted.normal / variance, likelier, _on_bounds(values.tolist(), ranges))
+    written = [
+        within_bounds(each, float(low), float(high), reaches.get(number))
+        if math.isfinite(low) or math.isfinite(high)
+        else each
+        for number, (each, low, high) in enumerate(zip(known.written, lower, upper, strict=True))
+    ]
+    return Known(tuple(written), known.unit_coefficients)
 
 
 def student_95(freedom: float) -> float:

@@ -15,6 +15,7 @@ from atoll.config import JobConfig
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.operators import BY_NAME
 from atoll.expression.program import Program, constant_places, structure, with_constants
+from atoll.expression.restrictions import restrictions_of
 from atoll.expression.unit_coefficients import make_coefficients_explicit, write_factors
 from atoll.expression.writing.agreement import shortest_over
 from atoll.expression.writing.shortest import shortest
@@ -50,20 +51,18 @@ def fit_equation(
     variable = problem.target.variable
     operators = frozenset(BY_NAME[name].code for name in config.space.operators_for(variable))
     allowed = config.space.columns_for(variable, problem.names)
-    shortening = Shortening(
-        _spread(problem, SETTINGS.rows.most),
-        operators,
-        allowed,
-        _spread_weights(weights, SETTINGS.rows.most),
-        deadline,
-    )
+    restrictions = restrictions_of(config, variable, problem.names)
+    spread = _spread(problem, SETTINGS.rows.most)
+    least_squares = LeastSquares(spread, _spread_weights(weights, SETTINGS.rows.most), restrictions)
+    shortening = Shortening(spread, operators, allowed, least_squares, deadline)
     candidates = shortening.candidates([front[index].program for index in kept], looks_around=not has_converged)
     for candidate in candidates:
         member = kept[candidate.member]
         refined = _finished(problem, candidate, member, config, weights, has_intervals=has_intervals)
         is_member = structure(shortest(front[member].program)) == structure(shortest(candidate.fitted.program))
         refined = replace(refined, origin="front" if is_member else "descent")
-        if refined.error <= limit and may_be_shown(refined.program, config.space.max_size):
+        is_admitted = restrictions.are_kept(refined.program)
+        if refined.error <= limit and is_admitted and may_be_shown(refined.program, config.space.max_size):
             return _as_found(refined, front)
     return None
 
@@ -74,10 +73,12 @@ def _finished(
 ) -> Refined:  # fmt: skip
     """Decide the constants on more rows where there are more; measure errors and standard errors."""
     program = candidate.model.program
-    criterion, least_squares = RegressionCriterion.of(problem.target), LeastSquares(problem, weights)
+    restrictions = restrictions_of(config, problem.target.variable, problem.names)
+    bounds, criterion = restrictions.bounds, RegressionCriterion.of(problem.target)
+    least_squares = LeastSquares(problem, weights, restrictions)
     if len(problem.target.values) > SETTINGS.rows.most:
         program = round_constants(least_squares.fit(candidate.fitted.program), criterion, least_squares).program
-    short = shortest_over(program, problem.inputs)
+    short = shortest_over(program, problem.inputs) if bounds is None else bounds.written(program) or program
     if may_be_shown(short, config.space.max_size):
         program = short
     refuted = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals).refuted_factors
@@ -101,7 +102,9 @@ def _with_estimates(
         return program, (None,) * len(places)
     many = range(len(places)) if len(places) > SETTINGS.effort.beam else ()
     rounding = round_estimates(fitted.program.constants[places], covariance_of(fitted, criterion), estimates=many)
-    return with_constants(program, dict(zip(places, rounding.values.tolist(), strict=True))), rounding.simple
+    made = with_constants(program, dict(zip(places, rounding.values.tolist(), strict=True)))
+    bounds = least_squares.restrictions.bounds
+    return made if bounds is None else bounds.clipped(made), rounding.simple
 
 
 def _as_found(refined: Refined, front: Sequence[Member]) -> Refined:

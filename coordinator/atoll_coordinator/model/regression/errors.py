@@ -1,6 +1,7 @@
 """Errors of a program on the rows of a problem. Pure."""
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -27,3 +28,15 @@ def errors_on(problem: Problem, program: Program, loss: Loss) -> tuple[float, fl
     if not math.isfinite(mse):
         return math.inf, math.inf
     return (total / rows if loss == "mae" else math.sqrt(mse)), mse
+
+
+def grouped_errors_on(problem: Problem, programs: Sequence[Program], loss: Loss) -> tuple[float, float]:
+    """Return the same of an equation with a program for each group of rows, or one for all."""
+    if len(programs) == 1:
+        return errors_on(problem, programs[0], loss)
+    parts = [problem.of_group(group) for group in range(len(programs))]
+    found = [errors_on(part, program, loss) for part, program in zip(parts, programs, strict=True)]
+    shares = [len(part.target.values) / len(problem.target.values) for part in parts]
+    mse = sum(share * each for share, (_, each) in zip(shares, found, strict=True))
+    error = sum(share * each for share, (each, _) in zip(shares, found, strict=True))
+    return (error if loss == "mae" else math.sqrt(mse)), mse

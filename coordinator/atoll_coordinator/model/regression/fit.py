@@ -14,6 +14,7 @@ import numpy as np
 from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.evaluation import values_and_gradient, values_of
 from atoll.expression.program import Program, constant_places
+from atoll.expression.restrictions import NONE, Restrictions
 from atoll_coordinator.model.damping import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING
 from atoll_coordinator.settings import SETTINGS
 
@@ -26,19 +27,22 @@ class Fitted:
     """A program with its constants fitted.
 
     `mse` is the mean squared error on all rows, infinite where the program has no finite value on one of them;
-    `normal` (K, K) is the matrix of the normal equations at the constants that were fitted, in node order.
+    `normal` (K, K) is the matrix of the normal equations at the constants that were fitted, in node order, and
+    `gradient` (K,) the slope of half the sum of squares there.
     """
 
     program: Program
     mse: float
     normal: FloatArray
+    gradient: FloatArray | None = None
 
 
 class LeastSquares:
     """Fits programs to the rows of one problem; `evaluations` counts the point evaluations, overhead included."""
 
-    def __init__(self, problem: Problem, weights: FloatArray | None = None) -> None:
-        """`weights` (R,) of the rows, 1 on average; None: all alike."""
+    def __init__(self, problem: Problem, weights: FloatArray | None = None, restrictions: Restrictions = NONE) -> None:
+        """`weights` (R,) of the rows, 1 on average; None: all alike. Programs keep to the `restrictions`."""
+        self.restrictions: Final = restrictions
         self._inputs = problem.inputs
         self._target = problem.target.values
         self._roots = None if weights is None else np.sqrt(weights)
@@ -60,7 +64,9 @@ class LeastSquares:
         enough: float = 0.0,
         steps: int = SETTINGS.effort.steps,
     ) -> Fitted:
-        """Return `program` with its constants fitted.
+        """Return `program` with its constants fitted, laid out for their bounds if there are any.
+
+        One that the restrictions do not admit has an infinite error.
 
         Args:
             program: where the fit begins.
@@ -68,14 +74,20 @@ class LeastSquares:
             enough: a mean squared error; a fit that is not going to come near it is given up early.
             steps: most steps, successful or not.
         """
+        admitted = self.restrictions.admitted(program)
+        if admitted is None or (fixed and admitted is not program):
+            return Fitted(program, math.inf, np.zeros((0, 0)))
+        program = admitted if self.restrictions.bounds is None else self.restrictions.bounds.clipped(admitted)
         places = [place for place in constant_places(program) if place not in fixed]
+        lower, upper = self._ranges(program, places)
         mse, gradient, normal = self._equations(program, places, np.inf)
         if not places or not math.isfinite(mse):
-            return Fitted(program, mse, normal)
+            return Fitted(program, mse, normal, gradient)
         damping = FIRST_DAMPING
         for step in range(steps):
             constants = program.constants.copy()
-            constants[places] += _solved(normal, gradient, damping)
+            moves = _solved(*_free(normal, gradient, constants[places], lower, upper), damping)
+            constants[places] = np.clip(constants[places] + moves, lower, upper)
             moved = replace(program, constants=constants)
             new_mse, new_gradient, new_normal = self._equations(moved, places, mse)
             if not new_mse <= mse:
@@ -89,7 +101,16 @@ class LeastSquares:
             damping = max(0.1 * damping, LEAST_DAMPING)
             if is_settled or is_hopeless:
                 break
-        return Fitted(program, mse, normal)
+        return Fitted(program, mse, normal, gradient)
+
+    def _ranges(self, program: Program, places: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Return the least and largest values (K,) of the constants at these nodes."""
+        bounds = self.restrictions.bounds
+        found = None if bounds is None else bounds.ranges(program)
+        if found is None:
+            return np.full(len(places), -np.inf), np.full(len(places), np.inf)
+        chosen = [place in places for place in constant_places(program)]
+        return found[0][chosen], found[1][chosen]
 
     def _equations(self, program: Program, places: list[int], limit: float) -> tuple[float, FloatArray, FloatArray]:
         """Return mean squared error, gradient (K,) and normal matrix (K, K); the latter two empty beyond `limit`."""
@@ -117,6 +138,19 @@ def _mse(errors: FloatArray) -> float:
 def _projected(before: float, after: float, steps: int) -> float:
     """Return the mean squared error after as many `steps` as good as the last one."""
     return float(after * (after / before) ** steps) if before > 0.0 else 0.0
+
+
+def _free(
+    normal: FloatArray, gradient: FloatArray, values: FloatArray, lower: FloatArray, upper: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the normal equations in which constants on their bounds do not move beyond them."""
+    held = ((values <= lower) & (gradient >= 0.0)) | ((values >= upper) & (gradient <= 0.0))
+    if not held.any():
+        return normal, gradient
+    normal, gradient = normal.copy(), gradient.copy()
+    normal[held, :] = normal[:, held] = gradient[held] = 0.0
+    normal[held, held] = 1.0
+    return normal, gradient
 
 
 def _solved(normal: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:

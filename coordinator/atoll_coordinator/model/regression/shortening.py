@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.data.dataset import FloatArray, Problem
+from atoll.data.dataset import Problem
 from atoll.expression.program import Program, structure
 from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.model.criteria import RegressionCriterion, program_length
@@ -53,19 +53,19 @@ class Shortening:
         problem: Problem,
         operators: Collection[int],
         variables: Collection[int] | None = None,
-        weights: FloatArray | None = None,
+        least_squares: LeastSquares | None = None,
         deadline: Deadline | None = None,
         *,
         has_simple_numbers: bool = True,
     ) -> None:
         """`operators` (codes) and `variables` (indices, all unless given) are what new programs may bring in.
 
-        `weights` (R,) of the rows are 1 on average; None: all alike. Without `has_simple_numbers`, constants stay as
+        `least_squares` fits to the rows of `problem`; None: all alike. Without `has_simple_numbers`, constants stay as
         they are fitted.
         """
         self._has_simple_numbers = has_simple_numbers
         self.criterion: Final = RegressionCriterion.of(problem.target)
-        self.least_squares: Final = LeastSquares(problem, weights)
+        self.least_squares: Final = least_squares or LeastSquares(problem)
         self._variables = range(len(problem.names)) if variables is None else variables
         self._operators = operators
         self._deadline = deadline or Deadline()

@@ -177,6 +177,8 @@ def _equation_text(equation: Mapping[str, Any], names: Sequence[str], with_table
     if with_tables or constants:
         lines += _written_out(equation, names)
     lines += [f"    {constants}"] if constants else []
+    groups = [{**each, "text": display(each["expression"], names)} for each in equation.get("groups") or ()]
+    lines += tables.groups_table(equation["constants"], groups)
     if equation.get("verdict") is not None:
         lines.append(f"    {equation['verdict']}: {equation['reason']}")
     lines.append(f"    {_standing(equation)}")

@@ -18,6 +18,7 @@ from atoll.config import JobConfig, Loss
 from atoll.data.dataset import Dataset, Problem, Target
 from atoll.expression.operators import CONSTANT
 from atoll.expression.program import Program, structure
+from atoll.expression.restrictions import restrictions_of
 from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
 from atoll.expression.writing.agreement import shortest_over
 from atoll.search.pareto import FrontEntry
@@ -37,6 +38,7 @@ from atoll_coordinator.model.report.trust import (
     chaos,
     correlations,
     covariance,
+    groups,
     prediction,
     simulation,
     verdict,
@@ -120,6 +122,7 @@ def build_result(
         "smoothing": smoothing(preparation.recording),
         "correlations": correlations(model.correlations),
         "covariance": covariance(model.covariance),
+        "groups": groups(preparation.recording, model.by_group),
         "simulation": simulation(model.simulation, preparation),
         "chaos": chaos(model.chaos),
         "process": process(model.process, preparation.process),
@@ -176,6 +179,7 @@ def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, s
             is_known=outcome.why == KNOWN,
         ),
         **_course(None if member is None else outcome.front[member], outcome, config),
+        "bounds": _bounds(shown, dataset, config, target.variable),
         "derivative_floor": finite(target.uncertainty),
         "target_error": target.convergence_threshold(config.budget.target_error),
         "prediction": prediction(None if shown is None else shown.prediction),
@@ -256,7 +260,7 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
     """Return what is said of the equation; all null when there is none."""
     if shown is None:
         unknown = dict.fromkeys(("expression", "program", "origin", "complexity", "error", "normalized_error", "r2"))
-        return {**unknown, "converged": False, "constants": [], "implied": []}
+        return {**unknown, "converged": False, "constants": [], "groups": [], "implied": []}
     normalized = shown.error / target.standard_deviation if target.standard_deviation else math.inf
     return {
         "expression": to_infix(shown.program, dataset.names),
@@ -267,7 +271,8 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
         "normalized_error": finite(normalized),
         "r2": _r2(shown.mse, target),
         "converged": normalized <= target.convergence_threshold(config.budget.target_error),
-        "constants": _constants(shown.program, shown.constants),
+        "constants": _constants(shown.program, shown.constants, shown.shared),
+        "groups": _groups(shown, dataset),
         "implied": [
             {"of": to_infix(each.of, dataset.names), **_constant(each.constant)} for each in shown.unit_coefficients
         ],
@@ -321,11 +326,28 @@ def _unseen_error(program: Program, unseen: Problem | None, loss: Loss) -> float
     return finite(errors_on(unseen, program, loss)[0]) if unseen is not None else None
 
 
-def _constants(program: Program, known: Sequence[Constant] = ()) -> list[dict[str, Any]]:
-    """Return the constants in node order; `known` is what refinement knows of them, if there was any."""
+def _constants(program: Program, known: Sequence[Constant] = (), shared: Sequence[bool] = ()) -> list[dict[str, Any]]:
+    """Return the constants in node order; `known` is what refinement knows of them, if there was any.
+
+    `shared` tells which of them all groups of trajectories have in common, where there are groups.
+    """
     values = program.constants[program.operators == np.int8(CONSTANT)].tolist()
     pairs = zip(values, known or map(Constant, values), strict=True)
-    return [_constant(replace(each, value=value)) for value, each in pairs]
+    found = [_constant(replace(each, value=value)) for value, each in pairs]
+    return [{**each, "shared": shared[place] if shared else None} for place, each in enumerate(found)]
+
+
+def _groups(shown: Refined, dataset: Dataset) -> list[dict[str, Any]]:
+    """Return the equation of each group of trajectories, where these may differ in constants."""
+    return [
+        {
+            "group": its.group,
+            "expression": to_infix(its.program, dataset.names),
+            "program": its.program.to_bytes().hex(),
+            "constants": _constants(its.program, its.constants, shown.shared),
+        }
+        for its in shown.by_group
+    ]
 
 
 def _constant(its: Constant) -> dict[str, Any]:
@@ -336,7 +358,20 @@ def _constant(its: Constant) -> dict[str, Any]:
         "interval": [finite(bound) for bound in its.interval] if its.interval is not None else None,
         "identifiable": its.identifiable,
         "simple": None if its.simple is None else _simple(its.simple),
+        "bounds": None if its.bounds is None else [finite(bound) for bound in its.bounds],
+        "at_bound": its.is_at_bound,
     }
+
+
+def _bounds(shown: Refined | None, dataset: Dataset, config: JobConfig, variable: str) -> list[dict[str, Any]]:
+    """Return the bounds that the user has set, with the numbers of the equation that each is about."""
+    bounds = restrictions_of(config, variable, dataset.names).bounds
+    if shown is None or bounds is None:
+        return []
+    return [
+        {"bound": its.bound.text, "values": [finite(value) for value in its.values], "active": its.is_active}
+        for its in bounds.governed(shown.program)
+    ]
 
 
 def _simple(its: SimpleNumber) -> dict[str, float | None]:

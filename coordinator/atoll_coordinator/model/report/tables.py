@@ -61,7 +61,7 @@ def plus_minus(value: float, error: float) -> str:
 
 def _has_errors(constant: Mapping[str, Any]) -> bool:
     """Tell whether the error of a constant is known; where it is infinite, it is null, and nothing is determined."""
-    return constant["std_error"] is not None or not _is_told(constant)
+    return constant["std_error"] is not None or not _is_told(constant) or bool(constant.get("at_bound"))
 
 
 def _is_told(constant: Mapping[str, Any]) -> bool:
@@ -71,9 +71,14 @@ def _is_told(constant: Mapping[str, Any]) -> bool:
 def constants_line(constants: Sequence[Mapping[str, Any]]) -> str | None:
     """Return all constants with their standard errors in a line; None when these are not known, or are rounding."""
     known = [each for each in constants if _has_errors(each)]
-    if all((each["std_error"] or 0.0) <= _EXACT_SHARE * abs(each["value"]) and _is_told(each) for each in known):
+    if all(_is_exact(each) for each in known):
         return None
     return "constants: " + ", ".join(_constant_text(each) for each in known)
+
+
+def _is_exact(constant: Mapping[str, Any]) -> bool:
+    is_small = (constant["std_error"] or 0.0) <= _EXACT_SHARE * abs(constant["value"])
+    return is_small and _is_told(constant) and not constant.get("at_bound")
 
 
 def _constant_text(constant: Mapping[str, Any]) -> str:
@@ -81,8 +86,10 @@ def _constant_text(constant: Mapping[str, Any]) -> str:
     text = plus_minus(fitted, constant["std_error"] or 0.0)
     shown = f"{constant['value']:.6g}"
     remark = "" if _is_told(constant) else "not determined"
+    if constant.get("at_bound"):
+        return f"{shown} (at its bound, {_interval(constant.get('interval'))})"
     if constant["std_error"] is None:
-        return f"{shown} ({remark})"
+        return f"{shown} ({remark})" if remark else shown
     if text.startswith(f"{shown} "):
         return f"{text} ({remark})" if remark else text
     return f"{shown} ({', '.join([text, remark] if remark else [text])})"
@@ -103,6 +110,19 @@ def constants_table(constants: Sequence[Mapping[str, Any]]) -> list[str]:
         for each in known
     ]
     return columns(heads, rows, "    ") if rows else []
+
+
+def groups_table(constants: Sequence[Mapping[str, Any]], groups: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a line for each group of trajectories with the constants of its own; nothing where all share them.
+
+    Constants are named by their places in the equation, from c1.
+    """
+    own = [place for place, each in enumerate(constants) if each.get("shared") is False]
+    if not groups or not own:
+        return []
+    heads = ("group", *(f"c{place + 1} = {constants[place]['value']:.6g}" for place in own), "")
+    rows = [(its["group"], *(_constant_text(its["constants"][place]) for place in own), its["text"]) for its in groups]
+    return columns(heads, rows, "    ")
 
 
 def _simple_text(constant: Mapping[str, Any]) -> str:

@@ -13,13 +13,14 @@ import numpy as np
 from atoll.data.dataset import Dataset, FloatArray, Target
 from atoll.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
 from atoll.wire.messages.views import FINAL_STATES, JobState
-from atoll_coordinator.data.recording import Preparation, Source
+from atoll_coordinator.data.recording import Preparation, Recording, Source
 from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import (
     Alternative,
     Chaos,
     Correlation,
     Covariance,
+    GroupCovariance,
     Prediction,
     Refined,
     Simulated,
@@ -134,6 +135,21 @@ def covariance(its: Covariance | None) -> dict[str, Any] | None:
         "matrix": [[finite(value) for value in row] for row in its.matrix.tolist()],
         "freedom": finite(its.freedom),
     }
+
+
+def groups(recording: Recording | None, known: Sequence[GroupCovariance]) -> list[dict[str, Any]]:
+    """Return the groups of trajectories that may differ in constants, with the covariance of those of each."""
+    if recording is None:
+        return []
+    found = {its.group: its.covariance for its in known}
+    return [
+        {
+            "group": name,
+            "trajectories": [each.name for each in recording.trajectories if each.group == name],
+            "covariance": covariance(found.get(name)),
+        }
+        for name in recording.groups
+    ]
 
 
 def simulation(its: Simulation | None, given: Preparation) -> dict[str, Any] | None:

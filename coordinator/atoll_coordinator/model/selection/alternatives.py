@@ -100,7 +100,7 @@ def _winner(
     for each in (alternative for its in alternatives for alternative in its):
         if each.validated is None or each.model.nats > model.nats + SETTINGS.inference.distinct_nats:
             continue
-        if len(each.model.fit.system.places) > len(model.fit.system.places):
+        if each.model.fit.system.count > model.fit.system.count:
             continue
         nats = validated_length(each.validated.misfit, each.model.programs)
         if nats < best:

@@ -105,11 +105,12 @@ def ranked(
         programs: candidates; of equal structures the first counts.
         libraries: terms that are left out one after another.
     """
-    least_squares = LeastSquares(problem)
+    least_squares = LeastSquares(problem, restrictions=comparison.restrictions(0))
     unique = {structure(program): program for program in reversed([shortest(each) for each in programs])}
     deadline = comparison.estimator.deadline
+    is_pooled = comparison.groups is None  # else constants are fitted group by group
     polished = [
-        least_squares.fit(program, steps=0 if deadline.is_over else SETTINGS.effort.steps)
+        least_squares.fit(program, steps=SETTINGS.effort.steps if is_pooled and not deadline.is_over else 0)
         for program in reversed(unique.values())
     ]
     started = [each.program for each in polished if np.isfinite(each.mse)]

@@ -6,15 +6,16 @@ misfit of simulated trajectories to the raw states hardly ever.
 
 import math
 from bisect import bisect_left, bisect_right, insort
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final, TypeVar
 
 import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, structure
+from atoll.expression.restrictions import NONE, Restrictions
 from atoll_coordinator.model.criteria import (
     TrajectoryMisfit,
     constant_nats_of,
@@ -22,6 +23,7 @@ from atoll_coordinator.model.criteria import (
     structure_length,
     system_length,
 )
+from atoll_coordinator.model.selection.groups import GroupedRows
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.independence import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
@@ -47,24 +49,36 @@ class FittedModel:
     nats: float
 
 
+@dataclass(frozen=True, eq=False)
+class Constraints:
+    """`restrictions` of equations by index; `groups` of trajectories that may have constants of their own."""
+
+    restrictions: Mapping[int, Restrictions] = field(default_factory=dict)
+    groups: GroupedRows | None = None
+
+
 class ModelComparison:
     """Fits and compares systems over the same measurements.
 
     `names` are the variables of the programs, `fixed` the equations (by index) whose constants are given; with order 2
     `leading` are the equations of the positions, which come before those that are sought and are not counted. `tried`
-    has the best model of each program that was ever fitted for an equation, by (equation, structure). Systems are
+    has the best model of each program that was ever fitted for an equation, by (equation, structure). What equations
+    must keep to is in `constraints`. Systems are
     fitted by the threads of `executor`, whose owner shuts it down; one after another without one.
     """
 
     def __init__(
         self, estimator: MultipleShooting, names: Sequence[str], fixed: Iterable[int] = (),
         leading: Sequence[Program] = (), executor: Executor | None = None,
+        constraints: Constraints | None = None,
     ) -> None:  # fmt: skip
         measurements = estimator.measurements
         self.estimator: Final = estimator
         self.names: Final = tuple(names)
         self.fixed: Final = frozenset(fixed)
         self.leading: Final = tuple(leading)
+        self._restrictions: Final = {} if constraints is None else constraints.restrictions
+        self.groups: Final = None if constraints is None else constraints.groups
         self.tried: Final[dict[tuple[int, bytes], FittedModel]] = {}
         self.counts: Final = measurements.weights.sum(axis=1)
         self.least_errors: Final = SETTINGS.shooting.exact * measurements.scales[measurements.observed]
@@ -73,7 +87,10 @@ class ModelComparison:
         )
         self._spread: Final = 1.0 + 2.0 * np.sqrt(ROUGHNESS_VARIANCE / np.maximum(self.counts, 4.0))
         self.misfit = self._misfit(measurements.noise)
-        self.constant_nats: Final = constant_nats_of(measurements.rows)
+        self._shared_nats: Final = constant_nats_of(measurements.rows)
+        count = 1 if self.groups is None else self.groups.count
+        self._own_nats: Final = constant_nats_of(measurements.rows / count)
+        self.constant_nats: Final = self._own_nats * count
         self._map: Final = map if executor is None else executor.map
 
     def fit_all(self, work: Callable[[Item], FittedModel | None], items: Iterable[Item]) -> list[FittedModel]:
@@ -99,15 +116,59 @@ class ModelComparison:
             found += self.fit_all(work, items[first : first + SETTINGS.effort.kept])
         return sorted(found, key=lambda model: model.nats)
 
-    def system(self, programs: Sequence[Program], fixed_nodes: Sequence[Iterable[int]] = ()) -> System:
-        """Return the system of `programs`; `fixed_nodes` are nodes of each whose constants stay as they are."""
+    def restrictions(self, equation: int) -> Restrictions:
+        """Return what an equation must keep to; a given one to nothing."""
+        return NONE if equation in self.fixed else self._restrictions.get(equation, NONE)
+
+    def admitted(self, programs: Sequence[Program]) -> list[Program] | None:
+        """Return `programs` as they may be fitted; None when one of them may not stand for its equation."""
+        if not self._restrictions:
+            return list(programs)
+        found = [self.restrictions(index).admitted(program) for index, program in enumerate(programs)]
+        return None if any(program is None for program in found) else [each for each in found if each is not None]
+
+    def system(
+        self, programs: Sequence[Program], fixed_nodes: Sequence[Iterable[int]] = (), near: System | None = None,
+        shared: Collection[tuple[int, int]] = (),
+    ) -> System:  # fmt: skip
+        """Return the system of `programs`.
+
+        Args:
+            programs: one for each equation.
+            fixed_nodes: nodes of each whose constants stay as they are.
+            near: where groups of trajectories have constants of their own, a system whose equations, if they are the
+                same, say which; for others constants are fitted to each group's rows.
+            shared: constants that all groups have in common all the same, by equation and node.
+        """
         fixed = [
             set(constant_places(program)) if index in self.fixed else set(fixed_nodes[index]) if fixed_nodes else set()
             for index, program in enumerate(programs)
         ]
         none: list[set[int]] = [set() for _ in self.leading]
         variables = self.estimator.measurements.variables
-        return system_of([*self.leading, *programs], self.names, variables, [*none, *fixed])
+        system = system_of([*self.leading, *programs], self.names, variables, [*none, *fixed])
+        lower, upper = self._ranges(programs, fixed)
+        if self.groups is not None:
+            system = self.groups.grouped(system, len(self.leading), fixed, near, shared)
+            lower, upper = self.groups.spread(system, lower), self.groups.spread(system, upper)
+        return replace(system, lower=lower, upper=upper)
+
+    def _ranges(
+        self, programs: Sequence[Program], fixed: Sequence[Collection[int]]
+    ) -> tuple[FloatArray | None, FloatArray | None]:
+        """Return bounds (P,) on the constants that are fitted, None without any."""
+        if all(self.restrictions(index).bounds is None for index in range(len(programs))):
+            return None, None
+        lower: list[float] = []
+        upper: list[float] = []
+        for index, (program, held) in enumerate(zip(programs, fixed, strict=True)):
+            bounds, places = self.restrictions(index).bounds, constant_places(program)
+            found = None if bounds is None else bounds.ranges(program)
+            its = found or (np.full(len(places), -np.inf), np.full(len(places), np.inf))
+            is_free = [place not in held for place in places]
+            lower += its[0][is_free].tolist()
+            upper += its[1][is_free].tolist()
+        return np.array(lower, dtype=np.float64), np.array(upper, dtype=np.float64)
 
     def fit_model(
         self,
@@ -115,16 +176,25 @@ class ModelComparison:
         steps: int = SETTINGS.effort.steps,
         lengths: Sequence[int | None] = (*SETTINGS.shooting.lengths[:2], None),
     ) -> FittedModel | None:
-        """Return the fitted system of `programs`, None when it cannot be simulated."""
-        fit = fit_in_stages(self.estimator, self.system(programs), lengths, steps)
+        """Return the fitted system of `programs`, None when it cannot be simulated or may not stand."""
+        admitted = self.admitted(programs)
+        if admitted is None:
+            return None
+        fit = fit_in_stages(self.estimator, self.system(admitted), lengths, steps)
         return None if fit is None else self.measure(fit)
 
     def fit_beside(
         self, near: FittedModel, programs: Sequence[Program], steps: int = SETTINGS.effort.steps,
-        fixed_nodes: Sequence[Iterable[int]] = (),
+        fixed_nodes: Sequence[Iterable[int]] = (), shared: Collection[tuple[int, int]] = (),
     ) -> FittedModel | None:  # fmt: skip
-        """Return the fitted `system` of `programs` and `fixed_nodes`, begun with the initial states of `near`."""
-        its, system = near.fit, self.system(programs, fixed_nodes)
+        """Return the fitted `system` of `programs` and the rest, begun with the initial states of `near`.
+
+        None when it cannot be simulated or may not stand.
+        """
+        admitted = self.admitted(programs)
+        if admitted is None:
+            return None
+        its, system = near.fit, self.system(admitted, fixed_nodes, near.fit.system, shared)
         fit = self.estimator.fit(system, None, steps, its.starts, its.errors, is_stiff=its.is_stiff)
         return None if fit is None else self.measure(fit)
 
@@ -183,8 +253,15 @@ class ModelComparison:
         """Return the model that a fit of one of this comparison's systems gives."""
         programs = fit.system.programs[len(self.leading) :]
         its = self.misfit.total(fit.squares) + self._drift(fit)
-        nats = system_length(its, programs, len(fit.system.places), self.constant_nats)
+        nats = system_length(its, programs, 1, self._constants_length(fit.system))
         return FittedModel(programs, fit, its, nats)
+
+    def _constants_length(self, system: System) -> float:
+        """Return the nats of all fitted numbers: those of one group are known from its rows alone."""
+        if system.grouping is None:
+            return self._shared_nats * system.count
+        own = system.grouping.own_numbers
+        return self._own_nats * own + self._shared_nats * (system.count - own)
 
     def _drift(self, fit: TrajectoryFit) -> float:
         """Return the misfit of states that rest at 0, n/2 ln(s / least^2): only integration may err there."""

@@ -36,8 +36,8 @@ class Validation:
         owners = sorted(set(measurements.owners.tolist()))
         count = min(len(owners), SETTINGS.effort.beam)
         self._folds = [frozenset(owners[fold::count]) for fold in range(count)]
-        self.is_possible: Final = count >= SETTINGS.selection.least_folds
-        """Whether there are enough trajectories."""
+        self.is_possible: Final = count >= SETTINGS.selection.least_folds and comparison.groups is None
+        """Whether there are enough trajectories, and the constants of one are those of the others."""
 
     def of(self, model: FittedModel) -> Validated:
         """Return how well the system of `model` predicts."""

@@ -86,5 +86,6 @@ def _least(model: FittedModel | None, columns: FloatArray, coefficients: Sequenc
     is_factor = ~np.isin(its.places, sorted(_below(model.programs[0])))
     if int(is_factor.sum()) != len(coefficients):
         return by_size
-    errors = np.sqrt(np.maximum(np.diag(covariance(model.fit))[is_factor], 1e-300))
-    return int(np.argmin(np.abs(its.values[is_factor]) / errors))
+    variances = its.by_place(np.diag(covariance(model.fit)))[:, is_factor]
+    squares = its.by_place(its.values)[:, is_factor] ** 2
+    return int(np.argmin(np.sqrt((squares / np.maximum(variances, 1e-300)).sum(axis=0))))

@@ -15,13 +15,15 @@ from atoll.config import JobConfig
 from atoll.data.dataset import Dataset
 from atoll.expression.operators import BY_NAME
 from atoll.expression.program import Program
+from atoll.expression.restrictions import Restrictions, restrictions_of
 from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.criteria import is_function
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.refinement import Refined, may_be_shown
 from atoll_coordinator.model.selection.candidates import CandidateSet, ranked
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import Constraints, FittedModel, ModelComparison
+from atoll_coordinator.model.selection.groups import GroupedRows
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
@@ -65,6 +67,7 @@ class ModellingTask:
     piece: int = SETTINGS.shooting.piece
     laws: Mapping[str, Sequence[Law]] = field(default_factory=dict)
     deadline: Deadline | None = None
+    _restrictions: dict[str, Restrictions] = field(default_factory=dict, repr=False)
 
     @property
     def variables(self) -> tuple[str, ...]:
@@ -93,7 +96,7 @@ class ModellingTask:
         if name in self.known:
             return self.known[name]
         target = self.dataset.problem(name).target
-        if name in self.settled and not target.is_noisy:
+        if name in self.settled and not target.is_noisy and not self.recording.groups:
             its = self.settled[name]
             if its.error <= target.convergence_error(self.config.budget.target_error):
                 return shortest(its.program)
@@ -127,10 +130,29 @@ class ModellingTask:
             error /= longest * math.sqrt(measurements.rows)
         tolerance = max(error, SETTINGS.selection.tolerated_noise * SETTINGS.shooting.exact)
         fixed = [index for index, name in enumerate(variables) if name in self.known]
+        restrictions = {index: self.restrictions(name) for index, name in enumerate(variables)}
+        restrictions = {index: its for index, its in restrictions.items() if not its.are_none}
         return ModelComparison(
             MultipleShooting(measurements, tolerance, self.deadline), self.dataset.names, fixed,
-            self.leading(variables), self.executor,
+            self.leading(variables), self.executor, Constraints(restrictions, self.grouped_rows(variables)),
         )  # fmt: skip
+
+    def restrictions(self, variable: str) -> Restrictions:
+        """Return what the equation of `variable` must keep to."""
+        if variable not in self._restrictions:
+            self._restrictions[variable] = restrictions_of(self.config, variable, self.dataset.names)
+        return self._restrictions[variable]
+
+    def grouped_rows(self, variables: Sequence[str]) -> GroupedRows | None:
+        """Return the rows by group, where groups of trajectories have constants of their own."""
+        count = len(self.recording.groups)
+        if not count:
+            return None
+        problems = [
+            [] if name in self.known else [self.dataset.problem(name).of_group(group) for group in range(count)]
+            for name in variables
+        ]
+        return GroupedRows(problems, {index: self.restrictions(name) for index, name in enumerate(variables)})
 
     def leading(self, variables: Sequence[str]) -> list[Program]:
         """Return the equations of the positions, whose rates are the velocities; none with order 1."""
@@ -173,7 +195,9 @@ def _pursued(task: ModellingTask, name: str) -> list[Program]:
     """Return sums of a polynomial and of functions for the equation of one variable."""
     if task.deadline is not None and task.deadline.is_over:
         return []
-    return pursue(task.dataset.problem(name), task.columns(name), task.operators(name))
+    problem = task.dataset.problem(name)
+    parts = [problem.of_group(group) for group in range(len(task.recording.groups))] or [problem]
+    return [program for part in parts for program in pursue(part, task.columns(name), task.operators(name))]
 
 
 def _suffices(task: ModellingTask, comparison: ModelComparison, best: FittedModel) -> bool:
@@ -233,7 +257,9 @@ def _compared(
     measurements = task.measurements([name]).thinned(SETTINGS.selection.compared_rows)
     comparison = task.compare(measurements, [name])
     best = ranked(comparison, problem, programs, () if is_brief else _libraries(task, name, measurements))
-    return [program for program in best if task.may_be_shown(program)]
+    restrictions = task.restrictions(name)
+    admitted = (restrictions.admitted(program) for program in best)
+    return [program for program in admitted if program is not None and task.may_be_shown(program)]
 
 
 def _is_exact(task: ModellingTask, programs: Sequence[Program]) -> bool:

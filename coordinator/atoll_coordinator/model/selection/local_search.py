@@ -89,14 +89,15 @@ class LocalSearch:
         program = model.programs[equation]
         fit = model.fit
         own = np.flatnonzero(fit.system.owners == equation + len(self._comparison.leading))
-        variances, inflation = np.diag(covariance(fit))[own], self._comparison.inflation(model)
+        inflation = self._comparison.inflation(model)
+        variances = fit.system.by_place(inflation * np.diag(covariance(fit)))[:, own]
+        values = fit.system.by_place(fit.system.values)[:, own]
         priced: list[tuple[float, float, int, float]] = []
-        for place, value, variance in zip(
-            constant_places(program), fit.system.values[own].tolist(), variances.tolist(), strict=True
-        ):
+        for number, place in enumerate(constant_places(program)):
             for neutral in _NEUTRAL:
-                nats = 0.5 * (value - neutral) ** 2 / max(inflation * variance, 1e-300)
-                priced.append((nats, abs(value - neutral), place, neutral))
+                away = values[:, number] - neutral
+                nats = float((0.5 * away**2 / np.maximum(variances[:, number], 1e-300)).sum())
+                priced.append((nats, float(np.abs(away).max()), place, neutral))
         length, found = self._comparison.length(program), []
         for nats, _, place, neutral in sorted(priced):
             shorter = collected(with_constants(program, {place: neutral}))

@@ -107,7 +107,8 @@ def _decided(
     for equation, program in enumerate(programs):
         places = [] if equation in comparison.fixed else constant_places(program)
         chosen = {place: numbers[index + k] for k, place in enumerate(places) if index + k in numbers}
-        changed.append(with_constants(program, chosen))
+        bounds, made = comparison.restrictions(equation).bounds, with_constants(program, chosen)
+        changed.append(made if bounds is None else bounds.clipped(made))
         fixed.append(set(chosen))
         index += len(places)
     return changed, fixed

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from atoll.expression.program import Program
+from atoll_coordinator.data.recording import of_group
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.joint_search import ModellingTask, SelectedModel, exchange
@@ -22,6 +23,7 @@ from atoll_coordinator.model.selection.stretches import in_stretches, is_nearly_
 from atoll_coordinator.model.shooting.lyapunov import growth_rate
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.sparse.laws import find_laws
+from atoll_coordinator.model.sparse.regression import Law
 from atoll_coordinator.settings import SETTINGS
 
 _LEAST_SIZE: Final = 1e-4
@@ -31,22 +33,24 @@ and initial states lose the share g^4 of their double precision, here to 1e-4.""
 
 def with_laws(task: ModellingTask) -> ModellingTask:
     """Return the task with the laws of sparse regression of each variable that is sought."""
-    laws = {
-        name: find_laws(
-            task.dataset.problem(name),
-            task.recording,
-            task.columns(name),
-            task.operators(name),
-            task.candidates[name].programs,
-        )
-        for name in task.variables
-        if name not in task.known
-    }
-    return replace(task, laws=laws)
+    return replace(task, laws={name: _laws(task, name) for name in task.variables if name not in task.known})
+
+
+def _laws(task: ModellingTask, name: str) -> tuple[Law, ...]:
+    """Return the laws of one variable; where groups of trajectories may differ in constants, those of each group."""
+    problem, recording = task.dataset.problem(name), task.recording
+    parts = [(problem.of_group(place), of_group(recording, group)) for place, group in enumerate(recording.groups)]
+    return tuple(
+        law
+        for part, its in parts or [(problem, recording)]
+        for law in find_laws(part, its, task.columns(name), task.operators(name), task.candidates[name].programs)
+    )
 
 
 def select_by_laws(task: ModellingTask) -> SelectedModel | None:
     """Return the model that the laws give, None where one of them does not stand at the noise level."""
+    if task.recording.groups:
+        return None  # laws of one group are candidates for all
     lists = [_programs(task, name) for name in task.variables]
     if not all(lists) or not task.laws:
         return None

@@ -4,6 +4,7 @@ import math
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
@@ -14,6 +15,9 @@ _OPEN_LOADING: Final = 1e-6
 """Squared component of a constant along a direction that is not determined, from which it is not determined itself."""
 _CANCELLED: Final = 1e-13
 """Share of its diagonal that rounding leaves of the normal matrix where initial states stand in for a constant."""
+
+_HELD: Final = 1e-9
+"""Standard error of a constant on its bound, over its size."""
 
 
 def covariance(fit: TrajectoryFit) -> FloatArray:
@@ -31,9 +35,26 @@ def bounded_covariance(fit: TrajectoryFit) -> FloatArray:
     return _spread(fit)[0]
 
 
-def _spread(fit: TrajectoryFit) -> tuple[FloatArray, FloatArray]:
-    """Return the bounded covariance, and which constants load on directions that the data do not determine."""
-    normal, reduced = np.diag(fit.normal), fit.reduced
+def _spread(fit: TrajectoryFit) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Return the bounded covariance, and which constants load on directions that the data do not determine.
+
+    Constants on their bounds are as good as given: the others are judged with these where they are.
+    """
+    held = fit.system.on_bounds
+    if not held.any():
+        return _inverse(np.diag(fit.normal), fit.reduced)
+    free, count = np.flatnonzero(~held), len(held)
+    found, is_open = np.zeros((count, count)), np.zeros(count, np.bool_)
+    if len(free):
+        normal, reduced = np.diag(fit.normal)[free], fit.reduced[np.ix_(free, free)]
+        found[np.ix_(free, free)], is_open[free] = _inverse(normal, reduced)
+    values = np.abs(fit.system.values[held])
+    found[held, held] = (_HELD * np.maximum(values, _HELD)) ** 2
+    return found, is_open
+
+
+def _inverse(normal: FloatArray, reduced: FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Return the inverse of the reduced normal matrix, and which constants are open."""
     least = np.maximum(_CANCELLED * np.nan_to_num(normal), 1e-100)
     scale = np.sqrt(np.clip(np.nan_to_num(np.diag(reduced)), least, 1e100))
     with np.errstate(all="ignore"):

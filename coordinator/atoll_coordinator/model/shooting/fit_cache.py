@@ -20,7 +20,7 @@ Fit = TypeVar("Fit")
 
 def key_of(system: System, starts: FloatArray | None, errors: ErrorModel | None, *rest: object) -> Key:
     """Return what a fit is known by: all that decides what comes of it, to the bit."""
-    arrays = (*system.tape, starts)
+    arrays = (*system.arrays(), starts)
     known = None if errors is None else errors.to_bytes()
     return (*(None if each is None else each.tobytes() for each in arrays), known, *rest)
 

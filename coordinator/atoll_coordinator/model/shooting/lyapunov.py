@@ -21,7 +21,7 @@ def growth_rate(fit: TrajectoryFit) -> float:
     Negative where they shrink; NaN without a segment of two rows.
     """
     measurements = fit.estimator.measurements
-    fitted, states = len(fit.system.places), len(fit.system.outputs)
+    fitted, states = fit.system.count, len(fit.system.outputs)
     unit = measurements.scales[None, :] / measurements.scales[:, None]
     sensitivities = fit.integrated_sensitivities()[:, :, fitted : fitted + states] * unit
     long = [(first, end) for first, end in fit.segments.tolist() if end - first > 1]

@@ -38,7 +38,8 @@ class Measurements:
     normal errors over their variance, less than one where robustness weights reduce the large ones; None: one for all
     states. `resting` (O, N) tells along which trajectories a state was 0 throughout, as an absent species is: there it
     has no weight and begins at 0; None: nowhere. `input_slopes` belong to `inputs` (U, N).
-    `variables` names the numbers of a point: D states, then U inputs.
+    `variables` names the numbers of a point: D states, then U inputs. `groups` (T,) are the groups of trajectories that
+    have constants of their own, by owner; None: all share them.
     """
 
     bounds: Ints
@@ -59,6 +60,7 @@ class Measurements:
     inverse_variances: FloatArray | None = None
     consistency: FloatArray | None = None
     resting: npt.NDArray[np.bool_] | None = None
+    groups: Ints | None = None
 
     @property
     def rows(self) -> int:
@@ -69,6 +71,12 @@ class Measurements:
     def owners_of_rows(self) -> Ints:
         """The trajectory (N,) that each row belongs to."""
         return np.repeat(self.owners, self.bounds[:, 1] - self.bounds[:, 0])
+
+    def groups_of(self, segments: Ints) -> Ints:
+        """Return the group (G,) of each of these row ranges; 0 where there are no groups."""
+        if self.groups is None:
+            return np.zeros(len(segments), np.int64)
+        return self.groups[self.owners_of_rows[segments[:, 0]]]
 
     @property
     def relative_noise(self) -> FloatArray:
@@ -196,8 +204,16 @@ def measurements_of(
         inverse_variances=inverse,
         consistency=_consistency(parts, chosen),
         resting=resting if resting.any() else None,
+        groups=_groups(recording, parts),
     )
     return _where_inputs_are_known(whole, parts, others)
+
+
+def _groups(recording: Recording, parts: Sequence[Trajectory]) -> Ints | None:
+    """Return the group of each trajectory, None where there are none."""
+    if not recording.groups:
+        return None
+    return np.array([recording.groups.index(part.group) for part in parts], dtype=np.int64)
 
 
 def _where_inputs_are_known(whole: Measurements, parts: Sequence[Trajectory], others: Sequence[int]) -> Measurements:

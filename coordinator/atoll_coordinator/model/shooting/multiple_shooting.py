@@ -13,6 +13,7 @@ from itertools import takewhile
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
@@ -158,6 +159,7 @@ class MultipleShooting:
         if starts is None:
             starts = np.ascontiguousarray(its.smoothed[:, segments[:, 0]].T)
         starts = self._at_rest(self._with_offsets(starts, len(system.outputs), in_whole=length is None), segments)
+        system = system.with_values(system.values)  # within their bounds
         if errors is None:
             errors = ErrorModel.independent(np.maximum(its.noise, 1e-4 * its.scales[its.observed]))
         may_be_stiff = is_stiff or steps > SETTINGS.effort.brief_steps
@@ -168,7 +170,7 @@ class MultipleShooting:
             errors, here = self._reweighted(here, layout, errors)
         damping = FIRST_DAMPING
         for _ in takewhile(lambda _: not self.deadline.is_over, range(steps)):
-            step = _solved(here, damping)
+            step = _solved(here, damping, system.held(here.gradient))
             there = None
             if step is not None:
                 moved, new_starts = system.with_values(system.values + step[0]), starts + step[1]
@@ -187,7 +189,7 @@ class MultipleShooting:
         squares = self._squares(here.residuals)
         return TrajectoryFit(
             system, segments, starts, here.simulated, here.residuals, errors, squares, here.normal, here.coupling,
-            here.own, self, method is self._methods[1],
+            here.own, self, method is self._methods[1], here.gradient,
         )  # fmt: skip
 
     def _layout(self, length: int | None) -> Innovations:
@@ -268,7 +270,7 @@ class MultipleShooting:
         None where it cannot be integrated or the cost is not below `below`.
         """
         its, segments = self.measurements, layout.segments
-        states, fitted, local = len(system.outputs), len(system.places), starts.shape[1]
+        states, fitted, local = len(system.outputs), system.count, starts.shape[1]
         done, taken, simulated, gradients = self._integrated(method, system, segments, starts)
         self._own.work += method.work(taken, its.rows) * (_OVERHEAD_NUMBERS + states * (1 + fitted + local))
         if done < len(segments) or not max(gradients.max(initial=0.0), -gradients.min(initial=0.0)) < _STEEPEST:
@@ -291,19 +293,55 @@ class MultipleShooting:
     ) -> tuple[int, int, FloatArray, FloatArray]:
         """Return what `integrate_segments` does, the steps, the states (D, N) and their sensitivities (N, D, P + L)."""
         its = self.measurements
-        states, fitted, local = len(system.outputs), len(system.places), starts.shape[1]
+        states, fitted, local = len(system.outputs), system.count, starts.shape[1]
         simulated = np.full((states, its.rows), np.nan)
         gradients = np.zeros((its.rows, states, fitted + local))
-        taken = np.zeros(1, dtype=np.int64)
-        done = integrate_segments(
-            method.table, system.tape, system.owners, (its.times, its.inputs, its.input_slopes), segments, starts,
-            method.tolerance, its.limits, 200 + method.steps * its.rows, True, simulated, gradients, taken,
-        )  # fmt: skip
+        if system.grouping is None:
+            done, taken = self._integrate(method, system, segments, starts, simulated, gradients)
+        else:
+            done, taken = self._integrate_groups(method, system, segments, starts, simulated, gradients)
         for place, state in enumerate(its.offset.tolist() if local > states else []):
             gradients[:, its.observed[state], fitted + states + place] = 1.0
         for resting, state in zip(its.resting if its.resting is not None else (), its.observed.tolist(), strict=False):
             gradients[resting, :, fitted + state] = 0.0
-        return done, int(taken[0]), simulated, gradients
+        return done, taken, simulated, gradients
+
+    def _integrate(
+        self, method: _Method, system: System, segments: Ints, starts: FloatArray, simulated: FloatArray,
+        gradients: FloatArray,
+    ) -> tuple[int, int]:  # fmt: skip
+        """Write states and sensitivities of these segments; return what `integrate_segments` does, and the steps."""
+        its, taken = self.measurements, np.zeros(1, dtype=np.int64)
+        budget = 200 + method.steps * int((segments[:, 1] - segments[:, 0]).sum())
+        done = integrate_segments(
+            method.table, system.tape, system.owners, (its.times, its.inputs, its.input_slopes), segments, starts,
+            method.tolerance, its.limits, budget, True, simulated, gradients, taken,
+        )  # fmt: skip
+        return done, int(taken[0])
+
+    def _integrate_groups(
+        self, method: _Method, system: System, segments: Ints, starts: FloatArray, simulated: FloatArray,
+        gradients: FloatArray,
+    ) -> tuple[int, int]:  # fmt: skip
+        """Do as `_integrate`, each segment with the constants of its group."""
+        assert system.grouping is not None
+        states, places = len(system.outputs), len(system.places)
+        narrow = np.zeros((self.measurements.rows, states, places + states))
+        groups, all_done, all_taken = self.measurements.groups_of(segments), 0, 0
+        for group, columns in enumerate(system.grouping.columns):
+            chosen = groups == group
+            own = np.ascontiguousarray(segments[chosen])
+            done, taken = self._integrate(
+                method, system.of_group(group), own, np.ascontiguousarray(starts[chosen]), simulated, narrow
+            )
+            all_taken += taken
+            if done < len(own):
+                return done, all_taken
+            all_done += done
+            for first, end in own.tolist():
+                gradients[first:end, :, columns] = narrow[first:end, :, :places]
+        gradients[:, :, system.count : system.count + states] = narrow[:, :, places:]
+        return all_done, all_taken
 
     def _weighed(
         self, simulated: FloatArray, gradients: FloatArray, residuals: FloatArray, layout: Innovations,
@@ -341,17 +379,31 @@ def _row_steps(measurements: Measurements) -> FloatArray:
     return steps
 
 
-def _solved(here: _Equations, damping: float) -> tuple[FloatArray, FloatArray] | None:
+def _solved(
+    here: _Equations, damping: float, held: npt.NDArray[np.bool_] | None = None
+) -> tuple[FloatArray, FloatArray] | None:
     """Return the step of the constants (P,) and of the initial states (G, D); None when there is none worth a look.
+
+    Constants that are `held` do not move.
 
     Were the equations linear, it would lower the cost by twice its product with the gradient at most.
     """
+    if held is not None and held.any():
+        here = _without(here, held)
     change, moves = np.empty_like(here.gradient), np.empty_like(here.own_gradient)
     solved = solve_step(
         here.normal, here.coupling, here.own, here.gradient, here.own_gradient, damping, change, moves
     )  # fmt: skip
     promise = 2.0 * float((here.gradient * change).sum() + (here.own_gradient * moves).sum()) if solved else 0.0
     return (change, moves) if SETTINGS.effort.settled * here.cost <= promise < math.inf else None
+
+
+def _without(here: _Equations, held: npt.NDArray[np.bool_]) -> _Equations:
+    """Return the equations in which some constants are no unknowns: their step is zero."""
+    normal, coupling, gradient = here.normal.copy(), here.coupling.copy(), here.gradient.copy()
+    normal[held, :] = normal[:, held] = coupling[:, held, :] = gradient[held] = 0.0
+    normal[held, held] = 1.0
+    return replace(here, normal=normal, coupling=coupling, gradient=gradient)
 
 
 def fit_in_stages(

@@ -3,10 +3,11 @@
 Letters: D equations, N nodes of all of them, P fitted constants.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
@@ -16,10 +17,36 @@ from atoll_coordinator.model.shooting.kernels.rates import Tape
 
 
 @dataclass(frozen=True, eq=False)
+class Grouping:
+    """Constants that differ between groups of trajectories: G groups, Q fitted numbers in all.
+
+    `constants` (G, N) are those of each group's tape; `columns` (G, P) tell which of the Q numbers stands at each
+    fitted constant: the same one in all groups where these share it.
+    """
+
+    constants: FloatArray
+    columns: Ints
+    count: int
+
+    @property
+    def own_numbers(self) -> int:
+        """How many of the Q numbers belong to one group alone."""
+        is_own = (self.columns != self.columns[:1]).any(axis=0)
+        return int(is_own.sum()) * len(self.columns)
+
+    @property
+    def groups(self) -> int:
+        """Number of groups G."""
+        return len(self.constants)
+
+
+@dataclass(frozen=True, eq=False)
 class System:
     """D equations on one tape, see `kernels.rates.Tape`; `equations` are the programs that it was made of.
 
-    `parameters` (N,) numbers the fitted constants; `places` are their nodes, `owners` (P,) their equations.
+    `parameters` (N,) numbers the fitted constants; `places` are their nodes, `owners` (P,) their equations. `lower` and
+    `upper` (Q,) are bounds on the fitted numbers, None where there are none. With a `grouping` there are more fitted
+    numbers than places, Q of P; `constants` are then the means over the groups. Without one Q is P.
     """
 
     equations: tuple[Program, ...]
@@ -31,6 +58,9 @@ class System:
     parameters: Ints
     owners: Ints
     places: Ints
+    lower: FloatArray | None = None
+    upper: FloatArray | None = None
+    grouping: Grouping | None = None
 
     @property
     def tape(self) -> Tape:
@@ -38,20 +68,79 @@ class System:
         return self.code, self.left, self.right, self.constants, self.outputs, self.parameters
 
     @property
+    def count(self) -> int:
+        """Number Q of fitted numbers."""
+        return len(self.places) if self.grouping is None else self.grouping.count
+
+    @property
     def values(self) -> FloatArray:
-        """The fitted constants (P,)."""
-        return self.constants[self.places]
+        """The fitted numbers (Q,)."""
+        if self.grouping is None:
+            return self.constants[self.places]
+        values = np.zeros(self.grouping.count)
+        values[self.grouping.columns] = self.grouping.constants[:, self.places]
+        return values
 
     def with_values(self, values: FloatArray) -> "System":
-        """Return the system with other values of the fitted constants."""
+        """Return the system with other values (Q,) of the fitted numbers, within their bounds."""
+        if self.lower is not None and self.upper is not None:
+            values = np.clip(values, self.lower, self.upper)
         constants = self.constants.copy()
-        constants[self.places] = values
-        return replace(self, constants=constants)
+        if self.grouping is None:
+            constants[self.places] = values
+            return replace(self, constants=constants)
+        own = self.grouping.constants.copy()
+        own[:, self.places] = values[self.grouping.columns]
+        constants[self.places] = own[:, self.places].mean(axis=0)
+        return replace(self, constants=constants, grouping=replace(self.grouping, constants=own))
+
+    def held(self, gradient: FloatArray) -> npt.NDArray[np.bool_] | None:
+        """Return which of the fitted numbers (Q,) lie on a bound beyond which `gradient` (Q,) wants to move them.
+
+        None where there are no bounds.
+        """
+        if self.lower is None or self.upper is None:
+            return None
+        values = self.values
+        return ((values <= self.lower) & (gradient <= 0.0)) | ((values >= self.upper) & (gradient >= 0.0))
+
+    @property
+    def on_bounds(self) -> npt.NDArray[np.bool_]:
+        """Which of the fitted numbers (Q,) lie on a bound."""
+        if self.lower is None or self.upper is None:
+            return np.zeros(self.count, np.bool_)
+        values = self.values
+        return np.asarray((values <= self.lower) | (values >= self.upper))
 
     def with_fixed_constants(self) -> "System":
         """Return the system with no constant to be fitted, all as they are."""
         none = np.zeros(0, dtype=np.int64)
-        return replace(self, parameters=np.full_like(self.parameters, -1), owners=none, places=none)
+        grouping = self.grouping
+        if grouping is not None:
+            grouping = Grouping(grouping.constants, np.zeros((grouping.groups, 0), np.int64), 0)
+        return replace(
+            self, parameters=np.full_like(self.parameters, -1), owners=none, places=none, lower=None, upper=None,
+            grouping=grouping,
+        )  # fmt: skip
+
+    def by_place(self, numbers: FloatArray) -> FloatArray:
+        """Return what belongs to the Q fitted numbers by group and constant (G, P); G is one without groups."""
+        return numbers[None] if self.grouping is None else np.asarray(numbers[self.grouping.columns])
+
+    def of_group(self, group: int) -> "System":
+        """Return the system with the constants of one group, without bounds; itself where there are no groups."""
+        if self.grouping is None:
+            return self
+        return replace(self, constants=self.grouping.constants[group], lower=None, upper=None, grouping=None)
+
+    def arrays(self) -> Iterator[FloatArray | Ints | None]:
+        """Yield all arrays that decide what a fit of the system gives."""
+        yield from self.tape
+        yield self.lower
+        yield self.upper
+        if self.grouping is not None:
+            yield self.grouping.constants
+            yield self.grouping.columns
 
     @property
     def programs(self) -> tuple[Program, ...]:
@@ -99,7 +188,7 @@ def system_of(
         outputs.append(start - 1)
     constants = np.concatenate([program.constants for program in programs])
     ints = [np.array(each, dtype=np.int64) for each in (code, left, right, outputs, parameters, owners, places)]
-    return System(tuple(programs), ints[0], ints[1], ints[2], constants, *ints[3:])
+    return System(tuple(programs), ints[0], ints[1], ints[2], constants, ints[3], ints[4], ints[5], ints[6])
 
 
 def variable_program(index: int) -> Program:

@@ -22,7 +22,8 @@ class TrajectoryFit:
     in whole, their K offsets (G, D + K); `simulated` (D, N); `residuals` (O, N) measured minus simulated and offset;
     `errors` what they were taken to be; `squares` (O,) their mean squares; `normal`,
     `coupling` and `own` the blocks of the normal equations at the end, weighted; `estimator` fitted it; `is_stiff`
-    tells whether the system was integrated as a stiff one.
+    tells whether the system was integrated as a stiff one; `gradient` (P,) is by how much more likely the data become
+    where a constant grows, which is zero but for constants on their bounds.
     """
 
     system: System
@@ -37,6 +38,7 @@ class TrajectoryFit:
     own: FloatArray
     estimator: "MultipleShooting" = field(repr=False)
     is_stiff: bool = False
+    gradient: FloatArray | None = field(default=None, repr=False)
 
     def integrated_sensitivities(self) -> FloatArray:
         """Return the sensitivities (N, D, P + D + K) to the constants and to what each segment has its own.

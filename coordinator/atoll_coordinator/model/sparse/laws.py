@@ -12,7 +12,7 @@ from atoll.expression.evaluation import values_of
 from atoll.expression.operators import ADD, BY_NAME, MULTIPLY
 from atoll.expression.program import MAX_NODES, Program, constant_places, structure
 from atoll.expression.writing.shortest import collected
-from atoll_coordinator.data.recording import Preparation, Recording
+from atoll_coordinator.data.recording import Preparation, Recording, by_group
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.refinement import may_be_shown
 from atoll_coordinator.model.sparse.products import products_of
@@ -70,6 +70,8 @@ def has_laws(preparation: Preparation, config: JobConfig) -> bool:
     is_asked = budget.target_error is not None or budget.stagnation is not None or bool(config.prior.guesses)
     if recording is None or is_asked:
         return False
+    if recording.groups:
+        return all(has_laws(part, config) for part in by_group(preparation))
     rows = sum(len(each.times) for each in recording.trajectories if not each.held_out)
     for name in dataset.variables:
         if name in config.prior.known:

@@ -31,6 +31,7 @@ from atoll_coordinator.data.increments.moments import lagged, products
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length, system_length
 from atoll_coordinator.model.deadline import Deadline
+from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
 from atoll_coordinator.model.sparse.regression import eliminated, libraries
 from atoll_coordinator.model.stochastic.likelihood import ProcessModel
@@ -81,8 +82,9 @@ class CandidateFinder:
         operators = frozenset(BY_NAME[name].code for name in space.operators_for(self.variables[number]))
         columns = space.columns_for(self.variables[number], self.names)
         sums = _sparse_sums(weighted, columns) if {ADD, MULTIPLY} <= operators else []
+        least_squares = LeastSquares(weighted.problem, weighted.weights)
         shortening = Shortening(
-            weighted.problem, operators, columns, weighted.weights, self.deadline, has_simple_numbers=False
+            weighted.problem, operators, columns, least_squares, self.deadline, has_simple_numbers=False
         )
         nats = constant_nats_of(len(self.steps.lengths))
 

@@ -102,7 +102,7 @@ def choose_fitted(tape: Tape, count: Int, number: Int, most: Int, work: Work) ->
         depends: bool | np.bool_ = False
         if feeds[i]:
             if op == CONSTANT:
-                depends = fitted < most and fitted < MOST_FITTED
+                depends = fitted < most and fitted < MOST_FITTED and not work.held[i]
                 if depends:
                     work.fitted[fitted] = i
                     fitted += 1

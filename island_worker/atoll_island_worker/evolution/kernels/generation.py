@@ -11,7 +11,7 @@ import numpy as np
 from atoll.compilation.jit import inlined, kernel
 from atoll.expression.kernels.lanes import LANES, add_scaled, copy, move, place, total_magnitude
 from atoll.expression.kernels.tape import Int, forward
-from atoll.expression.operators import CONSTANT
+from atoll.expression.operators import CONSTANT, VARIABLE
 from atoll_island_worker.evolution.kernels.fit import collect_terms, fit, measure_plainly, residual_of
 from atoll_island_worker.evolution.kernels.predictors import predictor_generation
 from atoll_island_worker.evolution.kernels.random import Stream, below
@@ -27,6 +27,7 @@ from atoll_island_worker.evolution.kernels.variation import (
     random_list,
 )
 from atoll_island_worker.evolution.structures import (
+    MOST_REQUIRED,
     Coevolution,
     Coevolving,
     Fit,
@@ -69,6 +70,16 @@ def residual_of_list(lists: Lists, p: Int, rows: Rows, options: Fit, tape: Tape,
 
 
 @inlined
+def has_required(tape: Tape, count: Int, required: Int) -> bool:
+    """Tell whether all variables whose bits are set in `required` are among the first `count` nodes of `tape`."""
+    found = _ZERO
+    for i in range(count):
+        if tape.code[i] == VARIABLE and tape.left[i] < MOST_REQUIRED:
+            found |= _ONE << tape.left[i]
+    return (found & required) == required
+
+
+@inlined
 def develop(
     lists: Lists, p: Int, rows: Rows, options: Fit, ceiling: float, tape: Tape, work: Work, result: Floats,
     counters: Ints, part: Int,
@@ -76,7 +87,8 @@ def develop(
     """Fit the constants of individual `p` to `rows`, write them back, count; return its loss there.
 
     The first value at each row is counted under `part`, the rest as constant fitting. `work.settled` tells whether
-    further steps would be of no use; see `fit` for `ceiling`.
+    further steps would be of no use; see `fit` for `ceiling`. An individual that lacks a required variable is not
+    measured.
     """
     mark_live(lists, p, tape.bits)
     return develop_marked(lists, p, tape.bits, rows, options, ceiling, tape, work, result, counters, part)
@@ -88,6 +100,9 @@ def develop_marked(
     result: Floats, counters: Ints, part: Int,
 ) -> float:  # fmt: skip
     """Do what `develop` does with individual `p`, whose live nodes are marked in `live`."""
+    if options.required != 0 and not has_required(tape, compile_live(lists, p, live, tape), options.required):
+        work.settled[0] = True
+        return INFINITY
     counters[part] += rows.length
     if options.steps == 0 and options.terms == 0:
         measure_plainly(lists, p, live, rows, work, result)

@@ -15,9 +15,13 @@ SYMBOLS = {"x": "x", "y-1": "y_1", "u": "u"}
 VARIABLES = ("x", "y-1")
 
 
-def config_of(guesses=(), known=(), operators_of=(), variables_of=(), **others):
-    space = SpaceConfig(operators_of=dict(operators_of), variables_of=dict(variables_of), **others.pop("space", {}))
-    return JobConfig(prior=PriorConfig(guesses=dict(guesses), known=dict(known)), space=space, **others)
+def config_of(guesses=(), known=(), operators_of=(), variables_of=(), required_of=(), bounds=(), **others):
+    space = SpaceConfig(
+        operators_of=dict(operators_of), variables_of=dict(variables_of), required_of=dict(required_of),
+        **others.pop("space", {}),
+    )  # fmt: skip
+    prior = PriorConfig(guesses=dict(guesses), known=dict(known), bounds=dict(bounds))
+    return JobConfig(prior=prior, space=space, **others)
 
 
 def resolved(variables=VARIABLES, **given):
@@ -68,6 +72,13 @@ def test_an_equation_has_its_own_operators_and_variables_the_others_the_general_
         ({"variables_of": {"x": ("x",)}, "known": {"x": "1"}}, ["--allow", "'x'", "known"]),
         ({"variables_of": {"x": ("w",)}}, ["--allow", "'w'", "x, y-1, u"]),
         ({"variables_of": {"x": ()}}, ["--allow", "no variable"]),
+        ({"required_of": {"x": ("w",)}}, ["--require", "'w'", "x, y-1, u"]),
+        ({"required_of": {"z": ("x",)}}, ["--require", "'z'", "sought for x, y-1"]),
+        ({"required_of": {"x": ("u",)}, "variables_of": {"x": ("x",)}}, ["--require", "u", "--allow", "x only"]),
+        ({"required_of": {"x": ("u",)}, "known": {"x": "1"}}, ["--require", "'x'", "known"]),
+        ({"bounds": {"*": ("c >> 0",)}}, ["--bound", "c >> 0", "0 < c < 10"]),
+        ({"bounds": {"z": ("c > 0",)}}, ["--bound", "'z'", "sought for x, y-1"]),
+        ({"bounds": {"x": ("c > 0",)}, "known": {"x": "1"}}, ["--bound", "'x'", "known"]),
     ],
 )
 def test_what_cannot_be_used_is_one_sentence(given, words):
@@ -83,6 +94,13 @@ def test_an_equation_too_long_to_print_is_refused():
         text = f"({text} + u)*({text})"
     with pytest.raises(UsageError, match="--known for 'x'"):
         resolved(known={"x": text})
+
+
+def test_bounds_on_all_equations_are_bounds_on_each_that_is_sought():
+    its = resolved(bounds={"*": ("|c| < 9",), "dx/dt": ("x*u < 0",)}, known={"y-1": "x"}, required_of={"dx": ("y-1",)})
+    assert its.prior.bounds == {"x": ("|c| < 9", "x*u < 0")}
+    assert its.space.required_of == {"x": ("y_1",)}
+    assert resolve_prior(its, VARIABLES, SYMBOLS) == its
 
 
 def test_a_known_equation_is_prepared_beside_the_only_one_sought():
@@ -129,3 +147,9 @@ def test_a_person_is_told_how_it_was_understood():
         "guess: dx/dt = y",
         "guess: dx/dt = 2*y",
     ]
+
+
+@pytest.mark.parametrize("given", [{"bounds": {"*": ("c > 0",)}}, {"required_of": {"x": ("x",)}}])
+def test_processes_know_neither_bounds_nor_required_variables(given):
+    with pytest.raises(UsageError, match=r"--stochastic and --(bound|require) exclude"):
+        prepare(table_of(oscillator()), config_of(data=DataConfig(stochastic=True), **given))

@@ -5,13 +5,18 @@ import math
 import numpy as np
 import pytest
 
+from atoll.config import JobConfig, PriorConfig, SpaceConfig
 from atoll.data.dataset import Problem, Target
+from atoll.expression.bounds import EquationBounds, parse_bound
 from atoll.expression.program import constant_places
+from atoll.expression.restrictions import Restrictions
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.criteria import RegressionCriterion, program_length
-from atoll_coordinator.model.regression.covariance import description_length, standard_errors
+from atoll_coordinator.model.refinement import decode_members
+from atoll_coordinator.model.regression.covariance import description_length, estimate_constants, standard_errors
+from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.regression.fit import LeastSquares
-from tests.unit.coordinator.model.fitting import parsed, problem
+from tests.unit.coordinator.model.fitting import entry, parsed, problem
 
 
 def truth(x, y):
@@ -90,3 +95,45 @@ def test_rows_count_by_their_weights():
     assert fitted.mse == pytest.approx(float((weights * (slope * x - y) ** 2).mean()))
     assert fitted.normal == pytest.approx(np.array([[(weights * x * x).sum()]]))
     assert LeastSquares(problem, weights).mse(fitted.program) == pytest.approx(fitted.mse)
+
+
+def bounded(*texts):
+    bounds = EquationBounds(tuple(parse_bound(text, ("x", "y")) for text in texts))
+    return Restrictions(bounds)
+
+
+def test_constants_are_fitted_within_bounds_as_well_as_these_allow():
+    its = problem(lambda x, y: 3.0 * x - 2.0 * y, noise=0.1)
+    fitted = LeastSquares(its, restrictions=bounded("x < 2.5")).fit(parsed("0.1*x + 9.0*y"))
+    expected, *_ = np.linalg.lstsq(its.inputs[1:].T, its.target.values - 2.5 * its.inputs[0], rcond=None)
+    assert constants(fitted.program) == pytest.approx([2.5, float(expected[0])], rel=1e-6)
+
+
+def test_a_constant_on_its_bound_has_a_one_sided_interval():
+    its = problem(lambda x, y: 3.0 * x - 2.0 * y, noise=0.1)
+    least_squares = LeastSquares(its, restrictions=bounded("x < 2.5", "y < 0"))
+    program = least_squares.fit(parsed("0.1*x - 9.0*y")).program
+    on_bound, free = estimate_constants(
+        program, least_squares, RegressionCriterion.of(its.target), has_intervals=True
+    ).written
+    assert (on_bound.value, on_bound.std_error, on_bound.is_at_bound) == (2.5, None, True)
+    assert on_bound.interval[1] == 2.5
+    assert on_bound.interval[0] < 2.5
+    assert free.std_error > 0.0
+    assert not free.is_at_bound
+
+
+def test_what_may_not_stand_has_no_finite_error():
+    least_squares = LeastSquares(problem(truth), restrictions=Restrictions(required=frozenset({1})))
+    assert least_squares.fit(parsed("2*x")).mse == math.inf
+    assert least_squares.fit(parsed("2*x*y")).mse < math.inf
+
+
+def test_an_equation_of_given_targets_keeps_its_bounds():
+    its = problem(lambda x, y: 3.0 * x - 2.0 * y, noise=0.05)
+    config = JobConfig(space=SpaceConfig(operators=("+", "-", "*")), prior=PriorConfig(bounds={"label": ("x < 2.5",)}))
+    members = decode_members((entry("2.5*x - 1.5*y", its),), 2)
+    found = fit_equation(its, config, members, has_intervals=True)
+    bounds = bounded("x < 2.5").bounds
+    assert bounds.are_kept(found.program)
+    assert not bounds.are_kept(fit_equation(its, JobConfig(space=config.space), members, has_intervals=True).program)

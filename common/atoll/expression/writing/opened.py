@@ -1,0 +1,224 @@
+"""An equation as a sum of terms, brackets opened, in which each constant has a meaning of its own.
+
+In ``x*(3 - 2*y)`` the factor of x*y is made of two numbers and of a sign; in ``3*x - 2*x*y`` it is one constant. The
+constants of the opened form are the *coefficients* of terms and the numbers *inside* terms: in divisors, powers and
+arguments of functions. A sum in a divisor, or a factor that cannot be opened, is divided by the factor of its first
+term with a variable, so that ``x/(4 + 2*y)`` is ``0.5*x/(2 + y)``.
+"""
+
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from atoll.expression.builder import ProgramBuilder
+from atoll.expression.operators import (
+    ADD,
+    CONSTANT,
+    DIVIDE,
+    INVERSE,
+    MULTIPLY,
+    NEGATE,
+    POW,
+    SUBTRACT,
+    VARIABLE,
+)
+from atoll.expression.program import MAX_NODES, Program
+from atoll.expression.writing.layout import in_order
+from atoll.expression.writing.shortest import sum_of
+from atoll.expression.writing.sums import ONE, Atom, Monomial, Sum, UndefinedError, add, distribute
+
+MOST_TERMS: Final = 40
+"""Sums of more terms are not opened."""
+
+Shape = Hashable
+"""What terms have in common that differ in numbers only."""
+
+
+@dataclass(frozen=True)
+class Role:
+    """What a constant of an opened program stands for.
+
+    `sign` times its value is the number that it stands for: the coefficient of the term of this `shape`, or where it
+    `is_inner`, a number inside the term.
+    """
+
+    shape: Shape
+    sign: float
+    is_inner: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """The opened `program` and the role of each of its constants, in node order."""
+
+    program: Program
+    roles: tuple[Role, ...]
+
+
+IsWritten = Callable[[Shape, float], bool]
+"""Tells whether a coefficient of one or minus one is written as a constant all the same."""
+
+
+def terms_of(program: Program) -> Sum:
+    """Return the terms of a program with their coefficients; raises UndefinedError when it cannot be opened."""
+    return opened_sum(sum_of(program))
+
+
+def opened_sum(its: Sum) -> Sum:
+    """Return a sum whose terms have no bracket above the line; raises UndefinedError beyond `MOST_TERMS` terms."""
+    while True:
+        bracket = next((place for place, (monomial, _) in enumerate(its) if _bracket(monomial) is not None), None)
+        if bracket is None:
+            return its
+        monomial, coefficient = its[bracket]
+        atom, exponent = _bracket(monomial) or ((), 0)
+        rest = [(other, count) for other, count in monomial if other != atom]
+        rest += [(atom, exponent - 1)] * (exponent > 1)
+        product = distribute(((tuple(sorted(rest)), coefficient),), atom[1])
+        its = add((1.0, (*its[:bracket], *its[bracket + 1 :])), (1.0, product))
+        if len(its) > MOST_TERMS:
+            raise UndefinedError
+
+
+def _bracket(monomial: Monomial) -> tuple[Atom, int] | None:
+    """Return the first bracket above the line of a term, None without one."""
+    return next(((atom, count) for atom, count in monomial if atom[0] == ADD and count > 0), None)
+
+
+def shape_of(monomial: Monomial) -> Shape:
+    """Return what is left of a term without its numbers."""
+    return tuple(sorted(((_atom_shape(atom), count) for atom, count in monomial), key=repr))
+
+
+def _atom_shape(atom: Atom) -> Shape:
+    kind, *rest = atom
+    if kind == VARIABLE:
+        return atom
+    return (kind, *(tuple(sorted((shape_of(monomial) for monomial, _ in its), key=repr)) for its in rest))
+
+
+def inner_numbers(its: Sum) -> list[float]:
+    """Return the numbers inside the terms of a sum, but for those that are one by its form."""
+    return [number for monomial, _ in its for atom, _ in monomial for number in _numbers(atom)]
+
+
+def _numbers(atom: Atom) -> list[float]:
+    kind, *rest = atom
+    if kind == VARIABLE:
+        return []
+    found: list[float] = []
+    for its in rest:
+        lead = _lead(its) if kind == ADD else None
+        found += [
+            coefficient
+            for monomial, coefficient in its
+            if monomial != lead and (monomial == ONE or abs(coefficient) != 1.0)
+        ]
+        found += inner_numbers(its)
+    return found
+
+
+def _lead(its: Sum) -> Monomial | None:
+    """Return the term of a bracket whose factor is one by the form of brackets."""
+    return next((monomial for monomial, _ in its if monomial != ONE), None)
+
+
+def open_terms(program: Program, is_written: IsWritten = lambda *_: False) -> Opened | None:
+    """Return the opened form of a program; None when there is none, or none that is small enough.
+
+    Args:
+        program: what is to be opened.
+        is_written: which coefficients of one or minus one become constants.
+    """
+    try:
+        its = terms_of(program)
+    except UndefinedError:
+        return None
+    builder = _Builder(is_written)
+    output = builder.sum_of_terms(its)
+    if len(builder.nodes) > MAX_NODES:
+        return None
+    return Opened(builder.program(output), tuple(builder.roles))
+
+
+class _Builder(ProgramBuilder):
+    """Writes sums with each constant as a node of its own, and keeps what it stands for."""
+
+    def __init__(self, is_written: IsWritten) -> None:
+        super().__init__()
+        self._is_written = is_written
+        self.roles: list[Role] = []
+
+    def number(self, value: float, role: Role) -> int:
+        """Return the index of a new constant."""
+        self.roles.append(role)
+        return self.append(CONSTANT, value=value)
+
+    def sum_of_terms(self, its: Sum) -> int:
+        """Return the index of an opened sum, a positive term in front if there is one."""
+        if not its:
+            return self.number(0.0, Role(shape_of(ONE), 1.0, is_inner=False))
+        return self._added(its, inner=None)
+
+    def _added(self, its: Sum, inner: Shape | None) -> int:
+        terms = list(in_order(its))
+        first = next((place for place, (_, coefficient) in enumerate(terms) if coefficient > 0.0), 0)
+        terms.insert(0, terms.pop(first))
+        top = self._term(*terms[0], inner, is_first=True)
+        for monomial, coefficient in terms[1:]:
+            term = self._term(monomial, coefficient, inner, is_first=False)
+            top = self.operate(ADD if coefficient > 0.0 else SUBTRACT, top, term)
+        return top
+
+    def _term(self, monomial: Monomial, coefficient: float, inner: Shape | None, *, is_first: bool) -> int:
+        """Return the index of a term; the sign stands before it, unless it is the first."""
+        shape = shape_of(monomial) if inner is None else inner
+        sign = 1.0 if is_first or coefficient > 0.0 else -1.0
+        role = Role(shape, sign, is_inner=inner is not None)
+        if monomial == ONE:
+            return self.number(sign * coefficient, role)
+        is_plain = abs(coefficient) == 1.0 and (inner is not None or not self._is_written(shape, coefficient))
+        factor = None if is_plain else self.number(sign * coefficient, role)
+        node = self._product(monomial, factor, shape)
+        return self.operate(NEGATE, node) if is_plain and sign * coefficient < 0.0 else node
+
+    def _product(self, monomial: Monomial, factor: int | None, shape: Shape) -> int:
+        above = [] if factor is None else [factor]
+        above += [self._atom(atom, shape) for atom, count in monomial for _ in range(count)]
+        below = [self._atom(atom, shape) for atom, count in monomial for _ in range(-count)]
+        if not below:
+            return self._chained(above)
+        divisor = self._chained(below)
+        return self.operate(DIVIDE, self._chained(above), divisor) if above else self.operate(INVERSE, divisor)
+
+    def _chained(self, factors: Sequence[int]) -> int:
+        node = factors[0]
+        for factor in factors[1:]:
+            node = self.operate(MULTIPLY, node, factor)
+        return node
+
+    def _atom(self, atom: Atom, shape: Shape) -> int:
+        kind, *rest = atom
+        if kind == VARIABLE:
+            return self.add(VARIABLE, rest[0])
+        if kind == ADD:
+            return self._added(rest[0], shape)
+        if kind == POW:
+            base = self._added(rest[0], shape)
+            return self.operate(POW, base, self._added(rest[1], shape))
+        return self.operate(kind, self._added(rest[0], shape))
+
+
+def factored_forms(program: Program) -> Iterator[Program]:
+    """Yield ``a*(s + b*t + …)`` for each term s of the opened program, a being its coefficient; nothing of one term."""
+    try:
+        its = terms_of(program)
+    except UndefinedError:
+        return
+    for lead, (_, factor) in enumerate(its if len(its) > 1 else ()):
+        builder = _Builder(lambda *_: False)
+        scale = builder.append(CONSTANT, value=factor)
+        inner = tuple(
+            (monomial, 1.0 if place == lead else number / factor) for place, (monomial, number) in enumerate(its)
+        )
+        yield builder.program(builder.operate(MULTIPLY, scale, builder.sum_of_terms(inner)))

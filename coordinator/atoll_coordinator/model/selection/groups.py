@@ -1,0 +1,99 @@
+"""One structure whose constants differ between groups of trajectories: where the fits of its constants begin.
+
+Letters: G groups, P constants that are fitted, Q numbers that these are in all groups together, N nodes.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray, Problem
+from atoll.expression.program import Program, constant_places, structure
+from atoll.expression.restrictions import NONE, Restrictions
+from atoll_coordinator.model.regression.fit import LeastSquares
+from atoll_coordinator.model.shooting.system import Grouping, System
+from atoll_coordinator.settings import SETTINGS
+
+
+class GroupedRows:
+    """The rows of each group, by equation: constants are fitted to these before any trajectory is simulated."""
+
+    def __init__(
+        self, problems: Sequence[Sequence[Problem]], restrictions: Mapping[int, Restrictions] | None = None
+    ) -> None:
+        """`problems` has for each equation one of each group, none for an equation that is given.
+
+        `restrictions` are those of the equations, by index.
+        """
+        self.count: Final = max(map(len, problems), default=1)
+        its = restrictions or {}
+        self._fits = [
+            [LeastSquares(problem, restrictions=its.get(index, NONE)) for problem in those]
+            for index, those in enumerate(problems)
+        ]
+        self._known: dict[tuple[int, bytes], FloatArray] = {}
+
+    def grouped(
+        self, system: System, leading: int, fixed: Sequence[Collection[int]], near: System | None,
+        shared: Collection[tuple[int, int]],
+    ) -> System:  # fmt: skip
+        """Return `system` with constants by group; arguments as of `ModelComparison.system`, `leading` equations first.
+
+        Where constants are shared, it begins from their mean.
+        """
+        own = np.repeat(system.constants[None], self.count, axis=0)
+        ends = (system.outputs + 1).tolist()
+        for index, program in enumerate(system.equations[leading:]):
+            part = slice(ends[index + leading] - len(program), ends[index + leading])
+            own[:, part] = self._constants(index, program, fixed[index], near, part, leading)
+        columns = np.zeros((self.count, len(system.places)), np.int64)
+        number = 0
+        for place, (node, owner) in enumerate(zip(system.places.tolist(), system.owners.tolist(), strict=True)):
+            first = ends[owner] - len(system.equations[owner])
+            is_shared = (owner - leading, node - first) in shared
+            if is_shared:
+                own[:, node] = own[:, node].mean()
+            columns[:, place] = number if is_shared else number + np.arange(self.count)
+            number += 1 if is_shared else self.count
+        made = replace(system, grouping=Grouping(own, columns, number))
+        return made.with_values(made.values)
+
+    def spread(self, system: System, values: FloatArray | None) -> FloatArray | None:
+        """Return for each of the Q numbers the one of `values` (P,) that belongs to its constant."""
+        if values is None or system.grouping is None:
+            return None
+        found = np.zeros(system.count)
+        found[system.grouping.columns] = values[None, :]
+        return found
+
+    def _constants(
+        self, index: int, program: Program, fixed: Collection[int], near: System | None, part: slice, leading: int
+    ) -> FloatArray:
+        """Return the constants (G, N) of one equation with which its fit begins."""
+        if near is not None and near.grouping is not None:
+            before = near.equations[index + leading]
+            if structure(before) == structure(program):
+                first = int(near.outputs[index + leading]) + 1 - len(before)
+                found = near.grouping.constants[:, first : first + len(before)].copy()
+                for node in fixed:
+                    if program.constants[node] != near.constants[first + node]:
+                        found[:, node] = program.constants[node]
+                return found
+        return self._fitted(index, program, fixed)
+
+    def _fitted(self, index: int, program: Program, fixed: Collection[int]) -> FloatArray:
+        """Return the constants (G, N) of a program fitted to the rows of each group; as they are where they cannot."""
+        places = [place for place in constant_places(program) if place not in fixed]
+        if not places or not self._fits[index]:
+            return np.repeat(program.constants[None], self.count, axis=0)
+        key = (index, program.to_bytes() + bytes(sorted(fixed)))
+        known = self._known.get(key)
+        if known is None:
+            fits = [
+                each.fit(program, sorted(fixed), steps=SETTINGS.effort.brief_steps).program.constants
+                for each in self._fits[index]
+            ]
+            known = self._known[key] = np.array(fits)
+        return known

@@ -1,0 +1,50 @@
+"""What is known of a constant that lies on a bound: a one-sided interval. Pure."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll.data.dataset import FloatArray
+from atoll_coordinator.model.refinement import Constant
+
+
+def one_sided_reaches(
+    information: FloatArray, gradient: FloatArray | None, held: npt.NDArray[np.bool_]
+) -> dict[int, float]:
+    """Return for each constant on a bound, by number, how far from it 95 % of its distribution reach.
+
+    Near the bound the likelihood is that of a normal distribution whose centre lies beyond it, by the Newton step that
+    the gradient asks for; what is left of it on the near side is the distribution of the constant.
+
+    Args:
+        information: the curvature (P, P) of minus the log-likelihood.
+        gradient: the slope (P,) of the log-likelihood.
+        held: which constants (P,) lie on a bound.
+    """
+    from scipy import stats
+
+    free, found = np.flatnonzero(~held), {}
+    for number in np.flatnonzero(held).tolist():
+        chosen = np.array([*free, number])
+        inverse = np.linalg.pinv(information[np.ix_(chosen, chosen)], hermitian=True)
+        error = math.sqrt(max(float(inverse[-1, -1]), 0.0))
+        beyond = 0.0 if gradient is None else abs(float(gradient[number])) * error
+        reach = error * float(stats.truncnorm.ppf(0.95, beyond, np.inf, loc=-beyond))
+        found[number] = reach if math.isfinite(reach) else 0.0
+    return found
+
+
+def within_bounds(constant: Constant, lower: float, upper: float, reach: float | None) -> Constant:
+    """Return a constant with its interval cut at its bounds; on a bound, with the one-sided one that `reach` makes."""
+    if reach is None:
+        its = constant.interval
+        interval = None if its is None else (max(its[0], lower), min(its[1], upper))
+        return replace(constant, bounds=(lower, upper), interval=interval)
+    at = lower if constant.fitted is not None and constant.fitted <= lower else upper
+    interval = (at, min(at + reach, upper)) if at == lower else (max(at - reach, lower), at)
+    return replace(
+        constant, value=at, std_error=None, interval=interval, identifiable=True, bounds=(lower, upper),
+        is_at_bound=True,
+    )  # fmt: skip

@@ -1,0 +1,55 @@
+"""Equations as sums of terms in which each constant has a meaning of its own."""
+
+import numpy as np
+import pytest
+
+from atoll.expression.evaluation import values_of
+from atoll.expression.text.infix import to_infix
+from atoll.expression.text.parsing import from_infix
+from atoll.expression.writing.opened import factored_forms, open_terms
+
+NAMES = ("x", "y")
+POINTS = np.random.default_rng(3).uniform(0.5, 2.0, (2, 20))
+
+
+@pytest.mark.parametrize(
+    ("text", "opened"),
+    [
+        ("x*(3 - 2*y)", "3.0*x - 2.0*x*y"),
+        ("x*(1 - x)*(2 + y)", "2.0*x - 2.0*x*x + x*y - x**2*y"),
+        ("x/(4 + 2*y) - y", "0.5*x/(2.0 + y) - y"),
+        ("-2*x", "-2.0*x"),
+        ("exp(-0.5*x)*3", "3.0*exp(-0.5*x)"),
+    ],
+)
+def test_brackets_are_opened_and_divisors_have_a_leading_one(text, opened):
+    program = from_infix(text, NAMES)
+    its = open_terms(program)
+    assert its is not None
+    assert to_infix(its.program, NAMES) == opened
+    assert np.allclose(values_of(its.program, POINTS), values_of(program, POINTS), rtol=1e-12)
+    assert len(its.roles) == int((its.program.operators == 1).sum())
+
+
+def test_each_constant_has_its_sign_and_its_place():
+    its = open_terms(from_infix("3*x - 2*x*y/(5 + y)", NAMES))
+    assert [(role.sign, role.is_inner) for role in its.roles] == [(1.0, False), (-1.0, False), (1.0, True)]
+
+
+def test_equal_constants_stay_apart():
+    its = open_terms(from_infix("0.5*x + 0.5*y", NAMES))
+    assert len(its.roles) == 2
+
+
+def test_what_has_too_many_terms_is_not_opened():
+    assert open_terms(from_infix("(1 + x + y)**9", NAMES)) is None
+
+
+def test_each_coefficient_is_a_factor_of_all_in_turn():
+    program = from_infix("2*x - 0.5*x*x", NAMES)
+    forms = list(factored_forms(program))
+    assert [to_infix(each, NAMES) for each in forms] == ["2.0*(x - 0.25*x**2)", "-0.5*(x**2 - 4.0*x)"] or len(
+        forms
+    ) == 2
+    assert all(np.allclose(values_of(each, POINTS), values_of(program, POINTS)) for each in forms)
+    assert list(factored_forms(from_infix("3*x", NAMES))) == []

@@ -1,0 +1,96 @@
+"""From a table with groups of trajectories to one structure with constants of each."""
+
+import numpy as np
+import pytest
+
+from atoll.config import DataConfig, JobConfig, SpaceConfig
+from atoll.data.table import Table
+from atoll.errors import DataError, UsageError
+from atoll.expression.evaluation import values_of
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.pipeline import refine_all
+from atoll_coordinator.model.report.render import render_text
+from atoll_coordinator.model.report.result import Account, VariableOutcome, build_result
+from atoll_coordinator.model.selection import joint_search
+from tests.unit.coordinator.model.fitting import settings
+from tests.unit.coordinator.model.shooting.made import pools
+
+RATES, CAPACITY = (0.5, 1.0, 1.7), 2.0
+TIMES = 0.2 * np.arange(40.0)
+
+
+@pytest.fixture(autouse=True)
+def _little_work(monkeypatch):
+    monkeypatch.setattr(joint_search, "SETTINGS", settings("effort", work=1_000_000))
+
+
+def table(noise=0.02, rates=RATES):
+    """Return runs of logistic growth, each with a rate of its own."""
+    draw = np.random.default_rng(4)
+    values = [CAPACITY / (1.0 + 19.0 * np.exp(-rate * TIMES)) for rate in rates]
+    runs = np.repeat(np.arange(float(len(rates))) + 1.0, len(TIMES))
+    x = np.concatenate(values) + noise * draw.standard_normal(len(runs))
+    rows = np.arange(len(runs), dtype=np.int64)
+    columns = np.array([runs, np.tile(TIMES, len(rates)), x])
+    return Table(("strain", "t", "x"), ("", "", ""), columns, (0,), ("a.csv",), 0 * rows, rows + 2, ())
+
+
+def config(**data):
+    return JobConfig(data=DataConfig(**data), space=SpaceConfig(operators=("-", "*")))
+
+
+def refined(noise=0.02, **data):
+    preparation = prepare(table(noise), config(**data))
+    return preparation, refine_all(preparation, config(**data), pools(preparation, x=("x", "x*(2 - x)")))
+
+
+def test_what_differs_is_told_and_what_does_not_is_shared():
+    _, refinement = refined(group="strain")
+    (equation,) = refinement.equations.values()
+    assert [each.group for each in equation.by_group] == ["1", "2", "3"]
+    assert sorted(equation.shared) == [False, True]
+    rate, capacity = equation.shared.index(False), equation.shared.index(True)
+    points = np.array([[0.5, 1.0, 1.5]])
+    for its, true in zip(equation.by_group, RATES, strict=True):
+        assert values_of(its.program, points) == pytest.approx(true * points[0] * (1.0 - points[0] / CAPACITY), rel=0.1)
+        low, high = its.constants[rate].interval
+        assert low < its.constants[rate].fitted < high
+    assert equation.grade == "good"
+    assert len({id(its.constants[capacity]) for its in equation.by_group}) == 1
+
+
+def test_a_result_has_the_equation_of_each_group():
+    preparation, refinement = refined(group="strain")
+    outcome = VariableOutcome("x", (), 1, refined=refinement.equations["x"])
+    result = build_result("j", config(group="strain"), preparation, [outcome], Account("done", 1.0, 1.0), refinement)
+    (equation,) = result["equations"]
+    assert [each["group"] for each in equation["groups"]] == ["1", "2", "3"]
+    assert [each["trajectories"] for each in result["groups"]] == [["1"], ["2"], ["3"]]
+    assert np.array(result["groups"][0]["covariance"]["matrix"]).shape == (2, 2)
+    text = render_text(result)
+    assert "    group  " in text
+    assert "± " in text
+
+
+def test_each_trajectory_may_be_a_group():
+    data = table()
+    preparation = prepare(data, config(trajectory="strain", per_trajectory=True))
+    assert preparation.recording.groups == ("1", "2", "3")
+    assert preparation.dataset.groups.max() == 2
+    assert [each.group for each in preparation.recording.trajectories] == ["1", "2", "3"]
+
+
+@pytest.mark.parametrize(
+    ("data", "error", "words"),
+    [
+        ({"group": "strain", "per_trajectory": True}, UsageError, "exclude each other"),
+        ({"group": "strain", "target": "x"}, UsageError, "--group and --target exclude"),
+        ({"group": "strain", "holdout": 1}, DataError, "keeps all trajectories of group 3"),
+        ({"group": "strian"}, DataError, "did you mean 'strain'"),
+        ({"group": "strain", "stochastic": True}, UsageError, "--stochastic and --group"),
+    ],
+)
+def test_groups_that_are_none_are_refused_in_one_sentence(data, error, words):
+    with pytest.raises(error, match=words) as caught:
+        prepare(table(), config(**data))
+    assert "\n" not in str(caught.value)
