@@ -123,7 +123,7 @@ def test_tables_become_sound_datasets_or_one_sentence(table, config, preset):
         assert target.uncertainty >= 0.0
 
 
-cells = st.text(alphabet="0123456789.,;-+einf\t\r\n \"'[]tx#NaN\ufeff", max_size=60)
+cells = st.text(alphabet="0123456789.,;-+einf\t\r\n \"'[]tx#NaN%:/m\u00a0\ufeff", max_size=60)
 
 
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -22,7 +22,9 @@ def read_npz(path: Path, config: DataConfig) -> Rows:
         zipfile.ZipFile(path).close()  # whatever is none is found out here: np.load would leave it open
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: np.asarray(archive[name]) for name in archive.files}
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+    except OSError:
+        raise
+    except Exception as error:  # of many kinds, for whatever is broken in there
         raise DataError(f"{path.name} is not an NPZ file of plain arrays; write one with numpy.savez") from error
     return rows_of_arrays(path.name, arrays, config, ("NPZ",))
 

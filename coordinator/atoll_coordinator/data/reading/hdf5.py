@@ -39,7 +39,9 @@ def read_arrays(path: Path, is_matlab: bool = False) -> _Arrays:
     try:
         with h5py.File(path, "r") as file:
             return _collected(path.name, file, h5py, is_matlab)
-    except OSError as error:
+    except DataError:
+        raise
+    except Exception as error:  # of many kinds, for whatever is broken in there
         raise DataError(f"{path.name} is not an HDF5 file that can be read; write it anew, or as CSV") from error
 
 

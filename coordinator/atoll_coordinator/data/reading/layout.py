@@ -6,9 +6,9 @@ numbers, the last comment before it that has as many cells, as `numpy.savetxt` w
 
 import csv
 import re
+import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import Final
 
 from atoll.errors import DataError
@@ -95,11 +95,13 @@ def _split(name: str, text: str, beginning: _Beginning, is_comment: Callable[[st
         rows = rows_of_records(name, headers, _records(name, skipped, separator), ())
         rows, where = replace(rows, units=units or rows.units), ("header in a comment",)
     else:
-        separator = beginning.separator or _separator(line, list(islice(_following(text, number), 1)))
+        below = next(_following(text, number), "")
+        separator = beginning.separator or _separator(line, below)
         records = _records(name, skipped, separator)
         _, headers = next(records)
         _check_header(name, headers)
-        rows = rows_of_records(name, headers, records, ())
+        is_named_as_by_r = below.lstrip().startswith('"')
+        rows = rows_of_records(name, headers, records, (), has_row_names=is_named_as_by_r)
     used = 0 if found is None else 1 + bool(found[2])
     comments = skipped.count + len(beginning.comments) - used
     left_out = (f"{comments} comment {'line' if comments == 1 else 'lines'} left out",) if comments else ()
@@ -162,14 +164,14 @@ def cells_of(line: str, separator: str) -> list[str]:
         return [text]
 
 
-def _separator(header: str, below: Sequence[str]) -> str:
+def _separator(header: str, below: str) -> str:
     """Return what the header uses outside of quotes and units: tab, semicolon or comma; else perhaps spaces."""
     bare = re.sub(r'"[^"]*"|\[[^\]]*\]', "", header)
     for separator in "\t;,":
         if separator in bare:
             return separator
     number = len(cells_of(header, SPACES))
-    return SPACES if number > 1 and below and len(cells_of(below[0], SPACES)) in (number, number + 1) else ","
+    return SPACES if number > 1 and len(cells_of(below, SPACES)) in (number, number + 1) else ","
 
 
 def _header_of_comments(line: str, beginning: _Beginning) -> tuple[str, Sequence[str], tuple[str, ...]] | None:
@@ -196,14 +198,15 @@ def _names(comment: str, separator: str, count: int) -> list[str] | None:
     text = comment.strip().lstrip(_MARKS)
     for each in (separator, ",", ";", "\t", SPACES):
         cells = [on_one_line(cell) for cell in cells_of(text, each)]
-        if len(cells) == count and not any(cell.endswith((",", ";")) for cell in cells):
+        if len(cells) == count and not any(cell.endswith((",", ";")) or is_numeral(cell) for cell in cells):
             return cells
     cells = re.split(r"\s{2,}", text)
-    return cells if len(cells) == count else None
+    return cells if len(cells) == count and not any(map(is_numeral, cells)) else None
 
 
 def _check_header(name: str, headers: Sequence[str]) -> None:
     if all(header and is_numeral(header) for header in headers):
         raise DataError(f"the first line of {name} holds numbers only; a header with column names is expected there")
     if len(headers) == 1 and len(headers[0].split()) > 1:
-        raise DataError(f"{name} has one column, '{headers[0]}'; separate columns with commas, semicolons or tabs")
+        column = textwrap.shorten(headers[0], 60, placeholder="…")
+        raise DataError(f"{name} has one column, '{column}'; separate columns with commas, semicolons or tabs")

@@ -1,8 +1,12 @@
-"""MATLAB files -> `Rows`: up to version 7 by scipy, 7.3 by h5py, since they are HDF5 then.
+"""MATLAB files -> `Rows`: versions 5 to 7 by scipy, 7.3 by h5py, since they are HDF5 then.
 
 Matrices have their columns counted from 1, fields of structures are taken as arrays.
 """
 
+import io
+import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,35 +30,24 @@ def read_matlab(path: Path, config: DataConfig) -> Rows:
         arrays, units = read_arrays(path, is_matlab=True)
         version = "MATLAB 7.3"
     else:
-        arrays, units, version = _flat(_loaded(path)), {}, "MATLAB"
+        if not beginning.startswith(b"MATLAB"):
+            raise _refusal(path)
+        arrays, units, version = _loaded(path), {}, "MATLAB"
     if not any(np.ndim(array) for array in arrays.values()):
         raise DataError(f"{path.name} holds no numeric arrays; save vectors or matrices, tables with table2struct")
     return rows_of_arrays(path.name, arrays, config, (version,), units, first=1)
 
 
 def _loaded(path: Path) -> dict[str, Any]:
-    import scipy.io
+    """Return the arrays of a file, read by a process of its own: see `matlab_child`."""
+    command = [sys.executable, "-P", "-m", "atoll_coordinator.data.reading.matlab_child", str(path)]
+    child = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    if child.returncode:
+        raise _refusal(path)
+    with np.load(io.BytesIO(child.stdout), allow_pickle=False) as packed:
+        names = json.loads(str(packed["names"]))
+        return {name: packed[str(number)] for number, name in enumerate(names)}
 
-    try:
-        found: dict[str, Any] = scipy.io.loadmat(path, simplify_cells=True)
-    except OSError:
-        raise
-    except Exception as error:  # of many kinds, for whatever is broken in there
-        raise DataError(f"{path.name} is not a MATLAB file that can be read; save it anew, or as CSV") from error
-    return {name: value for name, value in found.items() if not name.startswith("__")}
 
-
-def _flat(values: dict[str, Any]) -> dict[str, Any]:
-    """Return the arrays, those of structures by the field's name, or by both names where it is taken.
-
-    What holds no numbers or text becomes a single empty text.
-    """
-    found: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, dict):
-            inner = _flat(value)
-            found |= {field if field not in found else f"{name}.{field}": its for field, its in inner.items()}
-        else:
-            array = np.asarray(value)
-            found[name] = array if array.dtype.kind in "biufcU" and array.ndim <= 2 else np.array("")
-    return found
+def _refusal(path: Path) -> DataError:
+    return DataError(f"{path.name} is not a MATLAB file that can be read; save it anew, or as CSV")

@@ -45,7 +45,7 @@ def read_numbers(
         name: next(iter(its & usual)) if its & usual else _only(file, name, columns[name], its)
         for name, its in ways.items()
     }
-    if seen == {"comma"}:
+    if any(way == "comma" and any("," in cell for cell in columns[name]) for name, way in chosen.items()):
         chosen |= {name: "comma" for name in plain if _has_thousands(columns[name])}
     read = {name: _converted(columns[name], chosen[name]) if name in chosen else plain[name] for name in columns}
     return read, _remarks(columns, chosen)
@@ -92,7 +92,7 @@ def _ways_of(cell: str) -> set[Decimal]:
 
 
 def _has_points(columns: Mapping[str, Sequence[str]], plain: Mapping[str, object]) -> bool:
-    return any("." in cell for name in plain for cell in columns[name])
+    return any("." in cell and not _THOUSANDS.fullmatch(cell) for name in plain for cell in columns[name])
 
 
 def _has_thousands(cells: Sequence[str]) -> bool:

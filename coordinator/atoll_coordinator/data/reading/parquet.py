@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from atoll.errors import DataError
+from atoll_coordinator.data.reading.cells import on_one_line
 from atoll_coordinator.data.reading.rows import Rows, with_breaks
 
 
@@ -13,8 +14,9 @@ def read_parquet(path: Path) -> Rows:
 
     try:
         frame = polars.read_parquet(path)
-    except polars.exceptions.PolarsError as error:
-        raise DataError(f"{path.name} is not a Parquet file that can be read: {error}") from error
+    except (polars.exceptions.PolarsError, polars.exceptions.PanicException) as error:
+        found = f"{path.name} is not a Parquet file that can be read"
+        raise DataError(f"{found}: {on_one_line(str(error)) or 'it is damaged'}") from error
     read = [_cells(path.name, series, polars) for series in frame.get_columns()]
     return with_breaks(frame.columns, [cells for cells, _ in read], ("Parquet",), [unit for _, unit in read])
 

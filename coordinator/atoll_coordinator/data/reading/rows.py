@@ -7,8 +7,8 @@ from itertools import pairwise
 from typing import Final
 
 from atoll.errors import DataError
-from atoll_coordinator.data.reading.cells import is_missing, is_numeral, is_text, on_one_line
-from atoll_coordinator.data.reading.units import are_units
+from atoll_coordinator.data.reading.cells import is_missing, is_numeral, on_one_line
+from atoll_coordinator.data.roles.units import are_units
 
 _BRACKETS: Final = re.compile(r"^\s*[\[(](.*)[\])]\s*$")
 _NO_UNIT: Final = frozenset({"-", "–", "1"})
@@ -33,9 +33,15 @@ class Rows:
 
 
 def rows_of_records(
-    file: str, headers: Sequence[str], records: Iterable[tuple[int, list[str]]], remarks: tuple[str, ...]
+    file: str,
+    headers: Sequence[str],
+    records: Iterable[tuple[int, list[str]]],
+    remarks: tuple[str, ...],
+    has_row_names: bool = False,
 ) -> Rows:
     """Return the rows of line numbers and cells; blank records become starts of trajectories.
+
+    `has_row_names` says whether rows may begin with a name for which the header has no cell.
 
     Raises:
         DataError: a record has more or fewer cells than the header.
@@ -51,7 +57,7 @@ def rows_of_records(
         else:
             starts.append(len(lines))
     if kept and all(len(record) == len(headers) + 1 for record in kept):
-        headers, kept = _one_cell_more(headers, kept)
+        headers, kept = _one_cell_more(headers, kept, has_row_names)
     for line, record in zip(lines, kept, strict=True):
         if len(record) != len(headers):
             found = f"{len(record)} {'cell' if len(record) == 1 else 'cells'}"
@@ -61,14 +67,13 @@ def rows_of_records(
     return take_units(Rows(tuple(headers), columns, lines, starts, remarks))
 
 
-def _one_cell_more(headers: list[str], records: list[list[str]]) -> tuple[list[str], list[list[str]]]:
-    """Take in records with one cell more than the header: a separator at the end, or names of rows as R writes them."""
+def _one_cell_more(
+    headers: list[str], records: list[list[str]], has_row_names: bool
+) -> tuple[list[str], list[list[str]]]:
+    """Take in records with one cell more than the header: a separator at the end, or names of rows."""
     if not any(record[-1].strip() for record in records):
         return headers, [record[:-1] for record in records]
-    first = [record[0] for record in records]
-    if is_text(first) or first == [str(row) for row in range(1, len(records) + 1)]:
-        return ["", *headers], records
-    return headers, records
+    return (["", *headers] if has_row_names else headers), records
 
 
 def take_units(rows: Rows) -> Rows:

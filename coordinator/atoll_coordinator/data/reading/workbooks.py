@@ -5,7 +5,6 @@ The first sheet that is not empty is read, from its first row that is not.
 
 import datetime
 import warnings
-import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +30,9 @@ def read_workbook(path: Path) -> Rows:
                 sheets = [(sheet.title, [*_records(sheet)]) for sheet in book.worksheets]
             finally:
                 book.close()
-    except (zipfile.BadZipFile, KeyError, ValueError, EOFError) as error:
+    except OSError:
+        raise
+    except Exception as error:  # of many kinds, for whatever is broken in there
         raise DataError(f"{path.name} is not an Excel workbook that can be read; save it anew, or as CSV") from error
     filled = [(title, records) for title, records in sheets if records]
     if not filled:

@@ -6,9 +6,11 @@ from typing import Final
 
 from atoll.config import DataConfig
 from atoll.errors import UsageError
+from atoll_coordinator.data.roles.units import are_units
 
 TRAJECTORY_NAME: Final = "trajectory"
 _WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]$", re.DOTALL)
+_IN_PARENTHESES = re.compile(r"^(?P<name>.*?)\s+\((?P<unit>[^()]*)\)$", re.DOTALL)
 
 
 def named_columns(config: DataConfig) -> frozenset[str]:
@@ -21,9 +23,9 @@ def named_columns(config: DataConfig) -> frozenset[str]:
 
 
 def split_unit(header: str) -> tuple[str, str]:
-    """Split ``name [unit]``; a header that is nothing but a unit stays whole."""
-    match = _WITH_UNIT.match(header.strip())
-    if match is None or not match["name"]:
+    """Split ``name [unit]``, and ``name (unit)`` if the unit is known; what is nothing but a unit stays whole."""
+    match = _WITH_UNIT.match(header.strip()) or _IN_PARENTHESES.match(header.strip())
+    if match is None or not match["name"] or (header.strip()[-1] == ")" and not are_units([match["unit"].strip()])):
         return header.strip(), ""
     return match["name"], match["unit"].strip()
 

@@ -10,7 +10,8 @@ from atoll.errors import DataError, UsageError
 from atoll.suggestions import did_you_mean
 from atoll_coordinator.data.roles.options import check_options, find_trajectory_column, named_columns, strip_units
 
-TIME_NAMES: Final = ("t", "time")
+TIME_NAMES: Final = ("t", "time", "Time", "TIME")
+"""What the time is called unless options name it, in this order."""
 
 
 @dataclass(frozen=True)
@@ -153,9 +154,9 @@ def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
         counts = f"{len(roles.derivatives)} derivatives were named for the states {states}"
         raise UsageError(f"{counts}; name as many states with --states, in the same order")
     if roles.target is None and not roles.derivatives and roles.time is None:
-        looked = config.time or " or ".join(TIME_NAMES)
+        looked = config.time or " or ".join(TIME_NAMES[:2])
         found = f"no time column was found (looked for {looked}); name it with --time, or use --target COLUMN"
-        raise DataError(found + did_you_mean(TIME_NAMES[-1], (*table.names, *table.skipped)))
+        raise DataError(found + did_you_mean(TIME_NAMES[1], (*table.names, *table.skipped)))
     for name in config.only or ():
         if name not in roles.equations:
             sought = f"equations are sought for {', '.join(roles.equations)}{did_you_mean(name, roles.equations)}"

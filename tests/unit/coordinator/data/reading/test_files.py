@@ -61,6 +61,12 @@ def test_units_are_split_from_names(read):
     assert table.units == ("s", "m/s", "deg", "")
 
 
+def test_known_units_may_stand_in_parentheses(read):
+    table = read("Time (s),x (mol/L),rate (of x),N(t),f (1)\n0,1,2,3,4\n")
+    assert table.names == ("Time", "x", "rate (of x)", "N(t)", "f (1)")
+    assert table.units == ("s", "mol/L", "", "", "")
+
+
 def test_all_digits_survive(read):
     values = [0.1 + 0.2, 1e-300, -1.7976931348623157e308, 5e-324]
     assert read("x\n" + "\n".join(f"{value:.17g}" for value in values)).column("x").tolist() == values

@@ -129,13 +129,8 @@ WRITTEN: dict[str, tuple[str, Writer, dict[str, object]]] = {
     ),
     "MATLAB": (
         "a.mat",
-        lambda path: scipy.io.savemat(path, {"t": T, "x": MATRIX[:, 1:], "note": "hi", "k": 3.0}),
-        {"names": "t x1 x2", "says": "left out: note, k"},
-    ),
-    "MATLAB, a structure": (
-        "a.mat",
-        lambda path: scipy.io.savemat(path, {"s": {"t": T, "x": X, "y": Y}}),
-        {"says": "MATLAB"},
+        lambda path: scipy.io.savemat(path, {"run": {"t": T, "x": MATRIX[:, 1:]}, "note": "hi", "k": 3.0}),
+        {"names": "t x1 x2", "says": "MATLAB; left out: note, k"},
     ),
     "MATLAB 7.3": ("a.mat", matlab_73, {"names": "t x1 x2", "says": "MATLAB 7.3"}),
     "HDF5": ("a.h5", hdf5, {"units": ("s", "m", "m/s"), "says": "HDF5"}),

@@ -68,6 +68,12 @@ def test_the_other_dates_tell_day_from_month(cells, form):
     assert instants(*cells).form == form
 
 
+def test_day_and_month_do_not_matter_where_all_are_of_one_day():
+    found = instants("03/01/2021 06:00", "03/01/2021 06:30")
+    assert found.form == "dates day/month/year (or month/day/year: all are of one day)"
+    assert times_of([found], (0,), None)[0].tolist() == [0.0, 30.0]
+
+
 def test_each_trajectory_ascends_by_itself():
     assert instants("10/01/2020", "01/02/2020", "10/01/2020", "01/02/2020", starts=(0, 2)).form.startswith("dates day")
 

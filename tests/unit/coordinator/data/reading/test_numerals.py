@@ -47,6 +47,10 @@ def test_points_separate_thousands_where_commas_are_decimal():
     assert numbers(";", x="1.234|12.5", t="0,5|1,5")[0]["x"] == [1.234, 12.5]
 
 
+def test_points_and_commas_of_three_digits_are_read_as_one_country_writes_them():
+    assert numbers(";", x="1.234|12.345", y="1,234|2,345")[0] == {"x": [1234.0, 12345.0], "y": [1.234, 2.345]}
+
+
 def test_plain_numbers_have_no_remark():
     assert numbers(x="1.234|1e5|") == ({"x": [1.234, 1e5, pytest.approx(float("nan"), nan_ok=True)]}, ())
 

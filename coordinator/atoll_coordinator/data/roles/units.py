@@ -1,4 +1,4 @@
-"""Which texts are units of measurement, so that a row of them is told from a row of data. Pure.
+"""Which texts are units of measurement, so that they are told from data and from remarks in a header. Pure.
 
 A unit is a product of powers of known symbols, such as ``m s^-2``, ``mol/(L h)`` or ``µg/mL``. What a unit means is not
 of interest here.
