@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.integration.test_processes import until
+import atoll
+from tests.certificates import Lab
+from tests.integration.test_processes import done, started, until
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / "examples" / "lotka_volterra.csv"
@@ -31,10 +33,11 @@ def workers(host):
 
 found = [atoll.discover(sys.argv[1], workers=2)]
 host = session._services[2]._process.pid
-killed = [*workers(host)]
+killed = [*workers(host)] if sys.argv[2] == "alone" else []
 for pid in killed:
     os.kill(pid, signal.SIGKILL)
-found.append(atoll.discover(sys.argv[1], workers=2))
+if killed:
+    found.append(atoll.discover(sys.argv[1], workers=2))
 print(json.dumps({
     "digests": [model.provenance["digest"] for model in found],
     "equations": [str(each) for each in found[0].equations],
@@ -68,24 +71,49 @@ def _belongs(process: Path, host: int) -> bool:
     return process.name == str(host) or any(pair == (b"--parent", number) for pair in pairwise(words))
 
 
+@pytest.fixture(scope="module")
+def digest_of_run(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """What ``coordinator run`` finds."""
+    place = tmp_path_factory.mktemp("run")
+    command = [sys.executable, "-m", "atoll_coordinator", "run", str(DATA), "--workers", "2", "--out", "r"]
+    assert run(command, place).returncode == 0
+    return str(json.loads((place / "r" / "result.json").read_text())["digest"])
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are listed as on Linux")
-def test_two_calls_give_the_digest_of_the_command_line_and_leave_nothing(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "atoll_coordinator", "run", str(DATA), "--workers", "2", "--out", "r"]
-    assert run(command, tmp_path).returncode == 0
-    expected = json.loads((tmp_path / "r" / "result.json").read_text())["digest"]
+def test_two_calls_give_the_digest_of_the_command_line_and_leave_nothing(tmp_path: Path, digest_of_run: str) -> None:
     (tmp_path / "script.py").write_text(SCRIPT)
     before = sorted(tmp_path.iterdir())
     for ending, code in (("alone", 0), ("killed", -9)):
         done = run([sys.executable, "script.py", str(DATA), ending], tmp_path)
         assert done.returncode == code, done.stderr
         found = json.loads(done.stdout)
-        assert found["digests"] == [expected, expected]
+        calls = 2 if ending == "alone" else 1
+        assert found["digests"] == [digest_of_run] * calls
         assert found["equations"] == ["dx/dt = x*(3 - x - 2*y)", "dy/dt = y*(2 - x - y)"]
         assert found["threads"] == 1
-        assert (found["killed"], found["is_same"]) == (2, True)  # workers that die are replaced
+        assert (found["killed"], found["is_same"]) == (2 * (calls - 1), True)  # workers that die are replaced
         assert all_gone(found["host"])
         assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.slow
+def test_a_service_with_certificates_gives_the_same_digest_to_python_and_to_submit(
+    tmp_path: Path, lab: Lab, digest_of_run: str
+) -> None:
+    words = ("serve", "--listen", "tls/127.0.0.1:0", "--state", "s", *lab.options("coordinator"))
+    with started(tmp_path, "coordinator", *words) as serve:
+        assert serve.stdout is not None
+        line = next(line for line in serve.stdout if "island-worker --connect" in line)
+        address = f"tls/localhost:{line.split('--connect ')[1].split()[0].rpartition(':')[2]}"
+        with started(tmp_path, "island_worker", "--connect", address, "--processes", "1", *lab.options("lab1")):
+            ann = ("--connect", address, *lab.options("ann"))
+            assert done(tmp_path, "coordinator", "submit", str(DATA), "--out", "r", *ann).returncode == 0
+            files = dict(zip(("ca", "cert", "key"), lab.files("ann"), strict=True))
+            model = atoll.discover(DATA, connect=address, tls=files, progress=False)
+    submitted = json.loads((tmp_path / "r" / "result.json").read_text())["digest"]
+    assert (model.provenance["digest"], submitted) == (digest_of_run, digest_of_run)
 
 
 @pytest.mark.slow

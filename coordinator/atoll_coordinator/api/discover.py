@@ -4,6 +4,7 @@ import contextlib
 import os
 import uuid
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, Final, Self
 
 from atoll.config import JobConfig
@@ -96,7 +97,7 @@ def discover(
     data: Any,
     *,
     connect: str | None = None,
-    tls: Mapping[str, str] | None = None,
+    tls: Mapping[str, str | Path] | None = None,
     workers: int | None = None,
     progress: bool | None = None,
     **options: Any,
@@ -134,7 +135,7 @@ def submit(
     data: Any,
     *,
     connect: str | None = None,
-    tls: Mapping[str, str] | None = None,
+    tls: Mapping[str, str | Path] | None = None,
     workers: int | None = None,
     **options: Any,
 ) -> Job:
@@ -144,7 +145,7 @@ def submit(
         table = table_of(data, config.data)
         address = _address(connect, tls, workers)
     job = Job(f"py-{uuid.uuid4().hex[:12]}", address)
-    with connected(address, CONNECT_LIMIT_S) as client:
+    with python_words(), connected(address, CONNECT_LIMIT_S) as client:
         client.submit(job.id, table.files[0] if table.files else NAME, config, client.upload(table.to_bytes()))
     return job
 
@@ -180,7 +181,7 @@ def _text(value: Any) -> str:
     return ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
 
 
-def _address(connect: str | None, tls: Mapping[str, str] | None, workers: int | None) -> str | Destination:
+def _address(connect: str | None, tls: Mapping[str, str | Path] | None, workers: int | None) -> str | Destination:
     if connect is None:
         return local_address(workers)
     if not isinstance(connect, str):

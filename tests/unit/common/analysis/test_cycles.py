@@ -57,7 +57,7 @@ def test_closed_orbits_around_a_centre_are_no_limit_cycles() -> None:
 
 def test_lorenz_exponents_are_those_of_the_literature() -> None:
     where = box((-25.0, 25.0), (-25.0, 25.0), (0.0, 50.0))
-    found = lyapunov_spectrum(LORENZ, where, starts=256, intervals=300)
+    found = lyapunov_spectrum(LORENZ, where, starts=128, intervals=300)
     assert found is not None
     assert found.is_chaotic
     np.testing.assert_allclose(found.exponents, [0.9056, 0.0, -14.5723], atol=0.018, rtol=0.005)
