@@ -52,10 +52,17 @@ class ProfiledConstant:
     deviances: FloatArray
 
     @property
+    def _digits(self) -> int:
+        """How many digits tell the ends of the interval apart, and two more; four at least."""
+        largest = max((abs(end) for end in self.interval if math.isfinite(end)), default=0.0)
+        width = self.interval[1] - self.interval[0]
+        return max(4, math.ceil(math.log10(largest / width)) + 2) if 0.0 < width < largest else 4
+
+    @property
     def sentence(self) -> str:
         """What is known of it, in a sentence without its name."""
-        low, high = (f"{end:.4g}" for end in self.interval)
-        about = f"{self.estimate:.4g}"
+        low, high = (f"{end:.{self._digits}g}" for end in self.interval)
+        about = f"{self.estimate:.{self._digits}g}"
         if self.verdict == "determined":
             return f"{about}, determined: {low} to {high}"
         if self.verdict == "open above":

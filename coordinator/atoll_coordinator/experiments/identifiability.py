@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -54,18 +55,26 @@ def identified(fitted: Fitted, constants: Sequence[Constant], measured: Measured
     signs = np.array([each.sign for each in constants])
     with np.errstate(invalid="ignore"):
         errors = np.sqrt(np.diag(fitted.covariance)).tolist()
-    known = tuple(_known(*each, quantile) for each in zip(constants, profiles, errors, strict=True))
     names = [each.name for each in constants]
+    known = [_known(*each, quantile) for each in zip(constants, profiles, errors, strict=True)]
+    order = sorted(range(count), key=lambda place: _reading(constants[place], fitted))
+    found = directions(fitted, profiles, names, signs, quantile)
     bounds = fitted.measured.measurements.bounds
     return Identifiability(
         level,
         fitted.freedom,
         quantile,
-        known,
-        directions(fitted, profiles, names, signs, quantile),
+        tuple(known[place] for place in order),
+        tuple(replace(each, weights=each.weights[order]) for each in found),
         measured.source,
         int((bounds[:, 1] - bounds[:, 0]).max()),
     )
+
+
+def _reading(its: Constant, fitted: Fitted) -> tuple[int, bool, int, str]:
+    """Return what orders constants as they are read: by equation, in the order of the text, factors of one last."""
+    number = int(its.name[1:]) if its.name[:1] == "c" and its.name[1:].isdigit() else 0
+    return fitted.equations.variables.index(its.variable), not its.is_written, number, its.name
 
 
 def _profiled(fitted: Fitted, count: int, quantile: float) -> tuple[Fitted, list[Profile]]:

@@ -167,10 +167,10 @@ class _Search:
 
     def _lengths(self, measured: Measured) -> tuple[float, int]:
         """Return the duration and the number of samples of an experiment."""
-        bounds, times = measured.measurements.bounds, measured.measurements.times
-        lasted = float(np.median([times[end - 1] - times[first] for first, end in bounds.tolist()]))
-        whole = sum(end - first for first, end in bounds.tolist())
-        rows = float(np.median([end - first for first, end in bounds.tolist()])) * measured.rows / max(whole, 1)
+        its = measured.measurements
+        whole = [its.times[its.owners_of_rows == owner] for owner in np.unique(its.owners)]
+        lasted = float(np.median([times[-1] - times[0] for times in whole]))
+        rows = float(np.median([len(times) for times in whole])) * measured.rows / its.rows
         samples = self._request.samples or min(max(round(rows), 2), MOST_SAMPLES)
         return self._request.duration or lasted, samples
 

@@ -8,6 +8,7 @@ from atoll.experiments.identifiability import Identifiability
 from atoll.model.model import Model
 from atoll_coordinator.experiments.identifiability import identify
 from atoll_coordinator.experiments.relations import relation_of
+from atoll_coordinator.experiments.suggestions import Request, suggest
 from tests.unit.coordinator.experiments.made import measured
 
 TIMES = np.linspace(0.0, 5.0, 20)
@@ -127,6 +128,29 @@ def test_a_model_without_constants_cannot_be_profiled() -> None:
     result["equations"][0]["origin"] = "known"
     with pytest.raises(UsageError, match="constants"):
         identify(result)
+
+
+def test_constants_stand_in_the_order_of_the_text_and_ends_can_be_told_apart() -> None:
+    y = 2.0 + TIMES + 1e-6 * NOISE
+    text = {"x": "-3*x + 2*y", "y": "1.00000001"}
+    x = (2.0 / 3.0) * (2.0 - 1.0 / 3.0 + TIMES) + np.exp(-3.0 * TIMES) + 1e-6 * NOISE
+    found = identify(measured(text, [(TIMES, {"x": x, "y": y})], 1e-6))
+    assert [each.name for each in found.constants] == ["c1", "c2", "c3"]
+    assert [round(each.estimate) for each in found.constants] == [-3, 2, 1]
+    low, high = found["c3"].sentence.partition(": ")[2].split(" to ")
+    assert low != high
+    largest = found.directions[-1].weights
+    assert largest.shape == (3,)
+
+
+def test_a_trajectory_in_pieces_lasts_as_long_as_it_was_measured() -> None:
+    times = np.linspace(0.0, 5.0, 60)
+    noise = {"x": {"sd": 0.02, "relative": 0.02, "method": "loess", "errors": {"piece": 20}}}
+    x = 3.0 * np.exp(-0.6 * times) + 0.02 * np.random.default_rng(4).standard_normal(60)
+    result = measured({"x": "-0.5*x"}, [(times, {"x": x})], 0.02) | {"noise": noise}
+    assert identify(result).piece == 20
+    first = suggest(result, Request({})).experiments[0]
+    assert (len(first.times), first.times[-1]) == (60, pytest.approx(5.0))
 
 
 def test_relations_are_found_along_a_path() -> None:
