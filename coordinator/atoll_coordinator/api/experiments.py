@@ -9,7 +9,8 @@ from atoll.experiments.suggestions import Suggestions
 from atoll_coordinator.api.tables import table_of
 from atoll_coordinator.experiments.identifiability import identify
 from atoll_coordinator.experiments.measured import config_of
-from atoll_coordinator.experiments.suggestions import Request, suggest
+from atoll_coordinator.experiments.space import Request
+from atoll_coordinator.experiments.suggestions import suggest
 
 
 def identifiability(found: Mapping[str, Any], data: Any, level: float) -> Identifiability:

@@ -7,6 +7,7 @@
 - `identifiability`: both together, for all constants of a model
 - `rivals`: candidate systems fitted to the same data, with weights, and what they foretell of an experiment
 - `designs`: possible experiments and what is expected of each
+- `space`: which experiments can be made: bounds, lengths, costs
 - `suggestions`: the experiments that are worth most, ranked
 
 A result goes in; everything is a pure function of it, of the data and of a seed.

@@ -1,7 +1,8 @@
 """Systems of equations that the same data may come from, fitted to them, each with its weight.
 
-Weights are Akaike's (Burnham & Anderson 2002, section 2.9), exp(-(misfit + fitted constants)): by how well the data are
-described alone, since an experiment is to decide what the price of a structure has decided so far.
+Weights are Akaike's (Burnham & Anderson 2002, section 2.9), exp(-(misfit + k + k (k + 1)/(n - k - 1))) of k numbers
+fitted to n (Hurvich & Tsai 1989): by how well the data are described alone, since an experiment is to decide what the
+price of a structure has decided so far.
 """
 
 import math
@@ -38,7 +39,7 @@ _SAME: Final = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """A system fitted to the data: `nats` are misfit and one for each constant, beyond the best; weights sum to 1.
+    """A system fitted to the data: `nats` are the logarithm of its weight, less than the best; weights sum to 1.
 
     `length` is the description length by which equations are compared and shown, in nats.
     """
@@ -79,7 +80,7 @@ def rivals_of(
 
 
 def _weighed(fits: Sequence[tuple[Fitted, str]]) -> tuple[Rival, ...]:
-    lengths = [each.misfit + len(each.values) for each, _ in fits]
+    lengths = [_akaike(each) for each, _ in fits]
     least = min(lengths)
     kept: list[tuple[float, Fitted, str]] = []
     for nats, (fitted, origin) in sorted(zip(lengths, fits, strict=True), key=lambda each: each[0]):
@@ -94,6 +95,12 @@ def _weighed(fits: Sequence[tuple[Fitted, str]]) -> tuple[Rival, ...]:
         Rival(fitted, origin, nats - least, share, _length(fitted))
         for (nats, fitted, origin), share in zip(kept, shares, strict=True)
     )
+
+
+def _akaike(fitted: Fitted) -> float:
+    numbers = float(fitted.measured.independent.sum())
+    count = len(fitted.values) + fitted.fit.starts.size
+    return fitted.misfit + count + count * (count + 1.0) / max(numbers - count - 1.0, 1.0)
 
 
 def _length(fitted: Fitted) -> float:

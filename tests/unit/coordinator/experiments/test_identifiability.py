@@ -8,7 +8,8 @@ from atoll.experiments.identifiability import Identifiability
 from atoll.model.model import Model
 from atoll_coordinator.experiments.identifiability import identify
 from atoll_coordinator.experiments.relations import relation_of
-from atoll_coordinator.experiments.suggestions import Request, suggest
+from atoll_coordinator.experiments.space import Request
+from atoll_coordinator.experiments.suggestions import suggest
 from tests.unit.coordinator.experiments.made import measured
 
 TIMES = np.linspace(0.0, 5.0, 20)

@@ -10,7 +10,8 @@ from scipy.special import lambertw
 from atoll.errors import UsageError
 from atoll.model.model import Model
 from atoll_coordinator.experiments.designs import Foretold, discrepancy, needed, precision, told
-from atoll_coordinator.experiments.suggestions import Request, suggest
+from atoll_coordinator.experiments.space import Request
+from atoll_coordinator.experiments.suggestions import suggest
 from tests.unit.coordinator.experiments.made import measured
 
 TIMES = np.linspace(0.0, 2.0, 12)
@@ -107,6 +108,17 @@ def test_constant_inputs_are_chosen_within_their_bounds() -> None:
     found = suggest(result, Request(bounds, rivals=[{"x": "0.5 - 0.5*x*u"}]))
     assert all(0.0 <= each.inputs["u"] <= 2.0 for each in found.experiments)
     assert found.bounds == bounds
+
+
+def test_an_input_that_is_the_time_goes_on_and_is_not_chosen() -> None:
+    times = 3.0 + TIMES
+    x = 2.0 - 0.3 * (times**2 - 9.0) / 2.0 + 0.01 * NOISE
+    result = measured({"x": "-0.3*t"}, [(times, {"x": x, "t": times})], 0.01, ("t",))
+    found = suggest(result, Request({"x": (0.5, 2.0)}, rivals=[{"x": "-1.2 + 0*t"}]))
+    assert set(found.bounds) == {"x"}
+    first = found.experiments[0]
+    assert (first.times[0], first.times[-1]) == (3.0, pytest.approx(5.0))
+    assert first.inputs == {}
 
 
 @pytest.mark.parametrize(
