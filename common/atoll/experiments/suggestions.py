@@ -17,7 +17,7 @@ Purpose = Literal["discrimination", "precision"]
 class Candidate:
     """A candidate with its fitted constants: `equations` by left-hand side, `origin` where it comes from.
 
-    Its `weight` among all candidates is Akaike's, `nats` how far it is behind the best one, ln of the ratio of their weights.
+    Its `weight` among all candidates is Akaike's, `nats` how far it is behind the best one: ln of the ratio of weights.
     """
 
     equations: Mapping[str, str]

@@ -39,7 +39,7 @@ _SAME: Final = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """A system fitted to the data: `nats` are the logarithm of its weight, less than the best; weights sum to 1.
+    """A system fitted to the data: `nats` are ln of the best weight over its own; weights sum to 1.
 
     `length` is the description length by which equations are compared and shown, in nats.
     """
