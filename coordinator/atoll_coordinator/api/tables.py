@@ -14,7 +14,7 @@ from atoll.data.table import Table
 from atoll.errors import DataError
 from atoll_coordinator.data.reading.columns import TIME
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.data.reading.instants import Instants, times_of
+from atoll_coordinator.data.reading.instants import Instants, of_array, times_of
 from atoll_coordinator.data.roles.options import find_trajectory_column, named_columns, split_unit
 from atoll_coordinator.data.roles.roles import TIME_NAMES
 
@@ -89,7 +89,8 @@ def _named_arrays(part: Any) -> dict[str, Any]:
     if index is None or callable(index):
         return named
     values, name = _array(index, "index"), getattr(index, "name", None)
-    if (name is not None or _instants_of(values) is not None) and str(name or TIME) not in named:
+    says_when = values.dtype.kind == "m" or _instants_of(values) is not None
+    if (name is not None or says_when) and str(name or TIME) not in named:
         return {str(name or TIME): values, **named}
     return named
 
@@ -104,16 +105,11 @@ def _array(values: Any, name: str) -> Any:
 def _instants_of(values: Any) -> Instants | None:
     """Return dates (N,) in nanoseconds; None where there are none."""
     if values.dtype.kind == "M":
-        dates = values.astype("M8[ns]")
-        return _dates([None if np.isnat(each) else int(each.astype(np.int64)) for each in dates])
+        return of_array(values)
     cells = values.tolist() if values.dtype.kind == "O" else []
     if not cells or not all(isinstance(cell, datetime.datetime) for cell in cells):
         return None
-    return _dates([_nanoseconds(cell) for cell in cells])
-
-
-def _dates(nanoseconds: Sequence[int | None]) -> Instants:
-    return Instants(tuple(nanoseconds), "dates", has_date=True)
+    return Instants(tuple(_nanoseconds(cell) for cell in cells), "dates", has_date=True)
 
 
 def _nanoseconds(cell: datetime.datetime) -> int:

@@ -91,6 +91,8 @@ def _with_result(result: Mapping[str, Any], folder: str) -> _Proposal:
     loose = any(not constant["identifiable"] for each in result["equations"] for constant in each["constants"])
     if loose:
         return ["analyse", folder, "--identifiability"], "which constants the data determine"
+    if any(each["verdict"] == "doubtful" and each["candidates"] for each in result["equations"]):
+        return ["suggest", folder], "the experiment that would decide between the candidates"
     return ["analyse", folder], "fixed points, limit cycles and basins of the model"
 
 

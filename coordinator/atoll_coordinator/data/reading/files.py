@@ -36,14 +36,14 @@ _REFUSED: Final = {
 def read_table(paths: Sequence[Path], config: DataConfig, time_units: Mapping[str, str] | None = None) -> Table:
     """Read `paths` in order as one table.
 
-    `time_units` says by column in which unit dates are counted, where they are not to tell themselves.
+    `time_units` says by column in which unit dates are counted, as units of `config` do; else they tell it themselves.
 
     Raises:
         DataError: with one sentence about what cannot be read.
     """
     if not paths:
         raise DataError("no data file was given; name at least one, such as a CSV file")
-    return joined([_read_file(path, config) for path in paths], time_units or {})
+    return joined([_read_file(path, config) for path in paths], {**config.units, **(time_units or {})})
 
 
 def _read_file(path: Path, config: DataConfig) -> Columns:

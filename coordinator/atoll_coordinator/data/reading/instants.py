@@ -21,6 +21,16 @@ from atoll_coordinator.data.reading.cells import is_missing, on_one_line
 NANOSECONDS: Final = {"d": 86_400_000_000_000, "h": 3_600_000_000_000, "min": 60_000_000_000, "s": 1_000_000_000}
 """Units of time that dates are counted in, the longest first."""
 
+_CALLED: Final = {
+    name: unit
+    for unit, names in {
+        "d": "d day days",
+        "h": "h hr hrs hour hours",
+        "min": "min mins minute minutes",
+        "s": "s sec secs second seconds",
+    }.items()
+    for name in names.split()
+}
 _EPOCH: Final = datetime.date(1970, 1, 1).toordinal()
 _MONTHS: Final = ("january", "february", "march", "april", "may", "june", "july", "august", "september")
 _MONTHS_BY_NAME: Final = {
@@ -266,16 +276,18 @@ def times_of(columns: Sequence[Instants], starts: Iterable[int], unit: str | Non
             between rows has at least one.
 
     Raises:
-        DataError: there is not one instant.
+        DataError: there is not one instant, or `unit` is none in which instants are counted.
     """
+    if unit is not None and unit not in _CALLED:
+        raise DataError(f"dates are counted in {', '.join(NANOSECONDS)}, but '{unit}' is wanted; choose one of these")
     values = [value for each in columns for value in each.nanoseconds]
     present = [value for value in values if value is not None]
     if not present:
         raise DataError("a column of dates holds none; correct it")
     first = columns[0]
     origin = present[0] if first.has_date else 0
-    chosen = unit if unit in NANOSECONDS else _unit(values, set(starts))
-    length = NANOSECONDS[chosen]
+    chosen = _unit(values, set(starts)) if unit is None else unit
+    length = NANOSECONDS[_CALLED[chosen]]
     times = [float("nan") if value is None else (value - origin) / length for value in values]
     since = _written(origin, first) if first.has_date else "midnight"
     return np.array(times, dtype=np.float64), chosen, f"{first.form}, in {chosen} since {since}"

@@ -73,6 +73,9 @@ def test_an_index_of_a_pandas_frame_is_a_column_where_it_says_something() -> Non
     assert table_of(frame, DataConfig()).columns.tolist() == [[0.0, 1.0, 3.0], [1.0, 2.0, 3.0]]
     assert table_of(frame.tz_localize("Europe/Berlin"), DataConfig()).names == ("time", "x")
     assert table_of(frame.reset_index(drop=True), DataConfig()).names == ("x",)
+    frame.index = pandas.to_timedelta([0.0, 1.0, 3.0], unit="min")
+    durations = table_of(frame, DataConfig())
+    assert (durations.names, durations.column("time").tolist()) == (("time", "x"), [0.0, 60.0, 180.0])
     frame.index = pandas.Index([0.5, 1.0, 2.0], name="t")
     assert table_of(frame, DataConfig()).column("t").tolist() == [0.5, 1.0, 2.0]
     assert table_of({"x": frame["x"], "t": frame.index}, DataConfig()).names == ("x", "t")

@@ -15,12 +15,15 @@ ENDED_BY_TIME = {"why": "max-time", "config": {"budget": {"max_time": 60.0}}}
 AGAIN = "coordinator run 'my data.csv' --seed 3"
 
 
-def after(verdict: str = "good", reason: str = "", why: str = "law", loose: bool = False, **changes: Any) -> str | None:
+def after(
+    verdict: str = "good", reason: str = "", why: str = "law", loose: bool = False, rivals: int = 0, **changes: Any
+) -> str | None:
     equation = {
         "verdict": verdict,
         "reason": reason,
         "why": why,
         "constants": [{"identifiable": True}, {"identifiable": not loose}],
+        "candidates": [{"nats": 0.5}] * rivals,
     }
     result = {"state": "done", "equations": [equation], "warnings": [], "system": {"kind": "dynamics", "inputs": []}}
     return next_step({**result, "config": {}, **changes}, Path("here"), changes.pop("words", WORDS))
@@ -30,7 +33,9 @@ def after(verdict: str = "good", reason: str = "", why: str = "law", loose: bool
     ("proposed", "outcome"),
     [
         ("coordinator analyse here", {}),
-        ("coordinator analyse here --identifiability", {"verdict": "doubtful", "loose": True}),
+        ("coordinator analyse here", {"rivals": 1}),
+        ("coordinator suggest here", {"verdict": "doubtful", "rivals": 1}),
+        ("coordinator analyse here --identifiability", {"verdict": "doubtful", "loose": True, "rivals": 1}),
         ("coordinator simulate here -o here/simulation.csv", {"system": {"kind": "process", "inputs": []}}),
         ("coordinator simulate here -o here/simulation.csv", {"system": {"kind": "dynamics", "inputs": ["u"]}}),
         ("coordinator result here/result.json --format latex", {"system": {"kind": "regression", "inputs": ["u"]}}),

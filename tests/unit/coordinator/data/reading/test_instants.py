@@ -119,7 +119,9 @@ def test_files_read_together_have_one_unit_and_one_beginning():
 
 def test_a_unit_may_be_asked_for():
     assert times_of([instants("2020-01-01", "2020-01-02")], (0,), "h")[0].tolist() == [0.0, 24.0]
-    assert times_of([instants("2020-01-01", "2020-01-02")], (0,), "fortnights")[1] == "d"
+    assert times_of([instants("2020-01-01", "2020-01-02")], (0,), "hours")[1] == "hours"
+    with pytest.raises(DataError, match="counted in d, h, min, s, but 'fortnights' is wanted"):
+        times_of([instants("2020-01-01", "2020-01-02")], (0,), "fortnights")
 
 
 def test_a_column_of_dates_and_one_of_clock_times_are_one():

@@ -33,6 +33,11 @@ def test_dates_beside_a_time_of_numbers_are_left_out(header: str, tmp_path: Path
     assert "text left out: date" in table.read_as
 
 
+def test_the_configuration_may_say_the_unit(tmp_path: Path) -> None:
+    table = read(tmp_path, "t,x", "2020-01-01,1", "2020-01-02,2", config=DataConfig(units={"t": "h"}))
+    assert (table.units, table.column("t").tolist()) == (("h", ""), [0.0, 24.0])
+
+
 def test_dates_may_name_trajectories(tmp_path: Path) -> None:
     table = read(tmp_path, "trajectory,t,x", "2020-01-01,0,1", "2020-01-02,0,2")
     assert table.column("trajectory").tolist() == [1.0, 2.0]
