@@ -73,6 +73,11 @@ def measured_of(found: Mapping[str, Any], table: Table | None = None) -> Measure
         recording = _prepared(found, table)
         rows = sum(len(each.times) for each in recording.trajectories if not each.held_out)
         source = "the data that were given"
+    if found.get("groups") and (table is None or len({each.group for each in recording.trajectories}) > 1):
+        raise UsageError(
+            "constants of the model differ between groups of trajectories, which cannot be fitted again together; "
+            "give the data of one group with --data, or as data=…"
+        )
     return _laid_out(found, recording, rows, source, is_stored=table is None)
 
 

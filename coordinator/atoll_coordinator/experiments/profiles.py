@@ -41,7 +41,7 @@ class Profile:
     `values` (n,) ascend, the best one among them, with their `deviances` (n,); `path` (n, P) are all constants there.
     `lower` and `upper` are the ends of the interval, infinite where the deviance stays below the threshold as far as it
     was followed, from `values[0]` to `values[-1]`; 0 where the constant may be as small as one likes, but not 0.
-    `is_cut` (lower, upper) tells that the model cannot be simulated beyond an end.
+    `is_cut` (lower, upper) tells that an end is a bound on the constant, or that the model cannot be simulated beyond.
     """
 
     index: int
@@ -67,28 +67,37 @@ class Profile:
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """A value with all constants (P,), the root of the deviance and the fit of the others there."""
+    """A value, the root of the deviance and the fit of all other constants there."""
 
     value: float
     root: float
-    constants: FloatArray
     fit: TrajectoryFit
+
+    @property
+    def constants(self) -> FloatArray:
+        """All constants (P,)."""
+        return self.fit.system.values
 
 
 def held(system: System, index: int, value: float) -> System:
-    """Return a system with one of its fitted constants fixed at a value."""
-    constants, parameters = system.constants.copy(), system.parameters.copy()
-    constants[system.places[index]] = value
-    parameters[system.places[index]] = -1
-    parameters[parameters > index] -= 1
-    owners, places = (np.ascontiguousarray(np.delete(each, index)) for each in (system.owners, system.places))
-    return replace(system, constants=constants, parameters=parameters, owners=owners, places=places)
+    """Return a system with one of its fitted constants held at a value: its bounds are that."""
+    lower, upper = bounds_of(system)
+    lower[index] = upper[index] = value
+    return replace(system, lower=lower, upper=upper).with_values(system.values)
+
+
+def bounds_of(system: System) -> tuple[FloatArray, FloatArray]:
+    """Return copies of the bounds (P,) of all fitted constants, infinite where there are none."""
+    count = system.count
+    lower = np.full(count, -math.inf) if system.lower is None else system.lower.copy()
+    upper = np.full(count, math.inf) if system.upper is None else system.upper.copy()
+    return lower, upper
 
 
 def profile(fitted: Fitted, index: int, quantile: float) -> Profile:
     """Return the profile of a constant, followed until the root of the deviance is `quantile` on either side."""
     best = float(fitted.values[index])
-    here = _Point(best, 0.0, fitted.values, fitted.fit)
+    here = _Point(best, 0.0, fitted.fit)
     sides = [_Side(fitted, index, quantile, direction).followed(here) for direction in (-1.0, 1.0)]
     points = [*reversed(sides[0][0]), here, *sides[1][0]]
     return Profile(
@@ -109,6 +118,8 @@ class _Side:
     def __init__(self, fitted: Fitted, index: int, quantile: float, direction: float) -> None:
         self._fitted, self._index, self._quantile, self._direction = fitted, index, quantile, direction
         self._size = abs(float(fitted.values[index])) or self._spread or 1.0
+        lower, upper = bounds_of(fitted.fit.system)
+        self._bound = float(lower[index] if direction < 0.0 else upper[index])
 
     @property
     def _spread(self) -> float:
@@ -135,8 +146,9 @@ class _Side:
         return points[1:], self._direction * math.inf, False
 
     def _next(self, points: list[_Point], step: float) -> tuple[_Point | None, float]:
-        """Return the next point and the step to it, a shorter one where the model cannot be simulated."""
-        for _ in range(_HALVINGS):
+        """Return the next point and the step to it, a shorter one where the model cannot be simulated or is bounded."""
+        step = min(step, abs(self._bound - points[-1].value))
+        for _ in range(_HALVINGS if step > 0.0 else 0):
             there = self._point(points, points[-1].value + self._direction * step)
             if there is not None:
                 return there, step
@@ -146,11 +158,11 @@ class _Side:
     def _point(self, points: list[_Point], value: float) -> _Point | None:
         last, free = points[-1], held(self._fitted.fit.system, self._index, value)
         for constants, starts in (self._foreseen(points, value), (last.constants, last.fit.starts)):
-            fit = self._fitted.again(free.with_values(np.delete(constants, self._index)), starts)
+            fit = self._fitted.again(free.with_values(constants), starts)
             if fit is not None:
                 deviance = self._fitted.deviance(fit)
                 root = math.copysign(math.sqrt(abs(deviance)), deviance)
-                return _Point(value, root, np.insert(fit.system.values, self._index, value), fit)
+                return _Point(value, root, fit)
         return None
 
     def _foreseen(self, points: list[_Point], value: float) -> tuple[FloatArray, FloatArray]:
@@ -182,7 +194,7 @@ class _Side:
                     near, far = -1.0, 1.0
                 else:
                     near, far = 0.5 * near, middle.root - self._quantile  # the Illinois variant of regula falsi
-                outside = middle or _Point(value, math.inf, inside.constants, inside.fit)
+                outside = middle or _Point(value, math.inf, inside.fit)
             else:
                 found.append(middle)
                 near, far = middle.root - self._quantile, 0.5 * far

@@ -5,7 +5,7 @@ Letters: P fitted constants, G segments, D states.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -51,19 +51,21 @@ class Constant:
 class Equations:
     """Right-hand sides of the states that have an equation: `programs` over `names`, the symbols of the result.
 
-    `explicit` are the same with factors of one as constants; `fixed` are those (by index) whose constants are given.
+    `explicit` are the same with factors of one as constants; `fixed` are those (by index) whose constants are given,
+    `bounds` are on all constants of an equation (by index), where the user has set some.
     """
 
     names: tuple[str, ...]
     variables: tuple[str, ...]
     programs: tuple[Program, ...]
     fixed: frozenset[int]
+    bounds: Mapping[int, tuple[tuple[float, float], ...]] = field(default_factory=dict)
 
     @cached_property
     def explicit(self) -> tuple[ExplicitCoefficients, ...]:
-        """The programs with their factors of one as constants, but those that are given."""
+        """The programs with their factors of one as constants, but those that are given or bounded."""
         return tuple(
-            as_written(program) if place in self.fixed else make_coefficients_explicit(program)
+            as_written(program) if place in {*self.fixed, *self.bounds} else make_coefficients_explicit(program)
             for place, program in enumerate(self.programs)
         )
 
@@ -74,8 +76,9 @@ class Equations:
         return found
 
     def exchanged(self, place: int, program: Program) -> "Equations":
-        """Return the same with another equation."""
-        return replace(self, programs=(*self.programs[:place], program, *self.programs[place + 1 :]))
+        """Return the same with another equation, which has no bounds."""
+        bounds = {index: its for index, its in self.bounds.items() if index != place}
+        return replace(self, programs=(*self.programs[:place], program, *self.programs[place + 1 :]), bounds=bounds)
 
     def system(self, measurements: Measurements, order: int) -> System:
         """Return the system of the explicit programs; with order 2, positions change by the velocities."""
@@ -87,9 +90,17 @@ class Equations:
         count = len(programs) if order == 2 else 0
         velocities = measurements.variables[count : 2 * count]
         leading = [variable_program(self.names.index(name)) for name in velocities]
-        return system_of(
-            [*leading, *programs], self.names, measurements.variables, [*(set[int]() for _ in leading), *fixed]
-        )
+        none = [set[int]() for _ in leading]
+        system = system_of([*leading, *programs], self.names, measurements.variables, [*none, *fixed])
+        if not self.bounds:
+            return system
+        ends = [
+            (-math.inf, math.inf) if place not in self.bounds else self.bounds[place][number]
+            for place, explicit in enumerate(self.explicit)
+            for number in range(len(explicit.origins) if place not in self.fixed else 0)
+        ]
+        lower, upper = np.array(ends).reshape(-1, 2).T
+        return replace(system, lower=np.ascontiguousarray(lower), upper=np.ascontiguousarray(upper))
 
     def texts(self, digits: int = 4) -> tuple[str, ...]:
         """Return the right-hand sides for people."""
@@ -102,7 +113,17 @@ def equations_of(found: Mapping[str, Any]) -> Equations:
     entries = found["equations"]
     programs = tuple(_program(each, names) for each in entries)
     fixed = frozenset(place for place, each in enumerate(entries) if each.get("origin") == "known")
-    return Equations(names, tuple(str(each["variable"]) for each in entries), programs, fixed)
+    bounds = {place: its for place, each in enumerate(entries) if (its := _bounds(each)) and place not in fixed}
+    return Equations(names, tuple(str(each["variable"]) for each in entries), programs, fixed, bounds)
+
+
+def _bounds(entry: Mapping[str, Any]) -> tuple[tuple[float, float], ...]:
+    """Return the bounds of all constants of an equation; none where no constant has any."""
+    given = [each.get("bounds") for each in entry.get("constants") or ()]
+    ends = [each or (None, None) for each in given]
+    if not any(end is not None for pair in ends for end in pair):
+        return ()
+    return tuple((-math.inf if low is None else low, math.inf if high is None else high) for low, high in ends)
 
 
 def _program(entry: Mapping[str, Any], names: Sequence[str]) -> Program:

@@ -117,6 +117,7 @@ def test_an_interval_of_the_model_is_by_its_profile_where_that_is_asked_for() ->
         ({"data": {"digest": "ab"}}, "has no measurements; give the data file"),
         ({"system": {"kind": "regression"}}, "a regression without time; only models of measured trajectories"),
         ({"system": {"kind": "process"}}, "a stochastic process; only models"),
+        ({"groups": {"names": ["a", "b"]}}, "differ between groups of trajectories.*give the data of one group"),
     ],
 )
 def test_what_cannot_be_profiled_is_a_sentence(changes: dict[str, object], sentence: str) -> None:
@@ -129,6 +130,18 @@ def test_a_model_without_constants_cannot_be_profiled() -> None:
     result["equations"][0]["origin"] = "known"
     with pytest.raises(UsageError, match="constants"):
         identify(result)
+
+
+def test_a_profile_ends_at_a_bound_of_its_constant() -> None:
+    free = of_decay("-0.5*x")["c1"]
+    bound = free.estimate - 0.5 * free.std_error
+    result = measured({"x": "-0.5*x"}, [(TIMES, {"x": DECAY})], 0.02)
+    result["equations"][0]["constants"] = [{"value": -0.5, "bounds": [bound, None]}]
+    its = identify(result)["c1"]
+    assert its.interval[0] == pytest.approx(bound, rel=1e-9)
+    assert its.interval[1] == pytest.approx(free.interval[1], rel=1e-4)
+    assert its.is_cut == (True, False)
+    assert its.values.min() >= bound
 
 
 def test_constants_stand_in_the_order_of_the_text_and_ends_can_be_told_apart() -> None:
