@@ -4,8 +4,9 @@ import html as escaping
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from atoll.expression.text.export import left_side_to_latex, left_side_to_mathml, to_latex, to_mathml
+from atoll.expression.text.export import left_side_to_mathml, to_mathml
 from atoll.expression.text.parsing import from_infix
+from atoll.model.export.text import latex_lines
 
 if TYPE_CHECKING:
     from atoll.model.model import Model
@@ -38,12 +39,7 @@ def summary(model: "Model") -> str:
 
 def latex(model: "Model") -> str:
     """Return the equations in an ``aligned`` environment."""
-    names = list(model.result["symbols"].values())
-    lines = [
-        f"{left_side_to_latex(each.lhs)} &= {to_latex(from_infix(each.exact, names), names)}"
-        for each in model.equations
-    ]
-    return r"\begin{aligned}" + r" \\ ".join(lines) + r"\end{aligned}"
+    return r"\begin{aligned}" + r" \\ ".join(latex_lines(model.result)) + r"\end{aligned}"
 
 
 def mathml(model: "Model") -> str:

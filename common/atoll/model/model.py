@@ -19,6 +19,7 @@ from atoll.expression.evaluation import values_of
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.model.arguments import by_name, interval, number, numbers, shown
+from atoll.model.export.methods import Exports
 from atoll.model.parameters import LEVEL, JointErrors, Parameter, parameters_of
 from atoll.model.saved import check_result, read_result, write_text
 from atoll.model.simulation import Inputs, Simulation, interpolated, simulate, together
@@ -62,7 +63,7 @@ class Equation:
         return f"{self.lhs} = {self.expression}" + (f"  [{self.unit}]" if self.unit else "")
 
 
-class Model:
+class Model(Exports):
     """A model as users hold it: read from the content of ``result.json``, which it keeps and can write again."""
 
     def __init__(self, result: Mapping[str, Any]) -> None:
@@ -287,9 +288,9 @@ class Model:
         Raises:
             UsageError: the arguments do not fit, or the model has no time.
         """
-        times = self._times(t)
+        times = self.times_of(t)
         bands = (self._errors, self._quantile) if has_bands and self._errors is not None else None
-        found = simulate(self.field, self._start(x0), times, self._inputs(u, times), bands)
+        found = simulate(self.field, self.start_of(x0), times, self._inputs(u, times), bands)
         return replace(found, time=self.time)
 
     def predict(
@@ -373,17 +374,29 @@ class Model:
         return float(np.mean([_r2(measured, values) for measured, values in pairs]))
 
     def _simulated(self, part: Mapping[str, Any]) -> Simulation:
-        """Return the simulation of measured rows from the first of them; velocities are those of the first two rows."""
-        times = _column(part, self.time)
-        start = {}
+        """Return the simulation of measured rows from the first of them."""
+        times, _, start = self.rows_of(part)
+        inputs = {name: _column(part, self._columns[name]) for name in self.inputs}
+        return self.simulate(start, times, inputs or None, has_bands=False)
+
+    def rows_of(self, part: Mapping[str, Any]) -> tuple[FloatArray, dict[str, FloatArray], dict[str, float]]:
+        """Return the times (N,) of measured rows, the measured states (N,) by name, and the state of the first row.
+
+        Velocities that were not measured are those of the first rows. Raises UsageError where a column is missing.
+        """
+        times, values, start = _column(part, self.time), {}, {}
         for name in self.states:
             if _has(part, self._columns[name]):
-                start[name] = float(_column(part, self._columns[name])[0])
+                values[name] = _column(part, self._columns[name])
+                start[name] = float(values[name][0])
             else:
                 position = _column(part, self._columns[self.states[self.states.index(name) - len(self.states) // 2]])
                 start[name] = float(np.gradient(position, times, edge_order=2)[0])
-        inputs = {name: _column(part, self._columns[name]) for name in self.inputs}
-        return self.simulate(start, times, inputs or None, has_bands=False)
+        return times, values, start
+
+    def inputs_of(self, part: Mapping[str, Any]) -> dict[str, FloatArray]:
+        """Return those inputs (N,) of measured rows that have a column, by name."""
+        return {name: _column(part, self._columns[name]) for name in self.inputs if _has(part, self._columns[name])}
 
     # ------------------------------------------------------------------------------------------- what it looks like
 
@@ -488,16 +501,16 @@ class Model:
         return float(special.stdtrit(self._freedom, 0.5 + LEVEL / 2.0) if self._freedom else special.ndtri(0.975))
 
     @property
-    def _first(self) -> Mapping[str, Any]:
+    def first(self) -> Mapping[str, Any]:
         """The first simulated trajectory of the result; empty where there is none."""
         parts = (self._result.get("simulation") or {}).get("trajectories") or ()
         return next((each for each in parts if each.get("start")), {})
 
-    def _start(self, x0: Given | None) -> FloatArray:
+    def start_of(self, x0: Given | None) -> FloatArray:
         if x0 is None:
-            if not self._first:
+            if not self.first:
                 raise UsageError("the result has no fitted initial state; give one, such as x0={'x': 1.0}")
-            given: Given = {self._result["symbols"][name]: value for name, value in self._first["start"].items()}
+            given: Given = {self._result["symbols"][name]: value for name, value in self.first["start"].items()}
         else:
             given = x0
         if not isinstance(given, Mapping):
@@ -515,8 +528,8 @@ class Model:
             raise UsageError(f"the initial state {fault}; the states are {', '.join(self.states)}{hint}")
         return np.array([number(named[name], f"the initial value of {name!r}") for name in self.states])
 
-    def _times(self, t: npt.ArrayLike | float | None) -> FloatArray:
-        first = np.array(self._first.get("times") or (), dtype=np.float64)
+    def times_of(self, t: npt.ArrayLike | float | None) -> FloatArray:
+        first = np.array(self.first.get("times") or (), dtype=np.float64)
         if t is None:
             if not len(first):
                 raise UsageError("the result has no simulated trajectory; give the times, such as t=10.0")

@@ -26,7 +26,7 @@ were used up; where a rate has no finite value."""
 Inputs = Callable[[float], FloatArray]
 """The inputs (U,) at a time."""
 
-TOLERANCE: Final = 1e-9
+TOLERANCE: Final = 1e-11
 """Relative error of a step; far below the errors of constants."""
 MOST_EVALUATIONS: Final = 200_000
 """Evaluations of the rates: some seconds. A longer simulation is begun again from where this one ended."""

@@ -1,4 +1,4 @@
 """Programs as text: `parsing` reads what `infix` writes, to the bit, and what people write.
 
-`export` makes LaTeX and sympy objects.
+`notation` is how other languages write expressions, `export` makes LaTeX and sympy objects.
 """

@@ -6,8 +6,9 @@ tan(a). *Display* (``digits``): the shortest writing (`atoll.expression.writing`
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Final
 
 from atoll.expression.operators import (
@@ -15,7 +16,6 @@ from atoll.expression.operators import (
     ARITY,
     CONSTANT,
     DIVIDE,
-    FUNCTIONS,
     INVERSE,
     MULTIPLY,
     NEGATE,
@@ -24,6 +24,7 @@ from atoll.expression.operators import (
     VARIABLE,
 )
 from atoll.expression.program import Program, constant_places, with_constants
+from atoll.expression.text.notation import INFIX, Notation
 
 PRINTABLE_SIZE: Final = 5_000
 """Largest tree that is printed. Shared nodes are printed once per use, so a short list can be a huge text."""
@@ -40,9 +41,7 @@ def to_infix(program: Program, names: Sequence[str], *, digits: int | None = Non
     Raises:
         ValueError: the text would have more than `PRINTABLE_SIZE` operations (see `tree_size`).
     """
-    size = tree_size(program)
-    if size > PRINTABLE_SIZE:
-        raise ValueError(f"an expression of {size} operations is too long to print; at most {PRINTABLE_SIZE} are")
+    _check_size(program)
     if digits is None:
         return _exact(program, names, repr)
     # Imported here: what is printed to the bit needs none of it.
@@ -52,6 +51,28 @@ def to_infix(program: Program, names: Sequence[str], *, digits: int | None = Non
     values = {place: float(f"{found.constants[place]:.{digits}g}") for place in constant_places(found)}
     rounded = with_constants(found, values)
     return _exact(shortest(rounded), names, lambda value: f"{value:.{digits}g}")
+
+
+def to_code(program: Program, names: Sequence[str], notation: Notation, constants: Mapping[int, str]) -> str:
+    """Return `program` as an expression of another language, exactly as it is computed.
+
+    Args:
+        program: any valid program.
+        names: what the language calls the V input variables.
+        notation: how it writes functions and powers.
+        constants: names of those constants that have one, by node; all others are written with all their digits.
+
+    Raises:
+        ValueError: the text would have more than `PRINTABLE_SIZE` operations.
+    """
+    _check_size(program)
+    return _exact(program, names, repr, notation, constants)
+
+
+def _check_size(program: Program) -> None:
+    size = tree_size(program)
+    if size > PRINTABLE_SIZE:
+        raise ValueError(f"an expression of {size} operations is too long to print; at most {PRINTABLE_SIZE} are")
 
 
 def tree_size(program: Program) -> int:
@@ -89,40 +110,53 @@ _ONE: Final = _Piece(_CONSTANT, "1")
 _TWO: Final = _Piece(_CONSTANT, "2.0")
 
 
-def _exact(program: Program, names: Sequence[str], number: Callable[[float], str]) -> str:
+def _exact(
+    program: Program,
+    names: Sequence[str],
+    number: Callable[[float], str],
+    notation: Notation = INFIX,
+    constants: Mapping[int, str] = MappingProxyType({}),
+) -> str:
     pieces: list[_Piece] = []
-    for code, left, right, value in program.nodes():
+    for place, (code, left, right, value) in enumerate(program.nodes()):
         if code == VARIABLE:
             pieces.append(_Piece(_ATOM, names[left]))
         elif code == CONSTANT:
-            pieces.append(_Piece(_CONSTANT, number(abs(value)), negative=math.copysign(1.0, value) < 0.0))
+            pieces.append(_constant(constants.get(place), value, number))
         elif ARITY[code] == 2:
-            pieces.append(_binary(code, pieces[left], pieces[right]))
+            pieces.append(_binary(code, pieces[left], pieces[right], notation))
         else:
-            pieces.append(_unary(code, pieces[left]))
+            pieces.append(_unary(code, pieces[left], notation))
     return _signed(pieces[-1])
 
 
-def _binary(code: int, left: _Piece, right: _Piece) -> _Piece:
+def _constant(name: str | None, value: float, number: Callable[[float], str]) -> _Piece:
+    if name is not None:
+        return _Piece(_CONSTANT, name)
+    return _Piece(_CONSTANT, number(abs(value)), negative=math.copysign(1.0, value) < 0.0)
+
+
+def _binary(code: int, left: _Piece, right: _Piece, notation: Notation) -> _Piece:
     if code == ADD:
-        return _multiply(_TWO, left) if left == right else _add(left, right)
+        return _multiply(_TWO, left, notation) if left == right else _add(left, right)
     if code == SUBTRACT:
         return _add(left, _negated(right))
     if code == MULTIPLY:
-        return _multiply(left, right)
+        return _multiply(left, right, notation)
     if code == DIVIDE:
-        return _divide(left, right)
-    return _Piece(_POWER, f"{_closed(left)}**{_closed(right)}")
+        return _divide(left, right, notation)
+    operand = _signed if notation.is_call else _closed
+    return _Piece(_ATOM if notation.is_call else _POWER, notation.power.format(operand(left), operand(right)))
 
 
-def _unary(code: int, piece: _Piece) -> _Piece:
+def _unary(code: int, piece: _Piece, notation: Notation) -> _Piece:
     if code == NEGATE:
         return _negated(piece)
     if code == SQUARE:
-        return _multiply(piece, piece)
+        return _multiply(piece, piece, notation)
     if code == INVERSE:
-        return _divide(_ONE, piece)
-    return _Piece(_ATOM, f"{FUNCTIONS[code]}({_signed(piece)})")
+        return _divide(_ONE, piece, notation)
+    return _Piece(_ATOM, f"{notation.call(code)}({_signed(piece)})")
 
 
 def _negated(piece: _Piece) -> _Piece:
@@ -137,9 +171,9 @@ def _add(left: _Piece, right: _Piece) -> _Piece:
     return _Piece(_SUM, terms=(*(left.terms or (left,)), _grouped(right)))
 
 
-def _multiply(left: _Piece, right: _Piece) -> _Piece:
+def _multiply(left: _Piece, right: _Piece, notation: Notation) -> _Piece:
     left, right, negative = _operands(left, right)
-    power = _power(left, right)
+    power = _power(left, right, notation)
     if power is not None:
         return replace(power, negative=negative)
     if left.kind != _CONSTANT and (right.kind == _CONSTANT or (right.kind == _PRODUCT and left.kind != _PRODUCT)):
@@ -147,9 +181,9 @@ def _multiply(left: _Piece, right: _Piece) -> _Piece:
     return _Piece(_PRODUCT, f"{left.text}*{_factor(right)}", negative)
 
 
-def _divide(left: _Piece, right: _Piece) -> _Piece:
+def _divide(left: _Piece, right: _Piece, notation: Notation) -> _Piece:
     left, right, negative = _operands(left, right)
-    for above, below, name in (("sin(", "cos(", "tan("), ("cos(", "sin(", "cot(")):
+    for above, below, name in notation.quotients():
         argument = left.text.removeprefix(above)
         if left.kind == right.kind == _ATOM and left.text == above + argument and right.text == below + argument:
             return _Piece(_ATOM, name + argument, negative)
@@ -162,19 +196,19 @@ def _operands(left: _Piece, right: _Piece) -> tuple[_Piece, _Piece, bool]:
     return replace(left, negative=False), replace(right, negative=False), left.negative != right.negative
 
 
-def _power(left: _Piece, right: _Piece) -> _Piece | None:
+def _power(left: _Piece, right: _Piece, notation: Notation) -> _Piece | None:
     if _CONSTANT in (left.kind, right.kind):
         return None
     if left.text == right.text:
-        return _natural_power(left.text if left.kind == _ATOM else f"({left.text})", 2)
+        return _natural_power(left.text if left.kind == _ATOM else f"({left.text})", 2, notation)
     for power, factor in ((left, right), (right, left)):
         if power.base == factor.text and factor.kind == _ATOM:
-            return _natural_power(power.base, power.exponent + 1)
+            return _natural_power(power.base, power.exponent + 1, notation)
     return None
 
 
-def _natural_power(base: str, exponent: int) -> _Piece:
-    return _Piece(_POWER, f"{base}**{exponent}", base=base, exponent=exponent)
+def _natural_power(base: str, exponent: int, notation: Notation) -> _Piece:
+    return _Piece(_POWER, notation.natural.format(base, exponent), base=base, exponent=exponent)
 
 
 def _grouped(piece: _Piece) -> _Piece:

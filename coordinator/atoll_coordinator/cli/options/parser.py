@@ -30,19 +30,21 @@ HANDLERS: Final = {
     "analyse": "atoll_coordinator.cli.verbs.analyse",
     "report": "atoll_coordinator.cli.verbs.report",
     "suggest": "atoll_coordinator.cli.verbs.suggest",
+    "export": "atoll_coordinator.cli.verbs.export",
     "doctor": "atoll_coordinator.cli.doctor.doctor",
     "schema": "atoll_coordinator.cli.verbs.schema",
     "completion": "atoll_coordinator.cli.verbs.completion",
 }
 """The module of each verb. Its function of the verb's name takes the parsed options and returns the exit code."""
 
-LATER_VERBS: Final = ("export",)
-
 EXIT_CODES: Final = (
     "exit codes: 0 done, 1 job failed, 2 bad usage or bad data, 3 coordinator not reachable,\n"
     "4 an explicit --target-error was not met within the budget, 130 detached or interrupted"
 )
 RESULT_FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
+EXPORT_FORMATS: Final = (
+    "python", "c", "julia", "matlab", "modelica", "xppaut", "sbml", "latex", "sympy", "csv", "json", "petab"
+)  # fmt: skip
 MOST_WORKERS: Final = 1024
 MOST_LINES: Final = 1000
 
@@ -51,12 +53,9 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     """Return the parsed options; `verb` is one of `HANDLERS`.
 
     Raises:
-        UsageError: an option or verb is unknown or incomplete, or the verb of a later version.
+        UsageError: an option or verb is unknown or incomplete.
         SystemExit: after ``--help`` or ``--version``.
     """
-    verb = next((word for word in argv if not word.startswith("-")), None)
-    if verb in LATER_VERBS:
-        raise UsageError(f"{verb} is not in this version")
     parser = build_parser()
     complete(parser)
     options = parser.parse_args(_join_leading_minus(argv))
@@ -96,6 +95,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_analyse(verbs)
     _add_report(verbs)
     _add_suggest(verbs)
+    _add_export(verbs)
     _add_data(add_doctor(_verb, verbs).add_argument_group("data"))
     _verb(verbs, "schema", "print what a --config file may hold, as JSON schema")
     completion = _verb(verbs, "completion", "print what makes a shell complete commands and options")
@@ -255,6 +255,35 @@ def _add_suggest(verbs: Any) -> None:
     _add_measurements(parser)
     parser.add_argument("-o", "--output", metavar="FILE", help="write to this file (default: stdout)")
     parser.add_argument("--json", action="store_true", help="write JSON, with all times")
+
+
+def _add_export(verbs: Any) -> None:
+    parser = _verb(verbs, "export", "write the model of a saved result for other programs")
+    parser.add_argument("result", metavar="RESULT", help="PATH/result.json, or its folder")
+    parser.add_argument("--format", required=True, choices=EXPORT_FORMATS, help="what to write; see docs/export.md")
+    parser.add_argument(
+        "-o", "--output", metavar="FILE", help="write to this file (default: stdout); of petab the folder"
+    )
+    parser.add_argument(
+        "--pick", action="append", default=[], metavar="x=2", help="take number 2 of the front of x; repeatable"
+    )
+    parser.add_argument(
+        "--candidate",
+        type=whole_number(1, MOST_LINES),
+        metavar="N",
+        help="take candidate N of the comparison, 1 the best",
+    )
+    parser.add_argument(
+        "--initial",
+        metavar="x=1,y=3|FILE",
+        help="initial state, times and inputs, as for simulate (default: as measured)",
+    )
+    parser.add_argument("--until", metavar="T", help="last time (default: that of the first trajectory, or the file's)")
+    parser.add_argument("--step", metavar="DT", help="from one time to the next")
+    parser.add_argument(
+        "--hold", action="append", default=[], metavar="u=1", help="value of an input (default: 0); repeatable"
+    )
+    _add_measurements(parser)
 
 
 def _add_measurements(parser: argparse.ArgumentParser) -> None:

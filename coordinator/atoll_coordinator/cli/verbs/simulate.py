@@ -25,8 +25,8 @@ _SLACK: Final = 1e-9
 def simulate(options: argparse.Namespace) -> int:
     """Simulate the model of ``options.result``; how it ends is said on stderr. Return the exit code."""
     model = load(options.result)
-    given = _Given(model, options.initial)
-    times = _times(model, given, options)
+    given = Given(model, options.initial)
+    times = times_of(model, given, options)
     found = model.simulate(given.state, times, given.inputs(times))
     text = as_json(found.as_dict()) if options.json else found.to_csv()
     if options.output is None:
@@ -46,7 +46,7 @@ def load(name: str) -> Model:
     return Model.load(path / "result.json" if path.is_dir() else path)
 
 
-class _Given:
+class Given:
     """The initial state, and what a file adds: times and inputs, all of its first trajectory."""
 
     def __init__(self, model: Model, text: str | None) -> None:
@@ -138,7 +138,7 @@ def finite_number(text: str, option: str) -> float:
     return value
 
 
-def _times(model: Model, given: _Given, options: argparse.Namespace) -> FloatArray:
+def times_of(model: Model, given: Given, options: argparse.Namespace) -> FloatArray:
     """Return the times of the simulation; raises UsageError where nothing tells them."""
     trajectories = (model.result.get("simulation") or {}).get("trajectories") or ()
     known = given.times if given.times is not None else np.array(trajectories[0]["times"] if trajectories else ())

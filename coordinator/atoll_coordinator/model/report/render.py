@@ -1,7 +1,5 @@
 """A result for people and for other programs: text, CSV, sympy, LaTeX. Works on the dictionary of ``result.json``."""
 
-import csv
-import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,9 +8,9 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.errors import UsageError
-from atoll.expression.text.export import left_side_to_latex, to_latex
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
+from atoll.model.export.text import as_csv, as_latex, as_sympy
 from atoll_coordinator.model.report import tables
 from atoll_coordinator.model.report.process import process_lines
 
@@ -20,20 +18,6 @@ FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
 DIGITS: Final = 6
 """Significant digits of the constants that people are shown."""
 
-_COLUMNS: Final = (
-    "variable",
-    "lhs",
-    "pick",
-    "selected",
-    "shown",
-    "origin",
-    "complexity",
-    "error",
-    "normalized_error",
-    "r2",
-    "holdout_error",
-    "expression",
-)
 _NUMBER: Final = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[+-]?\d+)?")
 _ENDS: Final = {
     "target": "the target error was met",
@@ -51,7 +35,7 @@ def render(result: Mapping[str, Any], how: str) -> str:
     Raises:
         UsageError: `how` is no such format.
     """
-    renderers = {"text": render_text, "csv": render_csv, "sympy": render_sympy, "latex": render_latex}
+    renderers = {"text": render_text, "csv": as_csv, "sympy": as_sympy, "latex": as_latex}
     if how not in renderers:
         raise UsageError(f"{how!r} is no format of a result; choose one of {', '.join(FORMATS)}")
     return renderers[how](result)
@@ -105,44 +89,6 @@ def render_text(result: Mapping[str, Any], *, fronts: bool = False) -> str:
     evaluations, seconds = result["point_evaluations"], result["search_seconds"]
     blocks.append(f"{_count(evaluations)} point evaluations in {_number(seconds)} s of search, seed {result['seed']}")
     return "\n".join(blocks)
-
-
-def render_csv(result: Mapping[str, Any]) -> str:
-    """Return the equations as CSV with a header: for each the one that is shown, then all members of its front."""
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, _COLUMNS, extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    for equation in result["equations"]:
-        its = {"variable": equation["variable"], "lhs": equation["lhs"]}
-        origin = "known" if equation["why"] == "known" else "front"
-        if equation["expression"] is not None:
-            writer.writerow({**equation, "shown": True})
-        for number, member in enumerate(equation["front"]):
-            writer.writerow({**member, **its, "pick": number, "shown": False, "origin": origin})
-    return stream.getvalue().rstrip("\n")
-
-
-def render_sympy(result: Mapping[str, Any]) -> str:
-    """Return Python source that makes the symbols and a dictionary ``equations`` from left-hand side to expression."""
-    names = _names(result)
-    lines = ["import sympy", "", f"names = {names!r}", "symbols = {name: sympy.Symbol(name) for name in names}"]
-    lines += ["equations = {"]
-    for equation in result["equations"]:
-        if equation["expression"] is not None:
-            parsed = f"sympy.parse_expr({equation['expression']!r}, local_dict=symbols)"
-            lines.append(f"    {equation['lhs']!r}: {parsed},")
-    return "\n".join([*lines, "}"])
-
-
-def render_latex(result: Mapping[str, Any]) -> str:
-    """Return an ``align*`` environment with one line for each equation."""
-    names = _names(result)
-    lines = [
-        rf"  {left_side_to_latex(equation['lhs'])} &= {to_latex(from_infix(equation['expression'], names), names)}"
-        for equation in result["equations"]
-        if equation["expression"] is not None
-    ]
-    return "\n".join([r"\begin{align*}", *([" \\\\\n".join(lines)] if lines else []), r"\end{align*}"])
 
 
 def display(expression: str, names: Sequence[str]) -> str:

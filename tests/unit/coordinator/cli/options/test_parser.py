@@ -7,19 +7,12 @@ import pytest
 
 from atoll.errors import UsageError
 from atoll_coordinator.cli.main import main
-from atoll_coordinator.cli.options.parser import HANDLERS, LATER_VERBS, build_parser, parse
+from atoll_coordinator.cli.options.parser import HANDLERS, build_parser, parse
 
 
-@pytest.mark.parametrize("verb", LATER_VERBS)
-def test_a_verb_of_a_later_version_is_refused_as_such(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([verb, "abc", "--json"]) == 2
-    assert capsys.readouterr().err == f"coordinator: {verb} is not in this version\n"
-
-
-def test_help_lists_the_verbs_of_this_version_and_none_of_later_ones() -> None:
+def test_help_lists_the_verbs() -> None:
     text = build_parser().format_help()
     assert all(f"    {verb}" in text for verb in HANDLERS)
-    assert not any(f"    {verb}" in text for verb in LATER_VERBS)
 
 
 @pytest.mark.parametrize(

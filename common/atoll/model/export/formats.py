@@ -1,0 +1,69 @@
+"""The table of formats: what each is called, who opens it, and what writes it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from atoll.errors import UsageError
+from atoll.model.export import c, julia, matlab, modelica, python, sbml, text, xppaut
+from atoll.model.export.content import Content
+
+if TYPE_CHECKING:
+    from atoll.model.model import Model
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of one file: its `name` in options, what it `holds`, who `opens` it.
+
+    Exactly one writer is given: `of_content` where a file has an initial state and times, `of_model` otherwise.
+    """
+
+    name: str
+    holds: str
+    opens: str
+    of_content: Callable[[Content], str] | None = None
+    of_model: "Callable[[Model], str] | None" = None
+
+
+FORMATS: Final = {
+    each.name: each
+    for each in (
+        Format("python", "a module with its own integrator", "Python with numpy", python.write),
+        Format("c", "a C99 program with its own integrator, CSV out", "any C compiler", c.write),
+        Format("julia", "a ModelingToolkit system", "Julia: OrdinaryDiffEq, BifurcationKit, Attractors", julia.write),
+        Format("matlab", "a function that calls ode45", "MATLAB, Octave", matlab.write),
+        Format("modelica", "a model", "OpenModelica, Dymola; FMUs by them", modelica.write),
+        Format("xppaut", "an .ode file", "XPPAUT and its AUTO", xppaut.write),
+        Format("sbml", "rate rules, L3V2", "COPASI, tellurium, AMICI, Julia's SBMLToolkit", sbml.write),
+        Format("latex", "the equations, aligned", "LaTeX", None, lambda model: text.as_latex(model.result)),
+        Format(
+            "sympy",
+            "the equations as sympy objects",
+            "Python with sympy",
+            None,
+            lambda model: text.as_sympy(model.result),
+        ),
+        Format(
+            "csv",
+            "the fronts, a row for each equation",
+            "spreadsheets, pandas, R",
+            None,
+            lambda model: text.as_csv(model.result),
+        ),
+        Format("json", "the whole result", "coordinator, atoll.Model", None, lambda model: text.as_json(model.result)),
+    )
+}
+"""By name. PEtab is a folder and has its own writer (`atoll.model.export.petab`)."""
+
+PETAB: Final = "petab"
+NAMES: Final = (*FORMATS, PETAB)
+
+
+def format_of(name: str) -> Format:
+    """Return a format of one file by its name; raises UsageError."""
+    if name not in FORMATS:
+        raise UsageError(
+            f"{name!r} is no format of an export; choose one of {', '.join(FORMATS)}, or petab with a folder"
+        )
+    return FORMATS[name]

@@ -1,0 +1,86 @@
+"""``coordinator export``: the model of a saved result in the formats of other programs."""
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from atoll.data.dataset import FloatArray
+from atoll.errors import UsageError
+from atoll.model.model import Model
+from atoll_coordinator.cli.exit_codes import DONE
+from atoll_coordinator.cli.terminal.output import say
+from atoll_coordinator.cli.verbs.analyse import assignments
+from atoll_coordinator.cli.verbs.simulate import Given, finite_number, load, times_of, write
+
+
+def export(options: argparse.Namespace) -> int:
+    """Write the model of ``options.result`` in ``options.format``. Return the exit code."""
+    from atoll.model.export.formats import PETAB, format_of
+
+    model = _chosen(load(options.result), options)
+    if options.format == PETAB:
+        _write_petab(model, options)
+        return DONE
+    if options.data is not None:
+        raise UsageError("--data belongs to --format petab, which holds measurements; leave it out")
+    has_start = format_of(options.format).of_content is not None
+    text = model.export(options.format, **(_beginning(model, options) if has_start else {}))
+    if options.output is None:
+        say(text.removesuffix("\n"))
+    else:
+        write(Path(options.output), text)
+    return DONE
+
+
+def _chosen(model: Model, options: argparse.Namespace) -> Model:
+    """Return the model that is asked for: the one that was selected, members of fronts, or a candidate."""
+    if options.pick and options.candidate is not None:
+        raise UsageError("--pick and --candidate both choose equations; give one of them")
+    if options.candidate is not None:
+        its = model.candidates
+        if options.candidate > len(its):
+            raise UsageError(f"--candidate {options.candidate} is not there: the result has {len(its)} candidates")
+        number: int = options.candidate
+        return its[number - 1]
+    if options.pick:
+        from atoll_coordinator.model.report.render import parse_picks, pick
+
+        kept = {"simulation": model.result.get("simulation")}  # where a simulation begins belongs to the data
+        return Model({**pick(model.result, parse_picks(options.pick)), **kept, "covariance": None})
+    return model
+
+
+def _beginning(model: Model, options: argparse.Namespace) -> dict[str, Any]:
+    """Return initial state, times and inputs, as far as options tell them."""
+    if model.is_regression:
+        return {}
+    given = Given(model, options.initial)
+    is_told = options.until is not None or options.step is not None or given.times is not None
+    times = times_of(model, given, options) if is_told else None
+    inputs: dict[str, Any] = {} if times is None else dict(given.inputs(times) or {})
+    held = {name: finite_number(text, f"--hold {name}") for name, text in assignments(options.hold, "--hold", "u=1")}
+    unknown = next((name for name in held if model.result["symbols"].get(name, name) not in model.inputs), None)
+    if unknown is not None:
+        raise UsageError(f"--hold names {unknown!r}; the inputs are {', '.join(model.inputs) or 'none'}")
+    return {"x0": given.state, "t": times, "u": inputs | held}
+
+
+def _write_petab(model: Model, options: argparse.Namespace) -> None:
+    if options.output is None:
+        raise UsageError("petab is a folder of several files; name it with -o FOLDER")
+    model.to_petab(options.output, None if options.data is None else _trajectories(model, options.data))
+
+
+def _trajectories(model: Model, files: list[str]) -> list[Mapping[str, FloatArray]]:
+    """Return the measured columns of files, trajectory by trajectory, read as the result's own were."""
+    from atoll.config import DataConfig
+    from atoll_coordinator.data.reading.files import read_table
+    from atoll_coordinator.data.roles.roles import assign_roles
+    from atoll_coordinator.data.trajectories.measurements import take_measurements
+
+    config = DataConfig.model_validate((model.provenance["config"] or {}).get("data") or {})
+    table = read_table([Path(each) for each in files], config)
+    roles, config = assign_roles(table, config)
+    its = take_measurements(table, roles, config)
+    return [{name: column[first:last] for name, column in its.columns.items()} for first, last in its.ranges]
