@@ -2,13 +2,11 @@
 
 import argparse
 import time
-from collections.abc import Iterator
 
-from atoll.expression.operators import BY_NAME
 from atoll.expression.text.infix import to_infix
 from atoll_coordinator.cli.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.sparse.laws import find_laws
+from atoll_coordinator.model.sparse.laws import find_all_laws
 from atoll_coordinator.model.sparse.rates.screening import with_screened_variables
 from benchmarks.corpus.forms import judge_form
 from benchmarks.harness.command_line import plain_errors
@@ -31,14 +29,8 @@ def _judged(name: str, noise: float, seed: int, options: argparse.Namespace) -> 
     assert preparation.recording is not None
     config, names = with_screened_variables(preparation, its.config), preparation.dataset.names
 
-    def found() -> Iterator[str | None]:
-        for state in its.equations:
-            operators = [BY_NAME[operator].code for operator in config.space.operators_for(state)]
-            columns = config.space.columns_for(state, names)
-            laws = find_laws(preparation.dataset.problem(state), preparation.recording, columns, operators)
-            yield to_infix(laws[0].program, names) if laws else None
-
-    texts = list(found())
+    found = dict(find_all_laws(preparation.dataset, preparation.recording, config, {}))
+    texts = [to_infix(found[state][0].program, names) if found[state] else None for state in its.equations]
     seconds = time.process_time() - begun
     right = 0
     for text, (state, truth) in zip(texts, its.equations.items(), strict=True):

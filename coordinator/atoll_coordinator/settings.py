@@ -233,6 +233,34 @@ class RateSettings:
 
 
 @dataclass(frozen=True)
+class WindowSettings:
+    """Laws by regression on short windows with errors in all variables."""
+
+    smoothness: int = 2
+    """Power of the test functions (1 - s^2)^p: the least with a slope that vanishes at both ends."""
+    least_half: int = 2
+    """Half width in rows of the shortest windows: five rows, three of which count."""
+    half_ratio: float = 1.5
+    """Each half width tried over the one before."""
+    resolved_share: float = 0.75
+    """Windows get wider as long as in so many of them lines between rows serve as well as cubics, by the noise."""
+    steps_in_half: int = 1
+    """Wider windows begin so many in a half width."""
+    most: int = 2_000
+    """Windows, about, beyond which they begin less often."""
+    largest_library: int = 45
+    """Larger libraries are not eliminated: all products of two of eight variables. Windows take its square."""
+    turns: int = 4
+    """Fits by which the errors of quadrature settle."""
+    brief_rounds: int = 3
+    """Steps of a fit on the way from a library to a short sum."""
+    few: int = 10
+    """Terms of a sum that is short: it is fitted until it settles."""
+    promising: int = 6
+    """Terms that are taken in again."""
+
+
+@dataclass(frozen=True)
 class ShootingSettings:
     """Fits of systems to trajectories by multiple shooting."""
 
@@ -343,6 +371,7 @@ class Settings:
     regression: RegressionSettings = RegressionSettings()
     sparse: SparseSettings = SparseSettings()
     rates: RateSettings = RateSettings()
+    windows: WindowSettings = WindowSettings()
     shooting: ShootingSettings = ShootingSettings()
     selection: SelectionSettings = SelectionSettings()
     inference: InferenceSettings = InferenceSettings()

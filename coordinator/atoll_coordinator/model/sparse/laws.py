@@ -1,13 +1,13 @@
 """Laws of one state as sums of products, by backward elimination: from full libraries to what is significant."""
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from atoll.config import JobConfig
-from atoll.data.dataset import FloatArray, Problem
+from atoll.data.dataset import Dataset, FloatArray, Problem
 from atoll.expression.evaluation import values_of
 from atoll.expression.operators import ADD, BY_NAME, MULTIPLY
 from atoll.expression.program import MAX_NODES, Program, constant_places, structure
@@ -20,8 +20,51 @@ from atoll_coordinator.model.sparse.rates.laws import find_rate_laws
 from atoll_coordinator.model.sparse.rates.rows import rate_rows
 from atoll_coordinator.model.sparse.regression import Elimination, Law, Regression, eliminated, libraries, misfit
 from atoll_coordinator.model.sparse.weak_form import Measured, WeakForm, measured_of, weak_form
+from atoll_coordinator.model.sparse.windows.laws import WindowEquation, find_window_laws
+from atoll_coordinator.model.sparse.windows.rows import window_rows
 from atoll_coordinator.model.structure.term_libraries import sum_of
 from atoll_coordinator.settings import SETTINGS
+
+
+def find_all_laws(
+    dataset: Dataset, recording: Recording, config: JobConfig, others: Mapping[str, Sequence[Program]]
+) -> Iterator[tuple[str, tuple[Law, ...]]]:
+    """Yield the variables of `dataset` that are not known already, each with its laws, as `find_laws` has them.
+
+    Args:
+        dataset: the derivatives on the rows of the search, whose variables are states of `recording`.
+        recording: what was measured.
+        config: the resolved configuration.
+        others: programs by variable that laws are compared with where there is noise.
+    """
+    sought = [name for name in dataset.variables if name not in config.prior.known]
+    columns = {name: config.space.columns_for(name, dataset.names) for name in sought}
+    operators = {name: [BY_NAME[each].code for each in config.space.operators_for(name)] for name in sought}
+    together = _from_windows(dataset, recording, columns, operators)
+    for name in sought:
+        laws = together.get(name, ())
+        yield (
+            name,
+            laws or find_laws(dataset.problem(name), recording, columns[name], operators[name], others.get(name, ())),
+        )
+
+
+def _from_windows(
+    dataset: Dataset,
+    recording: Recording,
+    columns: Mapping[str, Sequence[int]],
+    operators: Mapping[str, Collection[int]],
+) -> dict[str, tuple[Law, ...]]:
+    """Return the laws of the states among many variables with noise."""
+    has_noise = any(each.method != "interpolation" for each in recording.smoothing)
+    if not has_noise or recording.order == 2 or not _are_many(dataset.names) or not _has_like_rows(recording):
+        return {}
+    equations = {}
+    for name, allowed in operators.items():
+        rows = window_rows(recording, dataset.names, name) if {ADD, MULTIPLY} <= set(allowed) else None
+        if rows is not None and columns[name]:
+            equations[name] = WindowEquation(rows, columns[name], allowed)
+    return find_window_laws(equations)
 
 
 def find_laws(
@@ -73,12 +116,7 @@ def has_laws(preparation: Preparation, config: JobConfig) -> bool:
     if recording.groups:
         return all(has_laws(part, config) for part in by_group(preparation))
     rows = sum(len(each.times) for each in recording.trajectories if not each.held_out)
-    for name in dataset.variables:
-        if name in config.prior.known:
-            continue
-        columns = config.space.columns_for(name, dataset.names)
-        operators = [BY_NAME[operator].code for operator in config.space.operators_for(name)]
-        laws = find_laws(dataset.problem(name), recording, columns, operators)
+    for _, laws in find_all_laws(dataset, recording, config, {}):
         if not laws or not may_be_shown(laws[0].program, config.space.max_size):
             return False
         if not laws[0].is_tested or laws[0].probability < SETTINGS.inference.improbable:

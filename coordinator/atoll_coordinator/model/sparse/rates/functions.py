@@ -38,13 +38,9 @@ def extended(
     if len(its.values) < SETTINGS.sparse.rows_per_term * len(begun):
         return []
     here = [Atom(atom.shape.over(its.inputs), atom.constant) for atom in begun]
-    beside = _Beside(its, here)
-    dictionary = _dictionary(its.inputs, columns, operators)
-    promising = beside.best(dictionary)
-    found = [each for each in (beside.narrowed(shape, near) for shape, near in promising) if each is not None]
-    found.sort(key=lambda each: each[0])
+    beside = Beside(np.array([atom.shape.value(atom.constant) for atom in here]), its.values, its.errors)
     ends: list[RateSum] = []
-    for _, atom in found[: SETTINGS.rates.beam]:
+    for atom in beside.best_atoms(dictionary(its.inputs, columns, operators)):
         joined = fitted(its, [*here, atom])
         if joined is not None:
             ends.append(polished(its, joined))
@@ -52,7 +48,7 @@ def extended(
     return [tuple(Atom(atom.shape.over(rows.inputs), atom.constant) for atom in end.atoms) for end in ends]
 
 
-def _dictionary(inputs: FloatArray, columns: Sequence[int], operators: Collection[int]) -> list[Shape]:
+def dictionary(inputs: FloatArray, columns: Sequence[int], operators: Collection[int]) -> list[Shape]:
     """Return products of up to two variables with functions, of one or none where there are too many."""
     plain = list(powers(inputs, columns, 2))
     for degree in (2, 1, 0):
@@ -63,26 +59,38 @@ def _dictionary(inputs: FloatArray, columns: Sequence[int], operators: Collectio
     return []
 
 
-class _Beside:
+class Beside:
     """What terms leave of a derivative, and what others explain of that. Rows weigh by errors and by what is missing.
 
     The variance of what is missing, the same on all rows, is that which makes the median residual normal.
+
+    Args:
+        columns: terms (K, N).
+        values: the derivative (N,), or what stands for it.
+        errors: its standard errors (N,).
+        sampled: what makes columns (A, N) of the values of atoms.
     """
 
-    def __init__(self, rows: RateRows, begun: Sequence[Atom]) -> None:
-        columns = np.array([atom.shape.value(atom.constant) for atom in begun])
-        missing, weights = float(rows.values.std()), np.ones(len(rows.values))
+    def __init__(
+        self,
+        columns: FloatArray,
+        values: FloatArray,
+        errors: FloatArray,
+        sampled: Callable[[FloatArray], FloatArray] = lambda values: values,
+    ) -> None:
+        self._sampled = sampled
+        missing, weights = float(values.std()), np.ones(len(values))
         for _ in range(SETTINGS.effort.steps):
-            weights = 1.0 / np.sqrt(rows.errors**2 + missing**2)
-            left = rows.values - _solved(columns, rows.values, weights) @ columns
-            square = (float(np.median(np.abs(left))) / _NORMAL) ** 2 - float(np.median(rows.errors)) ** 2
+            weights = 1.0 / np.sqrt(errors**2 + missing**2)
+            left = values - _solved(columns, values, weights) @ columns
+            square = (float(np.median(np.abs(left))) / _NORMAL) ** 2 - float(np.median(errors)) ** 2
             before, missing = missing, math.sqrt(max(square, 0.0))
             if abs(missing - before) <= 1e-2 * before:
                 break
         self._weights = weights
         sizes = np.sqrt(((columns * weights) ** 2).sum(axis=1))[:, None]
         self._basis = np.linalg.qr((columns * weights / np.where(sizes > 0.0, sizes, 1.0)).T)[0]
-        self._left = self._projected(rows.values[None])[0]
+        self._left = self._projected(values[None])[0]
         self._square = float(self._left @ self._left)
 
     def _projected(self, values: FloatArray) -> FloatArray:
@@ -92,21 +100,27 @@ class _Beside:
             found = found - (found @ self._basis) @ self._basis.T
         return np.asarray(found)
 
-    def best(self, dictionary: Sequence[Shape]) -> list[tuple[Shape, float]]:
+    def best_atoms(self, tried: Sequence[Shape]) -> list[Atom]:
+        """Return the few atoms that explain most, inner constants fitted one by one."""
+        found = [each for each in (self.narrowed(shape, near) for shape, near in self.best(tried)) if each is not None]
+        found.sort(key=lambda each: each[0])
+        return [atom for _, atom in found[: SETTINGS.rates.beam]]
+
+    def best(self, tried: Sequence[Shape]) -> list[tuple[Shape, float]]:
         """Return the shapes that explain most with the inner constants, on their grids, at which they do.
 
         A shape may have several: those that explain more than the constants beside them.
         """
         ranked: list[tuple[float, int, float]] = []
         with np.errstate(all="ignore"):
-            for index, shape in enumerate(dictionary):
+            for index, shape in enumerate(tried):
                 constants = list(shape.constants())
-                gains = self._gains(np.array([shape.value(constant) for constant in constants]))
+                gains = self._gains(self._sampled(np.array([shape.value(constant) for constant in constants])))
                 around = np.concatenate([[-1.0], gains, [-1.0]])
                 peaks = np.flatnonzero((gains >= around[:-2]) & (gains >= around[2:]))
                 ranked += [(-float(gains[peak]), index, constants[peak]) for peak in peaks]
         ranked.sort()
-        return [(dictionary[index], constant) for _, index, constant in ranked[: SETTINGS.rates.polished]]
+        return [(tried[index], constant) for _, index, constant in ranked[: SETTINGS.rates.polished]]
 
     def _gains(self, columns: FloatArray) -> FloatArray:
         if not len(columns):
@@ -125,7 +139,7 @@ class _Beside:
 
         def left(constant: float) -> float:
             with np.errstate(all="ignore"):
-                return 1.0 - float(self._gains(shape.value(constant)[None])[0]) / self._square
+                return 1.0 - float(self._gains(self._sampled(shape.value(constant)[None]))[0]) / self._square
 
         if not self._square > 0.0:
             return None

@@ -1,0 +1,162 @@
+"""The laws of all states from their windows: short sums that leave no more than errors of measurement.
+
+Each state has its own sum at first. Then functions that one has are offered to the others: a flux that leaves one state
+enters another, so that its inner constant has a price once.
+"""
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from atoll.expression.builder import operators_in
+from atoll_coordinator.model.criteria import log
+from atoll_coordinator.model.sparse.rates.functions import Beside, dictionary
+from atoll_coordinator.model.sparse.rates.sums import Atom
+from atoll_coordinator.model.sparse.regression import Law
+from atoll_coordinator.model.sparse.shapes import powers
+from atoll_coordinator.model.sparse.windows.rows import WindowRows
+from atoll_coordinator.model.sparse.windows.sums import WindowSum, eliminated, fitted, improved, polished
+from atoll_coordinator.model.sparse.windows.terms import Terms, depends
+from atoll_coordinator.settings import SETTINGS
+
+
+@dataclass(frozen=True, eq=False)
+class WindowEquation:
+    """What the law of one state is sought in: its windows, the variables (indices) and operators (codes) allowed."""
+
+    rows: WindowRows
+    columns: Sequence[int]
+    operators: Collection[int]
+
+    def allows(self, atom: Atom) -> bool:
+        """Tell whether a term has nothing but variables and operators that are allowed."""
+        variables = range(len(self.rows.inputs))
+        return all(each in self.columns or not depends(atom.shape, each) for each in variables) and set(
+            operators_in(atom.shape.expression(atom.constant))
+        ) <= set(self.operators)
+
+
+def find_window_laws(equations: Mapping[str, WindowEquation]) -> dict[str, tuple[Law, ...]]:
+    """Return the law of each state, none where no short sum leaves as little as errors of measurement."""
+    alone = {name: shortest_sum(each) for name, each in equations.items()}
+    functions = list(_functions(each for each in alone.values() if each is not None and _is_held(each)))
+    found = {name: _with_shared(equations[name], each, functions) for name, each in alone.items()}
+    return {name: () if each is None or not _is_held(each) else (_law(each),) for name, each in found.items()}
+
+
+def _is_held(its: WindowSum) -> bool:
+    return its.excess <= SETTINGS.inference.excess
+
+
+def _law(its: WindowSum) -> Law:
+    return Law(its.program(), its.nats, its.excess, is_tested=True, is_of_rates=True)
+
+
+def shortest_sum(equation: WindowEquation) -> WindowSum | None:
+    """Return the shortest sum for one state: a polynomial of the second degree, and up to two products with functions.
+
+    None where the windows decide nothing.
+    """
+    libraries = _libraries(equation)
+    best = _shortest(eliminated(begun) for library in libraries for begun in _beginnings(library, equation.columns))
+    for _ in range(SETTINGS.sparse.pursued_functions):
+        best = None if best is None else improved(best)
+        found = None if best is None else _with_function(equation, best, libraries)
+        if best is None or found is None or not found.nats < best.nats - log(float(SETTINGS.rates.most_atoms)):
+            break
+        best = found
+    return best
+
+
+def _shortest(sums: Iterable[WindowSum | None]) -> WindowSum | None:
+    return min((each for each in sums if each is not None), key=lambda each: each.nats, default=None)
+
+
+def _libraries(equation: WindowEquation) -> list[Terms]:
+    """Return the products up to no, the first and the second degree, as far as the windows decide them."""
+    rows = equation.rows
+    libraries = [tuple(Atom(shape) for shape in powers(rows.inputs, equation.columns, degree)) for degree in (0, 1, 2)]
+    most = min(SETTINGS.windows.largest_library, rows.independent / SETTINGS.sparse.rows_per_term)
+    return [Terms(rows, atoms) for atoms in libraries if len(atoms) <= most]
+
+
+def _beginnings(library: Terms, columns: Sequence[int]) -> Iterator[WindowSum]:
+    """Yield the sum of all terms of a library, then without the variable that can be spared best, and so on to one."""
+    kept = list(range(len(library.atoms)))
+    near = fitted(library, kept)
+    free = list(columns) if len(kept) > 1 else []
+    while near is not None:
+        yield near
+        if len(free) < 2:
+            return
+        tried = []
+        for variable in free:
+            fewer = [place for place in kept if not depends(library.atoms[place].shape, variable)]
+            its = fitted(library, fewer, near, SETTINGS.windows.brief_rounds)
+            if its is not None:
+                tried.append((its.nats, variable, fewer, its))
+        if not tried:
+            return
+        _, gone, kept, near = min(tried, key=lambda each: each[:2])
+        free.remove(gone)
+
+
+def _with_function(equation: WindowEquation, best: WindowSum, libraries: Sequence[Terms]) -> WindowSum | None:
+    """Return the shortest sum with one function more than `best`, or than none, inner constants fitted."""
+    rows = equation.rows
+    beginnings = [best.atoms, *(library.atoms for library in libraries[:-1])]
+    longer = (Terms(rows, atoms) for atoms in _extended(equation, beginnings))
+    sums = (fitted(terms, range(len(terms.atoms))) for terms in longer)
+    found = _shortest(eliminated(polished(each)) for each in sums if each is not None)
+    if found is None:
+        return None
+    its = _shortest([found, eliminated(polished(found))])
+    return None if its is None else _shortest([its, _among(its, libraries[-1].atoms)])
+
+
+def _extended(equation: WindowEquation, beginnings: Sequence[Sequence[Atom]]) -> list[tuple[Atom, ...]]:
+    """Return each of `beginnings` with one product with a function more, inner constants fitted one by one.
+
+    Errors of terms are not counted, and windows that do not overlap are taken.
+    """
+    its = equation.rows.apart()
+    tried = dictionary(its.inputs, equation.columns, equation.operators)
+    errors = np.sqrt(its.own + its.spread(its.sides[0] - its.sides[1]) ** 2)
+    found: list[tuple[Atom, ...]] = []
+    for begun in beginnings:
+        values = its.integrals(np.array([atom.shape.value(atom.constant) for atom in begun]))
+        if np.isfinite(values).all():
+            beside = Beside(values, its.sides[0], errors, its.integrals)
+            found += [(*begun, atom) for atom in beside.best_atoms(tried)]
+    return found
+
+
+def _among(its: WindowSum, library: Sequence[Atom]) -> WindowSum | None:
+    """Return the end of a search around a sum with all products of a library, inner constants as they are."""
+    functions = [atom for atom in its.atoms if atom.shape.function is not None]
+    terms = Terms(its.terms.rows, (*library, *functions), its.terms.shared)
+    factors = [atom.shape.factors for atom in library]
+    kept = [factors.index(atom.shape.factors) for atom in its.atoms if atom.shape.function is None]
+    begun = fitted(terms, [*sorted(kept), *range(len(library), len(terms.atoms))])
+    return None if begun is None else improved(begun)
+
+
+def _functions(sums: Iterable[WindowSum]) -> Iterator[Atom]:
+    """Yield all terms with functions."""
+    for its in sums:
+        yield from (atom for atom in its.atoms if atom.shape.function is not None)
+
+
+def _with_shared(equation: WindowEquation, best: WindowSum | None, functions: Sequence[Atom]) -> WindowSum | None:
+    """Return the shortest sum when functions of other states' laws are terms, too, with the inner constants there."""
+    own = [] if best is None else list(_functions([best]))
+    for function in functions:
+        if any(function is each for each in own) or not equation.allows(function):
+            continue
+        for library in _libraries(equation)[-1:]:
+            terms = Terms(equation.rows, (*library.atoms, function), frozenset([len(library.atoms)]))
+            found = eliminated(fitted(terms, range(len(terms.atoms))))
+            found = None if found is None else improved(found)
+            best = _shortest([best, found])
+    return best
