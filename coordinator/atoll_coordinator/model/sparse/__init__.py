@@ -7,7 +7,8 @@
 - `pursuit`: sums of a polynomial and of products with functions, constants inside these fitted (matching pursuit)
 - `shapes`: the products with functions that it is made of
 - `rates`: laws of many variables on derivatives, each row by its own error; which variables an equation takes
+- `windows`: the same with noise, on short windows, with errors in all variables
 - `kernels`: least squares and elimination, compiled; `warmup` makes them ready
 
-Candidates for `selection`, which judges them by trajectories. The reasons and figures: ADR 0036, 0041 and 0043.
+Candidates for `selection`, which judges them by trajectories. The reasons and figures: ADR 0036, 0041, 0043 and 0048.
 """

@@ -44,7 +44,7 @@ def test_errors_of_columns_do_not_make_coefficients_small():
 
 def test_the_fit_is_the_least_loss():
     columns, side, products, cross, least = measured()
-    cross = cross + [0.02, -0.01]
+    cross = cross + np.array([0.02, -0.01])
     found = np.ones(2)
     loss = fit_errors_in_variables(
         np.arange(2), columns, side, products, cross, least, 3.0, 60, 0.0, found, np.zeros(side.size), np.zeros((2, 2))
