@@ -30,6 +30,8 @@ CONNECT_LIMIT_S: Final = 20.0
 KERNELS_LIMIT_S: Final = 600.0
 """How long workers may take until they are ready; the first time on a machine they compile the kernels."""
 
+PATIENCE: Final = 12
+"""Times that a coordinator is asked for the state of a job until it counts as gone."""
 STOP_LIMIT_S: Final = 5.0
 _LOOK_S: Final = 0.1
 TIED_COORDINATOR: Final = """
@@ -109,7 +111,7 @@ class Searches:
         said = self._client.now()
         while True:
             self.check()
-            view = self._client.status(job)
+            view = self._status(job)
             if watch is not None:
                 watch(view)
             if view.state in FINAL_STATES:
@@ -118,6 +120,16 @@ class Searches:
                 said = self._client.now()
                 note(progress(name, view))
             self._client.pause(_LOOK_S)
+
+    def _status(self, job: str) -> JobView:
+        """Return the state of a job, asked for again while a loaded machine leaves no time to answer."""
+        for _ in range(PATIENCE - 1):
+            try:
+                return self._client.status(job)
+            except UnreachableError as error:
+                self.check()
+                note(str(error))
+        return self._client.status(job)
 
     def check(self) -> None:
         """Raise AtollError when a process has ended."""

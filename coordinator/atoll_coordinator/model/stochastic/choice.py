@@ -79,7 +79,7 @@ class ProcessChoice:
 
     def choose(self) -> ChosenProcess:
         """Return the law of the process."""
-        model = self._first_model()
+        model = self._with_first_diffusion(self._first_model())
         length = math.inf
         for number_of_round in range(SETTINGS.process.rounds):
             before = length
@@ -112,6 +112,25 @@ class ProcessChoice:
         return ProcessModel(
             tuple(programs[:states]), tuple(programs[states:]), self._process.pairs, tuple(noise.tolist())
         )
+
+    def _with_first_diffusion(self, model: ProcessModel) -> ProcessModel:
+        """Return the model with the diffusion that high differences of paths tell whatever the drift is.
+
+        Without it steps would weigh the same wherever they are, and the drift be what the largest of them say.
+        """
+        if any(model.noise):
+            return model
+        misfit = self._likelihood.whitened(model).misfit
+        for number in self._sought:
+            if number < len(model.drift):
+                continue
+            name = self._variables[number]
+            begun = self._candidates[name].nearest if name in self._candidates else []
+            for program in self._finder.find(number, model, begun, looks_around=False, by_differences=True)[:1]:
+                tried = model.with_program(number, program)
+                if (found := self._likelihood.whitened(tried).misfit) < misfit:
+                    model, misfit = tried, found
+        return model
 
     def _refitted(self, model: ProcessModel) -> FittedProcess:
         """Return the model with all its constants fitted; where there is noise, about states smoothed by itself."""

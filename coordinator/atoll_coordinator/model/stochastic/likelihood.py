@@ -82,7 +82,8 @@ class Whitened:
     @property
     def misfit(self) -> float:
         """Minus the log-likelihood in nats, up to N S/2 ln 2 pi; infinite where a covariance is not positive."""
-        total = float(0.5 * np.sum(self.residuals * self.residuals) + np.sum(self.logarithms))
+        with np.errstate(all="ignore"):
+            total = float(0.5 * np.sum(self.residuals * self.residuals) + np.sum(self.logarithms))
         return total if math.isfinite(total) else math.inf
 
 

@@ -14,6 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from typing import Final
 
 import numpy as np
@@ -68,16 +69,28 @@ class CandidateFinder:
     def _rates(self) -> FloatArray:
         return mean_squares(self.steps)
 
-    def find(self, number: int, model: ProcessModel, begun: Sequence[Program], *, looks_around: bool) -> list[Program]:
+    def find(
+        self,
+        number: int,
+        model: ProcessModel,
+        begun: Sequence[Program],
+        *,
+        looks_around: bool,
+        by_differences: bool = False,
+    ) -> list[Program]:
         """Return the most promising programs for one equation, factors of one as constants, the best first.
 
         Args:
             number: of the equation among those of `model`.
             model: the other equations, and what moments add to leading terms.
             begun: programs of the search.
-            looks_around: whether this is the first round, in which programs beside the best ones are tried as well.
+            looks_around: whether programs beside the best ones are tried as well.
+            by_differences: whether products of high differences stand for a component of the diffusion, whatever the
+                drift is.
         """
-        sides = _sides(number, model, self.steps, is_first=looks_around)
+        sides = (
+            _sides_by_differences(number, model, self.steps) if by_differences else _sides(number, model, self.steps)
+        )
         weighted, space = _problem(number, sides, model, self.steps, self._rates, self.names), self.config.space
         operators = frozenset(BY_NAME[name].code for name in space.operators_for(self.variables[number]))
         columns = space.columns_for(self.variables[number], self.names)
@@ -96,14 +109,27 @@ class CandidateFinder:
         found = sorted(shortening.candidates([*begun, *sums], looks_around), key=length)
         programs = [make_coefficients_explicit(shortest(each.fitted.program)).program for each in found]
         distinct = {structure(program): program for program in programs}
-        return [*distinct.values()][: SETTINGS.effort.beam]
+        is_variance = number >= len(model.drift) and len({*model.pairs[number - len(model.drift)]}) == 1
+        possible = (each for each in distinct.values() if self._is_possible(each, is_variance=is_variance))
+        return [*islice(possible, SETTINGS.effort.beam)]
+
+    def _is_possible(self, program: Program, *, is_variance: bool) -> bool:
+        """Tell whether a program is finite wherever steps begin, and not negative there if it is a variance."""
+        values = values_of(program, self.steps.points)
+        return bool(np.isfinite(values).all()) and not (is_variance and bool((values < 0.0).any()))
 
 
-def _sides(number: int, model: ProcessModel, steps: Steps, *, is_first: bool) -> FloatArray:
-    """Return what one equation times the length of a step is to be (N,).
+def _sides_by_differences(number: int, model: ProcessModel, steps: Steps) -> FloatArray:
+    """Return what a component of the diffusion times the length of a step is to be (N,); NaN where a path ends."""
+    windows = all_windows(steps, _STEPS)
+    i, j = model.pairs[number - len(model.drift)]
+    found = np.full(len(steps.lengths), np.nan)
+    found[windows.first] = windows.differences(i) * windows.differences(j) * steps.lengths[windows.first]
+    return found
 
-    In the first round the model says nothing yet of what moments add to leading terms.
-    """
+
+def _sides(number: int, model: ProcessModel, steps: Steps) -> FloatArray:
+    """Return what one equation times the length of a step is to be (N,)."""
     states = len(model.drift)
     moments = model.moments(steps.points, steps.lengths)
     if number < states:
@@ -115,7 +141,7 @@ def _sides(number: int, model: ProcessModel, steps: Steps, *, is_first: bool) ->
         leading = steps.lengths * values_of(model.diffusion[number - states], steps.points)
         added = moments.covariance[i, j] - leading
         sides = products(steps.increments - moments.mean, steps, (i, j), corrected=any(model.noise))
-    return sides if is_first else np.asarray(sides - added)
+    return np.asarray(sides - added)
 
 
 def _problem(
