@@ -1,0 +1,54 @@
+"""One figure beside what it should be."""
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Check:
+    """What was `found` of a quantity beside what is `expected`, with the source of that; None: nothing is expected."""
+
+    part: str
+    quantity: str
+    found: str
+    expected: str
+    source: str
+    passes: bool | None
+
+
+def near(part: str, quantity: str, found: float, expected: float, source: str, tolerance: float) -> Check:
+    """Return the check of a number that may be off by `tolerance`, as a share of the expected one or of 1."""
+    off = abs(found - expected) / (abs(expected) or 1.0)
+    return Check(part, quantity, f"{found:.9g}", f"{expected:.9g} to {tolerance:g}", source, bool(off <= tolerance))
+
+
+def same(part: str, quantity: str, found: Any, expected: Any, source: str) -> Check:
+    """Return the check of what must be equal."""
+    return Check(part, quantity, str(found), str(expected), source, bool(found == expected))
+
+
+@dataclass
+class Timer:
+    """Wall time and time of this process's own, in seconds since it was made."""
+
+    def __post_init__(self) -> None:
+        self._wall, self._processor = time.monotonic(), time.process_time()
+
+    def check(self, part: str, quantity: str, limit: float) -> Check:
+        """Return the check that the wall time lies below a limit."""
+        wall, processor = time.monotonic() - self._wall, time.process_time() - self._processor
+        return Check(
+            part, quantity, f"{wall:.1f} s (processor {processor:.1f} s)", f"below {limit:g} s", "", wall < limit
+        )
+
+
+def seconds(part: str, quantity: str, times: list[float], limit: float | None) -> Check:
+    """Return the check of times: their median lies below a limit."""
+    middle = float(np.median(times))
+    spread = f"{middle:.2f} s ({min(times):.2f} to {max(times):.2f}, {len(times)} times)"
+    if limit is None:
+        return Check(part, quantity, spread, "", "", None)
+    return Check(part, quantity, spread, f"below {limit:g} s", "", middle < limit)

@@ -1,0 +1,115 @@
+"""How long imports, calls and commands take from outside, what they find, and what they leave behind."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from benchmarks.analysis.check import Check, same, seconds
+
+PART: Final = "programs"
+DATA: Final = Path(__file__).resolve().parents[2] / "examples" / "lotka_volterra.csv"
+_SIX_LINES: Final = """
+import atoll
+model = atoll.discover({data!r})
+print(model)
+print(model.params["c1"])
+print(model.simulate({{"x": 1.0, "y": 3.0}}, t=20.0)["x"][-1])
+print(model.provenance["digest"])
+"""
+_CALLS: Final = """
+import json, os, sys, threading, time
+import atoll
+
+def left():
+    tasks = [len(os.listdir("/proc/self/task")), threading.active_count()]
+    children = [each for each in os.listdir("/proc") if each.isdigit() and _parent(each) == os.getpid()]
+    return [*tasks, len(os.listdir("/proc/self/fd")), len(children), len(os.listdir("."))]
+
+def _parent(number):
+    try:
+        with open(f"/proc/{number}/stat") as file:
+            return int(file.read().rpartition(")")[2].split()[1])
+    except OSError:
+        return 0
+
+def call():
+    began = time.monotonic()
+    model = atoll.discover(sys.argv[1])
+    return time.monotonic() - began, model.provenance["digest"]
+
+first, second = call(), call()
+before, times, digests = left(), [second[0]], {first[1], second[1]}
+for _ in range(int(sys.argv[2])):
+    took, digest = call()
+    times.append(took)
+    digests.add(digest)
+print(json.dumps({"first": first[0], "times": times, "digests": sorted(digests), "before": before, "after": left()}))
+"""
+
+
+def checks(calls: int, repeats: int) -> Iterator[Check]:
+    """Yield the times of so many `repeats`, and what so many `calls` in one interpreter leave behind."""
+    yield seconds(PART, "import atoll", _times([sys.executable, "-c", "import atoll"], repeats), 0.3)
+    help_words = [sys.executable, "-m", "atoll_coordinator", "--help"]
+    yield seconds(PART, "coordinator --help", _times(help_words, repeats), 0.3)
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        _run([sys.executable, "-c", _SIX_LINES.format(data=str(DATA))], place)  # compiles what is not yet
+        script = [sys.executable, "-c", _SIX_LINES.format(data=str(DATA))]
+        yield seconds(PART, "six lines find Lotka-Volterra, whole interpreter", _times(script, repeats, place), 5.0)
+        found = json.loads(_run([sys.executable, "-c", _CALLS, str(DATA), str(calls)], place))
+        yield from _calls(found, calls)
+        run = _digest_of([sys.executable, "-m", "atoll_coordinator", "run", str(DATA), "--out", "run"], place / "run")
+        submit = _submitted(place)
+        digests = {*found["digests"], run, submit}
+        yield same(PART, "digests of the API, of run and of submit", len(digests), 1, "one seed, one answer")
+
+
+def _calls(found: dict[str, Any], calls: int) -> Iterator[Check]:
+    yield seconds(PART, "first call", [found["first"]], None)
+    yield seconds(PART, "second call", found["times"][:1], 1.0)
+    yield seconds(PART, f"{calls} further calls, each", found["times"][1:], 1.0)
+    what = "tasks, threads of Python, open files, child processes, files in the folder"
+    yield same(PART, f"after {calls} calls: {what}", found["after"], found["before"], "as before them")
+
+
+def _times(words: list[str], repeats: int, place: Path | None = None) -> list[float]:
+    found = []
+    for _ in range(repeats):
+        began = time.monotonic()
+        _run(words, place or Path.cwd())
+        found.append(time.monotonic() - began)
+    return found
+
+
+def _run(words: list[str], place: Path) -> str:
+    done = subprocess.run(words, cwd=place, env=os.environ, capture_output=True, text=True, check=True)
+    return done.stdout
+
+
+def _digest_of(words: list[str], folder: Path) -> str:
+    _run(words, folder.parent)
+    return str(json.loads((folder / "result.json").read_text("utf-8"))["digest"])
+
+
+def _submitted(place: Path) -> str:
+    """Return the digest of a job that is submitted to a coordinator with one worker."""
+    serve = [sys.executable, "-m", "atoll_coordinator", "serve", "--listen", "tcp/127.0.0.1:0", "--state", "state"]
+    with subprocess.Popen(serve, cwd=place, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
+        assert server.stdout is not None
+        line = next(line for line in server.stdout if "island-worker --connect" in line)
+        address = line.split("--connect ")[1].split()[0]
+        words = [sys.executable, "-m", "atoll_island_worker", "--connect", address, "--processes", "1"]
+        with subprocess.Popen(words, cwd=place, stderr=subprocess.DEVNULL) as worker:
+            try:
+                submit = [sys.executable, "-m", "atoll_coordinator", "submit", str(DATA), "--connect", address]
+                return _digest_of([*submit, "--out", "submitted"], place / "submitted")
+            finally:
+                worker.kill()
+                server.kill()
