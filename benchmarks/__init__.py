@@ -1,5 +1,6 @@
 """Programs that measure: every figure of RESULTS.md comes from one of them.
 
 ``harness`` is what all of them share; ``analysis``, ``paper``, ``peers``, ``noise``, ``corpus``, ``dysts``,
-``stochastic``, ``real``, ``kernels`` and ``operations`` each measure one thing; ``judging`` decides whether an equation is right.
+``experiments``, ``stochastic``, ``real``, ``kernels`` and ``operations`` each measure one thing; ``judging`` decides
+whether an equation is right.
 """

@@ -37,12 +37,13 @@ class Timer:
     def __post_init__(self) -> None:
         self._wall, self._processor = time.monotonic(), time.process_time()
 
-    def check(self, part: str, quantity: str, limit: float) -> Check:
-        """Return the check that the wall time lies below a limit."""
+    def check(self, part: str, quantity: str, limit: float | None) -> Check:
+        """Return the check that the wall time lies below a limit, if there is one."""
         wall, processor = time.monotonic() - self._wall, time.process_time() - self._processor
-        return Check(
-            part, quantity, f"{wall:.1f} s (processor {processor:.1f} s)", f"below {limit:g} s", "", wall < limit
-        )
+        found = f"{wall:.1f} s (processor {processor:.1f} s)"
+        if limit is None:
+            return Check(part, quantity, found, "", "", None)
+        return Check(part, quantity, found, f"below {limit:g} s", "", wall < limit)
 
 
 def seconds(part: str, quantity: str, times: list[float], limit: float | None) -> Check:

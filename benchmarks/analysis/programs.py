@@ -2,11 +2,13 @@
 
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -53,16 +55,29 @@ print(json.dumps({"first": first[0], "times": times, "digests": sorted(digests),
 """
 
 
+@dataclass(frozen=True)
+class _Times:
+    """Wall times of a command, and the processor time of all of its processes, in seconds."""
+
+    wall: list[float]
+    processor: list[float]
+
+    def checks(self, quantity: str, limit: float) -> Iterator[Check]:
+        """Yield both."""
+        yield seconds(PART, quantity, self.wall, limit)
+        yield seconds(PART, f"{quantity}: processor time", self.processor, None)
+
+
 def checks(calls: int, repeats: int) -> Iterator[Check]:
     """Yield the times of so many `repeats`, and what so many `calls` in one interpreter leave behind."""
-    yield seconds(PART, "import atoll", _times([sys.executable, "-c", "import atoll"], repeats), 0.3)
+    yield from _times([sys.executable, "-c", "import atoll"], repeats).checks("import atoll", 0.3)
     help_words = [sys.executable, "-m", "atoll_coordinator", "--help"]
-    yield seconds(PART, "coordinator --help", _times(help_words, repeats), 0.3)
+    yield from _times(help_words, repeats).checks("coordinator --help", 0.3)
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         _run([sys.executable, "-c", _SIX_LINES.format(data=str(DATA))], place)  # compiles what is not yet
         script = [sys.executable, "-c", _SIX_LINES.format(data=str(DATA))]
-        yield seconds(PART, "six lines find Lotka-Volterra, whole interpreter", _times(script, repeats, place), 5.0)
+        yield from _times(script, repeats, place).checks("six lines find Lotka-Volterra, whole interpreter", 5.0)
         found = json.loads(_run([sys.executable, "-c", _CALLS, str(DATA), str(calls)], place))
         yield from _calls(found, calls)
         run = _digest_of([sys.executable, "-m", "atoll_coordinator", "run", str(DATA), "--out", "run"], place / "run")
@@ -79,13 +94,20 @@ def _calls(found: dict[str, Any], calls: int) -> Iterator[Check]:
     yield same(PART, f"after {calls} calls: {what}", found["after"], found["before"], "as before them")
 
 
-def _times(words: list[str], repeats: int, place: Path | None = None) -> list[float]:
-    found = []
+def _times(words: list[str], repeats: int, place: Path | None = None) -> _Times:
+    wall, processor = [], []
     for _ in range(repeats):
-        began = time.monotonic()
+        began, spent = time.monotonic(), _spent()
         _run(words, place or Path.cwd())
-        found.append(time.monotonic() - began)
-    return found
+        wall.append(time.monotonic() - began)
+        processor.append(_spent() - spent)
+    return _Times(wall, processor)
+
+
+def _spent() -> float:
+    """Return the processor time of all processes that have ended below this one."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _run(words: list[str], place: Path) -> str:

@@ -26,7 +26,8 @@ MOST_STATES: Final = 12
 """More states than this take longer than a person waits."""
 
 _MARGIN: Final = 0.5
-"""Widths of the measured range that the box reaches beyond it."""
+"""Widths of the measured range that the box reaches beyond it unless a user gives a box: it decides where is looked,
+which is stated, and not what is found there."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from atoll.analysis.box import Box
 from atoll.analysis.fixed_points import FixedPoint
-from atoll.analysis.flow import UNBOUNDED, Ensemble, Flow
+from atoll.analysis.flow import SETTLING, UNBOUNDED, Ensemble, Flow
 from atoll.analysis.limit_cycles import LimitCycle, distance, time_scale
 from atoll.data.dataset import FloatArray
 
@@ -19,17 +19,18 @@ GRID: Final = 40
 STARTS: Final = 1000
 """Seeded random starts of a system of other sizes; a fraction is then known to 1.6 percentage points."""
 
-DURATION: Final = 60.0
-"""Of the simulations, in times that a state takes through the box."""
-
 MOST_STEPS: Final = 4000
+"""Of one simulation: with a tolerance of 1e-5 courses take some hundred, stiff ones ten times as many."""
 
 UNDECIDED: Final = -1
 RUNS_AWAY: Final = -2
 NO_VALUE: Final = -3
 
 _PARTS: Final = 60
-_CYCLE: Final = 1e-2
+"""Looks at where courses are: one in each time that a state takes through the box."""
+
+_CAUGHT: Final = 1e-2
+"""Widths of the box within which an attractor has caught a course; beside others a tenth of the way to the next one."""
 
 Attractor = FixedPoint | LimitCycle
 
@@ -60,7 +61,7 @@ def basins(flow: Flow, box: Box, attractors: Sequence[Attractor], *, grid: int =
     Elsewhere starts are drawn uniformly by `seed`.
     """
     starts = _grid(box, grid) if flow.size == 2 else _drawn(box, STARTS, seed)
-    duration = DURATION * time_scale(flow, box)
+    duration = SETTLING * time_scale(flow, box)
     reached = destinations(flow, box, attractors, starts, duration)
     return Basins(tuple(attractors), starts, reached, duration, grid if flow.size == 2 else None)
 
@@ -109,7 +110,7 @@ def _radii(attractors: Sequence[Attractor], box: Box) -> list[float]:
         others = [points[other] for other in range(len(points)) if other != index]
         nearest = min((float(_distances(each, its, box).min()) for its in others), default=np.inf)
         slow = isinstance(each, FixedPoint) and each.kind == "non-hyperbolic"
-        radii.append(min(5.0 * _CYCLE if slow else _CYCLE, 0.1 * nearest))
+        radii.append(min(5.0 * _CAUGHT if slow else _CAUGHT, 0.1 * nearest))
     return radii
 
 

@@ -17,11 +17,15 @@ from atoll.analysis.flow import Flow
 from atoll.data.dataset import FloatArray
 
 DEGREE: Final = 4
+"""Of the largest powers: energies of oscillators with cubic forces have it."""
+
 MOST_FUNCTIONS: Final = 150
+"""More are not looked at together: the points are four times as many, so that no null vector is one of chance."""
+
 TOLERANCE: Final = 1e-9
 """Largest singular value of a null vector, as a share of the largest."""
 
-_POINTS: Final = 600
+_POINTS: Final = 4 * MOST_FUNCTIONS
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,8 @@ MOST_POINTS: Final = 400
 """Points of one branch in each direction."""
 
 MOST_BRANCHES: Final = 20
+"""Branches that are shown."""
+
 LONGEST: Final = 0.02
 """Longest step along a branch, in ranges of parameter and box."""
 

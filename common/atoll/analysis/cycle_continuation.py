@@ -38,6 +38,8 @@ MOST_CYCLES: Final = 150
 """Cycles of one branch in each direction."""
 
 MOST_BRANCHES: Final = 10
+"""Branches that are shown; each costs up to two seconds."""
+
 LONGEST: Final = 0.05
 """Longest step along a branch, in ranges of parameter and box and in parts of the period."""
 
@@ -53,6 +55,8 @@ TORUS: Final = "torus"
 HOPF_END: Final = "Hopf point"
 
 _NEWTON: Final = 8
+"""Newton steps double the digits that are right: a guess good to 1 % needs four."""
+
 _RENEWED: Final = 4
 """Steps after which the mesh is laid anew."""
 

@@ -16,8 +16,14 @@ from atoll.data.dataset import FloatArray
 from atoll.model.vector_field import VectorField
 
 ROWS: Final = 2000
+"""Of a simulation beside a measured trajectory."""
+
 _TURNS: Final = 3
+"""Rises through the mean that make a period: two gaps, whose spread can be seen."""
+
 _REGULAR: Final = 0.2
+"""Spread of the gaps, as a share of their mean, up to which a course has one period: twice `_SAME`."""
+
 _SAME: Final = 0.1
 """Share by which period and amplitudes may differ and still be called the same."""
 

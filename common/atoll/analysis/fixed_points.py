@@ -25,6 +25,9 @@ TOLERANCE: Final = 1e-9
 """Of a last step, in widths of the box."""
 
 _ITERATIONS: Final = 80
+"""Steps from each start: at a simple point a handful, at a singular one each halves the distance (2**-30 is
+`TOLERANCE`); the others are the way there."""
+
 _APART: Final = 1e-5
 """Points nearer than this, in widths of the box, are one."""
 

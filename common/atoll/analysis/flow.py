@@ -20,6 +20,10 @@ Rates = Callable[[FloatArray], FloatArray]
 MOST_STEPS: Final = 20_000
 """Steps of one start."""
 
+SETTLING: Final = 60.0
+"""Length of simulations, in times that a state takes through the box: what decays ten times as slowly as that is by
+then down to exp(-6), a quarter of a percent."""
+
 UNBOUNDED: Final = 1e3
 """Widths of the box from its middle beyond which a state counts as gone."""
 

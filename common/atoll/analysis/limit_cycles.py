@@ -22,31 +22,37 @@ from atoll.analysis.fixed_points import (
     newton_ends,
     rate_scale,
 )
-from atoll.analysis.flow import UNBOUNDED, Ensemble, Flow, Step, follow, steps
+from atoll.analysis.flow import SETTLING, UNBOUNDED, Ensemble, Flow, Step, follow, steps
 from atoll.data.dataset import FloatArray
 
 STARTS: Final = 24
-TRANSIENT: Final = 60.0
-"""Length of the simulations before a return is looked for, in times that a state takes through the box."""
-
-RETURN: Final = 60.0
-"""Longest period that is looked for, in the same times."""
-
 MOST_STEPS: Final = 1500
 """Steps of such a simulation."""
 
 MOST_CYCLES: Final = 10
+"""Cycles that are shown; each costs up to a second."""
+
 MOST_FAILURES: Final = 2
 """Ends of simulations that lead to no stable cycle, until the rest is left as unsettled."""
 
 SAMPLES: Final = 400
+"""Points of a cycle that are kept: the extent of a harmonic one is known to (pi/400)**2/2, 3e-5 of itself."""
+
 _NEAR: Final = 0.1
+"""Extents of the course within which a return is near; Newton steps decide whether a cycle is there."""
+
 SMALLEST: Final = 1e-3
 """Smallest extent of a cycle, in widths of the box."""
 
 _CLOSED: Final = 1e-8
+"""Widths of the box by which a cycle may miss itself: ten times the error of the integration."""
+
 _NEUTRAL: Final = 1e-4
+"""A multiplier nearer to 1, or to the unit circle, decides nothing: the root of `_CLOSED`, by which double multipliers
+are off."""
+
 _MOST_RETURNS: Final = 40
+"""Turns of a course in which a return is looked for: cycles of more turns are not told from chaos."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +126,7 @@ def _reached(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> LimitCycles:
         if failures >= MOST_FAILURES or len(cycles) >= MOST_CYCLES:
             unsettled.append(end)
             continue
-        cycle = cycle_near(flow, end, box, RETURN * time_scale(flow, box))
+        cycle = cycle_near(flow, end, box, SETTLING * time_scale(flow, box))
         cycles += [cycle] if cycle is not None else []
         if cycle is None or not cycle.is_stable:
             unsettled += [end] if cycle is None or cycle.is_isolated else []
@@ -131,7 +137,7 @@ def _reached(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> LimitCycles:
 
 def _ends(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> tuple[FloatArray, int, float]:
     """Return where simulations from the box and from beside its fixed points are after the transient, if bounded."""
-    duration = TRANSIENT * time_scale(flow, box)
+    duration = SETTLING * time_scale(flow, box)
     beside = [each.point[None] + 0.02 * box.widths for each in fixed[:STARTS]]
     starts = np.vstack([box.points(STARTS), *beside])
     ensemble = Ensemble.of(starts, 1e-4 * duration)

@@ -9,13 +9,12 @@ from typing import Final
 import numpy as np
 
 from atoll.analysis.box import Box
-from atoll.analysis.flow import UNBOUNDED, Ensemble, Flow
+from atoll.analysis.flow import SETTLING, UNBOUNDED, Ensemble, Flow
 from atoll.analysis.limit_cycles import time_scale
 from atoll.data.dataset import FloatArray
 
 STARTS: Final = 128
-SETTLING: Final = 60.0
-"""Length of the courses before, in times that a state takes through the box."""
+"""Courses: their spread gives the exponents a standard error that is itself known to 6 %, 1/sqrt(2 * 127)."""
 
 INTERVALS: Final = 400
 """Orthogonalisations that count; a quarter as many before them let the vectors settle."""

@@ -16,6 +16,8 @@ GRID: Final = 80
 """Cells along each state."""
 
 _BISECTIONS: Final = 30
+"""A crossing is then known to 1e-9 of a cell."""
+
 _MARGIN: Final = 1e-6
 """Widths of the box that the grid reaches beyond it, for nullclines that are its sides."""
 

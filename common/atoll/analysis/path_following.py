@@ -24,8 +24,13 @@ _STRAIGHT: Final = 0.95
 """Cosine of the largest angle between tangents one step apart: larger angles may hide a second curve close by."""
 
 _EVALUATIONS: Final = 60
+"""Regula falsi takes about ten; bisection to `_LOCATED` would take 43."""
+
 _LOCATED: Final = 1e-13
+"""Share of the last step within which a special point is located: what rounding leaves."""
+
 _BESIDE: Final = 0.01
+"""Share of the bracket by which a singular point is avoided."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,6 +28,8 @@ _POINTS: Final = 32
 """Points at which a term and the derivative by a constant are compared; two that agree at all of them are the same."""
 
 _SAME: Final = 1e-9
+"""Share of the term by which rounding may make them differ."""
+
 _FIRST_MARK: Final = 1000.5
 """Constants are told apart by numbers from here on while an equation is written as text and read again."""
 

@@ -15,9 +15,11 @@ from atoll_coordinator.model.stochastic.likelihood import ProcessModel
 from atoll_coordinator.settings import SETTINGS
 
 _PATHS = 256
+"""Of an ensemble: means are known to a sixteenth of the spread of the paths; equations and verdicts do not use them."""
 _STEPS = 500
-"""Paths of an ensemble, and steps that are shown of it; a density settles in as many, and is taken over as many."""
+"""That are shown of an ensemble; a density settles in as many (`_is_settled` checks it), and is taken over as many."""
 _BINS = 40
+"""Of a density that is shown."""
 
 
 @dataclass(frozen=True, eq=False)
