@@ -13,7 +13,7 @@ from atoll_coordinator.data.reading.cells import is_missing, is_text, on_one_lin
 from atoll_coordinator.data.reading.instants import Instants, is_instant
 from atoll_coordinator.data.reading.numerals import place, read_numbers
 from atoll_coordinator.data.reading.rows import Rows
-from atoll_coordinator.data.reading.times import read_times
+from atoll_coordinator.data.reading.times import compact_dates, read_times
 from atoll_coordinator.data.roles.options import find_trajectory_column, named_columns, split_unit, strip_units
 
 TIME: Final = "time"
@@ -49,6 +49,7 @@ def columns_of(file: str, rows: Rows, config: DataConfig) -> Columns:
     needed, trajectory = named_columns(config), find_trajectory_column(names, config)
     texts = {name: its for name, its in cells.items() if is_text(its)}
     runs = {name: _numbered(texts.pop(name)) for name in [trajectory] if name in texts}
+    texts |= compact_dates({name: its for name, its in cells.items() if name != trajectory}, config)
     times = read_times(file, texts, names, rows.starts, config, lambda row: place(rows.lines, row))
     plain = {
         name: its

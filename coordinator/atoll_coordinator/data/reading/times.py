@@ -1,5 +1,6 @@
 """Which columns of text are read as dates and clock times: those that are named, and what can be the time. Pure."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -11,6 +12,7 @@ from atoll_coordinator.data.roles.options import named_columns
 from atoll_coordinator.data.roles.roles import TIME_NAMES
 
 _NEW_NAMES: Final = ("time", "t")
+_COMPACT: Final = re.compile(r"(1[89]\d\d|2[01]\d\d)(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])")
 _Kind = Literal["clock", "date", "both"]
 
 
@@ -69,6 +71,19 @@ def read_times(
     new = next((name for name in _NEW_NAMES if name not in names), None)
     is_new = found is not None and found not in (config.time, *TIME_NAMES) and new is not None
     return Times(values, (found, new) if is_new and found and new else None, other)
+
+
+def compact_dates(columns: Mapping[str, Sequence[str]], config: DataConfig) -> dict[str, list[str]]:
+    """Return dates without marks, as ``20210331``, as year-month-day: of columns called so, or that are the time."""
+    called = {
+        name: its for name, its in columns.items() if name in (config.time, *TIME_NAMES) or name.lower() == "date"
+    }
+    present = {name: [cell.strip() for cell in its if not is_missing(cell)] for name, its in called.items()}
+    return {
+        name: [_COMPACT.sub(r"\1-\2-\3", cell.strip()) for cell in its]
+        for name, its in called.items()
+        if present[name] and all(_COMPACT.fullmatch(cell) for cell in present[name])
+    }
 
 
 def _kind(cells: Sequence[str]) -> _Kind | None:

@@ -38,6 +38,16 @@ def test_the_configuration_may_say_the_unit(tmp_path: Path) -> None:
     assert (table.units, table.column("t").tolist()) == (("h", ""), [0.0, 24.0])
 
 
+def test_dates_without_marks_are_dates_where_their_column_is_called_so(tmp_path: Path) -> None:
+    table = read(tmp_path, "Date,x,n", "20210228,1,20210228", "20210301,2,20210301")
+    assert (table.names, table.column("time").tolist()) == (("time", "x", "n"), [0.0, 1.0])
+    assert table.column("n").tolist() == [20210228.0, 20210301.0]
+    assert read(tmp_path, "date,t,x", "20210228,0,1", "20210301,1,2").skipped == ("date",)
+    assert read(tmp_path, "date,x", "20210228,1", "20211301,2").names == ("date", "x")
+    runs = read(tmp_path, "date,t,x", "20210228,0,1", "20210301,1,2", config=DataConfig(trajectory="date"))
+    assert runs.column("date").tolist() == [20210228.0, 20210301.0]
+
+
 def test_dates_may_name_trajectories(tmp_path: Path) -> None:
     table = read(tmp_path, "trajectory,t,x", "2020-01-01,0,1", "2020-01-02,0,2")
     assert table.column("trajectory").tolist() == [1.0, 2.0]
