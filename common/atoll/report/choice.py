@@ -1,11 +1,14 @@
 """Why this equation: the front of each search, and the candidates that were compared."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from atoll.report.chart import Axis, Chart
 from atoll.report.findings import Findings
-from atoll.report.markup import Element, element, figure, number, paragraph, section, table
+from atoll.report.markup import Child, Element, element, figure, number, paragraph, section, table
+
+if TYPE_CHECKING:
+    from atoll.experiments.suggestions import Suggestions
 
 
 def choice(its: Findings) -> list[Element]:
@@ -19,7 +22,8 @@ def choice(its: Findings) -> list[Element]:
             "In nats, how much longer the data are to describe by another equation than by the one shown: below "
             "about 3 the data hardly decide."
         )
-        sections.append(section("candidates", "Candidates", text, *compared))
+        following = () if its.suggestions is None else _next_experiment(its.suggestions)
+        sections.append(section("candidates", "Candidates", text, *compared, *following))
     if fronts:
         text = paragraph(
             "The best expression of each complexity that the search found, by its error over the target's deviation. A "
@@ -27,6 +31,33 @@ def choice(its: Findings) -> list[Element]:
         )
         sections.append(section("front", "Accuracy and complexity", text, element("div", *fronts, class_="pictures")))
     return sections
+
+
+def _next_experiment(found: "Suggestions") -> list[Element]:
+    """Return the experiments that would tell most, and which systems they tell apart."""
+    told_apart = found.purpose == "discrimination"
+    text = f"Experiments that {'tell these apart' if told_apart else 'determine the constants'}, since {found.reason}."
+    systems: list[list[Child]] = [
+        [number(each.weight, 2), each.origin, element("code", "; ".join(map(" = ".join, each.equations.items())))]
+        for each in found.candidates
+    ]
+    rows: list[list[Child]] = [
+        [
+            element("span", ", ".join(f"{name} = {number(value)}" for name, value in where.items())),
+            f"{len(each.times)}, from {number(each.times[0])} to {number(each.times[-1])}",
+            number(each.information, 3),
+            number(each.evidence, 3) if told_apart else "",
+        ]
+        for each in found.experiments
+        for where in ({**each.initial, **each.inputs},)
+    ]
+    heads = ["begin at", "samples", "information, nats", "evidence for the right one, nats"]
+    return [
+        element("h3", "The next experiment"),
+        paragraph(text),
+        table("Systems", ["weight", "origin", "equations"], systems),
+        table("Experiments", heads, rows),
+    ]
 
 
 def _front(equation: Mapping[str, Any], its: Findings) -> Element:

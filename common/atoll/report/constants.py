@@ -1,10 +1,17 @@
 """The constants with their errors, and which of them the data hardly tell apart."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
+from atoll.report.chart import Axis, Chart
 from atoll.report.findings import Findings
-from atoll.report.markup import Element, element, number, paragraph, section, table
+from atoll.report.markup import Element, element, figure, number, paragraph, section, table
+
+if TYPE_CHECKING:
+    from atoll.experiments.identifiability import Identifiability, ProfiledConstant
+
+MOST_PROFILES: Final = 12
+"""Profiles that are drawn."""
 
 
 def constants(its: Findings) -> list[Element]:
@@ -23,7 +30,35 @@ def constants(its: Findings) -> list[Element]:
         "determined",
     ]
     notes = [paragraph(_correlation(each)) for each in its.result.get("correlations") or ()]
-    return [section("constants", "Constants", table("Constants", heads, rows), *notes)]
+    profiles = () if its.identifiability is None else _profiles(its.identifiability)
+    return [section("constants", "Constants", table("Constants", heads, rows), *notes, *profiles)]
+
+
+def _profiles(found: "Identifiability") -> list[Element]:
+    """Return what the data determine of each constant, by profile likelihood, with the profiles drawn."""
+    text = paragraph(
+        "A constant is held at each value of a range while all others are fitted again. Where the deviance stays below "
+        "the line, the data allow the value."
+    )
+    listed = [element("li", f"{each.name} = {each.sentence}") for each in found.constants]
+    listed += [element("li", each.words) for each in found.sloppy]
+    pictures = [_profile(each, found.quantile**2) for each in found.constants[:MOST_PROFILES]]
+    return [
+        element("h3", "What the data determine"),
+        text,
+        element("ul", *listed),
+        element("div", *pictures, class_="pictures"),
+    ]
+
+
+def _profile(its: "ProfiledConstant", most: float) -> Element:
+    values, deviances = its.values.tolist(), its.deviances.tolist()
+    drawn = Chart(f"profile of {its.name}", Axis(its.name), Axis("deviance", bounds=(0.0, 2.0 * most)))
+    drawn.add_line([min(values), max(values)], [most, most], "rule")
+    drawn.add_line(values, deviances, "c0")
+    drawn.add_points([its.estimate], [0.0], "c0")
+    rows = [[number(value, 6), number(deviance)] for value, deviance in zip(values, deviances, strict=True)]
+    return figure(drawn.svg(), its.name, table(f"profile of {its.name}", ["value", "deviance"], rows))
 
 
 def _rows(equation: Mapping[str, Any]) -> list[list[str | Element]]:

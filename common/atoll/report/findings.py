@@ -1,43 +1,52 @@
 """What a page is about: a result, and where there is one its model and how it moves."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from atoll.errors import UsageError
+from atoll.errors import DataError, UsageError
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.model.model import DIGITS, Model
 
 if TYPE_CHECKING:
     from atoll.analysis.analysis import Analysis
+    from atoll.experiments.identifiability import Identifiability
+    from atoll.experiments.suggestions import Suggestions
+
+
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
 class Findings:
-    """The content of result.json; its model, None where an equation was not found; the dynamics of that.
+    """The content of result.json, and what is found of its model (None where an equation was not found).
 
-    `unanalysed` says why there is no analysis, "" where there is one.
+    These are the dynamics, what the data determine of the constants, and the experiments to make next; each is None
+    where there is nothing to find it from. `unanalysed` says why there are no dynamics, "" where there are.
     """
 
     result: Mapping[str, Any]
     model: Model | None
     analysis: "Analysis | None" = None
     unanalysed: str = ""
+    identifiability: "Identifiability | None" = None
+    suggestions: "Suggestions | None" = None
 
     @classmethod
     def of(cls, result: Mapping[str, Any]) -> "Findings":
-        """Return the findings of a result; the model is analysed, which takes a second or two for two states."""
+        """Return the findings of a result, which takes a few seconds for two states."""
         try:
             model = Model(result)
         except UsageError as error:
             return cls(result, None, None, str(error))
         if model.is_regression:
             return cls(result, model, None, "the model has no time")
+        identifiability, suggestions = _found(model.identifiability), _found(model.suggest)
         try:
-            return cls(result, model, model.analyse())
+            return cls(result, model, model.analyse(), "", identifiability, suggestions)
         except UsageError as error:
-            return cls(result, model, None, str(error))
+            return cls(result, model, None, str(error), identifiability, suggestions)
 
     @property
     def system(self) -> Mapping[str, Any]:
@@ -63,3 +72,11 @@ class Findings:
         """Return a column name with its unit."""
         unit = (self.system.get("units") or {}).get(column)
         return f"{column} [{unit}]" if unit else column
+
+
+def _found(find: Callable[[], Found]) -> Found | None:
+    """Return what is found; None of a result without the measurements that it takes."""
+    try:
+        return find()
+    except (UsageError, DataError):
+        return None

@@ -3,8 +3,15 @@
 from html.parser import HTMLParser
 from typing import Any
 
+import numpy as np
 import pytest
 
+from atoll.experiments.identifiability import Direction, Identifiability, ProfiledConstant
+from atoll.experiments.suggestions import Candidate, Suggestion, Suggestions
+from atoll.report.choice import choice
+from atoll.report.constants import constants
+from atoll.report.findings import Findings
+from atoll.report.markup import Element, to_text
 from atoll.report.page import as_html
 from tests.unit.common.report.results import dynamics, process, regression
 
@@ -77,22 +84,44 @@ def test_names_from_data_are_text_wherever_they_stand() -> None:
     for key in ("values", "lower", "upper", "measured", "r2", "start"):
         part = found["simulation"]["trajectories"][0]
         part[key] = {hostile if name == "x" else name: value for name, value in part[key].items()}
-    read = Reader(as_html(found))
-    assert "img" not in read.tags
-    assert f"Equations of {hostile}" in read.texts
+    page = Reader(as_html(found))
+    assert "img" not in page.tags
+    assert f"Equations of {hostile}" in page.texts
 
 
 def test_an_equation_that_was_not_found_leaves_the_rest_of_the_page() -> None:
     found = dynamics(simulation=None)
     found["equations"][1] |= {"expression": None, "verdict": "no model", "reason": "Nothing.", "front": []}
-    read = Reader(as_html(found))
-    assert "dy/dt: no equation" in read.texts
-    assert any("not analysed" in text for text in read.texts)
+    page = Reader(as_html(found))
+    assert "dy/dt: no equation" in page.texts
+    assert any("not analysed" in text for text in page.texts)
+
+
+def read(sections: list[Element]) -> Reader:
+    return Reader("".join(map(to_text, sections)))
+
+
+def test_profiles_say_what_the_data_determine_of_each_constant() -> None:
+    values, ends = np.array([1.0, 2.0, 3.0]), (1.25, 2.75)
+    its = ProfiledConstant("c1", "x", True, 2.0, 0.25, ends, ends, "open above", (False, False), values, values - 1.0)
+    open_one = Direction(9.0, values, True, "only c1/c2 is determined")
+    found = Findings(dynamics(), None, identifiability=Identifiability(0.95, 9.0, 2.0, (its,), (open_one,), "", 3))
+    page = read(constants(found))
+    assert {"c1 = 2, open above: at least 1.25", "only c1/c2 is determined"} <= set(page.texts)
+    assert "svg" in page.tags
+
+
+def test_the_next_experiment_stands_with_the_candidates() -> None:
+    rivals = tuple(Candidate({"dx/dt": text}, "candidate", 0.5, 0.0) for text in ("x", "2*x"))
+    one = Suggestion({"x": 1.5}, {"u": 2.5}, (0.0, 4.0), 1.0, 3.0, 0.625, 7.5)
+    found = Suggestions("discrimination", "2 candidates differ", 0.7, rivals, (one,), {}, (), "trajectory", "")
+    page = read(choice(Findings(dynamics(), None, suggestions=found)))
+    assert {"x = 1.5, u = 2.5", "2, from 0 to 4", "0.625", "7.5", "dx/dt = 2*x"} <= set(page.texts)
 
 
 @pytest.mark.parametrize(("found", "section", "number"), [(regression(), "fit", "0.5"), (process(), "process", "0.75")])
 def test_regressions_and_processes_have_sections_of_their_own(found: dict[str, Any], section: str, number: str) -> None:
-    read = Reader(as_html(found))
-    assert section in read.sections
-    assert number in read.texts
-    assert ("dynamics" in read.sections) == (section == "process")
+    page = Reader(as_html(found))
+    assert section in page.sections
+    assert number in page.texts
+    assert ("dynamics" in page.sections) == (section == "process")
