@@ -46,6 +46,7 @@ CONTENTS: Final = {
         "reference/configuration",
         "result",
         "analysis",
+        "export",
         "python",
         "reference/api",
         "reproducibility",
