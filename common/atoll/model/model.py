@@ -263,7 +263,14 @@ class Model(Exports):
             {**each, **unknown, **taken} if index == place else each
             for index, each in enumerate(self._result["equations"])
         ]
-        return {**self._result, "equations": equations, "covariance": None, "correlations": [], "chaos": None}
+        return {
+            **self._result,
+            "equations": equations,
+            "covariance": None,
+            "correlations": [],
+            "shared_terms": [],
+            "chaos": None,
+        }
 
     # ------------------------------------------------------------------------------------------- what it does
 

@@ -58,7 +58,7 @@ def pick(result: Mapping[str, Any], picks: Mapping[str, int]) -> dict[str, Any]:
         _picked(equation, picks[equation["variable"]]) if equation["variable"] in picks else equation
         for equation in result["equations"]
     ]
-    return {**result, "equations": equations, "correlations": [], "simulation": None}
+    return {**result, "equations": equations, "correlations": [], "shared_terms": [], "simulation": None}
 
 
 def parse_picks(texts: Sequence[str]) -> dict[str, int]:
@@ -84,6 +84,7 @@ def render_text(result: Mapping[str, Any], *, fronts: bool = False) -> str:
         blocks += [*tables.noise_lines(result), *tables.simulation_table(result), *tables.correlation_lines(result)]
     else:
         blocks += tables.summary(result)
+    blocks += _shared_lines(result)
     blocks += process_lines(result)
     blocks += [f"warning: {warning}" for warning in result.get("warnings", ())]
     evaluations, seconds = result["point_evaluations"], result["search_seconds"]
@@ -113,6 +114,17 @@ def _picked(equation: Mapping[str, Any], number: int) -> dict[str, Any]:
     converged = error is not None and error <= equation["target_error"]
     unknown: dict[str, Any] = {"verdict": None, "reason": None, "candidates": []}
     return {**equation, **best, **unknown, "converged": converged, "front": members}
+
+
+def _shared_lines(result: Mapping[str, Any]) -> list[str]:
+    """Return a line for each term with a function that several equations have in common."""
+    names = _names(result)
+    sides = {equation["variable"]: equation["lhs"] for equation in result["equations"]}
+    return [
+        f"shared: {display(each['term'], names)} in {', '.join(sides[variable] for variable in each['factors'])}"
+        for each in result.get("shared_terms", ())
+        if each["has_function"]
+    ]
 
 
 def _equation_text(equation: Mapping[str, Any], names: Sequence[str], with_tables: bool) -> str:

@@ -32,6 +32,7 @@ from atoll_coordinator.model.report.digest import result_digest
 from atoll_coordinator.model.report.numbers import curve, finite, thinned
 from atoll_coordinator.model.report.process import process
 from atoll_coordinator.model.report.regression import regression
+from atoll_coordinator.model.report.shared_terms import shared_terms
 from atoll_coordinator.model.report.source import data, settings, system
 from atoll_coordinator.model.report.trust import (
     candidates,
@@ -118,6 +119,7 @@ def build_result(
         "state": account.state,
         "reason": account.reason,
         "equations": [_equation(config, preparation, outcome, account.state) for outcome in outcomes],
+        "shared_terms": _shared_terms(config, dataset, outcomes, account.state),
         "noise": noise(preparation.recording, model.errors),
         "smoothing": smoothing(preparation.recording),
         "correlations": correlations(model.correlations),
@@ -139,6 +141,16 @@ def build_result(
         "digest": result_digest([outcome for outcome in outcomes if outcome.why != KNOWN]),
         "versions": versions(),
     }
+
+
+def _shared_terms(
+    config: JobConfig, dataset: Dataset, outcomes: Sequence[VariableOutcome], state: JobState
+) -> list[dict[str, Any]]:
+    """Return the terms that equations have in common, none as long as these may change."""
+    if state not in FINAL_STATES or len(outcomes) < 2:
+        return []
+    shown = {outcome.variable: equation_of(outcome, dataset, config) for outcome in outcomes}
+    return shared_terms({name: its for name, its in shown.items() if its is not None}, dataset.names)
 
 
 def versions() -> dict[str, str | int]:

@@ -350,3 +350,14 @@ def test_an_equation_whose_display_has_other_numbers_is_written_out():
 
     assert "written out: x/(4.0*S)" in text_of("x/(4.0*S)", 4.0)
     assert "written out" not in text_of("3.0*x - 0.25*x*S", 3.0, -0.25)
+
+
+def test_text_names_the_functions_that_equations_have_in_common():
+    its = result()
+    factors = {"x": 1.0, "v": -2.0}
+    its["shared_terms"] = [
+        {"term": "S/(1.0 + x)", "has_function": True, "factors": factors},
+        {"term": "x*S", "has_function": False, "factors": factors},
+    ]
+    lines = [line for line in render_text(its).splitlines() if line.startswith("shared")]
+    assert lines == ["shared: S/(1 + x) in dx/dt, dv/dt"]

@@ -1,0 +1,89 @@
+"""Terms that several equations have in common, such as a flux that leaves one state and enters another.
+
+Two terms are one when they differ in their factors alone: inside, numbers agree within two standard errors of their
+difference.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from atoll.expression.builder import ProgramBuilder
+from atoll.expression.operators import VARIABLE
+from atoll.expression.text.infix import to_infix
+from atoll.expression.writing.layout import written
+from atoll.expression.writing.opened import inner_numbers, shape_of, terms_of
+from atoll.expression.writing.sums import ONE, Monomial, UndefinedError
+from atoll_coordinator.model.refinement import Refined
+from atoll_coordinator.model.report.numbers import finite
+from atoll_coordinator.settings import SETTINGS
+
+_SAME_NUMBER: Final = 1e-9
+"""Share by which a number in a term may differ from the constant that it is."""
+
+
+def shared_terms(equations: Mapping[str, Refined], names: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the terms that two equations or more have, as `term`, with the `factors` that they have there.
+
+    Numbers and lone variables are no such terms. Numbers inside are those of the first equation.
+
+    Args:
+        equations: by variable.
+        names: of all variables.
+    """
+    found: list[tuple[Monomial, Refined, dict[str, float]]] = []
+    for variable, its in equations.items():
+        for monomial, factor in _terms(its):
+            for other, owner, factors in found:
+                if variable not in factors and _are_one(other, owner, monomial, its):
+                    factors[variable] = factor
+                    break
+            else:
+                found.append((monomial, its, {variable: factor}))
+    return [
+        {
+            "term": _text(monomial, names),
+            "has_function": any(atom[0] != VARIABLE for atom, _ in monomial),
+            "factors": {variable: finite(factor) for variable, factor in factors.items()},
+        }
+        for monomial, _, factors in found
+        if len(factors) > 1
+    ]
+
+
+def _terms(its: Refined) -> list[tuple[Monomial, float]]:
+    """Return the products of an equation with their factors; none where it has too many terms."""
+    try:
+        terms = terms_of(its.program)
+    except UndefinedError:
+        return []
+    return [(monomial, factor) for monomial, factor in terms if monomial != ONE and not _is_variable(monomial)]
+
+
+def _is_variable(monomial: Monomial) -> bool:
+    return len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == VARIABLE
+
+
+def _are_one(one: Monomial, its: Refined, other: Monomial, theirs: Refined) -> bool:
+    if shape_of(one) != shape_of(other):
+        return False
+    numbers = [inner_numbers(((monomial, 1.0),)) for monomial in (one, other)]
+    if len(numbers[0]) != len(numbers[1]):
+        return False
+    pairs = zip(*(sorted(each, key=abs) for each in numbers), strict=True)
+    return all(
+        abs(first - second) <= 2.0 * math.hypot(_error(first, its), _error(second, theirs)) for first, second in pairs
+    )
+
+
+def _error(number: float, its: Refined) -> float:
+    """Return the standard error of a number in a term, a thousandth of it where none is known."""
+    for constant in its.constants:
+        if constant.std_error is not None and abs(constant.value - number) <= _SAME_NUMBER * abs(number):
+            return constant.std_error
+    return SETTINGS.common.negligible * abs(number)
+
+
+def _text(monomial: Monomial, names: Sequence[str]) -> str:
+    builder = ProgramBuilder()
+    return to_infix(builder.program(builder.build(written(((monomial, 1.0),))[1])), names)

@@ -1,0 +1,35 @@
+"""Terms that equations have in common."""
+
+import pytest
+
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.model.refinement import Constant, Refined
+from atoll_coordinator.model.report.shared_terms import shared_terms
+
+NAMES = ("x", "y", "z")
+
+
+def equation(text, error=1e-4):
+    program = from_infix(text, NAMES)
+    values = [value for code, _, _, value in program.nodes() if code == 1]
+    return Refined(0, program, 0.0, 0.0, tuple(Constant(value, value, error) for value in values))
+
+
+def test_a_flux_is_in_both_equations_with_its_factors():
+    found = shared_terms(
+        {"x": equation("2.5 - 7.3*x*y/(0.0731 + y*y)"), "y": equation("14.6*x*y/(0.0732 + y*y) - 6*z")}, NAMES
+    )
+    assert found == [
+        {"term": "x*y/(0.0731 + y**2)", "has_function": True, "factors": {"x": -7.3, "y": 14.6}},
+    ]
+
+
+@pytest.mark.parametrize("inside", ["0.08", "-0.0731"])
+def test_numbers_that_differ_inside_make_two_terms(inside):
+    flux = equation(f"14.6*x*y/({inside} + y*y)")
+    assert shared_terms({"x": equation("7.3*x*y/(0.0731 + y*y)"), "y": flux}, NAMES) == []
+
+
+def test_products_are_terms_lone_variables_and_numbers_are_none():
+    found = shared_terms({"x": equation("3.0 - x*y - z"), "y": equation("3.0 + x*y - z"), "z": equation("z")}, NAMES)
+    assert found == [{"term": "x*y", "has_function": False, "factors": {"x": -1.0, "y": 1.0}}]
