@@ -44,6 +44,15 @@ def test_any_number_of_workers_gives_the_same_answer(workers: int) -> None:
         assert answer(World(workers=workers, seed=seed), seed) == undisturbed(seed)
 
 
+def test_a_job_of_many_variables_has_one_answer_on_any_number_of_workers() -> None:
+    variables = ",".join(f"x{place}" for place in range(8))
+    its = config(3, islands=2, max_epochs=4)
+    answers = {comparable(World(workers=workers, seed=3).run(its, variables)) for workers in (1, 3)}
+    assert len(answers) == 1
+    (answer,) = answers
+    assert all(f"x{place}" in answer for place in range(8))
+
+
 def test_waiting_for_the_expected_workers_does_not_change_the_answer() -> None:
     for seed in SEEDS:
         world = World(workers=3, seed=seed, expected=3)
