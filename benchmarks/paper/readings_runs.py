@@ -44,7 +44,15 @@ FIRST: Final[Changes] = {
         "population": 64,
         "islands": 8,
     },
-    "predictors": {"rows": 16, "predictors": 8, "trainers": 8, "renewal": 50, "effort": 0.05, "enabled": True},
+    "predictors": {
+        "rows": 16,
+        "predictors": 8,
+        "trainers": 8,
+        "renewal": 50,
+        "effort": 0.05,
+        "agreement": "difference",
+        "enabled": True,
+    },
     "migration": {"generations": 100},
 }
 
@@ -71,6 +79,7 @@ READINGS: Final[Mapping[str, Changes]] = {
     "trainers": {"predictors": {"predictors": 8, "trainers": 10, "renewal": 100}},
     "quick-renewal": {"predictors": {"renewal": 10}},
     "effort": {"predictors": {"effort": 0.2}},
+    "ratio": {"predictors": {"agreement": "relative"}},
     "near": {},
 }
 """By name, what each changes in `FIRST`; `near` changes the data instead, see `NEAR`."""

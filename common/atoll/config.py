@@ -15,6 +15,7 @@ Loss = Literal["mae", "rmse"]
 ConstantSteps = Literal["relative", "normal", "log-uniform", "log-uniform relative"]
 Arguments = Literal["any node", "terminal or operator"]
 MutationUnit = Literal["node", "list"]
+Agreement = Literal["difference", "relative"]
 CrowdingDistance = Literal["live nodes", "live nodes and constants", "all nodes", "outputs"]
 
 PAPER_TERMINALS = 7
@@ -170,6 +171,7 @@ class PredictorConfig(Model):
     trainers: Annotated[int, Field(ge=1, le=64)] = 8
     renewal: PositiveInt = Field(50, description="predictor generations between trainer renewals")
     effort: Probability = Field(0.05, description="largest share of all point evaluations")
+    agreement: Agreement = Field("difference", description="how a predicted loss is compared with the exact one")
 
 
 class MigrationConfig(Model):

@@ -26,14 +26,21 @@ def predicted(losses_by_row: FloatArray, chosen: Iterable[int]) -> float:
     return float(np.mean([losses_by_row[row] for row in chosen]))
 
 
-def quality(losses_of_trainers: Sequence[FloatArray], chosen: Sequence[int]) -> float:
-    """Return the mean absolute difference of predicted and exact loss over trainers whose exact loss is finite."""
-    differences = [
-        abs(predicted(each, chosen) - float(np.mean(each))) for each in losses_of_trainers if np.isfinite(np.mean(each))
-    ]
+def quality(losses_of_trainers: Sequence[FloatArray], chosen: Sequence[int], relative: bool = False) -> float:
+    """Return the mean absolute difference of predicted and exact loss over trainers whose exact loss is finite.
+
+    If `relative`, each difference is a share of the exact loss; without an exact loss there is none to predict.
+    """
+    differences = []
+    for each in losses_of_trainers:
+        exact = float(np.mean(each))
+        if math.isfinite(exact):
+            difference = abs(predicted(each, chosen) - exact)
+            differences.append(difference / exact if relative and exact > 0.0 else difference)
     return float(np.mean(differences)) if differences else math.inf
 
 
-def disagreement(losses_by_row: FloatArray, predictors: Sequence[Sequence[int]]) -> float:
-    """Return the variance of what the predictors predict for one individual."""
-    return float(np.var([predicted(losses_by_row, chosen) for chosen in predictors]))
+def disagreement(losses_by_row: FloatArray, predictors: Sequence[Sequence[int]], relative: bool = False) -> float:
+    """Return the variance of what the predictors predict for one individual, over the mean's square if `relative`."""
+    predictions = [predicted(losses_by_row, chosen) for chosen in predictors]
+    return float(np.var(predictions) / (np.mean(predictions) ** 2 if relative else 1.0))

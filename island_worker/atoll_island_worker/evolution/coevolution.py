@@ -36,13 +36,20 @@ def call_plainly(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def begin_coevolution(
-    lists: Lists, coevolution: Coevolution, every: Rows, options: Fit, scratch: Scratch, stream: Stream, counters: Ints
+    lists: Lists,
+    coevolution: Coevolution,
+    every: Rows,
+    options: Fit,
+    relative: int,
+    scratch: Scratch,
+    stream: Stream,
+    counters: Ints,
 ) -> None:
     """Draw random predictors and take random individuals as trainers."""
     draw_coevolution(lists, coevolution, every.length, stream)
     for t in range(len(coevolution.exact)):
         train(coevolution, t, every, options, scratch.tape, scratch.work, counters)
-    judge_all(coevolution)
+    judge_all(coevolution, relative)
 
 
 def use_best_predictor(
@@ -67,12 +74,13 @@ def renew_trainer(
     coevolution: Coevolution,
     every: Rows,
     options: Fit,
+    relative: int,
     scratch: Scratch,
     counters: Ints,
     call: Caller = call_plainly,
 ) -> bool:
     """Replace the oldest trainer by the most disputed individual; return True if the measuring rows changed."""
-    disputed = int(call(most_disputed, lists, coevolution, every, scratch.spare, options, scratch, counters))
+    disputed = int(call(most_disputed, lists, coevolution, every, scratch.spare, options, relative, scratch, counters))
     if disputed < 0:
         return False
     oldest = int(np.argmin(coevolution.born))
@@ -81,7 +89,7 @@ def renew_trainer(
         column[oldest] = values[disputed]
     coevolution.born[oldest] = coevolution.clock[0]
     train(coevolution, oldest, every, options, scratch.tape, scratch.work, counters)
-    return bool(judge_all(coevolution))
+    return bool(judge_all(coevolution, relative))
 
 
 def evolve(
@@ -114,6 +122,9 @@ def evolve(
         )  # fmt: skip
         renews, changed = coevolution.due.tolist()
         if renews:
-            changed = renew_trainer(lists, coevolution, every, options, scratch, counters, call) or changed
+            changed = (
+                renew_trainer(lists, coevolution, every, options, coevolving.relative, scratch, counters, call)
+                or changed
+            )
         if changed:
             use_best_predictor(lists, fitness, coevolution, every, rows, options, scratch, counters, call)

@@ -124,8 +124,9 @@ class Island:
             begin_with_guesses(self._lists, setup, self._updater.sample, self._counters)
             if setup.coevolving.enabled:
                 begin_coevolution(
-                    self._lists, self._coevolution, setup.every, setup.fit, scratch, self._stream, self._counters
-                )
+                    self._lists, self._coevolution, setup.every, setup.fit, setup.coevolving.relative, scratch,
+                    self._stream, self._counters,
+                )  # fmt: skip
             setup.gather(self._coevolution)
             measure_all(self._lists, self._fitness, setup.rows, setup.fit, scratch, self._counters, OFFSPRING)
         else:

@@ -68,8 +68,9 @@ class IslandSetup:
             raise LocalProtocolError("predictors.rows is not resolved")
         rows = self.every.length
         self.coevolving = Coevolving(
-            int(predictors.enabled and rows > 2 * sample), predictors.effort, predictors.renewal
-        )
+            int(predictors.enabled and rows > 2 * sample), predictors.effort, predictors.renewal,
+            int(predictors.agreement == "relative"),
+        )  # fmt: skip
         self.sample = sample if self.coevolving.enabled else rows
         self.fit = Fit(
             evolution.constant_fit_steps, evolution.linear_terms, LEAST_INNER, int(evolution.loss != "mae"),

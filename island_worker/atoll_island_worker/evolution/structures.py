@@ -185,6 +185,8 @@ class Coevolving(NamedTuple):
     enabled: int
     effort: float
     renewal: int
+    relative: int = 0
+    """1: predicted and exact loss are compared by their ratio, 0: by their difference."""
 
 
 class Book(NamedTuple):

@@ -32,10 +32,13 @@ def most_disputed(
     every: Rows,
     rows: Rows,
     options: Fit,
+    relative: Int,
     scratch: Scratch,
     counters: Ints,
 ) -> int:
     """Return the individual whose loss the predictors disagree on most (variance), -1 when none is finite.
+
+    With `relative` 1 the variance is that of the loss over its mean.
 
     Every individual is evaluated at every row that a predictor names, and counted.
     """
@@ -59,6 +62,8 @@ def most_disputed(
             square += loss * loss
         counters[COEVOLUTION] += number * size
         spread = square / number - (total / number) * (total / number)
+        if relative == 1:
+            spread = spread / ((total / number) * (total / number)) if total > 0.0 else 0.0
         if np.isfinite(spread) and spread > widest:
             widest = spread
             best = p

@@ -357,7 +357,7 @@ def advance(
             total += count
         if coevolving.enabled == 0 or counters[COEVOLUTION] >= coevolving.effort * total:
             continue
-        due[1] = predictor_generation(coevolution, length, scratch.predictor_children, stream)
+        due[1] = predictor_generation(coevolution, coevolving.relative, length, scratch.predictor_children, stream)
         due[0] = coevolution.clock[0] % coevolving.renewal == 0
         if due[0] or due[1]:
             return done + 1

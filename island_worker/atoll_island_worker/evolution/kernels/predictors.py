@@ -16,8 +16,11 @@ _ROW_MUTATION = 0.05
 
 
 @inlined
-def judge(coevolution: Coevolution, chosen: Ints) -> float:
-    """Return the mean absolute difference of predicted and exact loss over the trainers that have one."""
+def judge(coevolution: Coevolution, relative: Int, chosen: Ints) -> float:
+    """Return the mean absolute difference of predicted and exact loss over the trainers that have one.
+
+    With `relative` 1, of the share of the exact loss that the difference is: so that no trainer outweighs the others.
+    """
     total = 0.0
     finite = 0
     for t in range(coevolution.exact.shape[0]):
@@ -26,17 +29,18 @@ def judge(coevolution: Coevolution, chosen: Ints) -> float:
         loss = 0.0
         for r in chosen:
             loss += coevolution.losses[t, r]
-        total += abs(loss / chosen.shape[0] - coevolution.exact[t])
+        difference = abs(loss / chosen.shape[0] - coevolution.exact[t])
+        total += difference / coevolution.exact[t] if relative == 1 and difference > 0.0 else difference
         finite += 1
     return total / finite if finite > 0 else INFINITY
 
 
 @kernel
-def judge_all(coevolution: Coevolution) -> bool:
+def judge_all(coevolution: Coevolution, relative: Int) -> bool:
     """Judge every predictor anew and choose the best, the present one in case of a tie; return True if it changed."""
     best = coevolution.best[0]
     for k in range(coevolution.quality.shape[0]):
-        coevolution.quality[k] = judge(coevolution, coevolution.predictors[k])
+        coevolution.quality[k] = judge(coevolution, relative, coevolution.predictors[k])
     for k in range(coevolution.quality.shape[0]):
         if coevolution.quality[k] < coevolution.quality[best]:
             best = k
@@ -55,7 +59,7 @@ def _shared(one: Ints, two: Ints) -> int:
 
 
 @inlined
-def predictor_generation(coevolution: Coevolution, rows: Int, children: Ints, stream: Stream) -> bool:
+def predictor_generation(coevolution: Coevolution, relative: Int, rows: Int, children: Ints, stream: Stream) -> bool:
     """Cross and mutate two predictors; each child replaces the more similar parent if no worse.
 
     Return True when the rows that measure the solutions changed.
@@ -81,7 +85,7 @@ def predictor_generation(coevolution: Coevolution, rows: Int, children: Ints, st
     changed = False
     for q in range(2):
         parent = first if (q == 0) == (straight >= crossed) else second
-        quality = judge(coevolution, children[q])
+        quality = judge(coevolution, relative, children[q])
         if quality <= coevolution.quality[parent]:
             same = _shared(children[q], coevolution.predictors[parent]) == size
             for k in range(size):

@@ -27,7 +27,8 @@ QUICK = settings(max_examples=60, deadline=None, derandomize=True, database=None
 class Arena:
     """A population, its predictors and trainers, on rows of a problem."""
 
-    def __init__(self, options=PLAIN, seed=1, rows=ROWS):
+    def __init__(self, options=PLAIN, seed=1, rows=ROWS, relative=0):
+        self.relative = relative
         random = np.random.default_rng(seed)
         self.options, self.random = options, random
         self.every = padded_rows(random.uniform(-1.0, 1.0, (2, rows)), random.normal(size=rows))
@@ -41,8 +42,9 @@ class Arena:
 
     def begin(self):
         begin_coevolution(
-            self.lists, self.coevolution, self.every, self.options, self.scratch, self.stream, self.counters
-        )
+            self.lists, self.coevolution, self.every, self.options, self.relative, self.scratch, self.stream,
+            self.counters,
+        )  # fmt: skip
         use_best_predictor(
             self.lists, self.fitness, self.coevolution, self.every, self.rows, self.options, self.scratch, self.counters
         )
@@ -50,19 +52,23 @@ class Arena:
 
     def step(self):
         children = self.scratch.predictor_children
-        return predictor_generation(self.coevolution, self.every.length, children, self.stream)
+        return predictor_generation(self.coevolution, self.relative, self.every.length, children, self.stream)
 
     def renew(self):
-        return renew_trainer(self.lists, self.coevolution, self.every, self.options, self.scratch, self.counters)
+        return renew_trainer(
+            self.lists, self.coevolution, self.every, self.options, self.relative, self.scratch, self.counters
+        )
 
     def evolve(self, generations, effort, renewal=50):
         evolve(
             generations, self.lists, self.fitness, self.coevolution, SPACE, self.options,
-            Coevolving(1, effort, renewal), self.every, self.rows, self.scratch, self.stream, self.counters,
+            Coevolving(1, effort, renewal, self.relative), self.every, self.rows, self.scratch, self.stream,
+            self.counters,
         )  # fmt: skip
 
     def qualities(self):
-        return [oracle.quality(self.coevolution.losses, chosen) for chosen in self.coevolution.predictors]
+        losses, relative = self.coevolution.losses, bool(self.relative)
+        return [oracle.quality(losses, chosen, relative) for chosen in self.coevolution.predictors]
 
 
 @pytest.mark.parametrize("loss", [0, 1])
@@ -88,9 +94,9 @@ def test_at_the_beginning_trainers_are_individuals_and_are_all_counted():
 
 
 @QUICK
-@given(st.integers(0, 2**32 - 1))
-def test_predictors_are_judged_by_their_definition(seed):
-    arena = Arena(seed=seed).begin()
+@given(st.integers(0, 2**32 - 1), st.integers(0, 1))
+def test_predictors_are_judged_by_their_definition(seed, relative):
+    arena = Arena(seed=seed, relative=relative).begin()
     assert arena.coevolution.quality == pytest.approx(arena.qualities(), rel=1e-9, abs=1e-12)
     assert arena.coevolution.best[0] == int(np.argmin(arena.coevolution.quality))
 
@@ -99,16 +105,16 @@ def test_a_trainer_that_is_not_finite_is_left_out():
     arena = Arena().begin()
     arena.coevolution.losses[2, 5], arena.coevolution.exact[2] = math.nan, math.inf
     chosen = arena.coevolution.predictors[0]
-    assert judge(arena.coevolution, chosen) == pytest.approx(oracle.quality(arena.coevolution.losses, chosen))
+    assert judge(arena.coevolution, 0, chosen) == pytest.approx(oracle.quality(arena.coevolution.losses, chosen))
     arena.coevolution.exact[:] = math.inf
-    assert judge(arena.coevolution, chosen) == math.inf
+    assert judge(arena.coevolution, 0, chosen) == math.inf
 
 
 def test_the_present_predictor_stays_when_others_are_only_as_good():
     arena = Arena().begin()
     arena.coevolution.predictors[:] = arena.coevolution.predictors[0]
     arena.coevolution.best[0] = 3
-    assert not judge_all(arena.coevolution)
+    assert not judge_all(arena.coevolution, 0)
     assert arena.coevolution.best[0] == 3
 
 
@@ -128,18 +134,25 @@ def test_predictors_only_get_better_and_a_change_of_the_measuring_rows_is_told(s
         assert its.clock[0] == clock
 
 
-def test_the_most_disputed_individual_is_the_one_predictors_disagree_on():
-    arena = Arena().begin()
+@pytest.mark.parametrize("relative", [0, 1])
+def test_the_most_disputed_individual_is_the_one_predictors_disagree_on(relative):
+    arena = Arena(relative=relative).begin()
     found = most_disputed(
-        arena.lists, arena.coevolution, arena.every, arena.scratch.spare, PLAIN, arena.scratch,
+        arena.lists, arena.coevolution, arena.every, arena.scratch.spare, PLAIN, relative, arena.scratch,
         arena.counters,
     )  # fmt: skip
-    spread = [
-        oracle.disagreement(oracle.losses(arena.lists, p, arena.every, PLAIN), arena.coevolution.predictors)
-        for p in range(POPULATION)
-    ]
+    losses = [oracle.losses(arena.lists, p, arena.every, PLAIN) for p in range(POPULATION)]
+    spread = [oracle.disagreement(each, arena.coevolution.predictors, bool(relative)) for each in losses]
     assert found == int(np.argmax(spread))
     assert arena.counters[COEVOLUTION] == TRAINERS * ROWS + POPULATION * PREDICTORS * SAMPLE
+
+
+def test_a_trainer_without_any_error_is_predicted_without_any():
+    arena = Arena(relative=1).begin()
+    arena.coevolution.losses[2], arena.coevolution.exact[2] = 0.0, 0.0
+    judge_all(arena.coevolution, 1)
+    assert np.isfinite(arena.coevolution.quality).all()
+    assert arena.coevolution.quality == pytest.approx(arena.qualities(), rel=1e-9)
 
 
 def test_nobody_is_disputed_when_nothing_is_finite():
