@@ -1,6 +1,6 @@
 """What was read, in a few lines for a person. Pure, and cheap: nothing is smoothed or compiled."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -24,17 +24,18 @@ def describe(table: Table, config: JobConfig) -> str:
     measurements = take_measurements(table, roles, options)
     config = config.model_copy(update={"data": options})
     resolved, _ = resolve_equations(config, roles, assign_symbols(roles.variables))
+    units = {**dict(zip(table.names, table.units, strict=True)), **options.units}
     lines = [_size(table, measurements)]
     if table.read_as:
         lines.append(f"read as {table.read_as}")
     if roles.time is not None:
         times = _times(measurements.columns[roles.time], measurements.ranges)
-        lines.append(f"time {_with_unit(table, roles.time)}: {times}")
+        lines.append(f"time {_with_unit(roles.time, units)}: {times}")
     named = [("states", roles.states), ("derivatives", roles.derivatives), ("inputs", roles.inputs)]
     if roles.target is not None:
         named = [("target", (roles.target,)), ("inputs", roles.inputs)]
     named.append(("weights", () if roles.weights is None else (roles.weights,)))
-    lines += [f"{role}: {', '.join(_with_unit(table, name) for name in names)}" for role, names in named if names]
+    lines += [f"{role}: {', '.join(_with_unit(name, units) for name in names)}" for role, names in named if names]
     if measurements.group_names:
         lines.append(f"constants may differ between {len(measurements.group_names)} groups of trajectories")
     return "\n".join([*lines, *_prior(resolved, roles)])
@@ -56,9 +57,8 @@ def _size(table: Table, measurements: Measurements) -> str:
     return f"{files}: {trajectories}{table.rows} rows{used}"
 
 
-def _with_unit(table: Table, name: str) -> str:
-    unit = table.units[table.names.index(name)]
-    return f"{name} [{unit}]" if unit else name
+def _with_unit(name: str, units: Mapping[str, str]) -> str:
+    return f"{name} [{units[name]}]" if units.get(name) else name
 
 
 def _times(times: FloatArray, ranges: Sequence[tuple[int, int]]) -> str:

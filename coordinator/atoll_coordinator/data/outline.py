@@ -86,7 +86,8 @@ def outline(table: Table, config: JobConfig) -> Outline:
     roles, options = assign_roles(table, config.data)
     symbols = assign_symbols(roles.variables)
     resolved, names = resolve_equations(config.model_copy(update={"data": options}), roles, symbols)
-    units = {name: unit for name, unit in zip(table.names, table.units, strict=True) if unit and name in roles.used}
+    given = {**dict(zip(table.names, table.units, strict=True)), **options.units}
+    units = {name: unit for name, unit in given.items() if unit and name in roles.used}
     equations = tuple(_equation(resolved, roles, name, tuple(symbols.values())) for name in names)
     return Outline(table.files, table.read_as, table.rows, roles.time, units, equations, resolved)
 

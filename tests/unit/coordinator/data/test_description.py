@@ -41,6 +41,13 @@ def test_units_are_said(tmp_path):
     ]
 
 
+def test_units_that_are_given_go_before_those_of_the_header():
+    assert described(oscillator(), units={"t": "h", "y": "m"})[1:] == [
+        "time t [h]: 0 to 5.9, step 0.1",
+        "states: x, y [m]",
+    ]
+
+
 def test_a_target_is_said():
     assert described(oscillator(), target="y") == ["a.csv: 60 rows", "target: y", "inputs: x"]
 
