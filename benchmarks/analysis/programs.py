@@ -21,7 +21,7 @@ import atoll
 model = atoll.discover({data!r})
 print(model)
 print(model.params["c1"])
-print(model.simulate({{"x": 1.0, "y": 3.0}}, t=20.0)["x"][-1])
+print(model.equations[0].verdict)
 print(model.provenance["digest"])
 """
 _CALLS: Final = """

@@ -1,11 +1,18 @@
-"""Keyword arguments mean what the options of ``run`` mean."""
+"""Keyword arguments mean what the options of ``run`` mean; a Ctrl-C keeps the best so far."""
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
-from atoll.errors import UsageError
+from atoll.errors import RefusedError, UsageError
+from atoll.wire.messages.views import JobView
+from atoll_coordinator.api import discover
 from atoll_coordinator.api.discover import config_of
 from atoll_coordinator.cli.options.job_config import job_config
 from atoll_coordinator.cli.options.parser import parse
+from tests.unit.common.model.results import result
 
 
 @pytest.mark.parametrize(
@@ -28,3 +35,65 @@ def test_keywords_are_the_options_of_run(options: dict, words: list[str]) -> Non
 def test_what_is_no_option_is_refused(options: dict) -> None:
     with pytest.raises(UsageError):
         config_of(options)
+
+
+VIEW = JobView(
+    job="j", name="data", state="running", seed=0, preset="default", submitted="", elapsed=1.0, workers=1,
+    point_evaluations=0,
+)  # fmt: skip
+
+
+class Client:
+    """Stands for a connection to a coordinator with one job, which has found `found` when it is cancelled."""
+
+    def __init__(self, found: dict[str, Any] | None) -> None:
+        self.found = found
+        self.is_cancelled = False
+
+    def submit(self, *_: object) -> None:
+        pass
+
+    def upload(self, _: bytes) -> str:
+        return ""
+
+    def now(self) -> float:
+        return 0.0
+
+    def pause(self, _: float) -> None:
+        pass
+
+    def cancel(self, _: str) -> JobView:
+        self.is_cancelled = True
+        return VIEW
+
+    def status(self, _: str) -> JobView:
+        return VIEW.model_copy(update={"state": "cancelled" if self.is_cancelled else "running"})
+
+    def workers(self) -> tuple[()]:
+        raise KeyboardInterrupt  # whenever the progress is looked at
+
+    def result(self, _: str) -> dict[str, Any]:
+        if self.found is None:
+            raise RefusedError("nothing was found yet")
+        return self.found
+
+
+@pytest.mark.parametrize("has_found", [True, False])
+def test_an_interrupt_ends_the_job_and_keeps_the_best_so_far(
+    has_found: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    client = Client(result({"x": "-x"}) if has_found else None)
+
+    @contextlib.contextmanager
+    def connected(*_: object) -> Iterator[Client]:
+        yield client
+
+    monkeypatch.setattr(discover, "connected", connected)
+    table = {"t": [0.0, 1.0], "x": [1.0, 2.0]}
+    if has_found:
+        assert str(discover.discover(table, connect="tcp/h:1")) == "dx/dt = -x"
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            discover.discover(table, connect="tcp/h:1")
+    assert client.is_cancelled
+    assert capsys.readouterr().err == ""
