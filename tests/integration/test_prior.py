@@ -1,6 +1,7 @@
 """What is known beforehand through the whole of ``coordinator run``: real processes, real kernels."""
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from atoll.model.model import Model
 from benchmarks.harness.systems import trajectories, write_csv
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,3 +42,28 @@ def test_a_guess_a_known_equation_and_allowed_variables_come_together(tmp_path: 
     assert [member["selected"] for member in y["front"]] == [True]
     assert "dy/dt = -0.1*x\n" in done.stdout
     assert "    known: error" in done.stdout
+
+
+@pytest.mark.timeout(LIMIT_S + 50)
+def test_runs_with_rates_of_their_own_obey_one_law_with_units_and_bounds(tmp_path: Path) -> None:
+    rows = ["strain,t [h],x [g/L]"]
+    for strain, rate in ((1, 0.5), (2, 1.0), (3, 1.7)):
+        rows += [f"{strain},{0.2 * k!r},{2.0 / (1.0 + 19.0 * math.exp(-rate * 0.2 * k))!r}" for k in range(60)]
+    (tmp_path / "data.csv").write_text("\n".join(rows) + "\n")
+    options = ["--group", "strain", "--bound", "x: x > 0", "--require", "x=x", "--islands", "3"]
+    done = run(tmp_path, *options)
+    assert done.returncode == 0, done.stderr
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    (equation,) = result["equations"]
+    assert equation["verdict"] == "exact", equation["reason"]
+    assert [each["bound"] for each in equation["bounds"]] == ["x > 0"]
+    model = Model(result)
+    for group, rate in zip(model.groups, (0.5, 1.0, 1.7), strict=True):
+        its = model.of_group(group)
+        assert its.predict([[1.0]])[0, 0] == pytest.approx(0.5 * rate, rel=1e-6)
+        assert its.predict([[1.5]])[0, 0] == pytest.approx(0.375 * rate, rel=1e-6)
+    assert {each.unit for each in model.params.values()} <= {"1/h", "L/g", "L/(g h)", "L/(h g)", "g/L"}
+    assert (
+        "constants may differ between 3 groups of trajectories\nrequired: dx/dt has x\nbounds: dx/dt: x > 0"
+        in done.stderr
+    )

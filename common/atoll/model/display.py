@@ -82,4 +82,5 @@ def _row(kind: str, cells: tuple[str, ...]) -> str:
 def _cells(its: "Parameter") -> tuple[str, ...]:
     between = "?" if its.interval is None else f"± {0.5 * (its.interval[1] - its.interval[0]):.2g}"
     error = "?" if its.stderr is None else f"{its.stderr:.2g}"
-    return its.name, f"{its.value:.6g}", error, between, its.variable
+    unit = f" {its.unit}" if its.unit not in (None, "1") else ""
+    return its.name, f"{its.value:.6g}{unit}", error, between, its.variable

@@ -20,7 +20,7 @@ from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.model.arguments import by_name, interval, number, numbers, shown
 from atoll.model.export.methods import Exports
-from atoll.model.parameters import LEVEL, JointErrors, Parameter, parameters_of
+from atoll.model.parameters import LEVEL, JointErrors, Parameter, of_group, parameters_of
 from atoll.model.saved import check_result, read_result, write_text
 from atoll.model.simulation import Inputs, Simulation, interpolated, simulate, together
 from atoll.model.vector_field import VectorField
@@ -178,6 +178,7 @@ class Model(Exports):
             UsageError: states were not measured in time, or the result does not have the measurements.
             DataError: the data cannot be used as they are.
         """
+        self._require_one_group()
         found: Identifiability = _experiments().identifiability(self._result, data, level)
         return found
 
@@ -248,6 +249,28 @@ class Model(Exports):
         ]
         return tuple(Model(self._with(place, other)) for _, place, other in sorted(found, key=lambda each: each[0]))
 
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """The groups of trajectories that may differ in constants; none where there is one set of them."""
+        return tuple(each["group"] for each in self._result.get("groups") or ())
+
+    def of_group(self, group: object) -> "Model":
+        """Return the model with the constants of one of the `groups`; raises UsageError for another one."""
+        name = str(group)
+        if name not in self.groups:
+            there = f"the groups are {', '.join(self.groups)}" if self.groups else "the model has no groups"
+            raise UsageError(f"there is no group {name!r}; {there}")
+        its = next(each for each in self._result["groups"] if each["group"] == name)
+        return Model(of_group(self._result, its))
+
+    def _require_one_group(self) -> None:
+        """Raise UsageError where constants differ between groups."""
+        if self.groups:
+            listed = ", ".join(self.groups)
+            raise UsageError(
+                f"constants of this model may differ between its groups ({listed}); choose one, by --group or of_group"
+            )
+
     def _with(self, place: int, other: Mapping[str, Any]) -> dict[str, Any]:
         """Return the result with another candidate in the place of an equation, without what belongs to the model."""
         unknown: dict[str, Any] = {
@@ -281,6 +304,7 @@ class Model(Exports):
         u: Mapping[str, Any] | npt.ArrayLike | Callable[[float], Any] | None = None,
         *,
         has_bands: bool = True,
+        group: object = None,
     ) -> Simulation:
         """Integrate from an initial state. How it ends is its `status`: a blow-up is a result, not an error.
 
@@ -291,10 +315,15 @@ class Model(Exports):
             u: inputs: by name numbers, arrays at the times `t` or functions of time; or an array (N, U), or a function
                 of time that returns U numbers. An input that is the time itself needs none.
             has_bands: whether the errors of the constants are carried on into 95 % bands, where they are known.
+            group: of trajectories whose constants are taken, where these may differ; one of `groups`.
 
         Raises:
-            UsageError: the arguments do not fit, or the model has no time.
+            UsageError: the arguments do not fit, the model has no time, or its constants are those of groups and none
+                is named.
         """
+        if group is not None:
+            return self.of_group(group).simulate(x0, t, u, has_bands=has_bands)
+        self._require_one_group()
         times = self.times_of(t)
         bands = (self._errors, self._quantile) if has_bands and self._errors is not None else None
         found = simulate(self.field, self.start_of(x0), times, self._inputs(u, times), bands)
@@ -312,6 +341,7 @@ class Model(Exports):
         Returns:
             (N, D) derivatives, (N,) values of a regression; NaN where there is none.
         """
+        self._require_one_group()
         if self.is_regression:
             program = from_infix(self._result["equations"][0]["expression"], self._names)
             values = values_of(program, np.ascontiguousarray(self._rows(x, self._names).T))
@@ -347,6 +377,7 @@ class Model(Exports):
         """
         from atoll.analysis.analysis import analyse_result
 
+        self._require_one_group()
         bounds = {name: interval(its, f"the bounds of {name!r}") for name, its in by_name(box, "the box").items()}
         held = {name: number(its, f"the input {name!r}") for name, its in by_name(inputs, "inputs").items()}
         if vary is not None and not (isinstance(vary, tuple) and len(vary) == 2 and isinstance(vary[0], str)):
@@ -362,6 +393,7 @@ class Model(Exports):
         A model of dynamics is simulated from the first row of each trajectory, and R2 is the mean over its measured
         states; minus infinity where a simulation does not reach the end. A regression is judged by its target.
         """
+        self._require_one_group()
         parts: list[Any] = [*data] if isinstance(data, (list, tuple)) else [data]
         if not parts or not all(map(_has_columns, parts)):
             raise UsageError(f"a score takes columns by name, a frame or a list of these, but {shown(data)} was given")
@@ -498,7 +530,10 @@ class Model(Exports):
 
     @property
     def _freedom(self) -> float | None:
-        return (self._result.get("covariance") or {}).get("freedom")
+        its = self._result.get("covariance") or next(
+            (each["covariance"] for each in self._result.get("groups") or ()), None
+        )
+        return (its or {}).get("freedom")
 
     @cached_property
     def _quantile(self) -> float:

@@ -29,7 +29,8 @@ class Parameter:
     """A constant of a model.
 
     `name` is c1, c2, … over all equations, `variable` the state of its equation; `stderr` is its standard error,
-    `interval` its 95 % one, None where they are not known; `identifiable`: the data determine it.
+    `interval` its 95 % one, None where they are not known; `identifiable`: the data determine it. `unit` is its unit,
+    "1" of a pure number, None where units do not tell.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Parameter:
     stderr: float | None = None
     interval: tuple[float, float] | None = None
     identifiable: bool = True
+    unit: str | None = None
 
     def interval_at(self, level: float, freedom: float | None) -> tuple[float, float] | None:
         """Return the interval at `level`, by Student's t with so many degrees of freedom (None: infinitely many)."""
@@ -51,21 +53,62 @@ class Parameter:
 
 
 def parameters_of(result: Mapping[str, Any], equations: Sequence[Mapping[str, Any]]) -> dict[str, Parameter]:
-    """Return the constants of these equations of a result by name, in the order of a `VectorField` of them."""
-    names = list(result["symbols"].values())
+    """Return the constants of these equations of a result by name, in the order of a `VectorField` of them.
+
+    Where groups of trajectories differ in a constant, it has a value for each: ``c1[strain 2]``.
+    """
+    names, label = list(result["symbols"].values()), _label(result)
     found: list[Parameter] = []
+    count = 0
     for equation in equations:
-        known = list(equation.get("constants") or ())
-        program = from_infix(equation["expression"], names)
-        for value in program.constants[constant_places(program)].tolist():
-            its = next((each for each in known if each["value"] is not None and abs(each["value"]) == abs(value)), None)
-            name = f"c{len(found) + 1}"
-            if its is None:  # a number that only the text has, such as the 2 of 2*x for x + x
-                found.append(Parameter(name, equation["variable"], value))
-                continue
-            known.remove(its)
-            found.append(_parameter(name, equation["variable"], value, its))
+        own = [(f"[{label} {each['group']}]", _read(each, names)) for each in equation.get("groups") or ()]
+        for place, (value, its) in enumerate(_read(equation, names)):
+            count += 1
+            values = [("", value, its)]
+            if own and (its is None or its.get("shared") is False):
+                values = [(group, *read[place]) for group, read in own]
+            for group, number, known in values:
+                name, variable = f"c{count}{group}", equation["variable"]
+                unknown = Parameter(
+                    name, variable, number
+                )  # a number that only the text has, as the 2 of 2*x for x + x
+                found.append(unknown if known is None else _parameter(name, variable, number, known))
     return {each.name: each for each in found}
+
+
+def _label(result: Mapping[str, Any]) -> str:
+    """Return what groups of trajectories are told apart by."""
+    return str(((result.get("config") or {}).get("data") or {}).get("group") or "trajectory")
+
+
+def _read(equation: Mapping[str, Any], names: Sequence[str]) -> list[tuple[float, Mapping[str, Any] | None]]:
+    """Return the numbers of an equation's text, each with what is known of it if it is one of its constants."""
+    known = list(equation.get("constants") or ())
+    program = from_infix(equation["expression"], names)
+    found: list[tuple[float, Mapping[str, Any] | None]] = []
+    for value in program.constants[constant_places(program)].tolist():
+        its = next((each for each in known if each["value"] is not None and abs(each["value"]) == abs(value)), None)
+        if its is not None:
+            known.remove(its)
+        found.append((value, its))
+    return found
+
+
+def of_group(result: Mapping[str, Any], group: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a result with the constants and the trajectories of one `group` of its groups alone."""
+    name = group["group"]
+    equations = []
+    for equation in result["equations"]:
+        its: Mapping[str, Any] = next((each for each in equation.get("groups") or () if each["group"] == name), {})
+        taken = {key: its[key] for key in ("expression", "program", "constants") if key in its}
+        equations.append({**equation, **taken, "groups": []})
+    made = {**result, "equations": equations, "covariance": group.get("covariance"), "groups": []}
+    for part in ("simulation", "data"):
+        whole = result.get(part)
+        if whole and whole.get("trajectories"):
+            chosen = [each for each in whole["trajectories"] if each["name"] in group["trajectories"]]
+            made[part] = {**whole, "trajectories": chosen}
+    return made
 
 
 def _parameter(name: str, variable: str, value: float, its: Mapping[str, Any]) -> Parameter:
@@ -76,7 +119,8 @@ def _parameter(name: str, variable: str, value: float, its: Mapping[str, Any]) -
         interval = (low, high) if value * its["value"] >= 0.0 else (-high, -low)
     else:
         interval = None
-    return Parameter(name, variable, value, its.get("std_error"), interval, bool(its.get("identifiable", True)))
+    identifiable = bool(its.get("identifiable", True))
+    return Parameter(name, variable, value, its.get("std_error"), interval, identifiable, its.get("unit"))
 
 
 @dataclass(frozen=True, eq=False)

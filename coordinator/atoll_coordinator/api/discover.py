@@ -167,7 +167,9 @@ def _words(flag: str, value: Any, *, is_repeatable: bool) -> list[str]:
         return []
     if value is True:
         return [flag]
-    if isinstance(value, Mapping):
+    if isinstance(value, Mapping) and flag == "--bound":
+        value = [f"{key}: {each}" for key, those in value.items() for each in _several(those)]
+    elif isinstance(value, Mapping):
         value = [f"{key}={_text(each)}" for key, each in value.items()]
     elif isinstance(value, (list, tuple)) and flag != "--operators":
         value = [_text(each) for each in value]
@@ -175,6 +177,10 @@ def _words(flag: str, value: Any, *, is_repeatable: bool) -> list[str]:
         value = [_text(value)]
     values = value if is_repeatable else [",".join(value)]
     return [f"{flag}={each}" for each in values]
+
+
+def _several(value: Any) -> list[Any]:
+    return [*value] if isinstance(value, (list, tuple)) else [value]
 
 
 def _text(value: Any) -> str:

@@ -30,11 +30,11 @@ def prepare(table: Table, config: JobConfig) -> Preparation:
         DataError: the measurements cannot be used as they are; the message says where and what to do.
     """
     roles, options = assign_roles(table, config.data)
-    return replace(_prepare(table, config, roles, options), source=_source(table, roles))
+    return replace(_prepare(table, config, roles, options), source=_source(table, roles, options))
 
 
-def _source(table: Table, roles: Roles) -> Source:
-    units = {name: unit for name, unit in zip(table.names, table.units, strict=True) if unit}
+def _source(table: Table, roles: Roles, options: DataConfig) -> Source:
+    units = {name: unit for name, unit in zip(table.names, table.units, strict=True) if unit} | options.units
     its = (roles.time, roles.states, roles.velocities, roles.inputs, roles.target, roles.order)
     return Source(table.digest, table.files, table.rows, units, *its, table.read_as)
 

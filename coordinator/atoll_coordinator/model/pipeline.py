@@ -29,6 +29,7 @@ from atoll_coordinator.model.selection.joint_search import ModellingTask
 from atoll_coordinator.model.selection.piece_lengths import select_model
 from atoll_coordinator.model.stochastic.choice import ProcessChoice
 from atoll_coordinator.model.stochastic.conclusion import summarize_process
+from atoll_coordinator.model.structure.units import equation_units
 
 NOT_SIMULATED: Final = (
     "No system of equations could be simulated along the measured trajectories; those shown fit the derivatives alone."
@@ -52,11 +53,23 @@ def refine_all(
         deadline: when it must end with the best so far; None: never.
     """
     deadline = deadline or Deadline()
-    made = _refined(preparation, config, pools, deadline)
+    made = _with_units(_refined(preparation, config, pools, deadline), preparation, config)
     if not deadline.has_cut_short:
         return made
     warnings = tuple(each for each in made.warnings if each != NOT_SIMULATED)
     return replace(made, warnings=(*warnings, OUT_OF_TIME), end="max-time")
+
+
+def _with_units(made: Refinement, preparation: Preparation, config: JobConfig) -> Refinement:
+    """Return the same with what units say of each equation, where columns have any."""
+    if not config.data.units:
+        return made
+    dataset = preparation.dataset
+    equations = {
+        name: replace(its, units=equation_units(dataset, config, name, its.program))
+        for name, its in made.equations.items()
+    }
+    return replace(made, equations=equations)
 
 
 def _refined(preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline) -> Refinement:

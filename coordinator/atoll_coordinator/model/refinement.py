@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from atoll.data.dataset import FloatArray
+from atoll.expression.dimensions import EquationUnits
 from atoll.expression.program import MAX_NODES, Program
 from atoll.expression.text.infix import PRINTABLE_SIZE, tree_size
 from atoll.search.pareto import FrontEntry
@@ -200,7 +201,8 @@ class Refined:
     and `mse` the mean squared error on all rows of the dataset; `constants` has one for each constant of `program`, in
     node order (empty before refinement); `unit_coefficients` has the factors of one that are not written. Where groups
     of trajectories have constants of their own, `by_group` has the equation of each, and `shared` says which constants
-    all groups have in common; the other ones of `program` are means.
+    all groups have in common; the other ones of `program` are means. `units` are those of the constants, None where no
+    unit is known.
     """
 
     member: int | None
@@ -216,6 +218,7 @@ class Refined:
     prediction: Prediction | None = None
     by_group: tuple[GroupEquation, ...] = ()
     shared: tuple[bool, ...] = ()
+    units: EquationUnits | None = None
 
 
 @dataclass(frozen=True, eq=False)

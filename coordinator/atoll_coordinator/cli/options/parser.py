@@ -188,10 +188,15 @@ def _add_simulate(verbs: Any) -> None:
         metavar="x=1,y=3|FILE",
         help="initial state; or a data file: its first row, its times, its inputs (default: as measured)",
     )
+    _add_group(parser)
     parser.add_argument("--until", metavar="T", help="last time (default: that of the first trajectory, or the file's)")
     parser.add_argument("--step", metavar="DT", help="from one time to the next (default: 500 steps in all)")
     parser.add_argument("-o", "--output", metavar="FILE", help="write to this file (default: stdout)")
     parser.add_argument("--json", action="store_true", help="write JSON: status, message, columns")
+
+
+def _add_group(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--group", metavar="NAME", help="the group of trajectories whose constants are taken, if any")
 
 
 def _add_analyse(verbs: Any) -> None:
@@ -206,6 +211,7 @@ def _add_analyse(verbs: Any) -> None:
         metavar="x=0:3",
         help="bounds of a state (default: half the measured range more on either side); repeatable",
     )
+    _add_group(parser)
     parser.add_argument(
         "--hold", action="append", default=[], metavar="u=1", help="value of an input (default: 0); repeatable"
     )
@@ -233,6 +239,7 @@ def _add_report(verbs: Any) -> None:
 def _add_suggest(verbs: Any) -> None:
     parser = _verb(verbs, "suggest", "the next experiment: where the candidates of a saved result differ most")
     parser.add_argument("result", metavar="RESULT", help="PATH/result.json, or its folder")
+    _add_group(parser)
     parser.add_argument(
         "--box",
         action="append",
@@ -260,6 +267,7 @@ def _add_suggest(verbs: Any) -> None:
 def _add_export(verbs: Any) -> None:
     parser = _verb(verbs, "export", "write the model of a saved result for other programs")
     parser.add_argument("result", metavar="RESULT", help="PATH/result.json, or its folder")
+    _add_group(parser)
     parser.add_argument("--format", required=True, choices=EXPORT_FORMATS, help="what to write; see docs/export.md")
     parser.add_argument(
         "-o", "--output", metavar="FILE", help="write to this file (default: stdout); of petab the folder"

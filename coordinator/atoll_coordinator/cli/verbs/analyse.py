@@ -17,7 +17,7 @@ def analyse(options: argparse.Namespace) -> int:
     held = {name: finite_number(text, f"--hold {name}") for name, text in assignments(options.hold, "--hold", "u=1")}
     if options.data is not None and not options.identifiability:
         raise UsageError("--data was given without --identifiability, which alone uses it; give both")
-    model = load(options.result)
+    model = load(options.result, options.group)
     found = model.analyse(bounds, inputs=held, vary=vary)
     known = model.identifiability(data=options.data) if options.identifiability else None
     if options.json:

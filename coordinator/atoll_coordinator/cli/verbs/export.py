@@ -18,7 +18,7 @@ def export(options: argparse.Namespace) -> int:
     """Write the model of ``options.result`` in ``options.format``. Return the exit code."""
     from atoll.model.export.formats import PETAB, format_of
 
-    model = _chosen(load(options.result), options)
+    model = _chosen(load(options.result, options.group), options)
     if options.format == PETAB:
         _write_petab(model, options)
         return DONE

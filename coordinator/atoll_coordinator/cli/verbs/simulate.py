@@ -24,7 +24,7 @@ _SLACK: Final = 1e-9
 
 def simulate(options: argparse.Namespace) -> int:
     """Simulate the model of ``options.result``; how it ends is said on stderr. Return the exit code."""
-    model = load(options.result)
+    model = load(options.result, options.group)
     given = Given(model, options.initial)
     times = times_of(model, given, options)
     found = model.simulate(given.state, times, given.inputs(times))
@@ -40,10 +40,11 @@ def simulate(options: argparse.Namespace) -> int:
     return DONE
 
 
-def load(name: str) -> Model:
-    """Return the model of a result by its path or its folder; raises UsageError."""
+def load(name: str, group: str | None = None) -> Model:
+    """Return the model of a result by its path or its folder, that of one `group` if named; raises UsageError."""
     path = Path(name)
-    return Model.load(path / "result.json" if path.is_dir() else path)
+    model = Model.load(path / "result.json" if path.is_dir() else path)
+    return model if group is None else model.of_group(group)
 
 
 class Given:

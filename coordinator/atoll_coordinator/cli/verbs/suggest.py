@@ -13,7 +13,7 @@ from atoll_coordinator.cli.verbs.simulate import finite_number, load, write
 def suggest(options: argparse.Namespace) -> int:
     """Suggest experiments for ``options.result``. Return the exit code."""
     bounds = {name: interval(text, f"--box {name}") for name, text in assignments(options.box, "--box", "x=0:3")}
-    found = load(options.result).suggest(
+    found = load(options.result, options.group).suggest(
         bounds,
         duration=None if options.duration is None else finite_number(options.duration, "--duration"),
         samples=None if options.samples is None else _whole(options.samples, "--samples"),

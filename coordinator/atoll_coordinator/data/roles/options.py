@@ -46,6 +46,7 @@ def strip_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
     if isinstance(config.holdout, str):
         name, _, value = config.holdout.rpartition("=")
         changes["holdout"] = f"{plain(name.strip())}={value.strip()}"
+    changes["units"] = {plain(name): unit for name, unit in config.units.items()}
     changes["angles"] = tuple(angle.model_copy(update={"column": plain(angle.column)}) for angle in config.angles)
     return config.model_copy(update=changes)
 

@@ -8,6 +8,7 @@ from atoll.config import Angle, DataConfig
 from atoll.data.table import Table
 from atoll.errors import DataError, UsageError
 from atoll.suggestions import did_you_mean
+from atoll.units import parse_unit
 from atoll_coordinator.data.roles.options import check_options, find_trajectory_column, named_columns, strip_units
 
 TIME_NAMES: Final = ("t", "time", "Time", "TIME")
@@ -89,6 +90,9 @@ def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
         _check_known(name, table)
     if isinstance(config.holdout, str):
         _check_known(config.holdout.rpartition("=")[0], table)
+    for name, unit in config.units.items():
+        _check_known(name, table)
+        _check_unit(name, unit)
     roles = _assigned(table.names, config, trajectory)
     _check_time(roles, table)
     _check_equations(roles, config, table)
@@ -104,6 +108,14 @@ def _check_known(name: str, table: Table) -> None:
         raise DataError(f"column '{name}' holds text; a column of numbers is expected")
     hint = did_you_mean(name, table.names)
     raise DataError(f"there is no column '{name}' in {table.files[0]}, which has {', '.join(table.names)}{hint}")
+
+
+def _check_unit(name: str, text: str) -> None:
+    """Raise UsageError when a text is no unit."""
+    try:
+        parse_unit(text)
+    except UsageError as error:
+        raise UsageError(f"--unit for '{name}': {error}") from error
 
 
 def _assigned(names: Sequence[str], config: DataConfig, trajectory: str | None) -> Roles:

@@ -135,6 +135,7 @@ def _equation_text(equation: Mapping[str, Any], names: Sequence[str], with_table
     if with_tables or constants:
         lines += _written_out(equation, names)
     lines += [f"    {constants}"] if constants else []
+    lines += tables.units_line(equation.get("units"))
     groups = [{**each, "text": display(each["expression"], names)} for each in equation.get("groups") or ()]
     lines += tables.groups_table(equation["constants"], groups)
     if equation.get("verdict") is not None:

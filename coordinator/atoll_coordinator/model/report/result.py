@@ -272,7 +272,7 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
     """Return what is said of the equation; all null when there is none."""
     if shown is None:
         unknown = dict.fromkeys(("expression", "program", "origin", "complexity", "error", "normalized_error", "r2"))
-        return {**unknown, "converged": False, "constants": [], "groups": [], "implied": []}
+        return {**unknown, "converged": False, "constants": [], "groups": [], "implied": [], "units": None}
     normalized = shown.error / target.standard_deviation if target.standard_deviation else math.inf
     return {
         "expression": to_infix(shown.program, dataset.names),
@@ -283,7 +283,8 @@ def _best(shown: Refined | None, dataset: Dataset, target: Target, config: JobCo
         "normalized_error": finite(normalized),
         "r2": _r2(shown.mse, target),
         "converged": normalized <= target.convergence_threshold(config.budget.target_error),
-        "constants": _constants(shown.program, shown.constants, shown.shared),
+        "constants": _constants(shown.program, shown.constants, shown),
+        "units": _units(shown),
         "groups": _groups(shown, dataset),
         "implied": [
             {"of": to_infix(each.of, dataset.names), **_constant(each.constant)} for each in shown.unit_coefficients
@@ -338,15 +339,34 @@ def _unseen_error(program: Program, unseen: Problem | None, loss: Loss) -> float
     return finite(errors_on(unseen, program, loss)[0]) if unseen is not None else None
 
 
-def _constants(program: Program, known: Sequence[Constant] = (), shared: Sequence[bool] = ()) -> list[dict[str, Any]]:
+def _constants(program: Program, known: Sequence[Constant] = (), shown: Refined | None = None) -> list[dict[str, Any]]:
     """Return the constants in node order; `known` is what refinement knows of them, if there was any.
 
-    `shared` tells which of them all groups of trajectories have in common, where there are groups.
+    Of the equation that is `shown`, also their units and which of them all groups of trajectories have in common.
     """
     values = program.constants[program.operators == np.int8(CONSTANT)].tolist()
     pairs = zip(values, known or map(Constant, values), strict=True)
-    found = [_constant(replace(each, value=value)) for value, each in pairs]
-    return [{**each, "shared": shared[place] if shared else None} for place, each in enumerate(found)]
+    shared = shown.shared if shown is not None else ()
+    units = shown.units.constants if shown is not None and shown.units is not None else ()
+    return [
+        {
+            **_constant(replace(each, value=value)),
+            "shared": shared[place] if shared else None,
+            "unit": str(units[place]) if units and units[place] is not None else None,
+        }
+        for place, (value, each) in enumerate(pairs)
+    ]
+
+
+def _units(shown: Refined) -> dict[str, Any] | None:
+    """Return what units say of an equation beside those of its constants; None where no unit is known."""
+    its = shown.units
+    if its is None:
+        return None
+    return {
+        "implied": [{"of": term, "unit": str(unit)} for term, unit in its.implied],
+        "faults": [*its.faults],
+    }
 
 
 def _groups(shown: Refined, dataset: Dataset) -> list[dict[str, Any]]:
@@ -356,7 +376,7 @@ def _groups(shown: Refined, dataset: Dataset) -> list[dict[str, Any]]:
             "group": its.group,
             "expression": to_infix(its.program, dataset.names),
             "program": its.program.to_bytes().hex(),
-            "constants": _constants(its.program, its.constants, shown.shared),
+            "constants": _constants(its.program, its.constants, shown),
         }
         for its in shown.by_group
     ]

@@ -82,6 +82,11 @@ def _is_exact(constant: Mapping[str, Any]) -> bool:
 
 
 def _constant_text(constant: Mapping[str, Any]) -> str:
+    unit = constant.get("unit")
+    return _number_text(constant) + (f" {unit}" if unit not in (None, "1") else "")
+
+
+def _number_text(constant: Mapping[str, Any]) -> str:
     fitted = constant["value"] if constant["fitted"] is None else constant["fitted"]
     text = plus_minus(fitted, constant["std_error"] or 0.0)
     shown = f"{constant['value']:.6g}"
@@ -110,6 +115,14 @@ def constants_table(constants: Sequence[Mapping[str, Any]]) -> list[str]:
         for each in known
     ]
     return columns(heads, rows, "    ") if rows else []
+
+
+def units_line(units: Mapping[str, Any] | None) -> list[str]:
+    """Return a line on factors of one that are not written but have a unit; nothing without any."""
+    if not units or not units["implied"]:
+        return []
+    factors = ", ".join(f"1 {each['unit']} before {each['of']}" for each in units["implied"])
+    return [f"    units: not written is {factors}"]
 
 
 def groups_table(constants: Sequence[Mapping[str, Any]], groups: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -53,6 +53,8 @@ def verdict(
         if shown.grade is not None
         else judge(replace(_on_target(shown, target, is_known), is_unsimulated=has_trajectories))
     )
+    if shown.units is not None and shown.units.faults and grade in ("exact", "good"):
+        return {"verdict": "doubtful", "reason": f"Units contradict it: {shown.units.faults[0]}."}
     return {"verdict": grade, "reason": reason}
 
 

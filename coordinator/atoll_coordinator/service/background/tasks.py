@@ -13,7 +13,7 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.refinement import Pools, Refinement
 from atoll_coordinator.model.report.known import known_entries, with_remarks
-from atoll_coordinator.service.jobs.defaults import resolve
+from atoll_coordinator.service.jobs.defaults import resolve, with_units
 from atoll_coordinator.service.jobs.job import Fault, Prepared
 
 _LOG = logging.getLogger(__name__)
@@ -85,6 +85,7 @@ def prepare_job(preparer: Preparer, job: str, table: bytes, config: JobConfig) -
         resolved = with_screened_variables(preparation, resolve(config, preparation.dataset))
         known = known_entries(preparation.dataset, resolved)
         preparation = with_remarks(preparation, resolved)
+        resolved = with_units(resolved, preparation.source)
         is_brief = has_laws(preparation, resolved)
         return JobPrepared(job, Prepared(preparation, resolved, blob, len(data), known, is_brief), data)
     except (DataError, UsageError, RemoteProtocolError) as error:

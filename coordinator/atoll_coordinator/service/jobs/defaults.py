@@ -5,7 +5,7 @@ from typing import Final
 from atoll.config import JobConfig
 from atoll.data.dataset import Dataset, Target
 from atoll_coordinator.data.prior_knowledge import resolve_prior
-from atoll_coordinator.data.recording import STENCIL_ROWS, Recording
+from atoll_coordinator.data.recording import STENCIL_ROWS, Recording, Source
 from atoll_coordinator.service.search.collector import Stagnation
 
 ROWS_CLEAN: Final = 16
@@ -69,3 +69,10 @@ def independent_rows(target: Target, recording: Recording | None) -> float:
     if smoothing.span is None or smoothing.degree is None:
         return rows / STENCIL_ROWS
     return rows * min(1.0, (smoothing.degree + 1.0) / smoothing.span)
+
+
+def with_units(config: JobConfig, source: Source | None) -> JobConfig:
+    """Return `config` with the units of all columns: those that were given, and those of the file's header."""
+    if source is None or not source.units:
+        return config
+    return config.model_copy(update={"data": config.data.model_copy(update={"units": dict(source.units)})})

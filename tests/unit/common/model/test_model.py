@@ -8,6 +8,7 @@ import pytest
 
 import atoll
 from atoll.errors import UsageError
+from atoll.expression.text.parsing import from_infix
 from atoll.model.model import Model
 from tests.unit.common.model.results import constant, result
 
@@ -157,3 +158,69 @@ def test_a_model_is_written_as_text_latex_mathml_and_html() -> None:
     assert "It fits &amp; more." in model._repr_html_()
     assert str(model.to_sympy()["dx/dt"]) == "-2.0*x"
     assert model.provenance["data"] == "ab"
+
+
+def grouped() -> dict:
+    """dx/dt = -c1 x + c2, c1 of each strain, c2 of both."""
+    found = result({"x": "2.0 - 0.75*x"}, config={"data": {"group": "strain"}})
+    shared = {"shared": True}
+    equation = found["equations"][0]
+    equation["constants"] = [constant(2.0, 0.1) | shared, constant(0.75, 0.0) | {"shared": False, "std_error": None}]
+    equation["groups"] = [
+        {
+            "group": name,
+            "expression": f"2.0 - {value}*x",
+            "program": from_infix(f"2.0 - {value}*x", ["x"]).to_bytes().hex(),
+            "constants": [constant(2.0, 0.1) | shared, constant(value, 0.01) | {"shared": False}],
+        }
+        for name, value in (("1", 0.5), ("2", 1.0))
+    ]
+    numbers = [{"variable": "x", "constant": 0}, {"variable": "x", "constant": 1}]
+    spread = {"constants": numbers, "matrix": [[0.01, 0.0], [0.0, 0.0001]], "freedom": 50.0}
+    found["groups"] = [{"group": name, "trajectories": [name], "covariance": spread} for name in ("1", "2")]
+    found["simulation"] = {
+        "trajectories": [{"name": name, "start": {"x": float(name)}, "times": [0.0, 1.0]} for name in ("1", "2")]
+    }
+    return found
+
+
+def test_constants_of_groups_are_named_by_them() -> None:
+    model = Model(grouped())
+    assert model.groups == ("1", "2")
+    assert {name: each.value for name, each in model.params.items()} == {
+        "c1": 2.0,
+        "c2[strain 1]": 0.5,
+        "c2[strain 2]": 1.0,
+    }
+    assert model.params["c2[strain 2]"].stderr == 0.01
+    assert model.conf_int(0.9)["c2[strain 1]"][0] == pytest.approx(0.5 - 1.676 * 0.01, abs=1e-4)
+
+
+def test_a_group_is_simulated_with_its_own_constants() -> None:
+    model = Model(grouped())
+    for name, rate in (("1", 0.5), ("2", 1.0)):
+        run = model.simulate({"x": 1.0}, t=[0.0, 60.0], group=name)
+        assert run["x"][-1] == pytest.approx(2.0 / rate)
+        assert run.upper is not None
+        assert model.of_group(name).simulate()["x"][0] == float(name)
+    assert model.of_group(2).params["c2"].value == 1.0
+    assert model.of_group(2).groups == ()
+
+
+def test_a_model_of_groups_asks_which_one_is_meant() -> None:
+    model = Model(grouped())
+    for use in (lambda: model.simulate({"x": 1.0}, 1.0), model.analyse, lambda: model.predict([[1.0]])):
+        with pytest.raises(UsageError, match=r"differ between its groups \(1, 2\); choose one"):
+            use()
+    with pytest.raises(UsageError, match="no group '3'; the groups are 1, 2"):
+        model.of_group(3)
+    with pytest.raises(UsageError, match="the model has no groups"):
+        Model(decay()).of_group(1)
+
+
+def test_constants_have_their_units() -> None:
+    found = decay()
+    found["equations"][0]["constants"][0]["unit"] = "1/h"
+    model = Model(found)
+    assert model.params["c1"].unit == "1/h"
+    assert "-2 1/h" in model.summary()

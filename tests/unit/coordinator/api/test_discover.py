@@ -24,6 +24,14 @@ from tests.unit.common.model.results import result
         ({"known": {"dx": "-x"}, "guess": ["dy=x", "dy=-x"]}, ["--known=dx=-x", "--guess=dy=x", "--guess=dy=-x"]),
         ({"operators": ["+", "-"], "max_time": 90}, ["--operators=+,-", "--max-time", "90"]),
         ({"operators": {"x": ["+", "*"]}, "allow": {"x": ["x", "y"]}}, ["--operators=x=+,*", "--allow=x=x,y"]),
+        ({"bound": ["c > 0", "x: x*y < 0"]}, ["--bound=c > 0", "--bound=x: x*y < 0"]),
+        (
+            {"bound": {"x": ["c > 0", "|c| < 5"], "y": "c < 1"}},
+            ["--bound=x:c > 0", "--bound=x:|c| < 5", "--bound=y:c < 1"],
+        ),
+        ({"require": {"x": ["y", "z"]}, "unit": {"x": "m/s"}}, ["--require=x=y,z", "--unit=x=m/s"]),
+        ({"group": "strain"}, ["--group", "strain"]),
+        ({"per_trajectory": True}, ["--per-trajectory"]),
         ({"max_epochs": {"x": 20, "y": 12}, "angle": "a:deg"}, ["--max-epochs", "x=20,y=12", "--angle=a:deg"]),
     ],
 )

@@ -67,7 +67,7 @@ def test_the_equation_says_what_was_found_when_and_at_what_cost():
     assert equation["error"] == 1e-13
     assert equation["normalized_error"] == 1e-13 / 1.25
     unknown = {"std_error": None, "fitted": None, "interval": None, "identifiable": True, "simple": None}
-    unknown |= {"bounds": None, "at_bound": False, "shared": None}
+    unknown |= {"bounds": None, "at_bound": False, "shared": None, "unit": None}
     assert equation["constants"] == [{"value": 3.0, **unknown}, {"value": 2.0, **unknown}]
     assert equation["point_evaluations"] == 2130
     assert equation["point_evaluations_by_part"] == {"fitting": 130, "offspring": 2000}

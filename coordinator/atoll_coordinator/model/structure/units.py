@@ -1,0 +1,60 @@
+"""Units of the constants of an equation, from those of the columns."""
+
+from atoll.config import JobConfig
+from atoll.data.dataset import Dataset
+from atoll.errors import UsageError
+from atoll.expression.dimensions import EquationUnits, units_of
+from atoll.expression.program import Program
+from atoll.units import NO_UNIT, Unit, parse_unit
+
+_VELOCITY = "_dot"
+
+
+def equation_units(dataset: Dataset, config: JobConfig, variable: str, program: Program) -> EquationUnits | None:
+    """Return what units say of the equation of `variable`; None where no unit is known.
+
+    Args:
+        dataset: names the columns and the left-hand side.
+        config: resolved, its units by column; angles are in radians and have none.
+        variable: whose equation it is.
+        program: its right-hand side.
+    """
+    known = _units_of_columns(config)
+    if not known:
+        return None
+    lhs = dataset.problem(variable).target.lhs
+    time = _time_of(lhs, config.data.order)
+    units = {}
+    for column, symbol in dataset.symbols.items():
+        unit = known.get(column)
+        if unit is None and config.data.order == 2 and _VELOCITY in column:
+            unit = _rate(known.get(column.rpartition(_VELOCITY)[0]), known.get(time or ""), 1)
+        if unit is not None:
+            units[symbol] = unit
+    left = known.get(variable)
+    if time is not None:
+        left = _rate(left, known.get(time), config.data.order)
+    return units_of(program, dataset.names, units, left)
+
+
+def _units_of_columns(config: JobConfig) -> dict[str, Unit]:
+    """Return the units of columns; what is no unit, as a header may hold anything, is not known."""
+    found = {}
+    for column, text in config.data.units.items():
+        try:
+            found[column] = parse_unit(text)
+        except UsageError:
+            continue
+    return found | {angle.column: NO_UNIT for angle in config.data.angles if found}
+
+
+def _time_of(lhs: str, order: int) -> str | None:
+    """Return the name of the time in a left-hand side such as ``dx/dt`` or ``d2x/dt2``; None without one."""
+    _, slash, time = lhs.rpartition("/d")
+    if not slash:
+        return None
+    return time.removesuffix("2") if order == 2 else time
+
+
+def _rate(unit: Unit | None, time: Unit | None, order: int) -> Unit | None:
+    return None if unit is None or time is None else unit.times(time, -order)

@@ -1,0 +1,69 @@
+"""Units of the constants of an equation, from those of the columns."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from atoll.config import Angle, DataConfig, JobConfig
+from atoll.data.dataset import Dataset, Target
+from atoll.errors import DataError, UsageError
+from atoll.expression.text.parsing import from_infix
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.refinement import Refined
+from atoll_coordinator.model.report.trust import verdict
+from atoll_coordinator.model.structure.units import equation_units
+from atoll_coordinator.service.jobs.defaults import with_units
+from tests.unit.coordinator.data.tables import oscillator, table_of
+
+
+def units(text, lhs="dx/dt", symbols=("x", "v"), **data):
+    rows = np.ones((len(symbols), 4))
+    dataset = Dataset(symbols, rows, (Target("x", lhs, rows[0], 0.0, 1.0),), {name: name for name in symbols})
+    return equation_units(dataset, JobConfig(data=DataConfig(**data)), "x", from_infix(text, symbols))
+
+
+def test_the_left_hand_side_is_a_rate():
+    found = units("2*x - 3*v", units={"x": "m", "v": "m/s", "t": "s"})
+    assert list(map(str, found.constants)) == ["1/s", "1"]
+
+
+def test_velocities_follow_from_positions_and_time():
+    found = units("2*x - 3*x_dot", "d2x/dt2", ("x", "x_dot"), order=2, units={"x": "m", "t": "s"})
+    assert list(map(str, found.constants)) == ["1/s^2", "1/s"]
+
+
+def test_angles_are_in_radians():
+    found = units("2*sin(x)", units={"x": "deg", "t": "s"}, angles=(Angle(column="x", degrees=True),))
+    assert (list(map(str, found.constants)), found.faults) == (["1/s"], ())
+
+
+def test_a_header_may_hold_what_is_no_unit():
+    assert units("2*x", units={"x": "??", "t": "s"}).constants == (None,)
+    assert units("2*x") is None
+
+
+def test_units_of_the_header_and_of_the_options_come_together():
+    table = replace(table_of(oscillator()), units=("s", "m", ""))
+    config = JobConfig(data=DataConfig(units={"y": "m/s", "x [m]": "km"}))
+    source = prepare(table, config).source
+    assert with_units(config, source).data.units == {"t": "s", "x": "km", "y": "m/s"}
+    assert with_units(config, None) == config
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [({"z": "m"}, DataError, "no column 'z'"), ({"x": "m/"}, UsageError, "--unit for 'x'.*is no unit")],
+)
+def test_units_that_cannot_be_used_are_refused(given, error, words):
+    with pytest.raises(error, match=words):
+        prepare(table_of(oscillator()), JobConfig(data=DataConfig(units=given)))
+
+
+def test_a_verdict_names_the_term_that_units_contradict():
+    program = from_infix("2*exp(x)", ("x", "v"))
+    target = Target("x", "dx/dt", np.ones(4), 0.0, 1.0)
+    shown = Refined(0, program, 0.0, 0.0, grade="good", reason="It fits.", units=units("2*exp(x)", units={"x": "m"}))
+    found = verdict(shown, target, "done", has_trajectories=True)
+    assert found["verdict"] == "doubtful"
+    assert found["reason"] == "Units contradict it: the argument x of a function has the unit m instead of none."
