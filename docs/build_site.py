@@ -72,6 +72,7 @@ _API: Final = (
     ("class", "atoll_coordinator.api.discoverer.Discoverer"),
     ("class", "atoll_coordinator.api.regressor.Regressor"),
     ("class", "atoll.model.model.Model"),
+    ("class", "atoll.model.export.methods.Exports"),
     ("class", "atoll.model.model.Equation"),
     ("class", "atoll.model.parameters.Parameter"),
     ("class", "atoll.model.simulation.Simulation"),

@@ -30,7 +30,7 @@ class Parameter:
 
     `name` is c1, c2, … over all equations, `variable` the state of its equation; `stderr` is its standard error,
     `interval` its 95 % one, None where they are not known; `identifiable`: the data determine it. `unit` is its unit,
-    "1" of a pure number, None where units do not tell.
+    "1" of a pure number, None where units do not tell; `bounds` are those that were set for it, None on an open side.
     """
 
     name: str
@@ -40,6 +40,7 @@ class Parameter:
     interval: tuple[float, float] | None = None
     identifiable: bool = True
     unit: str | None = None
+    bounds: tuple[float | None, float | None] | None = None
 
     def interval_at(self, level: float, freedom: float | None) -> tuple[float, float] | None:
         """Return the interval at `level`, by Student's t with so many degrees of freedom (None: infinitely many)."""
@@ -113,14 +114,20 @@ def of_group(result: Mapping[str, Any], group: Mapping[str, Any]) -> dict[str, A
 
 def _parameter(name: str, variable: str, value: float, its: Mapping[str, Any]) -> Parameter:
     """Return a constant with its errors; the sign of `value` is that of the text, where a minus may stand before it."""
-    interval = its.get("interval")
-    if interval is not None and None not in interval:
-        low, high = interval
-        interval = (low, high) if value * its["value"] >= 0.0 else (-high, -low)
-    else:
-        interval = None
-    identifiable = bool(its.get("identifiable", True))
-    return Parameter(name, variable, value, its.get("std_error"), interval, identifiable, its.get("unit"))
+    is_turned = value * its["value"] < 0.0
+    interval, bounds = (_turned(its.get(key), is_turned) for key in ("interval", "bounds"))
+    low, high = interval or (None, None)
+    both = None if low is None or high is None else (low, high)
+    is_identifiable = bool(its.get("identifiable", True))
+    return Parameter(name, variable, value, its.get("std_error"), both, is_identifiable, its.get("unit"), bounds)
+
+
+def _turned(its: Sequence[float | None] | None, is_turned: bool) -> tuple[float | None, float | None] | None:
+    """Return lower and upper end of a range, of that of the opposite number if it `is_turned`."""
+    if its is None:
+        return None
+    low, high = its
+    return (low, high) if not is_turned else (None if high is None else 0.0 - high, None if low is None else 0.0 - low)
 
 
 @dataclass(frozen=True, eq=False)

@@ -150,8 +150,8 @@ def content_of(
 
 
 def _is_named(its: Parameter) -> bool:
-    """Tell whether a constant gets a name: not a whole number that no fit has given an error, such as the 2 of 2*x."""
-    return its.stderr is not None or not its.value.is_integer()
+    """Tell whether a constant gets a name: not a whole number that no fit has given an error, as the 2 of 2*x."""
+    return its.stderr is not None or its.bounds is not None or not its.value.is_integer()
 
 
 def _formulas(model: "Model", names: Sequence[str]) -> list[Formula]:

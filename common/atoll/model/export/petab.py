@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from atoll.model.model import Model
 
 _REACH: Final = 10.0
-"""Standard errors on either side of an estimate that its bounds leave; where none is known, multiples of its size."""
+"""Standard errors on either side of a constant that its bounds leave; where none is known, multiples of its size."""
 _PROBLEM: Final = """\
 format_version: 1
 parameter_file: parameters.tsv
@@ -149,8 +149,9 @@ class _Noise:
         errors = its.get("errors") or {}
         values = np.concatenate([part.values[state] for part in trajectories if state in part.values])
         size = float(np.sqrt(np.nanmean(values**2))) or 1.0
-        # Errors of doubles that were written with all digits are still some roundings large.
-        found = max(*(float(each or 0.0) for each in (errors.get("sd"), its.get("sd"))), float(np.spacing(size)))
+        rounding = float(np.spacing(size))
+        known = (float(each) for each in (errors.get("sd"), its.get("sd")) if each)
+        found = next((each for each in known if each > rounding), rounding)
         return cls(found, float(errors.get("proportional") or 0.0), size)
 
     def formula(self, state: str) -> str:
@@ -217,20 +218,29 @@ def _parameters(
         yield _parameter(words[constant], f"constant {constant.name}", constant.value, _bounds(constant))
     for number, part in enumerate(trajectories, start=1):
         for state, value in zip(content.states, part.start, strict=True):
-            its = noise.get(state.name)
-            reach = _REACH * (its.sd if its is not None and its.sd > 1e-3 * its.size else abs(value) or 1.0)
             name = f"{sbml.start_name(words, state.name)}_{number}"
-            yield _parameter(
-                name, f"{state.column} at the beginning of {part.name}", value, (value - reach, value + reach)
-            )
+            title = f"{state.column} at the beginning of {part.name}"
+            reach = _width(state.name, trajectories)
+            yield _parameter(name, title, value, (value - reach, value + reach))
     for state_name, its in noise.items():
         bounds = (its.sd / _REACH, its.sd * _REACH)
         yield _parameter(f"sd_{words[state_name]}", f"errors of {state_name}", its.sd, bounds, "log10")
 
 
+def _width(state: str, trajectories: Sequence[Trajectory]) -> float:
+    """Return how far a state has moved in all; of one that was not measured, how fast those that were have."""
+    values = [part.values[state] for part in trajectories if state in part.values]
+    if not values:
+        values = [np.gradient(its, part.times) for part in trajectories for its in part.values.values()]
+    found = np.concatenate(values)
+    return float(np.nanmax(found) - np.nanmin(found)) or 1.0
+
+
 def _bounds(its: Parameter) -> tuple[float, float]:
+    """Return the bounds that were set for a constant, and on open sides those of its standard error."""
     reach = _REACH * (its.stderr or abs(its.value) or 1.0)
-    return its.value - reach, its.value + reach
+    low, high = its.bounds or (None, None)
+    return its.value - reach if low is None else low, its.value + reach if high is None else high
 
 
 def _parameter(name: str, title: str, value: float, bounds: tuple[float, float], scale: str = "lin") -> Row:

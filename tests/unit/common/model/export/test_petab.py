@@ -52,6 +52,15 @@ def test_constants_starts_and_noise_are_estimated_within_bounds(tmp_path: Path) 
     assert observable["noiseFormula"].startswith("sd_x * sqrt(0.5 + 0.5 * (x / ")
 
 
+def test_bounds_that_were_set_are_kept(tmp_path: Path) -> None:
+    its = alone().result
+    its["equations"][0]["expression"] = "-1.0*x"
+    its["equations"][0]["constants"] = [constant(1.0, 0.1) | {"std_error": None, "bounds": [0.0, None]}]
+    Model(its).to_petab(tmp_path, [{"t": TIMES, "x": TIMES}])
+    found = rows((tmp_path / "parameters.tsv").read_text())[0]
+    assert (found["parameterId"], found["lowerBound"], found["upperBound"]) == ("c1", "-11.0", "0.0")
+
+
 def test_measurements_may_be_given(tmp_path: Path) -> None:
     data = [{"t": TIMES, "x": TIMES + 1.0}, {"t": TIMES[:2] + 7.0, "x": np.array([3.0, np.nan])}]
     alone().to_petab(tmp_path, data)
