@@ -178,7 +178,7 @@ class Model(Exports):
             UsageError: states were not measured in time, or the result does not have the measurements.
             DataError: the data cannot be used as they are.
         """
-        self._require_one_group()
+        self.require_one_group()
         found: Identifiability = _experiments().identifiability(self._result, data, level)
         return found
 
@@ -263,7 +263,7 @@ class Model(Exports):
         its = next(each for each in self._result["groups"] if each["group"] == name)
         return Model(of_group(self._result, its))
 
-    def _require_one_group(self) -> None:
+    def require_one_group(self) -> None:
         """Raise UsageError where constants differ between groups."""
         if self.groups:
             listed = ", ".join(self.groups)
@@ -323,7 +323,7 @@ class Model(Exports):
         """
         if group is not None:
             return self.of_group(group).simulate(x0, t, u, has_bands=has_bands)
-        self._require_one_group()
+        self.require_one_group()
         times = self.times_of(t)
         bands = (self._errors, self._quantile) if has_bands and self._errors is not None else None
         found = simulate(self.field, self.start_of(x0), times, self._inputs(u, times), bands)
@@ -341,7 +341,7 @@ class Model(Exports):
         Returns:
             (N, D) derivatives, (N,) values of a regression; NaN where there is none.
         """
-        self._require_one_group()
+        self.require_one_group()
         if self.is_regression:
             program = from_infix(self._result["equations"][0]["expression"], self._names)
             values = values_of(program, np.ascontiguousarray(self._rows(x, self._names).T))
@@ -377,7 +377,7 @@ class Model(Exports):
         """
         from atoll.analysis.analysis import analyse_result
 
-        self._require_one_group()
+        self.require_one_group()
         bounds = {name: interval(its, f"the bounds of {name!r}") for name, its in by_name(box, "the box").items()}
         held = {name: number(its, f"the input {name!r}") for name, its in by_name(inputs, "inputs").items()}
         if vary is not None and not (isinstance(vary, tuple) and len(vary) == 2 and isinstance(vary[0], str)):
@@ -393,7 +393,7 @@ class Model(Exports):
         A model of dynamics is simulated from the first row of each trajectory, and R2 is the mean over its measured
         states; minus infinity where a simulation does not reach the end. A regression is judged by its target.
         """
-        self._require_one_group()
+        self.require_one_group()
         parts: list[Any] = [*data] if isinstance(data, (list, tuple)) else [data]
         if not parts or not all(map(_has_columns, parts)):
             raise UsageError(f"a score takes columns by name, a frame or a list of these, but {shown(data)} was given")

@@ -124,8 +124,10 @@ def content_of(
     Inputs of which nothing is given are held at 0. Times are written as their first, their last and their number.
 
     Raises:
-        UsageError: nothing tells the initial state or the times, or what is given does not fit.
+        UsageError: nothing tells the initial state or the times, what is given does not fit, or constants differ
+            between groups of trajectories.
     """
+    model.require_one_group()
     result = model.result
     names = tuple(result["symbols"].values())
     formulas = _formulas(model, names)
@@ -255,8 +257,6 @@ def _origin(model: "Model") -> list[str]:
         lines.append(f"  {each}")
         if each.verdict is not None:
             lines.append(f"    {each.verdict}: {each.reason}")
-    if model.result.get("groups"):
-        lines += ["", "Groups of trajectories differ in some constants, which are the means of the groups here."]
     return lines
 
 
@@ -371,7 +371,9 @@ class Wording:
 
     def note(self, its: Parameter) -> str:
         """Return what is known of a constant, for a comment beside it."""
-        return "" if its.stderr is None else f"standard error {its.stderr:.2g}"
+        unit = harmless(its.unit) if its.unit is not None and its.unit != "1" else ""
+        error = "" if its.stderr is None else f"standard error {its.stderr:.2g}"
+        return ", ".join(each for each in (unit, error) if each)
 
     def about(self, its: Variable | Input) -> str:
         """Return what a variable is: its column and unit, for a comment beside it."""

@@ -134,7 +134,9 @@ def _parameters(content: Content, words: Wording, units: "Units", options: Optio
         notes = [words.note(constant)] if constant.stderr is not None else []
         if constant.interval is not None:
             notes.append(f"95 % interval {constant.interval[0]!r} to {constant.interval[1]!r}")
-        yield from _parameter(words[constant], f"constant {constant.name}", repr(constant.value), "", notes)
+        yield from _parameter(
+            words[constant], f"constant {constant.name}", repr(constant.value), units.of(constant.unit), notes
+        )
     for held in content.held:
         unit = units.of(held.unit)
         yield from _parameter(words[held.name], held.column, repr(held.value), unit, [f"input, {words.about(held)}"])

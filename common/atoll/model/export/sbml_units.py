@@ -1,39 +1,23 @@
-"""Units of columns as unit definitions of SBML, where they can be read: ``m/s``, ``mg L^-1``, ``1/h``."""
+"""Units of columns and constants as unit definitions of SBML: products of powers of the SI's base units."""
 
-import re
 from collections.abc import Iterable
 from typing import Final
 
-_KINDS: Final = {
-    "1": ("dimensionless", 1.0),
-    "m": ("metre", 1.0),
-    "g": ("gram", 1.0),
-    "s": ("second", 1.0),
-    "min": ("second", 60.0),
-    "h": ("second", 3600.0),
-    "d": ("second", 86400.0),
-    "day": ("second", 86400.0),
-    "mol": ("mole", 1.0),
-    "A": ("ampere", 1.0),
-    "K": ("kelvin", 1.0),
-    "rad": ("radian", 1.0),
-    "L": ("litre", 1.0),
-    "l": ("litre", 1.0),
-    "N": ("newton", 1.0),
-    "J": ("joule", 1.0),
-    "W": ("watt", 1.0),
-    "Pa": ("pascal", 1.0),
-    "V": ("volt", 1.0),
-    "C": ("coulomb", 1.0),
-    "F": ("farad", 1.0),
-    "Hz": ("hertz", 1.0),
-}
-"""Symbols of units: the base unit of SBML, and how many of them one is."""
-_PREFIXES: Final = {"p": -12, "n": -9, "u": -6, "µ": -6, "μ": -6, "m": -3, "c": -2, "k": 3, "M": 6, "G": 9}
-_FACTOR: Final = re.compile(r"([*/·]?)\s*([^\W\d_]+|1)(?:\s*(?:\^|\*\*)?\s*([-+]?\d))?\s*")
+from atoll.errors import UsageError
+from atoll.units import expanded, parse_unit
 
-Factor = tuple[str, int, int, float]
-"""Base unit, exponent, scale (a power of ten), multiplier."""
+_KINDS: Final = {
+    "m": "metre",
+    "s": "second",
+    "g": "gram",
+    "A": "ampere",
+    "K": "kelvin",
+    "mol": "mole",
+    "cd": "candela",
+}
+
+Factor = tuple[str, float, float]
+"""A unit of SBML: its kind, its exponent, its multiplier."""
 
 
 class Units:
@@ -42,9 +26,9 @@ class Units:
     def __init__(self) -> None:
         self._known: dict[tuple[Factor, ...], str] = {}
 
-    def of(self, text: str) -> str:
-        """Return the name of the definition of a unit; "" where it cannot be read."""
-        factors = read(text)
+    def of(self, text: str | None) -> str:
+        """Return the name of the definition of a unit; "" where there is none, or SBML does not know it."""
+        factors = factors_of(text or "")
         if not factors:
             return ""
         return self._known.setdefault(factors, f"unit_{len(self._known) + 1}")
@@ -56,35 +40,27 @@ class Units:
         yield "    <listOfUnitDefinitions>"
         for factors, name in self._known.items():
             yield f'      <unitDefinition id="{name}"><listOfUnits>'
-            for kind, exponent, scale, multiplier in factors:
-                numbers = f'exponent="{exponent}" scale="{scale}" multiplier="{multiplier!r}"'
+            for kind, exponent, multiplier in factors:
+                numbers = f'exponent="{exponent:g}" scale="0" multiplier="{multiplier!r}"'
                 yield f'        <unit kind="{kind}" {numbers}/>'
             yield "      </listOfUnits></unitDefinition>"
         yield "    </listOfUnitDefinitions>"
 
 
-def read(text: str) -> tuple[Factor, ...]:
-    """Return the factors of a unit; none where it cannot be read. A line divides by the one unit behind it."""
-    found, position = [], 0
-    text = text.strip()
-    while position < len(text):
-        match = _FACTOR.match(text, position)
-        factor = None if match is None else _factor(match[2])
-        if match is None or factor is None:
-            return ()
-        exponent = int(match[3] or 1) * (-1 if match[1] == "/" else 1)
-        if factor[0] != "dimensionless" or len(text) == 1:
-            found.append((factor[0], exponent, *factor[1:]))
-        position = match.end()
-    return tuple(found)
-
-
-def _factor(symbol: str) -> tuple[str, int, float] | None:
-    """Return base unit, scale and multiplier of one symbol; None where it is unknown."""
-    if symbol in _KINDS:
-        kind, multiplier = _KINDS[symbol]
-        return kind, 0, multiplier
-    if symbol[0] in _PREFIXES and symbol[1:] in _KINDS and symbol[1:] not in ("1", "min", "h", "d", "day"):
-        kind, multiplier = _KINDS[symbol[1:]]
-        return kind, _PREFIXES[symbol[0]], multiplier
-    return None
+def factors_of(text: str) -> tuple[Factor, ...]:
+    """Return the factors of a unit; none where there is no unit, or one that the SI does not know, such as cells."""
+    if not text.strip():
+        return ()
+    try:
+        powers = expanded(parse_unit(text))
+    except UsageError:
+        return ()
+    if any(not symbol.isdigit() and symbol not in _KINDS for symbol in powers):
+        return ()
+    size = 1.0
+    for symbol, power in powers.items():
+        size *= float(symbol) ** float(power) if symbol.isdigit() else 1.0
+    kinds = [(_KINDS[symbol], float(power)) for symbol, power in powers.items() if symbol in _KINDS]
+    kind, exponent = kinds[0] if kinds else ("dimensionless", 1.0)
+    first = (kind, exponent, float(f"{size ** (1.0 / exponent):.15g}"))  # (m u)^e: the first kind takes the size
+    return (first, *((kind, exponent, 1.0) for kind, exponent in kinds[1:]))

@@ -205,6 +205,16 @@ def test_what_a_format_cannot_hold_is_refused_in_a_sentence() -> None:
         its.export("fortran")
 
 
+def test_constants_of_groups_are_exported_group_by_group() -> None:
+    its = model({"x": "-0.5*x"}).result
+    part = {"group": "a", "expression": "-0.75*x", "program": None, "constants": []}
+    its["equations"][0]["groups"] = [part, part | {"group": "b"}]
+    its["groups"] = [{"group": name, "trajectories": ["1"], "covariance": None} for name in ("a", "b")]
+    with pytest.raises(UsageError, match=r"may differ between its groups \(a, b\); choose one"):
+        Model(its).to_c()
+    assert "-0.75, // c1" in Model(its).of_group("a").to_c()
+
+
 def test_no_text_breaks_out_of_a_comment() -> None:
     its = model({"x": "-2.5*x"}).result
     its["equations"][0]["reason"] = "*/ \\\nimport os #\u2028system()\u202e"

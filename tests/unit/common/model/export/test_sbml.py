@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 import pytest
 
-from atoll.model.export.sbml_units import read
+from atoll.model.export.sbml_units import factors_of
 from atoll.model.model import Model
 from benchmarks.exports.readers import integrated
-from tests.unit.common.model.export.exported import TIMES, decay, difference, everything, model
+from tests.unit.common.model.export.exported import TIMES, decay, difference, everything
 
 CORE: Final = "{http://www.sbml.org/sbml/level3/version2/core}"
 MATH: Final = "{http://www.w3.org/1998/Math/MathML}"
@@ -84,36 +84,42 @@ def test_constants_have_their_errors_in_notes() -> None:
     assert "95 % interval -0.5 to -0.09999999999999998" in notes
 
 
-def test_units_that_can_be_read_are_defined() -> None:
-    its = model({"x": "-0.5*x"}).result
+def with_units() -> Model:
+    its = decay().result
     its["system"]["units"] = {"x": "mg/L", "t": "min"}
-    text = Model(its).to_sbml()
+    its["equations"][0]["constants"][0]["unit"] = "1/min"
+    return Model(its)
+
+
+def test_units_of_the_si_are_defined() -> None:
+    text = with_units().to_sbml()
     assert 'timeUnits="unit_1"' in text
-    assert '<unit kind="gram" exponent="1" scale="-3" multiplier="1.0"/>' in text
     assert '<unit kind="second" exponent="1" scale="0" multiplier="60.0"/>' in text
+    assert '<unit kind="second" exponent="-1" scale="0" multiplier="60.0"/>' in text
+    assert "# 1/min, standard error 0.1" in with_units().to_python()
 
 
 @pytest.mark.parametrize(
     ("text", "factors"),
     [
-        ("m/s^2", (("metre", 1, 0, 1.0), ("second", -2, 0, 1.0))),
-        ("kg m s**-1", (("gram", 1, 3, 1.0), ("metre", 1, 0, 1.0), ("second", -1, 0, 1.0))),
-        ("1/h", (("second", -1, 0, 3600.0),)),
-        ("µmol", (("mole", 1, -6, 1.0),)),
+        ("m/s^2", (("metre", 1.0, 1.0), ("second", -2.0, 1.0))),
+        ("kg m s**-1", (("gram", 1.0, 1000.0), ("metre", 1.0, 1.0), ("second", -1.0, 1.0))),
+        ("mg/L", (("gram", 1.0, 1.0), ("metre", -3.0, 1.0))),
+        ("1/h", (("second", -1.0, 3600.0),)),
+        ("%", (("dimensionless", 1.0, 0.01),)),
+        ("1", (("dimensionless", 1.0, 1.0),)),
         ("hares", ()),
-        ("m/(s K)", ()),
+        ("m/(", ()),
         ("", ()),
     ],
 )
-def test_units_are_read_or_left(text: str, factors: tuple[tuple[str, int, int, float], ...]) -> None:
-    assert read(text) == factors
+def test_units_are_products_of_powers_or_left(text: str, factors: tuple[tuple[str, float, float], ...]) -> None:
+    assert factors_of(text) == factors
 
 
 def test_libsbml_finds_no_error() -> None:
     libsbml = pytest.importorskip("libsbml")
-    its = model({"x": "-0.5*x"}).result
-    its["system"]["units"] = {"x": "mg/L", "t": "min"}
-    document = libsbml.readSBMLFromString(Model(its).to_sbml())
+    document = libsbml.readSBMLFromString(with_units().to_sbml())
     document.checkConsistency()
     errors = [document.getError(number) for number in range(document.getNumErrors())]
     assert not [each.getMessage() for each in errors if each.getSeverity() >= libsbml.LIBSBML_SEV_ERROR]
