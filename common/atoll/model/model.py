@@ -651,14 +651,20 @@ def _has_columns(given: Any) -> bool:
 
 
 def _has(given: Any, name: str) -> bool:
-    return name in (given.columns if hasattr(given, "columns") else given)
+    return name in (given.columns if hasattr(given, "columns") else given) or _is_index(given, name)
+
+
+def _is_index(given: Any, name: str) -> bool:
+    """Tell whether a name is that of the index of a pandas frame."""
+    index = getattr(given, "index", None)
+    return index is not None and not callable(index) and getattr(index, "name", None) == name
 
 
 def _column(given: Any, *names: str) -> FloatArray:
     name = next((each for each in names if _has(given, each)), None)
     if name is None:
         raise UsageError(f"the data have no column {names[0]!r}; give one, by that name")
-    return numbers(given[name], f"column {name!r}")
+    return numbers(given.index if _is_index(given, name) else given[name], f"column {name!r}")
 
 
 def _stacked(columns: Sequence[FloatArray]) -> FloatArray:

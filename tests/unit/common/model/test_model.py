@@ -138,6 +138,12 @@ def test_scores_are_r2_of_simulations_of_all_trajectories() -> None:
     assert Model(result({"x": "x**2"})).score({"t": 3.0 * TIMES, "x": 1.0 + TIMES}) == -np.inf
 
 
+def test_the_index_of_a_pandas_frame_is_a_column_by_its_name() -> None:
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame({"x": 3.0 * np.exp(-2.0 * TIMES)}, index=pandas.Index(TIMES, name="t"))
+    assert Model(decay()).score(frame) == pytest.approx(1.0)
+
+
 def test_candidates_are_models_with_the_rest_as_it_is() -> None:
     found = result({"x": "y", "y": "-x"})
     other = {"expression": "-sin(x)", "complexity": 3, "origin": "front", "nats": 2.5, "selected": False}
