@@ -16,9 +16,9 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.errors import UsageError
-from atoll.expression.program import Program, constant_places, structure
+from atoll.expression.program import Program, constant_places, structure, with_constants
 from atoll.expression.text.parsing import from_infix
-from atoll.expression.writing.opened import Opened, Role, Shape, inner_numbers, open_terms, shape_of, terms_of
+from atoll.expression.writing.opened import Role, Shape, inner_numbers, open_terms, shape_of, terms_of
 from atoll.expression.writing.sums import ONE, UndefinedError
 
 EVERY: Final = "c"
@@ -31,6 +31,10 @@ ALL_EQUATIONS: Final = "*"
 EXAMPLES: Final = "c > 0, 0 < c < 10, |c| < 5, x: x*y < 0 or inner > 0"
 ROUNDING: Final = 1e-9
 """Share of itself by which a bound may be missed: what writing an equation in another way leaves."""
+
+_FIRST: Final = 0.0101
+_STEP: Final = 0.0007
+"""Numbers that are nothing else: no whole ones, halves or phases of an eighth of a turn."""
 
 Scope = Literal["every", "inner", "term"]
 _COMPARISON: Final = re.compile(r"<=|>=|<|>")
@@ -123,7 +127,7 @@ class EquationBounds:
     """All bounds on the constants of one equation. Programs are laid out so that each bound is about one constant."""
 
     bounds: tuple[Bound, ...]
-    _roles: dict[bytes, tuple[Role, ...]] = field(default_factory=dict, repr=False)
+    _roles: dict[bytes, tuple[Role, ...] | None] = field(default_factory=dict, repr=False)
 
     def range_of(self, shape: Shape, *, is_inner: bool) -> tuple[float, float]:
         """Return the least and the largest number that may stand there; the first is the larger one if none may."""
@@ -132,30 +136,45 @@ class EquationBounds:
         return lower, min((bound.upper for bound in its), default=math.inf)
 
     def laid_out(self, program: Program) -> Program | None:
-        """Return `program` with brackets opened and bounded factors of one as constants; None when it cannot be."""
-        if structure(program) in self._roles:
-            return program
-        opened = open_terms(program, lambda shape, value: not self._holds(shape, value, is_inner=False))
-        if opened is None or not self._is_possible(opened):
-            return None
-        self._roles[structure(opened.program)] = opened.roles
-        return opened.program
+        """Return `program` with brackets opened and bounded factors of one as constants; None when it cannot be.
+
+        One that is laid out already stays as it is, whatever the values of its constants.
+        """
+        made = program if self._roles_of(program) is not None else self.written(program)
+        roles = None if made is None else self._roles_of(made)
+        return made if roles is not None and self._are_possible(roles) else None
 
     def written(self, program: Program) -> Program | None:
         """Return `program` laid out anew, so that signs stand where a reader expects them; None when it cannot be."""
-        opened = open_terms(program, lambda shape, value: not self._holds(shape, value, is_inner=False))
-        if opened is None:
-            return None
-        self._roles[structure(opened.program)] = opened.roles
-        return opened.program
+        opened = open_terms(program, self._is_written)
+        return None if opened is None else opened.program
 
-    def _is_possible(self, opened: Opened) -> bool:
-        ranges = (self.range_of(role.shape, is_inner=role.is_inner) for role in opened.roles)
+    def _is_written(self, shape: Shape, value: float) -> bool:
+        """Tell whether a coefficient of one or minus one must be a constant."""
+        return not self._holds(shape, value, is_inner=False)
+
+    def _roles_of(self, program: Program) -> tuple[Role, ...] | None:
+        """Return the roles of the constants of a program that is laid out, None of any other.
+
+        That is told by its structure alone: one that is opened to itself when its constants are any small numbers.
+        """
+        key = structure(program)
+        if key not in self._roles:
+            places = constant_places(program)
+            numbers = {place: _FIRST + _STEP * number for number, place in enumerate(places)}
+            opened = open_terms(with_constants(program, numbers), self._is_written)
+            is_same = opened is not None and structure(opened.program) == key
+            self._roles[key] = opened.roles if opened is not None and is_same else None
+        return self._roles[key]
+
+    def _are_possible(self, roles: Sequence[Role]) -> bool:
+        """Tell whether some number may stand at each constant."""
+        ranges = (self.range_of(role.shape, is_inner=role.is_inner) for role in roles)
         return all(lower <= upper for lower, upper in ranges)
 
     def ranges(self, program: Program) -> tuple[FloatArray, FloatArray] | None:
         """Return the least and largest value (K,) of each constant of a program that was laid out, None for others."""
-        roles = self._roles.get(structure(program))
+        roles = self._roles_of(program)
         if roles is None:
             return None
         pairs = [self.range_of(role.shape, is_inner=role.is_inner) for role in roles]

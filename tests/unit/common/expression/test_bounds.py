@@ -6,6 +6,7 @@ import pytest
 
 from atoll.errors import UsageError
 from atoll.expression.bounds import EquationBounds, parse_bound
+from atoll.expression.program import constant_places, with_constants
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 
@@ -98,10 +99,29 @@ def test_a_factor_of_one_is_a_constant_where_a_bound_excludes_one():
 
 def test_bounds_on_one_constant_are_kept_together_or_not_at_all():
     assert bounds("c > 3", "x < 2").laid_out(parsed("4*x")) is None
-    assert bounds("c > 1", "x < 2").ranges(bounds("c > 1").laid_out(parsed("4*x"))) is None
+    lower, upper = bounds("c > 1", "x < 2").ranges(parsed("4*x"))
+    assert (lower.tolist(), upper.tolist()) == ([1.0], [2.0])
 
 
 def test_bounds_are_told_with_the_numbers_they_are_about():
     first, second = bounds("x*y < -2", "y > 0").governed(parsed("3*x - 2*x*y"))
     assert (first.values, first.is_active) == ((-2.0,), True)
     assert (second.values, second.is_active) == ((), False)
+
+
+@pytest.mark.parametrize(
+    "text", ["3*x - 2*x*y", "-x - 2*y", "2*cos(3*x - 0.5)", "x**0.7 - 4*exp(-2*x)", "x/(2 + 3*y)", "-2*x*y - 3*x"]
+)
+def test_layouts_depend_on_the_program_alone(text):
+    """What was laid out before must not matter: islands move between workers, threads take turns."""
+    program = parsed(text)
+    fresh = bounds("|c| < 50", "x*y < 9")
+    first = fresh.laid_out(program)
+    used = bounds("|c| < 50", "x*y < 9")
+    for other in ("x", "y - x*y", "2*x + 3*y", "x*(1 - y)", "sin(x)"):
+        used.laid_out(parsed(other))
+    assert used.laid_out(program) == first
+    assert used.laid_out(first) == first
+    flipped = with_constants(first, {place: -first.constants[place] for place in constant_places(first)})
+    assert used.laid_out(flipped) is flipped, "other values of constants are no other layout"
+    assert [each.tolist() for each in used.ranges(flipped)] == [each.tolist() for each in fresh.ranges(first)]

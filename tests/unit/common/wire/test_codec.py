@@ -2,6 +2,7 @@
 
 import contextlib
 import tracemalloc
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import msgpack
@@ -191,6 +192,19 @@ def test_a_dataset_comes_back_with_the_same_digest() -> None:
     assert (back.names, back.symbols, back.warnings) == (("v", "θ"), {"v [m/s]": "v", "θ": "θ"}, ("a warning",))
     assert back.targets[0].lhs == "dv/dt"
     assert codec.dataset_to_bytes(back) == data
+
+
+def test_groups_of_rows_come_back_and_are_checked() -> None:
+    whole = _dataset()
+    rows = whole.inputs.shape[1]
+    grouped = replace(whole, groups=np.arange(rows) % 2)
+    back = codec.dataset_from_bytes(codec.dataset_to_bytes(grouped))
+    assert back.groups is not None
+    assert back.groups.tolist() == (np.arange(rows) % 2).tolist()
+    assert back.digest == grouped.digest != whole.digest
+    for wrong in (np.arange(rows + 1), np.arange(rows) - 1):
+        with pytest.raises(RemoteProtocolError, match="groups of rows"):
+            codec.dataset_from_bytes(codec.dataset_to_bytes(replace(whole, groups=wrong)))
 
 
 def test_arrays_of_a_decoded_dataset_are_aligned_writable_and_contiguous() -> None:
