@@ -78,11 +78,10 @@ def compact_dates(columns: Mapping[str, Sequence[str]], config: DataConfig) -> d
     called = {
         name: its for name, its in columns.items() if name in (config.time, *TIME_NAMES) or name.lower() == "date"
     }
-    present = {name: [cell.strip() for cell in its if not is_missing(cell)] for name, its in called.items()}
     return {
         name: [_COMPACT.sub(r"\1-\2-\3", cell.strip()) for cell in its]
         for name, its in called.items()
-        if present[name] and all(_COMPACT.fullmatch(cell) for cell in present[name])
+        if not all(map(is_missing, its)) and all(is_missing(cell) or _COMPACT.fullmatch(cell.strip()) for cell in its)
     }
 
 
