@@ -17,7 +17,7 @@ from atoll.errors import UsageError
 from atoll.expression.builder import ProgramBuilder, live_nodes
 from atoll.expression.evaluation import values_of
 from atoll.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, INVERSE, MULTIPLY
-from atoll.expression.program import Program, constant_places
+from atoll.expression.program import Node, Program, constant_places
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.experiments.measured import Measured
 from atoll_coordinator.experiments.systems import Equations, Fitted, fit_equations
@@ -33,8 +33,10 @@ _LONGEST: Final = 10.0
 """Nats of a candidate beyond the equation that is shown, at most, for it to be fitted again."""
 _FIRST_SHARE: Final = 0.1
 """What a constant in a denominator is at first, over the mean of the rest of it."""
-_SAME: Final = 1e-4
-"""Nats by which two fits of one function in other words differ at most."""
+_SAME: Final = 1e-3
+"""Nats by which the misfits of one function in other words, or with a constant to no purpose, differ at most."""
+_WANTED: Final = ("shown", "given")
+"""Origins of systems that are candidates however they fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +85,13 @@ def _weighed(fits: Sequence[tuple[Fitted, str]]) -> tuple[Rival, ...]:
     lengths = [_akaike(each) for each, _ in fits]
     least = min(lengths)
     kept: list[tuple[float, Fitted, str]] = []
-    for nats, (fitted, origin) in sorted(zip(lengths, fits, strict=True), key=lambda each: each[0]):
-        is_wanted = origin in ("shown", "given")
+    ordered = sorted(zip(lengths, fits, strict=True), key=lambda each: (each[1][1] not in _WANTED, each[0]))
+    for nats, (fitted, origin) in ordered:
         is_plausible = nats - least <= -math.log(_LEAST_WEIGHT) and len(kept) < MOST_RIVALS
-        is_new = all(abs(nats - other) > _SAME for other, *_ in kept)
-        if is_new and (is_wanted or is_plausible):
+        is_new = all(abs(fitted.misfit - other.misfit) > _SAME for _, other, _ in kept)
+        if origin in _WANTED or (is_plausible and is_new):
             kept.append((nats, fitted, origin))
+    kept.sort(key=lambda each: each[0])
     weights = np.exp([least - nats for nats, *_ in kept])
     shares = (weights / weights.sum()).tolist()
     return tuple(
@@ -143,17 +146,29 @@ def _systems(found: Mapping[str, Any], measured: Measured, shown: Equations) -> 
 
 
 def without_poles(program: Program, equations: Equations, measured: Measured) -> Iterator[Program]:
-    """Yield the program with a constant more in a denominator: n/(d + c), and n d/(d**2 + c).
+    """Yield the program with another denominator: for n/d n/(d + c) and n d/(d**2 + c), for n/(d + c) the latter alone.
 
     Where d is never near 0 in the data, these describe them as well as n/d, and where it is, they have no pole.
     """
-    for index, (code, left, right, _) in enumerate(program.nodes()):
+    nodes = program.nodes()
+    for index, (code, left, right, _) in enumerate(nodes):
         if code not in (DIVIDE, INVERSE):
             continue
-        size = _size(program, right if code == DIVIDE else left, equations, measured)
+        whole = right if code == DIVIDE else left
+        below = _without_constant(nodes, whole)
+        size = _size(program, below, equations, measured)
         if size is not None:
-            yield _rebuilt(program, index, _FIRST_SHARE * size, is_square=False)
-            yield _rebuilt(program, index, _FIRST_SHARE * size * abs(size), is_square=True)
+            if below == whole:
+                yield _rebuilt(program, index, below, _FIRST_SHARE * size, is_square=False)
+            yield _rebuilt(program, index, below, _FIRST_SHARE * size * abs(size), is_square=True)
+
+
+def _without_constant(nodes: Sequence[Node], node: int) -> int:
+    """Return what a node is the sum of beside a constant; itself where it is no such sum."""
+    code, left, right, _ = nodes[node]
+    if code == ADD and nodes[left][0] == CONSTANT:
+        return right
+    return left if code == ADD and nodes[right][0] == CONSTANT else node
 
 
 def _size(program: Program, node: int, equations: Equations, measured: Measured) -> float | None:
@@ -166,8 +181,8 @@ def _size(program: Program, node: int, equations: Equations, measured: Measured)
     return float(values.mean()) if is_one_sided and np.isfinite(values).all() and np.ptp(values) > 0.0 else None
 
 
-def _rebuilt(program: Program, index: int, constant: float, *, is_square: bool) -> Program:
-    """Return the program with a constant in the denominator of its quotient at a node."""
+def _rebuilt(program: Program, index: int, divisor: int, constant: float, *, is_square: bool) -> Program:
+    """Return the program whose quotient at a node has the sum of a part, or its square, and a constant below it."""
     nodes, builder = program.nodes(), ProgramBuilder()
     new: list[int] = []
     for place, (code, left, right, value) in enumerate(nodes):
@@ -175,7 +190,7 @@ def _rebuilt(program: Program, index: int, constant: float, *, is_square: bool) 
             one, other = (new[left], new[right] if ARITY[code] == 2 else 0) if ARITY[code] else (left, right)
             new.append(builder.append(code, one, other, value))
             continue
-        below, above = (new[right], new[left]) if code == DIVIDE else (new[left], None)
+        below, above = new[divisor], new[left] if code == DIVIDE else None
         added = builder.append(CONSTANT, value=constant)
         if is_square:
             above = below if above is None else builder.append(MULTIPLY, above, below)

@@ -8,10 +8,14 @@ import pytest
 from scipy.special import lambertw
 
 from atoll.errors import UsageError
+from atoll.expression.text.infix import to_infix
 from atoll.model.model import Model
 from atoll_coordinator.experiments.designs import Foretold, discrepancy, needed, precision, told
+from atoll_coordinator.experiments.measured import measured_of
+from atoll_coordinator.experiments.rivals import without_poles
 from atoll_coordinator.experiments.space import Request
 from atoll_coordinator.experiments.suggestions import suggest
+from atoll_coordinator.experiments.systems import equations_of
 from tests.unit.coordinator.experiments.made import measured
 
 TIMES = np.linspace(0.0, 2.0, 12)
@@ -99,6 +103,18 @@ def test_a_quotient_has_rivals_without_its_pole() -> None:
     origins = {each.origin for each in found.candidates}
     assert origins <= {"shown", "denominator"}
     assert "shown" in origins
+
+
+def test_denominators_are_made_without_the_constant_that_they_have() -> None:
+    result = measured({"x": "-x*y/(2 + y)", "y": "1/x"}, [(TIMES, {"x": 3.0 - TIMES, "y": 1.0 + TIMES})], 0.01)
+    its, equations = measured_of(result), equations_of(result)
+    made = [
+        [to_infix(each, ("x", "y"), digits=3) for each in without_poles(program, equations, its)]
+        for program in equations.programs
+    ]
+    assert len(made[0]) == 1
+    assert "y**2" in made[0][0].replace("y*y", "y**2")
+    assert len(made[1]) == 2
 
 
 def test_constant_inputs_are_chosen_within_their_bounds() -> None:
