@@ -82,7 +82,10 @@ def _libraries(equation: WindowEquation) -> list[Terms]:
 
 
 def _beginnings(library: Terms, columns: Sequence[int]) -> Iterator[WindowSum]:
-    """Yield the sum of all terms of a library, then without the variable that can be spared best, and so on to one."""
+    """Yield the sum of all terms of a library, then without the variable that can be spared best, and so on to one.
+
+    Functions stay.
+    """
     kept = list(range(len(library.atoms)))
     near = fitted(library, kept)
     free = list(columns) if len(kept) > 1 else []
@@ -92,7 +95,7 @@ def _beginnings(library: Terms, columns: Sequence[int]) -> Iterator[WindowSum]:
             return
         tried = []
         for variable in free:
-            fewer = [place for place in kept if not depends(library.atoms[place].shape, variable)]
+            fewer = [place for place in kept if not _can_spare(library.atoms[place], variable)]
             its = fitted(library, fewer, near, SETTINGS.windows.brief_rounds)
             if its is not None:
                 tried.append((its.nats, variable, fewer, its))
@@ -100,6 +103,10 @@ def _beginnings(library: Terms, columns: Sequence[int]) -> Iterator[WindowSum]:
             return
         _, gone, kept, near = min(tried, key=lambda each: each[:2])
         free.remove(gone)
+
+
+def _can_spare(atom: Atom, variable: int) -> bool:
+    return atom.shape.function is None and depends(atom.shape, variable)
 
 
 def _with_function(equation: WindowEquation, best: WindowSum, libraries: Sequence[Terms]) -> WindowSum | None:
@@ -156,7 +163,6 @@ def _with_shared(equation: WindowEquation, best: WindowSum | None, functions: Se
             continue
         for library in _libraries(equation)[-1:]:
             terms = Terms(equation.rows, (*library.atoms, function), frozenset([len(library.atoms)]))
-            found = eliminated(fitted(terms, range(len(terms.atoms))))
-            found = None if found is None else improved(found)
-            best = _shortest([best, found])
+            found = _shortest(eliminated(begun) for begun in _beginnings(terms, equation.columns))
+            best = _shortest([best, None if found is None else improved(found)])
     return best

@@ -121,14 +121,17 @@ def _moved(terms: Terms, places: Ints, begun: FloatArray, quadrature: FloatArray
 
 
 def _unresolved(terms: Terms, places: Ints, coefficients: FloatArray, quadrature: FloatArray) -> float:
-    """Return the mean of 1/2 ln(1 + q^2/v) for errors of quadrature q^2 and others v of windows.
+    """Return the mean of 1/2 ln((q^2 + v)/(s^2 + v)) where q^2 is above s^2.
 
-    Without it, sums would be best that no quadrature resolves.
+    q^2 is the error of quadrature of what a window is left with, s^2 that of its side, v the variance by other errors.
+    Without it, sums would be best that no quadrature resolves. Windows whose side is not resolved tell no sums apart.
     """
     products, cross = terms.errors
+    rows = terms.rows
     moved = products[:, places][:, :, places] @ coefficients + 2.0 * cross[:, places]
-    others = terms.rows.own + moved @ coefficients
-    return 0.5 * math.fsum(np.log1p(quadrature / np.maximum(others, 1e-300)).tolist()) / len(others)
+    others = np.maximum(rows.own + moved @ coefficients, 1e-300)
+    ratios = (quadrature + others) / (rows.spread(rows.sides[0] - rows.sides[1]) ** 2 + others)
+    return 0.5 * math.fsum(np.log(np.maximum(ratios, 1.0)).tolist()) / len(others)
 
 
 def eliminated(its: WindowSum | None) -> WindowSum | None:
