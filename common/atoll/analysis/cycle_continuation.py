@@ -57,6 +57,10 @@ HOPF_END: Final = "Hopf point"
 _NEWTON: Final = 8
 """Newton steps double the digits that are right: a guess good to 1 % needs four."""
 
+_KNOWN: Final = 1e-3
+"""By which the multiplier of the flow may differ from 1; it does beside homoclinic orbits, whose other ones are beyond
+the digits of the monodromy matrix."""
+
 _RENEWED: Final = 4
 """Steps after which the mesh is laid anew."""
 
@@ -252,8 +256,14 @@ def _unlike_halves(orbit: Orbit) -> FloatArray:
 
 
 def _multiplier_tests(monodromy: FloatArray) -> dict[str, float]:
-    """Return what vanishes where multipliers pass -1, and where a pair of them has the product 1."""
-    values = multipliers_of(monodromy, 0.0)[1:] if len(monodromy) > 2 else np.zeros(0, dtype=np.complex128)
+    """Return what vanishes where multipliers pass -1, and where a pair of them has the product 1.
+
+    NaN where that of the flow, which is 1, is off by so much that the others are not known either.
+    """
+    if len(monodromy) == 2:  # that beside the flow's is positive in the plane
+        return {PERIOD_DOUBLING: np.nan, TORUS: np.nan}
+    own, *others = multipliers_of(monodromy, 0.0)
+    values = np.array(others) if abs(own - 1.0) < _KNOWN else np.full(len(others), np.nan + 0j)
     doubling = np.prod(values + 1.0)
     torus = np.prod([first * second - 1.0 for first, second in combinations(values, 2)]) if len(values) > 1 else 1.0
     return {PERIOD_DOUBLING: float(np.real(doubling)), TORUS: float(np.real(torus))}

@@ -15,7 +15,7 @@ from atoll.analysis.flow import Flow
 from atoll.analysis.limit_cycles import LimitCycle, limit_cycles
 from atoll.analysis.varied import Coefficients
 from atoll.model.vector_field import VectorField
-from tests.unit.common.analysis.systems import VAN_DER_POL, box, flow
+from tests.unit.common.analysis.systems import LORENZ, VAN_DER_POL, box, flow
 
 SQUARE = box((-2.0, 2.0), (-2.0, 2.0))
 CUBE = box((-2.0, 2.0), (-2.0, 2.0), (-2.0, 2.0))
@@ -112,6 +112,16 @@ def test_other_multipliers_leave_the_unit_circle_at_zero(kind: str, others: dict
     its = Flow.of(VectorField.of({**circle, **others}, ["m"]), np.array([-0.5]))
     (branch,) = along(its, box(*[(-2.0, 2.0)] * its.size), "m", (-1.0, 1.0), unit_circle(its.size))
     assert [(each.kind, round(each.value, 6) + 0.0) for each in branch.special] == [(kind, 0.0)]
+
+
+def test_lorenz_cycles_end_at_the_homoclinic_orbit() -> None:
+    """From the Hopf point at r = 470/19 to r = 13.926 (Sparrow 1982), where no multiplier is known any more."""
+    its, where = LORENZ, box((0.5, 25.0), (0.5, 25.0), (1.0, 50.0))  # one of two that are alike
+    (branch,) = along(its, where, "c2", (12.0, 26.0), has_hopf=True)
+    assert branch.ends == ("Hopf point", "period without bounds")
+    assert branch.values[0] == pytest.approx(470.0 / 19.0, abs=0.05)
+    assert branch.values[-1] == pytest.approx(13.926, abs=1e-3)
+    assert branch.special == ()
 
 
 def test_roessler_doubles_its_period_twice_and_again() -> None:
