@@ -4,8 +4,8 @@ Letters: C columns, N rows.
 """
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -30,7 +30,8 @@ class Table:
     may hold NaN and infinity; `starts` are the rows at which the files or blank rows begin a new trajectory, the first
     one 0. For messages: `files` are the names of the files, `file_of_row` (N,) indices into them, `line_of_row` (N,)
     line numbers from 1, or 0 where a file has no lines. `skipped` are columns that hold text. `read_as` says how
-    the files were read, "" where that is not known.
+    the files were read, "" where that is not known. `labels` are the texts that the numbers of a column of groups stand
+    for, from 1.
     """
 
     names: tuple[str, ...]
@@ -42,6 +43,7 @@ class Table:
     line_of_row: IntArray
     skipped: tuple[str, ...] = ()
     read_as: str = ""
+    labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check that the parts fit together; raises DataError."""
@@ -53,6 +55,11 @@ class Table:
             raise DataError(f"a table of {shape[1]} rows has trajectories that start at rows {self.starts}")
         if shape[1] and not 0 <= self.file_of_row.min() <= self.file_of_row.max() < len(self.files):
             raise DataError(f"a table refers to files beyond its {len(self.files)}")
+
+    def label(self, name: str, value: float) -> str | None:
+        """Return the text that a number of column `name` stands for, None where it stands for itself."""
+        texts = self.labels.get(name)
+        return texts[int(value) - 1] if texts is not None and 1 <= value <= len(texts) else None
 
     @property
     def rows(self) -> int:
@@ -83,7 +90,7 @@ class Table:
 
     def to_bytes(self) -> bytes:
         """Return the bytes that are uploaded; `from_bytes` reads them."""
-        header = {
+        header: dict[str, object] = {
             "names": list(self.names),
             "units": list(self.units),
             "starts": list(self.starts),
@@ -91,6 +98,8 @@ class Table:
             "skipped": list(self.skipped),
             "read_as": self.read_as,
         }
+        if self.labels:
+            header["labels"] = {name: list(texts) for name, texts in self.labels.items()}
         arrays = {"columns": self.columns, "file_of_row": self.file_of_row, "line_of_row": self.line_of_row}
         return encode_arrays(header, arrays)
 
@@ -108,7 +117,8 @@ class Table:
                 _numbers(arrays["file_of_row"], np.int64, 1),
                 _numbers(arrays["line_of_row"], np.int64, 1),
                 _texts(header["skipped"]),
-                *_texts([header.get("read_as", "")]),
+                _texts([header.get("read_as", "")])[0],
+                {name: _texts(texts) for name, texts in header.get("labels", {}).items()},
             )
         except (KeyError, TypeError, ValueError, DataError) as error:
             raise RemoteProtocolError(f"the bytes of a table do not fit: {error}") from error

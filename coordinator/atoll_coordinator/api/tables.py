@@ -2,6 +2,7 @@
 
 import datetime
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -38,18 +39,21 @@ def table_of(data: Any, config: DataConfig) -> Table:
             "data must be a file, a frame of pandas or polars, a data set of xarray, arrays by column name, or a list; "
             f"found {type(data).__name__}"
         )
-    return _joined([_columns_of(part, config) for part in parts])
+    labels: dict[str, dict[str, float]] = {}
+    its = _joined([_columns_of(part, config, labels) for part in parts])
+    return replace(its, labels={name: tuple(texts) for name, texts in labels.items()})
 
 
 def _has_columns(part: Any) -> bool:
     return isinstance(part, Mapping) or (hasattr(part, "columns") and hasattr(part, "__getitem__"))
 
 
-def _columns_of(part: Any, config: DataConfig) -> dict[str, FloatArray | Instants]:
+def _columns_of(part: Any, config: DataConfig, labels: dict[str, dict[str, float]]) -> dict[str, FloatArray | Instants]:
     """Return the columns of numbers (N,) by name.
 
-    As in files, the trajectory column alone may hold text, which is numbered by first appearance; other columns that
-    hold nothing else are left out unless options name them. Dates are the time, and so is an index of a pandas frame
+    As in files, the columns of trajectories and of groups alone may hold text, which is numbered by first appearance
+    (that of groups over all parts, its texts being kept in `labels`); other columns that hold nothing else are left out
+    unless options name them. Dates are the time, and so is an index of a pandas frame
     that has a name or holds dates.
     """
     named = _named_arrays(part)
@@ -66,7 +70,9 @@ def _columns_of(part: Any, config: DataConfig) -> dict[str, FloatArray | Instant
         elif numbers is not None:
             found[f"{name} [s]" if values.dtype.kind == "m" and its == name else name] = numbers
         elif its == trajectory:
-            found[name] = _numbered(values)
+            found[name] = _numbered(values, {})
+        elif its == config.group:
+            found[name] = _numbered(values, labels.setdefault(its, {}))
         elif its in needed:
             raise DataError(f"column '{name}' holds text; numbers are expected")
     if named and not found:
@@ -171,8 +177,8 @@ def _is_number(cell: Any) -> bool:
     return True
 
 
-def _numbered(values: Any) -> FloatArray:
-    kinds: dict[str, float] = {}
+def _numbered(values: Any, kinds: dict[str, float]) -> FloatArray:
+    """Number texts by first appearance, going on with the `kinds` there are."""
     return np.array([kinds.setdefault(str(value), float(len(kinds) + 1)) for value in values.tolist()])
 
 

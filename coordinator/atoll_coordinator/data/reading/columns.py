@@ -1,7 +1,7 @@
 """`Rows` -> the columns of one file: numbers, instants, and text that is set aside. Pure."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final, cast
 
 import numpy as np
@@ -21,7 +21,10 @@ TIME: Final = "time"
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns of one file by name, each with its unit; `skipped` hold text, `remarks` say how it was read."""
+    """The columns of one file by name, each with its unit; `skipped` hold text, `remarks` say how it was read.
+
+    `labels` are the texts that the numbers of a column of groups stand for, from 1.
+    """
 
     file: str
     values: Mapping[str, FloatArray | Instants]
@@ -30,14 +33,15 @@ class Columns:
     starts: Sequence[int]
     skipped: tuple[str, ...]
     remarks: tuple[str, ...]
+    labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def columns_of(file: str, rows: Rows, config: DataConfig) -> Columns:
     """Turn cells into numbers and instants.
 
-    Text in every cell sets a column aside unless `config` names it; the trajectory column alone may hold names, which
-    are numbered. Dates are read as `times.read_times` says. A column without a name (such as a table's row numbers) is
-    set aside, by its place.
+    Text in every cell sets a column aside unless `config` names it; the columns of trajectories and of groups alone may
+    hold names, which are numbered. Dates are read as `times.read_times` says. A column without a name (such as a
+    table's row numbers) is set aside, by its place.
 
     Raises:
         DataError: columns share a name, or a cell holds nothing that is expected there.
@@ -48,8 +52,9 @@ def columns_of(file: str, rows: Rows, config: DataConfig) -> Columns:
     config = strip_units(config, names)
     needed, trajectory = named_columns(config), find_trajectory_column(names, config)
     texts = {name: its for name, its in cells.items() if is_text(its)}
-    runs = {name: _numbered(texts.pop(name)) for name in [trajectory] if name in texts}
-    texts |= compact_dates({name: its for name, its in cells.items() if name != trajectory}, config)
+    labels = {name: _labels(texts[name]) for name in [config.group] if name in texts}
+    runs = {name: _numbered(texts.pop(name)) for name in {trajectory, *labels} if name in texts}
+    texts |= compact_dates({name: its for name, its in cells.items() if name not in (trajectory, *labels)}, config)
     times = read_times(file, texts, names, rows.starts, config, lambda row: place(rows.lines, row))
     plain = {
         name: its
@@ -69,6 +74,7 @@ def columns_of(file: str, rows: Rows, config: DataConfig) -> Columns:
         rows.starts,
         skipped,
         (*rows.remarks, *remarks, *times.remarks, *left_out),
+        labels,
     )
 
 
@@ -103,6 +109,11 @@ def _unnamed(rows: Rows) -> list[str]:
 
 
 def _numbered(cells: Sequence[str]) -> FloatArray:
-    """Number the different texts of a trajectory column by first appearance."""
-    numbers: dict[str, float] = {}
-    return np.array([numbers.setdefault(cell.strip(), float(len(numbers) + 1)) for cell in cells], dtype=np.float64)
+    """Number the different texts of a column by first appearance."""
+    numbers = {label: float(number) for number, label in enumerate(_labels(cells), start=1)}
+    return np.array([numbers[cell.strip()] for cell in cells], dtype=np.float64)
+
+
+def _labels(cells: Sequence[str]) -> tuple[str, ...]:
+    """Return the different texts of a column, by first appearance."""
+    return tuple(dict.fromkeys(cell.strip() for cell in cells))

@@ -5,6 +5,7 @@ trajectories.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
 from typing import Final
@@ -82,6 +83,8 @@ def joined(files: Sequence[Columns], time_units: Mapping[str, str]) -> Table:
     first = files[0]
     for other in files[1:]:
         _check_alike(first, other)
+    files, labels = _with_common_labels(files)
+    first = files[0]
     counts = [len(file.lines) for file in files]
     before = [0, *accumulate(counts[:-1])]
     starts = tuple(start + rows for file, rows in zip(files, before, strict=True) for start in file.starts)
@@ -103,7 +106,29 @@ def joined(files: Sequence[Columns], time_units: Mapping[str, str]) -> Table:
         np.concatenate([np.array(file.lines, dtype=np.int64) for file in files]),
         first.skipped,
         "; ".join([_read_as(files), *remarks]),
+        labels,
     )
+
+
+def _with_common_labels(files: Sequence[Columns]) -> tuple[Sequence[Columns], dict[str, tuple[str, ...]]]:
+    """Return files in which the numbers of a column of groups stand for the same texts, and these texts."""
+    named = {name for file in files for name in file.labels}
+    found: dict[str, tuple[str, ...]] = {}
+    for name in sorted(named):
+        missing = next((file.file for file in files if name not in file.labels), None)
+        if missing is not None:
+            raise DataError(f"column '{name}' holds numbers in {missing} and text in another file; write both alike")
+        texts = tuple(dict.fromkeys(label for file in files for label in file.labels[name]))
+        found[name] = texts
+        files = [replace(file, values={**file.values, name: _renumbered(file, name, texts)}) for file in files]
+    return files, found
+
+
+def _renumbered(file: Columns, name: str, texts: Sequence[str]) -> FloatArray:
+    places = np.array([texts.index(label) + 1.0 for label in file.labels[name]])
+    numbers = file.values[name]
+    assert not isinstance(numbers, Instants)
+    return np.asarray(places[numbers.astype(np.int64) - 1], dtype=np.float64)
 
 
 def _joined(

@@ -119,5 +119,5 @@ def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measure
     columns = {name: convert_to_radians(raw[name][rows], angles.get(name)) for name in roles.used}
     is_given = roles.target is not None or roles.derivatives
     trajectories = None if is_given else split_trajectories(table, roles, rows, ranges, raw, columns)
-    groups = () if trajectories is None else name_groups(roles, trajectories.names, raw, first_rows, held_out)
+    groups = () if trajectories is None else name_groups(table, roles, trajectories.names, first_rows, held_out)
     return Measurements(roles, columns, ranges, held_out, trajectories, tuple(warnings), groups)

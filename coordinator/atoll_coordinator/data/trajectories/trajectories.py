@@ -99,15 +99,14 @@ def split_trajectories(
 
 
 def name_groups(
-    roles: Roles, names: Sequence[str], raw: Mapping[str, FloatArray], first_rows: Sequence[int],
-    held_out: Sequence[bool],
-) -> tuple[str, ...]:  # fmt: skip
+    table: Table, roles: Roles, names: Sequence[str], first_rows: Sequence[int], held_out: Sequence[bool]
+) -> tuple[str, ...]:
     """Return the group of each trajectory, nothing where constants are the same for all.
 
     Args:
+        table: what was read.
         roles: with a time.
         names: of the trajectories.
-        raw: columns of the table at all its rows, by name.
         first_rows: of each trajectory, rows of the table.
         held_out: which trajectories are.
 
@@ -119,7 +118,8 @@ def name_groups(
     option = f"--group {roles.group}" if roles.group is not None else "--per-trajectory"
     groups = tuple(names)
     if roles.group is not None:
-        groups = tuple(format_number(float(raw[roles.group][row])) for row in first_rows)
+        values = [float(table.column(roles.group)[row]) for row in first_rows]
+        groups = tuple(table.label(roles.group, value) or format_number(value) for value in values)
     if len(set(groups)) < 2:
         raise DataError(f"{option} needs constants of two groups at least, but there is one only; leave it out")
     searched = {group for group, is_out in zip(groups, held_out, strict=True) if not is_out}

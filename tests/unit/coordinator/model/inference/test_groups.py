@@ -7,7 +7,11 @@ from atoll.config import DataConfig, JobConfig, SpaceConfig
 from atoll.data.table import Table
 from atoll.errors import DataError, UsageError
 from atoll.expression.evaluation import values_of
+from atoll_coordinator.api.tables import table_of
 from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.data.reading.files import read_table
+from atoll_coordinator.data.roles.roles import assign_roles
+from atoll_coordinator.data.trajectories.measurements import take_measurements
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.report.render import render_text
 from atoll_coordinator.model.report.result import Account, VariableOutcome, build_result
@@ -94,3 +98,18 @@ def test_groups_that_are_none_are_refused_in_one_sentence(data, error, words):
     with pytest.raises(error, match=words) as caught:
         prepare(table(), config(**data))
     assert "\n" not in str(caught.value)
+
+
+def test_groups_may_have_names_in_files_and_in_frames(tmp_path):
+    rows = [(name, 0.1 * k, 1.0 + 0.1 * k * rate) for name, rate in (("wild", 1.0), ("mutant", 2.0)) for k in range(20)]
+    for file, part in (("a.csv", rows[:20]), ("b.csv", [*rows[20:], *rows[:20]])):
+        (tmp_path / file).write_text("strain,t,x\n" + "".join(f"{n},{t!r},{x!r}\n" for n, t, x in part))
+    read = read_table([tmp_path / "a.csv", tmp_path / "b.csv"], DataConfig(group="strain"))
+    frame = {"strain": [n for n, *_ in rows], "t": [t for _, t, _ in rows], "x": [x for *_, x in rows]}
+    for table in (read, table_of(frame, DataConfig(group="strain")), Table.from_bytes(read.to_bytes())):
+        assert table.labels == {"strain": ("wild", "mutant")}
+        groups = take_measurements(table, *assign_roles(table, DataConfig(group="strain"))).groups
+        assert groups == ("wild", "mutant", "wild")[: len(groups)]
+    (tmp_path / "c.csv").write_text("strain,t,x\n1,0.0,1.0\n1,0.1,1.1\n")
+    with pytest.raises(DataError, match=r"holds numbers in c\.csv and text"):
+        read_table([tmp_path / "a.csv", tmp_path / "c.csv"], DataConfig(group="strain"))
