@@ -98,7 +98,7 @@ NEAR: Final[Mapping[str, Draw]] = {
 """Initial conditions about the stable nodes and in the range of the limit cycle, where those of `SYSTEMS`, taken from
 published data files, are elsewhere: transients of great size, or one branch of the cycle."""
 
-CHOSEN: Final = "log"
+CHOSEN: Final = "log+ratio+quick-renewal"
 """The reading that preset ``paper`` is (ADR 0042)."""
 
 CLOSE: Final = 0.03

@@ -213,7 +213,7 @@ PAPER = JobConfig(
     evolution=EvolutionConfig(
         constant_fit_steps=0, linear_terms=0, scaled_constants=False, constant_steps="log-uniform", runners_up=0
     ),
-    predictors=PredictorConfig(rows=16),
+    predictors=PredictorConfig(rows=16, renewal=10, agreement="relative"),
     migration=MigrationConfig(joining=None),
     budget=BudgetConfig(max_epochs=5000, stagnation=500),
 )
