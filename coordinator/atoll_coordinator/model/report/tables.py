@@ -82,8 +82,18 @@ def _is_exact(constant: Mapping[str, Any]) -> bool:
 
 
 def _constant_text(constant: Mapping[str, Any]) -> str:
+    return _number_text(constant) + _unit_text(constant)
+
+
+def _unit_text(constant: Mapping[str, Any]) -> str:
     unit = constant.get("unit")
-    return _number_text(constant) + (f" {unit}" if unit not in (None, "1") else "")
+    return f" {unit}" if unit not in (None, "1") else ""
+
+
+def _remark(constant: Mapping[str, Any]) -> str:
+    if constant.get("at_bound"):
+        return "on its bound"
+    return _simple_text(constant) if _is_told(constant) else "not determined by the data"
 
 
 def _number_text(constant: Mapping[str, Any]) -> str:
@@ -107,10 +117,10 @@ def constants_table(constants: Sequence[Mapping[str, Any]]) -> list[str]:
     heads = ("constant", "fitted ± std error", *(("95 % interval",) if has_intervals else ()), "")
     rows = [
         (
-            f"{each['value']:.6g}",
+            f"{each['value']:.6g}{_unit_text(each)}",
             plus_minus(each["value"] if each["fitted"] is None else each["fitted"], each["std_error"] or 0.0),
             *((_interval(each.get("interval")),) if has_intervals else ()),
-            _simple_text(each) if _is_told(each) else "not determined by the data",
+            _remark(each),
         )
         for each in known
     ]

@@ -91,6 +91,7 @@ def test_a_small_pattern_may_stay() -> None:
         ({"held_out_r2": 0.3, "is_cross_validated": True}, "left out one at a time are simulated with R2 0.3 only"),
         ({"constants": (KNOWN[0], replace(KNOWN[1], identifiable=False))}, "1 of 2 constants are not determined"),
         ({"constants": (replace(KNOWN[1], identifiable=False),)}, "Its constant is not determined"),
+        ({"constants": (replace(KNOWN[1], value=0.5, is_at_bound=True),)}, "have the constant 0.5 beyond its bound"),
         ({"residuals": waves(0.1), "noise": 0.0}, "there is no noise, but the simulation misses"),
     ],
 )

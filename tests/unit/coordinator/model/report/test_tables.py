@@ -83,6 +83,15 @@ def test_constants_stand_in_a_line_with_their_errors() -> None:
     assert constants_line(given) == "constants: 3 (2.981 ± 0.018), 2.98 ± 0.25, 2 (2.0 ± 1.5, not determined)"
 
 
+def test_units_and_bounds_stand_beside_constants() -> None:
+    met = constant(0.5, 0.5, None, at_bound=True, interval=[0.48, 0.5])
+    given = [constant(3.0, 2.981, 0.018, unit="1/h"), constant(2.0, 2.0, 0.1, unit="1"), met]
+    line = "constants: 3 (2.981 ± 0.018) 1/h, 2 (2.00 ± 0.10), 0.5 (at its bound, 0.48 to 0.5)"
+    assert constants_line(given) == line
+    assert constants_table(given)[1].split()[:2] == ["3", "1/h"]
+    assert constants_table(given)[3].endswith("on its bound")
+
+
 def test_constants_known_but_for_rounding_need_no_line() -> None:
     assert constants_line([constant(3.0, 3.0, 1e-12), constant(1.0, None, None)]) is None
     assert constants_line([]) is None
