@@ -30,7 +30,7 @@ from atoll_coordinator.cli.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Pools
-from atoll_coordinator.model.report.result import Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from atoll_coordinator.service.background.runner import TaskRunner
 from atoll_coordinator.service.background.tasks import refinement_failed
 from atoll_coordinator.service.jobs.job import Prepared

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from atoll.errors import UsageError
-from atoll_coordinator.model.report.result import versions
+from atoll_coordinator.model.result.result import versions
 
 
 class Record:

@@ -29,7 +29,7 @@ from atoll_coordinator.cli.terminal.output import note
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Pool
-from atoll_coordinator.model.report.result import Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from atoll_coordinator.service.jobs.defaults import resolve
 from benchmarks.harness.command_line import seeds
 from benchmarks.harness.service import searching

@@ -19,7 +19,7 @@ VERSION: Final = "0.1.0"
 PROTOCOL_VERSION: Final = 6
 """Raised whenever a message on the wire changes its shape or meaning."""
 
-ENGINE_REVISION: Final = 4
+ENGINE_REVISION: Final = 5
 """Raised whenever the same seed may give other bits: a change of kernels, of variation or of seeding."""
 
 _API: Final = "atoll_coordinator.api"

@@ -1,7 +1,7 @@
 """The dynamics of a model: pure functions of a vector field and a box of states.
 
-``analysis`` gathers all of it; ``report`` writes it as text and as plain data. ``box`` and ``flow`` are what the rest
-stands on: ``fixed_points``, ``nullclines``, ``limit_cycles``, ``lyapunov``, ``basins``, ``conserved`` quantities, and
-``dynamics``, the model beside the data. Along a number that is ``varied``, ``continuation`` follows fixed points and
-``cycle_continuation`` limit cycles, both by ``path_following``; ``collocation`` is how the latter are solved for.
+``analysis`` gathers all of it; ``rendering`` writes it as text and as plain data. ``box`` and ``flow`` are what the
+rest stands on: ``fixed_points``, ``nullclines``, ``limit_cycles``, ``lyapunov``, ``basins``, ``conserved`` quantities,
+and ``dynamics``, the model beside the data. Along a number that is ``varied``, ``continuation`` follows fixed points
+and ``cycle_continuation`` limit cycles, both by ``path_following``; ``collocation`` is how the latter are solved for.
 """

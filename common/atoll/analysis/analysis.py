@@ -57,13 +57,13 @@ class Analysis:
     cycle_branches: tuple[CycleBranch, ...] = ()
 
     def __str__(self) -> str:
-        from atoll.analysis.report import as_text
+        from atoll.analysis.rendering import as_text
 
         return as_text(self)
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it as plain data, as ``coordinator analyse --json`` prints it."""
-        from atoll.analysis.report import as_data
+        from atoll.analysis.rendering import as_data
 
         return as_data(self)
 

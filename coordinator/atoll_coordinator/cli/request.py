@@ -89,7 +89,7 @@ class Request:
 
     def show(self, result: dict[str, Any]) -> None:
         """Print the equations on stdout, or all of the result as JSON."""
-        from atoll_coordinator.model.report.render import render_text
+        from atoll_coordinator.model.result.render import render_text
 
         say(as_json(result) if self.json else render_text(result))
 

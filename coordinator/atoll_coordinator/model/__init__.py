@@ -1,6 +1,6 @@
 """From what a search hands on to the equations that are shown, and how far they can be trusted.
 
-`pipeline` tells the whole way on one page; it goes down this list from refinement to report:
+`pipeline` tells the whole way on one page; it goes down this list from refinement to result:
 
 - `refinement`: what comes in (`Pool`: the front of a variable) and what goes out (`Refinement`). Pure data
 - `criteria`: the description lengths, side by side
@@ -11,7 +11,7 @@
 - `shooting`: a system of equations fitted to the measured trajectories
 - `selection`: which equations together are the model, and which come next
 - `inference`: errors of constants, simulations, residuals, the verdict
-- `report`: ``result.json``, and its text for people
+- `result`: ``result.json``, and its text for people
 
 Which room may import which is a contract in pyproject.toml.
 """

@@ -44,7 +44,7 @@ def _chosen(model: Model, options: argparse.Namespace) -> Model:
         number: int = options.candidate
         return its[number - 1]
     if options.pick:
-        from atoll_coordinator.model.report.render import parse_picks, pick
+        from atoll_coordinator.model.result.render import parse_picks, pick
 
         kept = {"simulation": model.result.get("simulation")}  # where a simulation begins belongs to the data
         return Model({**pick(model.result, parse_picks(options.pick)), **kept, "covariance": None})

@@ -29,7 +29,7 @@ def result(options: argparse.Namespace) -> int:
 
 
 def _text(found: dict[str, Any], how: str, picks: list[str]) -> str:
-    from atoll_coordinator.model.report.render import parse_picks, pick, render, render_text
+    from atoll_coordinator.model.result.render import parse_picks, pick, render, render_text
 
     chosen = pick(found, parse_picks(picks)) if picks else found
     if how == "json":

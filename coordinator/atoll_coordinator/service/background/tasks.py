@@ -12,7 +12,7 @@ from atoll.wire.codec import dataset_to_bytes
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.refinement import Pools, Refinement
-from atoll_coordinator.model.report.known import known_entries, with_remarks
+from atoll_coordinator.model.result.known import known_entries, with_remarks
 from atoll_coordinator.service.jobs.defaults import resolve, with_units
 from atoll_coordinator.service.jobs.job import Fault, Prepared
 

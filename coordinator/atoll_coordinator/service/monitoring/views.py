@@ -11,9 +11,9 @@ from atoll import VERSION
 from atoll.config import JobConfig
 from atoll.expression.text.infix import to_infix
 from atoll.wire.messages.views import JobCounters, JobState, JobView, VariableView
-from atoll_coordinator.model.report.numbers import finite
-from atoll_coordinator.model.report.result import KNOWN, Account, VariableOutcome, build_result, equation_of
-from atoll_coordinator.model.report.trust import verdict
+from atoll_coordinator.model.result.numbers import finite
+from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result, equation_of
+from atoll_coordinator.model.result.trust import verdict
 from atoll_coordinator.service.jobs import queue
 from atoll_coordinator.service.jobs.job import Job, Prepared
 from atoll_coordinator.service.search.archipelago import Archipelago

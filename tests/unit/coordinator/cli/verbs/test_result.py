@@ -6,7 +6,7 @@ import pytest
 
 from atoll_coordinator.cli.main import main
 from atoll_coordinator.cli.terminal.output import write_result
-from tests.unit.coordinator.model.report.test_known import result
+from tests.unit.coordinator.model.result.test_known import result
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.inference.attractor import look_for_chaos
 from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_coordinator.model.refinement import Chaos
-from atoll_coordinator.model.report.trust import chaos
+from atoll_coordinator.model.result.trust import chaos
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import system_of

@@ -13,8 +13,8 @@ from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.data.roles.roles import assign_roles
 from atoll_coordinator.data.trajectories.measurements import take_measurements
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.report.render import render_text
-from atoll_coordinator.model.report.result import Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.render import render_text
+from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from atoll_coordinator.model.selection import joint_search
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import pools

@@ -11,7 +11,7 @@ from atoll.errors import DataError, UsageError
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.refinement import Refined
-from atoll_coordinator.model.report.trust import verdict
+from atoll_coordinator.model.result.trust import verdict
 from atoll_coordinator.model.structure.units import equation_units
 from atoll_coordinator.service.jobs.defaults import with_units
 from tests.unit.coordinator.data.tables import oscillator, table_of

@@ -8,8 +8,8 @@ import pytest
 from atoll.config import DataConfig, JobConfig
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.model.report import source
-from atoll_coordinator.model.report.source import data, settings, system
+from atoll_coordinator.model.result import source
+from atoll_coordinator.model.result.source import data, settings, system
 
 CONFIG = JobConfig(seed=3, data=DataConfig(target="y"))
 

@@ -15,7 +15,7 @@ from atoll.expression.writing.layout import written
 from atoll.expression.writing.opened import inner_numbers, shape_of, terms_of
 from atoll.expression.writing.sums import ONE, Monomial, UndefinedError
 from atoll_coordinator.model.refinement import Refined
-from atoll_coordinator.model.report.numbers import finite
+from atoll_coordinator.model.result.numbers import finite
 from atoll_coordinator.settings import SETTINGS
 
 _SAME_NUMBER: Final = 1e-9

@@ -10,7 +10,7 @@ import numpy as np
 from atoll.config import JobConfig
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.recording import Preparation, Recording, Source, Trajectory
-from atoll_coordinator.model.report.numbers import curve, thinned
+from atoll_coordinator.model.result.numbers import curve, thinned
 
 MOST_ROWS: Final = 2_000
 """Rows listed, all trajectories together; of more, rows spread evenly."""

@@ -5,8 +5,8 @@ from typing import Any, Final
 
 from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.model.refinement import Ensemble, ProcessFindings, StationaryDensity
-from atoll_coordinator.model.report.numbers import curve, finite, thinned
-from atoll_coordinator.model.report.tables import percent, plus_minus
+from atoll_coordinator.model.result.numbers import curve, finite, thinned
+from atoll_coordinator.model.result.tables import percent, plus_minus
 
 MOST_POINTS: Final = 101
 """Times at which an ensemble is reported."""

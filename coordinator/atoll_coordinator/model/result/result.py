@@ -27,14 +27,14 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import select_member
 from atoll_coordinator.model.refinement import Constant, Origin, Refined, Refinement, SimpleNumber
 from atoll_coordinator.model.regression.errors import errors_on
-from atoll_coordinator.model.report.diagnostics import noise, smoothing
-from atoll_coordinator.model.report.digest import result_digest
-from atoll_coordinator.model.report.numbers import curve, finite, thinned
-from atoll_coordinator.model.report.process import process
-from atoll_coordinator.model.report.regression import regression
-from atoll_coordinator.model.report.shared_terms import shared_terms
-from atoll_coordinator.model.report.source import data, settings, system
-from atoll_coordinator.model.report.trust import (
+from atoll_coordinator.model.result.diagnostics import noise, smoothing
+from atoll_coordinator.model.result.digest import result_digest
+from atoll_coordinator.model.result.numbers import curve, finite, thinned
+from atoll_coordinator.model.result.process import process
+from atoll_coordinator.model.result.regression import regression
+from atoll_coordinator.model.result.shared_terms import shared_terms
+from atoll_coordinator.model.result.source import data, settings, system
+from atoll_coordinator.model.result.trust import (
     candidates,
     chaos,
     correlations,

@@ -13,7 +13,7 @@ from atoll.search.pareto import FrontEntry
 
 
 class Found(Protocol):
-    """What one variable's search found; `atoll_coordinator.model.report.result.VariableOutcome` is one."""
+    """What one variable's search found; `atoll_coordinator.model.result.result.VariableOutcome` is one."""
 
     @property
     def variable(self) -> str:

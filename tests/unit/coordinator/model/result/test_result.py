@@ -24,9 +24,9 @@ from atoll_coordinator.model.refinement import (
     Simulated,
     Simulation,
 )
-from atoll_coordinator.model.report.digest import result_digest
-from atoll_coordinator.model.report.render import parse_picks, pick, render, render_text
-from atoll_coordinator.model.report.result import KNOWN, Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.digest import result_digest
+from atoll_coordinator.model.result.render import parse_picks, pick, render, render_text
+from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result
 
 NAMES = ("x", "S", "v")
 SYMBOLS = {"x": "x", "S": "S", "v [m/s]": "v"}
@@ -332,7 +332,7 @@ def test_an_unknown_format_is_refused():
 
 
 def test_what_is_no_model_is_not_said_to_have_converged():
-    from atoll_coordinator.model.report.render import _standing
+    from atoll_coordinator.model.result.render import _standing
 
     equation = {"why": "target", "converged": True, "verdict": "no model", "normalized_error": 0.1}
     equation |= {"complexity": 3, "epoch": 2}

@@ -26,7 +26,7 @@ from atoll_coordinator.model.refinement import (
     Simulated,
     Simulation,
 )
-from atoll_coordinator.model.report.numbers import curve, finite, thinned
+from atoll_coordinator.model.result.numbers import curve, finite, thinned
 
 MOST_POINTS: Final = 200
 """Points of one simulated trajectory in a result; a longer one is thinned evenly."""

@@ -8,7 +8,7 @@ from typing import Any, Final
 from atoll.expression.evaluation import values_of
 from atoll.expression.program import Program
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.report.numbers import curve, thinned
+from atoll_coordinator.model.result.numbers import curve, thinned
 
 MOST_ROWS: Final = 1_000
 """Rows that are listed; of more, rows spread evenly."""

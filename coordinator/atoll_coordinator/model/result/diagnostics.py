@@ -10,7 +10,7 @@ from typing import Any, Final
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.recording import ExcludedRow, Quantisation, Recording, Smoothing
 from atoll_coordinator.model.refinement import StateErrors
-from atoll_coordinator.model.report.numbers import curve, finite, thinned
+from atoll_coordinator.model.result.numbers import curve, finite, thinned
 
 MOST_ROWS: Final = 2_000
 """Rows listed of each state, all trajectories together; of more, rows spread evenly."""

@@ -11,8 +11,8 @@ from atoll.errors import UsageError
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.model.export.text import as_csv, as_latex, as_sympy
-from atoll_coordinator.model.report import tables
-from atoll_coordinator.model.report.process import process_lines
+from atoll_coordinator.model.result import tables
+from atoll_coordinator.model.result.process import process_lines
 
 FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
 DIGITS: Final = 6

@@ -4,7 +4,7 @@ import pytest
 
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.model.refinement import Constant, Refined
-from atoll_coordinator.model.report.shared_terms import shared_terms
+from atoll_coordinator.model.result.shared_terms import shared_terms
 
 NAMES = ("x", "y", "z")
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from atoll_coordinator.model.report.tables import (
+from atoll_coordinator.model.result.tables import (
     MOST_LINES,
     columns,
     constants_line,

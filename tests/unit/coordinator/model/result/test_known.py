@@ -9,10 +9,10 @@ from atoll.config import EvolutionConfig, JobConfig, PriorConfig
 from atoll.data.dataset import Dataset, Target
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.report.digest import result_digest
-from atoll_coordinator.model.report.known import known_entries, with_remarks
-from atoll_coordinator.model.report.render import render_text
-from atoll_coordinator.model.report.result import KNOWN, Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.digest import result_digest
+from atoll_coordinator.model.result.known import known_entries, with_remarks
+from atoll_coordinator.model.result.render import render_text
+from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result
 
 X = np.linspace(-2.0, 2.0, 50)
 DATASET = Dataset(

@@ -8,8 +8,8 @@ import pytest
 
 from atoll_coordinator.data.recording import ExcludedRow, Recording, Smoothing, Trajectory
 from atoll_coordinator.model.refinement import StateErrors
-from atoll_coordinator.model.report.diagnostics import MOST_EXCLUDED, MOST_ROWS, noise, smoothing
-from atoll_coordinator.model.report.tables import noise_lines
+from atoll_coordinator.model.result.diagnostics import MOST_EXCLUDED, MOST_ROWS, noise, smoothing
+from atoll_coordinator.model.result.tables import noise_lines
 
 
 def trajectory(rows: int, name: str = "1", held_out: bool = False) -> Trajectory:
