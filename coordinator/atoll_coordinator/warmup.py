@@ -7,7 +7,7 @@ from atoll_coordinator.data.differentiation.warmup import warm_up as warm_up_dat
 from atoll_coordinator.model.shooting.warmup import warm_up as warm_up_trajectories
 from atoll_coordinator.model.sparse.warmup import warm_up as warm_up_sparse
 
-KERNELS: Final = 17
+KERNELS: Final = 19
 """How many kernels are compiled apart."""
 
 
