@@ -6,14 +6,20 @@ same paths are then treated as well.
 
 import argparse
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from atoll_coordinator.model.report.result import Account, VariableOutcome, build_result
 
 from atoll.config import DataConfig, JobConfig
+from atoll.data.dataset import FloatArray
 from atoll_coordinator.cli.terminal.output import note, say, table
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.pipeline import refine_all
 from benchmarks.harness.command_line import plain_errors, seeds
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches, searching
@@ -31,13 +37,21 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--seeds", type=seeds, default=seeds("1000-1009"), help="such as 0-4 (1000-1009)")
     parser.add_argument("--processes", nargs="*", choices=[*PROCESSES], default=[*PROCESSES], metavar="NAME")
     parser.add_argument("--workers", type=int, default=2, help="worker processes (%(default)s); 0: peers alone")
+    parser.add_argument(
+        "--without-search", action="store_true", help="candidates of regression alone, in this process; no workers"
+    )
     parser.add_argument("--peer", metavar="PYTHON", help="interpreter with kramersmoyal")
     parser.add_argument("--out", type=Path, help="file for all figures as JSON")
     options = parser.parse_args(arguments)
     record = Record("stochastic", arguments, options.out)
     judged: list[Judged] = []
     estimates: list[Estimate] = []
-    if options.workers:
+    if options.without_search:
+        for seed in options.seeds:
+            for case in options.processes:
+                judged += _chosen(case, seed)
+                record.write(judged=[asdict(each) for each in judged])
+    elif options.workers:
         with searching(options.workers) as searches:
             for seed in options.seeds:
                 for case in options.processes:
@@ -57,11 +71,33 @@ def _searched(searches: Searches, case: str, seed: int) -> list[Judged]:
     """Return what a search makes of the paths of one seed, and say it."""
     process = PROCESSES[case]
     paths = simulate(process, seed)
-    config = JobConfig(seed=seed, data=DataConfig(stochastic=True))
-    result = searches.solve(f"{case} {seed}", table_of(process, paths), config)
-    found = judge(case, process, seed, np.concatenate(paths, axis=1), result["equations"])
+    result = searches.solve(f"{case} {seed}", table_of(process, paths), _config(seed))
+    return _said(case, seed, paths, result["equations"], result["seconds"])
+
+
+def _chosen(case: str, seed: int) -> list[Judged]:
+    """Return what the choice of equations makes of the paths of one seed without programs of a search, and say it."""
+    process, began = PROCESSES[case], time.process_time()
+    paths, config = simulate(process, seed), _config(seed)
+    preparation = prepare(table_of(process, paths), config)
+    refinement = refine_all(preparation, config, {})
+    outcomes = [VariableOutcome(name, (), 0, refined=refinement.equations.get(name))
+                for name in preparation.dataset.variables]  # fmt: skip
+    account = Account("done", 0.0, 0.0)
+    result = build_result(f"{case} {seed}", config, preparation, outcomes, account, refinement)
+    return _said(case, seed, paths, result["equations"], time.process_time() - began)
+
+
+def _config(seed: int) -> JobConfig:
+    return JobConfig(seed=seed, data=DataConfig(stochastic=True))
+
+
+def _said(
+    case: str, seed: int, paths: Sequence[FloatArray], equations: Sequence[Mapping[str, Any]], seconds: float
+) -> list[Judged]:
+    found = judge(case, PROCESSES[case], seed, np.concatenate(paths, axis=1), equations)
     right = sum(each.is_right for each in found)
-    note(f"{case} seed {seed}: {right} of {len(found)} right in {result['seconds']:.1f} s")
+    note(f"{case} seed {seed}: {right} of {len(found)} right in {seconds:.1f} s")
     for each in found:
         if not each.is_right:
             note(f"  {each.equation} = {each.found} ({each.verdict})")

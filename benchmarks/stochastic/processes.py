@@ -83,10 +83,10 @@ PROCESSES: Final = {
 }
 
 
-def simulate(process: Process, seed: int) -> list[FloatArray]:
-    """Return the paths (S, R) of one seed, as they are measured: 10,000 steps in all."""
+def simulate(process: Process, seed: int, steps: int = STEPS) -> list[FloatArray]:
+    """Return the paths (S, R) of one seed, as they are measured: so many steps in all."""
     random = np.random.default_rng(seed)
-    count = STEPS // process.paths
+    count = steps // process.paths
     settling = SETTLING if process.settles else 0
     paths = [_path(process, settling + count + 1, random)[:, settling:] for _ in range(process.paths)]
     return [path + process.noise * random.standard_normal(path.shape) for path in paths]

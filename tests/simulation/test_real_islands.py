@@ -1,12 +1,14 @@
 """The same stories with the real islands: fewer, for they take longer."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
-from atoll.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
+from atoll.config import BudgetConfig, DataConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll.data.dataset import Dataset, Target
+from atoll_coordinator.data.prepare import prepare as prepare_table
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Refinement
 from atoll_island_worker.compute.engine import Engine
@@ -15,6 +17,7 @@ from atoll_island_worker.session.tasks import ShareKey, Task
 from tests.simulation.bus.faults import Plan
 from tests.simulation.harness.simulated_cluster import World, comparable
 from tests.simulation.harness.stub_islands import StubCompute
+from tests.unit.coordinator.data.tables import table_of
 
 CONFIG = JobConfig(
     seed=5,
@@ -32,6 +35,23 @@ def prepare(table: bytes, config: JobConfig) -> Preparation:
     values = {"x": x * (3.0 - x - 2.0 * y), "y": np.sqrt(x * y + 1.0) / (x + y)}
     targets = tuple(Target(name, f"d{name}/dt", values[name], 0.0, float(values[name].std())) for name in names)
     return Preparation(Dataset(names, np.stack([x, y]), targets, {name: name for name in names}))
+
+
+def prepare_process(table: bytes, config: JobConfig) -> Preparation:
+    """Return the equations of a process of three states, one without noise of its own, uneven steps, two paths."""
+    random, paths, times = np.random.default_rng(4), [], []
+    for begin in (1.0, -1.0):
+        steps = random.uniform(0.05, 0.15, 300)
+        states = [np.array([begin, 0.0, 1.0])]
+        for step, normal in zip(steps.tolist(), random.standard_normal((300, 2)), strict=True):
+            x, v, z = states[-1]
+            noise = 0.5 * np.sqrt(step) * normal
+            states.append(np.array([x + step * v, v - step * (x + 0.5 * v) + noise[0], z - step * (z - x) + noise[1]]))
+        paths.append(np.array(states).T)
+        times.append(np.concatenate([[0.0], np.cumsum(steps)]))
+    x, v, z = np.concatenate(paths, axis=1)
+    columns = {"t": np.concatenate(times), "x": x, "v": v, "z": z}
+    return prepare_table(table_of(columns, starts=(0, 301)), JobConfig(data=DataConfig(stochastic=True)))
 
 
 def unrefined(*_: object) -> Refinement:
@@ -62,11 +82,18 @@ class RealCompute(StubCompute):
         return self.engine.begin(task)
 
 
-def answer(workers: int, seed: int, plan: Plan | None = None, crash_at_s: float | None = None) -> str:
-    world = World(workers=workers, seed=seed, plan=plan, compute=RealCompute, prepare=prepare, refiner=unrefined)
+def answer(
+    workers: int,
+    seed: int,
+    plan: Plan | None = None,
+    crash_at_s: float | None = None,
+    prepared: Callable[[bytes, JobConfig], Preparation] = prepare,
+    config: JobConfig = CONFIG,
+) -> str:
+    world = World(workers=workers, seed=seed, plan=plan, compute=RealCompute, prepare=prepared, refiner=unrefined)
     if crash_at_s is not None:
         world.at(crash_at_s, lambda: world.crash("w1"))
-    result = comparable(world.run(CONFIG))
+    result = comparable(world.run(config))
     assert not world.service.rejects.counts
     return result
 
@@ -96,3 +123,10 @@ def test_real_islands_give_the_same_answer_whatever_happens() -> None:
     assert answer(workers=3, seed=1) == calm
     assert answer(workers=4, seed=2, plan=Plan(drop=0.05, duplicate=0.2, late=0.1)) == calm
     assert answer(workers=3, seed=3, crash_at_s=0.65) == calm
+
+
+def test_a_stochastic_process_of_three_states_has_one_answer_on_any_number_of_workers() -> None:
+    short = CONFIG.model_copy(update={"budget": BudgetConfig(max_epochs=1, target_error=1e-12)})
+    calm = answer(workers=1, seed=0, prepared=prepare_process, config=short)
+    assert "[v]" in calm
+    assert answer(workers=3, seed=1, prepared=prepare_process, config=short) == calm
