@@ -129,7 +129,7 @@ class _Parser:
             kind, value = self._next()
             if kind == "sign" and value in "*·⋅×.":
                 self._place, side = self._place + 1, 1
-            elif kind == "sign" and value == "/":
+            elif kind == "sign" and value == "/" and side > 0:
                 self._place, side = self._place + 1, -1
             else:
                 found, side = found.times(self._factor(), side), 1

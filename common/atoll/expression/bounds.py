@@ -68,6 +68,8 @@ def parse_bound(text: str, names: Sequence[str]) -> Bound:
     signs = _COMPARISON.findall(text)
     if len(signs) not in (1, 2) or not all(parts) or len({sign[0] for sign in signs}) != 1:
         raise UsageError(f"the bound {text!r} is not understood; write it as {EXAMPLES}")
+    if "nan" in parts:
+        _number("nan", text)
     if signs[0][0] == ">":
         parts.reverse()
     if len(parts) == 3:

@@ -27,7 +27,8 @@ def choice(its: Findings) -> list[Element]:
     if fronts:
         text = paragraph(
             "The best expression of each complexity that the search found, by its error over the target's deviation. A "
-            "ring marks the one that the equation is made of; the line is how uncertain the target itself is."
+            "ring marks the one that the equation is made of, if it comes from the front; the line is how uncertain "
+            "the target itself is."
         )
         sections.append(section("front", "Accuracy and complexity", text, element("div", *fronts, class_="pictures")))
     return sections

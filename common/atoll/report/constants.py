@@ -73,7 +73,7 @@ def _rows(equation: Mapping[str, Any]) -> list[list[str | Element]]:
             number(its["std_error"], 2),
             _interval(its),
             _simple(its.get("simple")),
-            "yes" if its["identifiable"] else "not by these data",
+            "" if its["std_error"] is None else "yes" if its["identifiable"] else "not by these data",
         ]
         for name, its in listed
     ]

@@ -9,7 +9,7 @@ from atoll.report.markup import Element, element, facts, number, paragraph, pars
 
 MEANINGS: Final = {
     "exact": "the data single this equation out, to all of their digits",
-    "good": "simulations by this equation can be relied on within what was measured",
+    "good": "what this equation foretells can be relied on within what was measured",
     "doubtful": "another equation may be the right one; the reason says why",
     "no model": "nothing was found that describes the data",
 }
@@ -51,7 +51,7 @@ def _facts(its: Findings) -> list[tuple[str, str]]:
         said.append(("Time", its.labelled(system["time"])))
     if system.get("ranges"):
         ranges = (f"{name} {number(low)} to {number(high)}" for name, (low, high) in system["ranges"].items())
-        said.append(("Measured range", ", ".join(ranges)))
+        said.append(("Range searched", ", ".join(ranges)))
     said += _simulation(its)
     if found.get("state") not in (None, "done"):
         said.append(("Job", f"{found['state']}: {found.get('reason') or 'ended early'}"))

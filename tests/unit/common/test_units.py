@@ -27,7 +27,7 @@ def test_a_unit_is_a_product_of_powers(text, written):
     assert str(parse_unit(text)) == written
 
 
-@pytest.mark.parametrize("text", ["m/", "m+", "(m", "3.7 m", "^2", "/", "m^^2", "m)", "m^x", "11 m"])
+@pytest.mark.parametrize("text", ["m/", "m+", "(m", "3.7 m", "^2", "/", "m^^2", "m)", "m^x", "11 m", "m//s"])
 def test_what_is_no_unit_is_one_sentence(text):
     with pytest.raises(UsageError, match="is no unit; write a product of powers") as caught:
         parse_unit(text)

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 _HTML_ENTITY: Final = re.compile(r"&(?!lt;|gt;|amp;|quot;|apos;|#)\w+;")
 """An entity that XML does not have, such as the invisible times."""
 
+_LATEX_ESCAPES: Final = {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}"} | {
+    letter: f"\\{letter}" for letter in "{}$%#&_"
+}
+
 
 def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
     """Return `program` as a sympy expression over ``Symbol(name)`` for each of `names`; constants keep every bit.
@@ -66,12 +70,19 @@ def _plain_numbers(expression: "sympy.Expr") -> "sympy.Expr":
 
 def left_side_to_latex(lhs: str) -> str:
     """Return ``dx/dt`` and ``d2x/dt2`` as fractions, any other left-hand side as a name."""
-    import sympy
-
     order, *names = _derivative(lhs)
-    above, below = (str(sympy.latex(sympy.Symbol(name))) if name else "" for name in names)
+    above, below = map(_latex_name, names)
     power = "^{2}" if order == 2 else ""
     return rf"\frac{{d{power} {above}}}{{d {below}{power}}}" if order else above
+
+
+def _latex_name(name: str) -> str:
+    """Return a name as mathematics; one that is no identifier as text, with what LaTeX would understand escaped."""
+    import sympy
+
+    if re.fullmatch(r"\w*", name):
+        return str(sympy.latex(sympy.Symbol(name))) if name else ""
+    return rf"\text{{{''.join(_LATEX_ESCAPES.get(letter, letter) for letter in name)}}}"
 
 
 def left_side_to_mathml(lhs: str) -> str:

@@ -5,7 +5,8 @@ The job is one of a coordinator, or a saved ``result.json``.
 
 import argparse
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
 from atoll.errors import UsageError
 from atoll.model.saved import read_result
@@ -14,13 +15,16 @@ from atoll_coordinator.cli.request import CONNECT_LIMIT_S, address_of
 from atoll_coordinator.cli.terminal.output import as_json, say
 from atoll_coordinator.client import connected
 
+RESULT: Final = "result.json"
+
 
 def result(options: argparse.Namespace) -> int:
     """Print the result of ``options.job``, an id or the path of a saved result."""
     if options.json and options.format not in (None, "json"):
         raise UsageError(f"--json and --format {options.format} contradict each other; give one of them")
-    if options.job.endswith(".json"):
-        found = read_result(options.job)
+    path = Path(options.job)
+    if path.suffix == ".json" or (path / RESULT).is_file():
+        found = read_result(path / RESULT if path.is_dir() else path)
     else:
         with connected(address_of(options), CONNECT_LIMIT_S) as client:
             found = client.result(client.resolve(options.job))

@@ -80,7 +80,9 @@ def take_units(rows: Rows) -> Rows:
     """Return `rows` without a first row that holds units in place of numbers; these become the units."""
     if len(rows.lines) < 2 or not is_units_row([column[0] for column in rows.columns], rows.headers):
         return rows
-    if not any(plain_unit(column[0]) and is_numeral(column[1]) for column in rows.columns):
+    if not any(plain_unit(column[0]) for column in rows.columns):
+        return rows
+    if not any(is_numeral(column[1]) for column in rows.columns):
         return rows
     place = f"line {rows.lines[0]}" if rows.lines[0] else "the first row"
     return replace(

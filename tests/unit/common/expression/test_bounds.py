@@ -50,6 +50,7 @@ def test_a_variable_called_c_is_a_term():
         ("c = 3", "not understood"),
         ("0 < c > 1", "not understood"),
         ("a < c < b", "number is expected"),
+        ("c > nan", "'nan' where a number is expected"),
         ("3 < c < 1", "leaves no number"),
         ("1 < |c| < 2", "gap around zero"),
         ("x + y < 0", "no single term"),

@@ -12,6 +12,7 @@ from atoll.report.choice import choice
 from atoll.report.constants import constants
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, to_text
+from atoll.report.origin import origin
 from atoll.report.page import as_html
 from tests.unit.common.report.results import dynamics, process, regression
 
@@ -87,6 +88,18 @@ def test_names_from_data_are_text_wherever_they_stand() -> None:
     page = Reader(as_html(found))
     assert "img" not in page.tags
     assert f"Equations of {hostile}" in page.texts
+
+
+def test_what_repeats_a_run_is_not_the_clock() -> None:
+    found = dynamics()
+    assert any(
+        "same digest on any number" in text and "clock" not in text
+        for text in read([origin(Findings(found, None))]).texts
+    )
+    found["equations"][0] |= {"why": "max-time", "epoch": 12}
+    assert any(
+        "--max-epochs x=12 in the place of --max-time" in text for text in read([origin(Findings(found, None))]).texts
+    )
 
 
 def test_an_equation_that_was_not_found_leaves_the_rest_of_the_page() -> None:

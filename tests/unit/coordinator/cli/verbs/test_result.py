@@ -26,7 +26,10 @@ def path(tmp_path: Path) -> str:
 )
 def test_a_saved_result_is_printed_in_every_form(path: str, capsys: pytest.CaptureFixture[str], how: str, said: str):
     assert main(["result", path, "--format", how]) == 0
-    assert said in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert said in printed
+    assert main(["result", str(Path(path).parent), "--format", how]) == 0
+    assert capsys.readouterr().out == printed
 
 
 def test_members_of_its_fronts_can_be_picked(path: str, capsys: pytest.CaptureFixture[str]) -> None:

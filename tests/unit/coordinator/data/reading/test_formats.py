@@ -238,3 +238,11 @@ def test_files_that_are_read_differently_are_told_apart(tmp_path: Path) -> None:
     table = read_table([tmp_path / "a.csv", tmp_path / "b.txt"], DataConfig())
     assert table.columns.tolist() == [[0.0, 1.0], [1.0, 2.0]]
     assert table.read_as == "a.csv: text with commas; b.txt: text with spaces, header in a comment"
+
+
+def test_a_row_of_units_below_a_header_of_dates(tmp_path: Path) -> None:
+    rows = "".join(f"2021-03-0{day};{day}.5;{2 * day}.25\n" for day in range(1, 6))
+    (tmp_path / "a.csv").write_text(f"time;S;I\nd;-;mg/L\n{rows}", "utf-8")
+    found = read_table([tmp_path / "a.csv"], DataConfig())
+    assert found.column("S").tolist() == [1.5, 2.5, 3.5, 4.5, 5.5]
+    assert found.units[found.names.index("I")] == "mg/L"
