@@ -9,7 +9,7 @@ from atoll.data.dataset import FloatArray
 from atoll.errors import UsageError
 from atoll.model.model import Model
 from atoll_coordinator.cli.exit_codes import DONE
-from atoll_coordinator.cli.terminal.output import say
+from atoll_coordinator.cli.terminal.output import note, say
 from atoll_coordinator.cli.verbs.analyse import assignments
 from atoll_coordinator.cli.verbs.simulate import Given, finite_number, load, times_of, write
 
@@ -25,12 +25,26 @@ def export(options: argparse.Namespace) -> int:
     if options.data is not None:
         raise UsageError("--data belongs to --format petab, which holds measurements; leave it out")
     has_start = format_of(options.format).of_content is not None
-    text = model.export(options.format, **(_beginning(model, options) if has_start else {}))
+    beginning = _beginning(model, options) if has_start else {}
+    text = model.export(options.format, **beginning)
     if options.output is None:
         say(text.removesuffix("\n"))
     else:
         write(Path(options.output), text)
+    if has_start and not model.is_regression:
+        _say_what_is_held(model, beginning["u"])
     return DONE
+
+
+def _say_what_is_held(model: Model, given: Mapping[str, Any]) -> None:
+    """Say on stderr which inputs are held at 0 since nothing is given of them."""
+    columns = {symbol: column for column, symbol in model.result["symbols"].items()}
+    held = [
+        columns[name] for name in model.inputs if not {name, columns[name]} & set(given) and columns[name] != model.time
+    ]
+    if held:
+        names = ", ".join(held)
+        note(f"coordinator: inputs held at 0, since nothing is given of them: {names}; give --hold or --initial FILE")
 
 
 def _chosen(model: Model, options: argparse.Namespace) -> Model:

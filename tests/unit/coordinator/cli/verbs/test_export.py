@@ -35,6 +35,13 @@ def test_a_file_gives_initial_state_times_and_inputs(saved: Path, capsys: pytest
     assert names["simulate"]().tolist() == [[3.0], [3.0], [3.0]]
 
 
+def test_an_input_of_which_nothing_is_given_is_said_to_be_held(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", str(saved), "--format", "python"]) == 0
+    assert "held at 0, since nothing is given of them: u;" in capsys.readouterr().err
+    assert main(["export", str(saved), "--format", "python", "--hold", "u=0"]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_an_input_is_held(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ("--format", "xppaut", "--hold", "u=1.5", "--initial", "x=4", "--until", "6", "--step", "2")
     text = exported(capsys, str(saved / "result.json"), *words)
