@@ -20,7 +20,7 @@ from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.model.arguments import by_name, interval, number, numbers, shown
 from atoll.model.export.methods import Exports
-from atoll.model.parameters import LEVEL, JointErrors, Parameter, of_group, parameters_of
+from atoll.model.parameters import LEVEL, JointErrors, Parameter, differing_groups, of_group, parameters_of
 from atoll.model.saved import check_result, read_result, write_text
 from atoll.model.simulation import Inputs, Simulation, interpolated, simulate, together
 from atoll.model.vector_field import VectorField
@@ -251,14 +251,15 @@ class Model(Exports):
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """The groups of trajectories that may differ in constants; none where there is one set of them."""
-        return tuple(each["group"] for each in self._result.get("groups") or ())
+        """The groups of trajectories that differ in constants; none where there is one set of them."""
+        return differing_groups(self._result)
 
     def of_group(self, group: object) -> "Model":
         """Return the model with the constants of one of the `groups`; raises UsageError for another one."""
         name = str(group)
         if name not in self.groups:
-            there = f"the groups are {', '.join(self.groups)}" if self.groups else "the model has no groups"
+            one = "the model has no groups, but one set of constants for all trajectories"
+            there = f"the groups are {', '.join(self.groups)}" if self.groups else one
             raise UsageError(f"there is no group {name!r}; {there}")
         its = next(each for each in self._result["groups"] if each["group"] == name)
         return Model(of_group(self._result, its))
@@ -279,17 +280,20 @@ class Model(Exports):
             "implied": [],
             "candidates": [],
             "prediction": None,
+            "bounds": [],
+            "units": None,
         }
         unknown |= {"verdict": None, "reason": None}
         taken = {name: other[name] for name in ("expression", "complexity", "origin", "nats")}
         equations = [
-            {**each, **unknown, **taken} if index == place else each
+            {**each, **(unknown | taken if index == place else {}), "groups": []}
             for index, each in enumerate(self._result["equations"])
         ]
         return {
             **self._result,
             "equations": equations,
             "covariance": None,
+            "groups": [],
             "correlations": [],
             "shared_terms": [],
             "chaos": None,

@@ -95,15 +95,30 @@ def _read(equation: Mapping[str, Any], names: Sequence[str]) -> list[tuple[float
     return found
 
 
+def differing_groups(result: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the groups of trajectories of a result; none where no constant differs between them."""
+    if not any(_differs(equation) for equation in result["equations"]):
+        return ()
+    return tuple(str(each["group"]) for each in result.get("groups") or ())
+
+
+def _differs(equation: Mapping[str, Any]) -> bool:
+    """Tell whether an equation has a constant that is not the same in all groups."""
+    known = equation["constants"]
+    if known and all(each.get("shared") for each in known):
+        return False  # the mean of equal numbers may have another last bit
+    return any(each["expression"] != equation["expression"] for each in equation.get("groups") or ())
+
+
 def of_group(result: Mapping[str, Any], group: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a result with the constants and the trajectories of one `group` of its groups alone."""
+    """Return a result with the constants and the trajectories of one `group` of its groups alone, named as `group`."""
     name = group["group"]
     equations = []
     for equation in result["equations"]:
         its: Mapping[str, Any] = next((each for each in equation.get("groups") or () if each["group"] == name), {})
         taken = {key: its[key] for key in ("expression", "program", "constants") if key in its}
         equations.append({**equation, **taken, "groups": []})
-    made = {**result, "equations": equations, "covariance": group.get("covariance"), "groups": []}
+    made = {**result, "equations": equations, "covariance": group.get("covariance"), "groups": [], "group": name}
     for part in ("simulation", "data"):
         whole = result.get(part)
         if whole and whole.get("trajectories"):

@@ -1,7 +1,7 @@
 """The trajectories that a model was fitted to, laid out for fits again: those of a result, or of data files."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -10,7 +10,9 @@ from atoll.config import JobConfig
 from atoll.data.dataset import FloatArray
 from atoll.data.table import Table
 from atoll.errors import UsageError
+from atoll.model.parameters import differing_groups
 from atoll_coordinator.data.recording import Recording, Smoothing, Trajectory
+from atoll_coordinator.data.trajectories.trajectories import format_number
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.settings import SETTINGS
 
@@ -73,7 +75,7 @@ def measured_of(found: Mapping[str, Any], table: Table | None = None) -> Measure
         recording = _prepared(found, table)
         rows = sum(len(each.times) for each in recording.trajectories if not each.held_out)
         source = "the data that were given"
-    if found.get("groups") and (table is None or len({each.group for each in recording.trajectories}) > 1):
+    if differing_groups(found) and (table is None or len({each.group for each in recording.trajectories}) > 1):
         raise UsageError(
             "constants of the model differ between groups of trajectories, which cannot be fitted again together; "
             "give the data of one group with --data, or as data=…"
@@ -198,10 +200,53 @@ def config_of(found: Mapping[str, Any]) -> JobConfig:
 
 
 def _prepared(found: Mapping[str, Any], table: Table) -> Recording:
-    """Return the recording of another table, read and smoothed as the job did."""
+    """Return the recording of another table, read and smoothed as the job did; of one group where the result is."""
     from atoll_coordinator.data.prepare import prepare
 
-    recording = prepare(table, config_of(found)).recording
+    config, group = config_of(found), found.get("group")
+    column = config.data.group
+    if group is not None:
+        table = table if column is None else _rows_of_group(table, column, str(group), config.data.trajectory)
+        its = config.data.model_copy(update={"group": None, "per_trajectory": False})
+        config = config.model_copy(update={"data": its})
+    recording = prepare(table, config).recording
     if recording is None or set(recording.states) != set(found["system"]["states"]):
         raise UsageError(f"the data do not have the states {', '.join(found['system']['states'])} measured in time")
-    return recording
+    return recording if group is None or column is not None else _trajectory_of_group(recording, str(group))
+
+
+def _rows_of_group(table: Table, column: str, group: str, trajectory: str | None) -> Table:
+    """Return the rows of one group, without the `column` of groups unless it tells trajectories apart as well."""
+    if column not in table.names:
+        raise UsageError(f"the data have no column {column!r}, which says what is of group {group!r}; add it")
+    values = table.column(column)
+    names = {value: table.label(column, value) or format_number(value) for value in dict.fromkeys(values.tolist())}
+    rows = np.flatnonzero([names[value] == group for value in values.tolist()])
+    if not len(rows):
+        raise _lacking(group, list(names.values()))
+    begins = np.diff(rows, prepend=-2) > 1
+    begins |= np.isin(rows, table.starts)
+    kept = [place for place, name in enumerate(table.names) if name != column or name == trajectory]
+    return replace(
+        table,
+        names=tuple(table.names[place] for place in kept),
+        units=tuple(table.units[place] for place in kept),
+        columns=np.ascontiguousarray(table.columns[kept][:, rows]),
+        starts=tuple(np.flatnonzero(begins).tolist()),
+        file_of_row=table.file_of_row[rows],
+        line_of_row=table.line_of_row[rows],
+    )
+
+
+def _trajectory_of_group(recording: Recording, group: str) -> Recording:
+    """Return the trajectory that is the group; a single one is taken for it."""
+    names = [each.name for each in recording.trajectories]
+    if len(names) == 1:
+        return recording
+    if group not in names:
+        raise _lacking(group, names)
+    return replace(recording, trajectories=(recording.trajectories[names.index(group)],))
+
+
+def _lacking(group: str, names: Sequence[str]) -> UsageError:
+    return UsageError(f"the data have nothing of group {group!r}, only of {', '.join(names)}; give data of that group")

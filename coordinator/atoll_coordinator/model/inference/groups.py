@@ -112,21 +112,25 @@ def _refinement(final: Final, shared: frozenset[Place], errors: Errors, values: 
     out = None if final.unseen is None else _held_out(final, final.unseen)
     trajectories = simulated(comparison.estimator.measurements, final.seen_fit, spread, task.variables, held_out=False)
     described = _Described(final, errors, values)
-    equations = {}
+    equations, by_group = {}, described.covariances()
     for index, name in enumerate(task.variables):
         known = Known(described.means(index, shared), ())
         r2 = None if out is None else out.r2[index]
         equations[name] = replace(
             refined_equation(final, index, known, r2, None, None),
             by_group=described.equations(index),
-            shared=tuple((index, node) in shared for node in constant_places(final.shown[index])),
+            shared=()
+            if index in comparison.fixed
+            else tuple((index, node) in shared for node in constant_places(final.shown[index])),
         )
+    is_one = shared.issuperset(_places(comparison, model.fit.system))
     return Refinement(
         equations,
         Simulation(task.variables, (*trajectories, *(out.trajectories if out else ())), student_95(errors.freedom)),
         errors=state_errors(final),
         warnings=(*remarks(task), *pole_remarks(final)),
-        by_group=described.covariances(),
+        covariance=by_group[0].covariance if is_one else None,
+        by_group=by_group,
     )
 
 

@@ -50,6 +50,11 @@ KNOWN: Final = "known"
 """Why there was no search: the equation was given."""
 MOST_STEPS: Final = 40
 """Improvements of one island that are listed."""
+NOT_BY_GROUP: Final = (
+    "Constants by group were not fitted; those shown are of all groups of trajectories together, and --group cannot "
+    "choose one."
+)
+
 _PACKAGES: Final = ("eclipse-zenoh", "numpy", "numba", "scipy", "sympy", "msgpack", "pydantic", "polars")
 
 
@@ -134,13 +139,20 @@ def build_result(
         "data": data(preparation, has_trajectories=account.state in FINAL_STATES),
         "config": settings(config),
         "refining": model.end if account.state == "done" else None,
-        "warnings": [*dataset.warnings, *model.warnings],
+        "warnings": [*dataset.warnings, *model.warnings, *_of_groups(preparation, model, account.state)],
         "point_evaluations": sum(_total(outcome) for outcome in outcomes),
         "search_seconds": finite(account.search_seconds),
         "seconds": finite(account.seconds),
         "digest": result_digest([outcome for outcome in outcomes if outcome.why != KNOWN]),
         "versions": versions(),
     }
+
+
+def _of_groups(preparation: Preparation, model: Refinement, state: JobState) -> list[str]:
+    """Return what is to be said where constants were to be fitted by group and were not."""
+    recording = preparation.recording
+    is_lacking = recording is not None and recording.groups and not model.by_group
+    return [NOT_BY_GROUP] if is_lacking and state in FINAL_STATES else []
 
 
 def _shared_terms(

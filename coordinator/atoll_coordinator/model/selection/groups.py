@@ -21,13 +21,16 @@ class GroupedRows:
     """The rows of each group, by equation: constants are fitted to these before any trajectory is simulated."""
 
     def __init__(
-        self, problems: Sequence[Sequence[Problem]], restrictions: Mapping[int, Restrictions] | None = None
+        self,
+        count: int,
+        problems: Sequence[Sequence[Problem]],
+        restrictions: Mapping[int, Restrictions] | None = None,
     ) -> None:
-        """`problems` has for each equation one of each group, none for an equation that is given.
+        """`problems` has for each equation one of each of `count` groups, none for an equation that is given.
 
         `restrictions` are those of the equations, by index.
         """
-        self.count: Final = max(map(len, problems), default=1)
+        self.count: Final = count
         its = restrictions or {}
         self._fits = [
             [LeastSquares(problem, restrictions=its.get(index, NONE)) for problem in those]

@@ -152,7 +152,7 @@ class ModellingTask:
             [] if name in self.known else [self.dataset.problem(name).of_group(group) for group in range(count)]
             for name in variables
         ]
-        return GroupedRows(problems, {index: self.restrictions(name) for index, name in enumerate(variables)})
+        return GroupedRows(count, problems, {index: self.restrictions(name) for index, name in enumerate(variables)})
 
     def leading(self, variables: Sequence[str]) -> list[Program]:
         """Return the equations of the positions, whose rates are the velocities; none with order 1."""

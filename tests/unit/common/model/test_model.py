@@ -224,6 +224,33 @@ def test_a_model_of_groups_asks_which_one_is_meant() -> None:
         Model(decay()).of_group(1)
 
 
+def test_groups_that_share_all_constants_are_none() -> None:
+    found = grouped()
+    found["equations"][0]["constants"][1]["shared"] = True
+    model = Model(found)
+    assert model.groups == ()
+    assert model.predict([[1.0]]).shape == (1, 1)
+    with pytest.raises(UsageError, match="one set of constants for all trajectories"):
+        model.of_group("1")
+
+
+def test_a_candidate_is_not_of_the_groups_of_the_equation_that_is_shown() -> None:
+    found = grouped()
+    found["equations"][0]["candidates"] = [
+        {"expression": "1.0 - x*x", "complexity": 5, "origin": "front", "nats": 3.0, "selected": False}
+    ]
+    found["equations"][0] |= {"bounds": [{"text": "c > 0"}], "units": {"implied": [], "faults": []}}
+    for model in (Model(found), Model(found).of_group("1")):
+        (candidate,) = model.candidates
+        assert candidate.equations[0].exact == "1.0 - x*x"
+        assert candidate.groups == ()
+        assert candidate.result["groups"] == []
+        assert (
+            candidate.result["equations"][0] | {"groups": [], "bounds": [], "units": None}
+            == (candidate.result["equations"][0])
+        )
+
+
 def test_constants_have_their_units() -> None:
     found = decay()
     found["equations"][0]["constants"][0]["unit"] = "1/h"

@@ -1,5 +1,7 @@
 """Profile likelihoods against closed forms, and what they say of constants together."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -117,12 +119,65 @@ def test_an_interval_of_the_model_is_by_its_profile_where_that_is_asked_for() ->
         ({"data": {"digest": "ab"}}, "has no measurements; give the data file"),
         ({"system": {"kind": "regression"}}, "a regression without time; only models of measured trajectories"),
         ({"system": {"kind": "process"}}, "a stochastic process; only models"),
-        ({"groups": {"names": ["a", "b"]}}, "differ between groups of trajectories.*give the data of one group"),
     ],
 )
 def test_what_cannot_be_profiled_is_a_sentence(changes: dict[str, object], sentence: str) -> None:
     with pytest.raises(UsageError, match=sentence):
         identify(measured({"x": "-0.5*x"}, [(TIMES, {"x": DECAY})], 0.02) | changes)
+
+
+def of_groups() -> dict[str, Any]:
+    """Return a result of decays whose rate is 0.6 in group a and 1.2 in group b."""
+    fast = 3.0 * np.exp(-1.2 * TIMES) + 0.02 * NOISE
+    found = measured({"x": "-0.9*x"}, [(TIMES, {"x": DECAY}), (TIMES, {"x": fast})], 0.02)
+    found["config"] = {"data": {"group": "strain"}}
+    part = {"program": None, "constants": []}
+    found["equations"][0]["groups"] = [
+        part | {"group": name, "expression": f"-{rate}*x"} for name, rate in (("a", 0.6), ("b", 1.2))
+    ]
+    found["groups"] = [
+        {"group": name, "trajectories": [number], "covariance": None} for name, number in (("a", "1"), ("b", "2"))
+    ]
+    return found
+
+
+def table_of_groups(*names: str) -> dict[str, Any]:
+    rates = {"a": 0.6, "b": 1.2, "c": 2.0}
+    x = np.concatenate([3.0 * np.exp(-rates[name] * TIMES) + 0.02 * NOISE for name in names])
+    return {"strain": np.repeat(names, len(TIMES)), "t": np.tile(TIMES, len(names)), "x": x}
+
+
+def test_constants_that_differ_between_groups_cannot_be_profiled_together() -> None:
+    with pytest.raises(UsageError, match=r"differ between groups of trajectories.*give the data of one group"):
+        identify(of_groups())
+
+
+@pytest.mark.parametrize("names", ["abc", "b"])
+def test_of_data_those_of_the_chosen_group_are_used(names: str) -> None:
+    found = Model(of_groups()).of_group("b").identifiability(data=table_of_groups(*names))
+    assert found["c1"].estimate == pytest.approx(-1.2, rel=0.05)
+    assert found["c1"].verdict == "determined"
+
+
+def test_data_without_the_chosen_group_are_refused() -> None:
+    chosen = Model(of_groups()).of_group("b")
+    with pytest.raises(UsageError, match="nothing of group 'b', only of a, c"):
+        chosen.identifiability(data=table_of_groups("a", "c"))
+    with pytest.raises(UsageError, match="no column 'strain'"):
+        chosen.identifiability(data={"t": TIMES, "x": DECAY})
+
+
+def test_of_trajectories_the_chosen_one_is_used() -> None:
+    found = of_groups()
+    found["config"] = {"data": {"trajectory": "run", "per_trajectory": True}}
+    for number, group in enumerate(found["groups"], start=1):
+        group["group"] = found["equations"][0]["groups"][number - 1]["group"] = str(number)
+    chosen = Model(found).of_group(2)
+    data = table_of_groups("a", "b")
+    data["run"] = np.where(data.pop("strain") == "a", 1.0, 2.0)
+    assert chosen.identifiability(data=data)["c1"].estimate == pytest.approx(-1.2, rel=0.05)
+    with pytest.raises(UsageError, match="nothing of group '2', only of 3, 4"):
+        chosen.identifiability(data=data | {"run": data["run"] + 2.0})
 
 
 def test_a_model_without_constants_cannot_be_profiled() -> None:

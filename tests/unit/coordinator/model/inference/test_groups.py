@@ -1,20 +1,25 @@
 """From a table with groups of trajectories to one structure with constants of each."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from atoll.config import DataConfig, JobConfig, SpaceConfig
+from atoll.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll.data.table import Table
 from atoll.errors import DataError, UsageError
 from atoll.expression.evaluation import values_of
+from atoll.model.model import Model
+from atoll.search.pareto import FrontEntry
 from atoll_coordinator.api.tables import table_of
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.data.roles.roles import assign_roles
 from atoll_coordinator.data.trajectories.measurements import take_measurements
 from atoll_coordinator.model.pipeline import refine_all
+from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.model.result.render import render_text
-from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.result import KNOWN, NOT_BY_GROUP, Account, VariableOutcome, build_result
 from atoll_coordinator.model.selection import joint_search
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import pools
@@ -82,6 +87,54 @@ def test_each_trajectory_may_be_a_group():
     assert preparation.recording.groups == ("1", "2", "3")
     assert preparation.dataset.groups.max() == 2
     assert [each.group for each in preparation.recording.trajectories] == ["1", "2", "3"]
+
+
+def two_states():
+    """Return logistic growth of x by strain, and y that decays alike in all strains."""
+    its = table(rates=RATES[:2])
+    decay = np.tile(2.0 * np.exp(-0.7 * TIMES), 2)
+    decay += 0.02 * np.random.default_rng(5).standard_normal(len(decay))
+    return replace(its, names=(*its.names, "y"), units=(*its.units, ""), columns=np.array([*its.columns, decay]))
+
+
+@pytest.mark.parametrize("data", [{"group": "strain"}, {"trajectory": "strain", "per_trajectory": True}])
+def test_a_known_equation_alone_has_no_constants_by_group(data):
+    its = JobConfig(data=DataConfig(**data), prior=PriorConfig(known={"x": "0.9*x*(1 - 0.5*x)"}))
+    preparation = prepare(table(), its)
+    refinement = refine_all(preparation, its, {})
+    front = (FrontEntry(9, 0.1, 0.1, 0, 0, 0, refinement.equations["x"].program.to_bytes()),)
+    outcome = VariableOutcome("x", front, 0, refined=refinement.equations["x"], why=KNOWN)
+    result = build_result("j", its, preparation, [outcome], Account("done", 1.0, 1.0), refinement)
+    model = Model(result)
+    assert model.groups == ()
+    assert model.simulate({"x": 0.1}, 5.0).status == "finished"
+    assert NOT_BY_GROUP not in result["warnings"]
+
+
+def test_a_known_equation_stands_beside_one_by_group():
+    space = SpaceConfig(operators=("-", "*"), variables_of={"x": ("x",)})
+    its = JobConfig(data=DataConfig(group="strain"), space=space, prior=PriorConfig(known={"y": "-0.7*y"}))
+    preparation = prepare(two_states(), its)
+    refinement = refine_all(preparation, its, pools(preparation, x=("x", "x*(2 - x)")))
+    assert refinement.equations["y"].by_group == ()
+    assert refinement.equations["y"].shared == ()
+    assert [each.group for each in refinement.equations["x"].by_group] == ["1", "2"]
+
+
+def test_constants_that_no_group_differs_in_have_one_covariance():
+    preparation = prepare(table(rates=(1.0, 1.0)), config(group="strain"))
+    refinement = refine_all(preparation, config(group="strain"), pools(preparation, x=("x", "x*(2 - x)")))
+    assert all(refinement.equations["x"].shared)
+    assert refinement.covariance is not None
+
+
+def test_a_result_says_that_constants_were_not_fitted_by_group():
+    preparation = prepare(table(), config(group="strain"))
+    for state, count in (("running", 0), ("done", 1)):
+        refinement = Refinement({}, warnings=("cut short",), end="max-time")
+        outcome = VariableOutcome("x", (), 1)
+        result = build_result("j", config(group="strain"), preparation, [outcome], Account(state, 1.0, 1.0), refinement)
+        assert result["warnings"].count(NOT_BY_GROUP) == count
 
 
 @pytest.mark.parametrize(

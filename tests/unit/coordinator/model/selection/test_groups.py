@@ -36,7 +36,7 @@ def comparison(noise=0.0, bounds=()):
     problem = Problem(("x",), inputs, target, its.owners_of_rows)
     texts = tuple(parse_bound(text, ("x",)) for text in bounds)
     restrictions = {0: Restrictions(EquationBounds(texts))} if bounds else {}
-    rows = GroupedRows([[problem.of_group(group) for group in range(3)]], restrictions)
+    rows = GroupedRows(3, [[problem.of_group(group) for group in range(3)]], restrictions)
     return ModelComparison(MultipleShooting(its, 1e-6), ("x",), constraints=Constraints(restrictions, rows))
 
 
