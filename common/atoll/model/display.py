@@ -46,19 +46,25 @@ def mathml(model: "Model") -> str:
     """Return the equations as the rows of a table in presentation MathML."""
     names = list(model.result["symbols"].values())
     rows = [
-        "<mtr>" + "".join(f"<mtd>{cell}</mtd>" for cell in _mathml_parts(each.lhs, each.expression, names)) + "</mtr>"
+        "<mtr>"
+        + "".join(f"<mtd>{cell}</mtd>" for cell in _mathml_parts(each.lhs, each.variable, each.expression, names))
+        + "</mtr>"
         for each in model.equations
     ]
     return f"{_MATH}<mtable>{''.join(rows)}</mtable></math>"
 
 
-def equation_mathml(lhs: str, expression: str, names: Sequence[str]) -> str:
-    """Return one equation as MathML (presentation); `expression` is its right-hand side over `names`."""
-    return f"{_MATH}<mrow>{''.join(_mathml_parts(lhs, expression, names))}</mrow></math>"
+def equation_mathml(lhs: str, variable: str, expression: str, names: Sequence[str]) -> str:
+    """Return one equation as MathML (presentation); `expression` is its right-hand side over `names`.
+
+    A left-hand side that is the `variable` itself is a name, even where it reads like a derivative.
+    """
+    return f"{_MATH}<mrow>{''.join(_mathml_parts(lhs, variable, expression, names))}</mrow></math>"
 
 
-def _mathml_parts(lhs: str, expression: str, names: Sequence[str]) -> tuple[str, str, str]:
-    return left_side_to_mathml(lhs), "<mo>=</mo>", to_mathml(from_infix(expression, names), names)
+def _mathml_parts(lhs: str, variable: str, expression: str, names: Sequence[str]) -> tuple[str, str, str]:
+    side = left_side_to_mathml(lhs, is_name=lhs == variable)
+    return side, "<mo>=</mo>", to_mathml(from_infix(expression, names), names)
 
 
 def html(model: "Model") -> str:
@@ -80,7 +86,15 @@ def _row(kind: str, cells: tuple[str, ...]) -> str:
 
 
 def _cells(its: "Parameter") -> tuple[str, ...]:
-    between = "?" if its.interval is None else f"± {0.5 * (its.interval[1] - its.interval[0]):.2g}"
+    between = "?" if its.interval is None else _between(its.value, *its.interval)
     error = "?" if its.stderr is None else f"{its.stderr:.2g}"
     unit = f" {its.unit}" if its.unit not in (None, "1") else ""
     return its.name, f"{its.value:.6g}{unit}", error, between, its.variable
+
+
+def _between(value: float, low: float, high: float) -> str:
+    """Return ``± half`` of an interval around `value`, else, as of a constant on its bound, ``low to high``."""
+    half = 0.5 * (high - low)
+    if abs(0.5 * (low + high) - value) > 0.05 * half:  # more than the two digits of the half show
+        return f"{low:.4g} to {high:.4g}"
+    return f"± {half:.2g}"

@@ -80,8 +80,13 @@ class Model(Exports):
 
     @classmethod
     def load(cls, path: str | Path) -> "Model":
-        """Return the model of a saved result; raises UsageError when the file cannot be read or holds none."""
-        found = read_result(path)
+        """Return the model of a saved result, by its file or the folder of its ``result.json``.
+
+        Raises UsageError when the file cannot be read or holds none.
+        """
+        found = read_result(
+            Path(path) / "result.json" if isinstance(path, str | Path) and Path(path).is_dir() else path
+        )
         try:
             return cls(found)
         except UsageError as error:
@@ -101,6 +106,9 @@ class Model(Exports):
     @property
     def is_regression(self) -> bool:
         """Whether it is y = f(X), without time."""
+        kind = (self._result.get("system") or {}).get("kind")
+        if kind is not None:
+            return bool(kind == "regression")
         return all("/" not in each["lhs"] for each in self._result["equations"])
 
     @property
@@ -133,7 +141,7 @@ class Model(Exports):
                 each["lhs"],
                 to_infix(from_infix(each["expression"], self._names), self._names, digits=DIGITS),
                 each["expression"],
-                _unit(each["variable"], each["lhs"], units, self.time),
+                _unit(each["variable"], each["lhs"], units, None if self.is_regression else self.time),
                 each.get("verdict"),
                 each.get("reason"),
                 each.get("complexity"),
@@ -425,17 +433,30 @@ class Model(Exports):
     def rows_of(self, part: Mapping[str, Any]) -> tuple[FloatArray, dict[str, FloatArray], dict[str, float]]:
         """Return the times (N,) of measured rows, the measured states (N,) by name, and the state of the first row.
 
-        Velocities that were not measured are those of the first rows. Raises UsageError where a column is missing.
+        Velocities of equations of second order that were not measured are those of the first rows.
+
+        Raises:
+            UsageError: a column is missing, or a state of the first row is.
         """
         times, values, start = _column(part, self.time), {}, {}
+        positions = self._positions
         for name in self.states:
-            if _has(part, self._columns[name]):
+            if name not in positions or _has(part, self._columns[name]):
                 values[name] = _column(part, self._columns[name])
-                start[name] = float(values[name][0])
+                start[name] = float(values[name][0]) if len(values[name]) else np.nan
             else:
-                position = _column(part, self._columns[self.states[self.states.index(name) - len(self.states) // 2]])
-                start[name] = float(np.gradient(position, times, edge_order=2)[0])
+                start[name] = _slope(times, _column(part, self._columns[positions[name]]), positions[name])
+        unknown = next((name for name, value in start.items() if not np.isfinite(value)), None)
+        if unknown is not None:
+            raise UsageError(f"the first row has no finite {unknown!r}; begin with a row that has every state")
         return times, values, start
+
+    @property
+    def _positions(self) -> dict[str, str]:
+        """The position of each velocity of equations of second order, by name; empty for other models."""
+        half = len(self.states) // 2
+        is_second = all(each["lhs"].startswith(f"d2{each['variable']}/") for each in self._result["equations"])
+        return dict(zip(self.states[half:], self.states[:half], strict=True)) if is_second else {}
 
     def inputs_of(self, part: Mapping[str, Any]) -> dict[str, FloatArray]:
         """Return those inputs (N,) of measured rows that have a column, by name."""
@@ -640,11 +661,12 @@ def _experiments() -> Any:
     return importlib.import_module("atoll_coordinator.api.experiments")
 
 
-def _unit(variable: str, lhs: str, units: Mapping[str, str], time: str) -> str:
-    """Return the unit of a left-hand side; "" where a column has none."""
-    above, below = units.get(variable, ""), units.get(time, "")
-    if "/" not in lhs:
+def _unit(variable: str, lhs: str, units: Mapping[str, str], time: str | None) -> str:
+    """Return the unit of a left-hand side, of a regression without `time`; "" where a column has none."""
+    above = units.get(variable, "")
+    if time is None or "/" not in lhs:
         return above
+    below = units.get(time, "")
     if not above or not below:
         return ""
     return f"({above})/({below})^2" if lhs.startswith("d2") else f"({above})/({below})"
@@ -678,6 +700,14 @@ def _stacked(columns: Sequence[FloatArray]) -> FloatArray:
         lengths = ", ".join(sorted(str(each.shape[0] if each.ndim == 1 else each.shape) for each in columns))
         raise UsageError(f"columns have {lengths} rows; one number of rows is expected")
     return np.stack(columns)
+
+
+def _slope(times: FloatArray, position: FloatArray, name: str) -> float:
+    """Return the slope of a position (N,) at the first row, NaN where it is not known there; raises UsageError."""
+    _stacked([times, position])
+    if len(times) < 3:
+        raise UsageError(f"a velocity is estimated from 3 rows of {name!r} or more, but the data have {len(times)}")
+    return float(np.gradient(position, times, edge_order=2)[0])
 
 
 def _r2(measured: FloatArray, values: FloatArray) -> float:

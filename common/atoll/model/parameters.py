@@ -43,9 +43,14 @@ class Parameter:
     bounds: tuple[float | None, float | None] | None = None
 
     def interval_at(self, level: float, freedom: float | None) -> tuple[float, float] | None:
-        """Return the interval at `level`, by Student's t with so many degrees of freedom (None: infinitely many)."""
-        if level == LEVEL or self.stderr is None or self.interval is None:
+        """Return the interval at `level`, by Student's t with so many degrees of freedom (None: infinitely many).
+
+        None where there is none, or where it is known at 95 % alone, as that of a constant on its bound is.
+        """
+        if level == LEVEL:
             return self.interval
+        if self.stderr is None or self.interval is None:
+            return None
         from scipy import special
 
         quantile = special.ndtri(0.5 + level / 2.0) if freedom is None else special.stdtrit(freedom, 0.5 + level / 2.0)

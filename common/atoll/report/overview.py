@@ -29,7 +29,7 @@ def _equation(each: Mapping[str, Any], its: Findings) -> Element:
     parts = []
     if each.get("expression") is not None:
         names = list(its.result["symbols"].values())
-        formula = parse_mathml(equation_mathml(each["lhs"], each["expression"], names))
+        formula = parse_mathml(equation_mathml(each["lhs"], each["variable"], each["expression"], names))
         parts.append(scrolling(f"equation {each['lhs']}", formula))
     else:
         parts.append(paragraph(f"{each['lhs']}: no equation"))

@@ -158,6 +158,8 @@ def told(distances: FloatArray, weights: Sequence[float], useful: FloatArray) ->
     Its worth is the evidence, of each pair as much as is `useful`.
     """
     shares = np.asarray(weights)
+    kept = np.flatnonzero(shares > 0.0)  # a candidate that the data have excluded tells nothing: 0 ln 0 = 0
+    shares, distances, useful = shares[kept], distances[np.ix_(kept, kept)], useful[np.ix_(kept, kept)]
     information = -float(shares @ np.log(np.exp(-distances) @ shares))
     pairs = np.outer(shares, shares) / np.maximum(1.0 - shares, 1e-300)[:, None]
     evidence = 4.0 * distances

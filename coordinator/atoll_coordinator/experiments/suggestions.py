@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.data.table import Table
-from atoll.errors import AtollError
+from atoll.errors import UsageError
 from atoll.experiments.suggestions import Candidate, Purpose, Suggestion, Suggestions
 from atoll.expression.text.infix import to_infix
 from atoll_coordinator.experiments.designs import (
@@ -48,8 +48,8 @@ def suggest(found: Mapping[str, Any], request: Request, table: Table | None = No
     """Return the experiments to make next for a result (the content of result.json), the best first.
 
     Raises:
-        UsageError: a number or name of the request does not fit, or there are no measurements.
-        AtollError: the model cannot be simulated within the bounds.
+        UsageError: a number or name of the request does not fit, there are no measurements, the model cannot be
+            simulated within the bounds, or it has neither candidates nor constants that an experiment could tell of.
     """
     request.check()
     shown = fit_shown(measured_of(found, table), found)
@@ -145,16 +145,18 @@ class _Report:
         if reason is None:
             return self._said("discrimination", chosen, f"{len(self._rivals)} candidates differ")
         if not len(self._shown.values):
-            raise AtollError(f"{reason}, and the model has no constants, so no experiment tells more")
+            raise UsageError(f"{reason}, and the model has no constants, so no experiment tells more")
         precise = _Search(self._space, self._precision, lambda tried: tried).best(count, seed)
         if not precise:
-            raise AtollError("the model cannot be simulated from any initial state within the bounds; give others")
+            raise UsageError("the model cannot be simulated from any initial state within the bounds; give others")
         return self._said("precision", precise, reason)
 
     def _reason(self, chosen: Sequence[_Tried]) -> str | None:
         """Return why experiments do not serve to tell candidates apart; None where they do."""
         if len(self._rivals) < 2:
             return "there is only one candidate"
+        if sum(weight > 0.0 for weight in self._weights) < 2:
+            return f"the data have excluded all but one of {len(self._rivals)} candidates already"
         best = max((each.gain.evidence for each in chosen), default=0.0)
         if best * _TOO_MANY < SETTINGS.inference.distinct_nats:
             return f"all {len(self._rivals)} candidates foretell the same within the bounds"

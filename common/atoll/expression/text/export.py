@@ -68,9 +68,9 @@ def _plain_numbers(expression: "sympy.Expr") -> "sympy.Expr":
     return expression.xreplace({number: plain(number) for number in expression.atoms(sympy.Float)})
 
 
-def left_side_to_latex(lhs: str) -> str:
-    """Return ``dx/dt`` and ``d2x/dt2`` as fractions, any other left-hand side as a name."""
-    order, *names = _derivative(lhs)
+def left_side_to_latex(lhs: str, *, is_name: bool = False) -> str:
+    """Return ``dx/dt`` and ``d2x/dt2`` as fractions, any other left-hand side, and one that `is_name`, as a name."""
+    order, *names = (0, lhs, "") if is_name else _derivative(lhs)
     above, below = map(_latex_name, names)
     power = "^{2}" if order == 2 else ""
     return rf"\frac{{d{power} {above}}}{{d {below}{power}}}" if order else above
@@ -85,9 +85,9 @@ def _latex_name(name: str) -> str:
     return rf"\text{{{''.join(_LATEX_ESCAPES.get(letter, letter) for letter in name)}}}"
 
 
-def left_side_to_mathml(lhs: str) -> str:
-    """Return ``dx/dt`` and ``d2x/dt2`` as fractions of MathML, any other left-hand side as a name."""
-    order, *names = _derivative(lhs)
+def left_side_to_mathml(lhs: str, *, is_name: bool = False) -> str:
+    """Return ``dx/dt`` and ``d2x/dt2`` as fractions of MathML, other left-hand sides, and what `is_name`, as names."""
+    order, *names = (0, lhs, "") if is_name else _derivative(lhs)
     above, below = (f"<mi>{escape(name)}</mi>" for name in names)
     if order == 0:
         return above
@@ -104,8 +104,8 @@ def _squared(content: str) -> str:
 def _derivative(lhs: str) -> tuple[int, str, str]:
     """Return the order of a left-hand side, what is derived and by what; order 0 and the name where it is none."""
     above, slash, below = lhs.rpartition("/")
-    if not slash:
-        return 0, lhs, ""
-    if above.startswith("d2") and below.endswith("2"):
+    if slash and above.startswith("d2") and below.startswith("d") and below.endswith("2"):
         return 2, above[2:], below[1:-1]
-    return 1, above[1:], below[1:]
+    if slash and above.startswith("d") and below.startswith("d"):
+        return 1, above[1:], below[1:]
+    return 0, lhs, ""

@@ -65,7 +65,8 @@ def latex_lines(result: Mapping[str, Any]) -> list[str]:
     """Return each equation as a line of an aligned environment."""
     names = list(result["symbols"].values())
     return [
-        f"{left_side_to_latex(equation['lhs'])} &= {to_latex(from_infix(equation['expression'], names), names)}"
+        f"{left_side_to_latex(equation['lhs'], is_name=equation['lhs'] == equation['variable'])} &= "
+        f"{to_latex(from_infix(equation['expression'], names), names)}"
         for equation in result["equations"]
         if equation["expression"] is not None
     ]

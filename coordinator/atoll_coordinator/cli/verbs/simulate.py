@@ -25,6 +25,8 @@ _SLACK: Final = 1e-9
 def simulate(options: argparse.Namespace) -> int:
     """Simulate the model of ``options.result``; how it ends is said on stderr. Return the exit code."""
     model = load(options.result, options.group)
+    if model.is_regression:
+        raise UsageError("the model is a regression without time, so there is nothing to simulate; see its result")
     given = Given(model, options.initial)
     times = times_of(model, given, options)
     found = model.simulate(given.state, times, given.inputs(times))
@@ -42,8 +44,7 @@ def simulate(options: argparse.Namespace) -> int:
 
 def load(name: str, group: str | None = None) -> Model:
     """Return the model of a result by its path or its folder, that of one `group` if named; raises UsageError."""
-    path = Path(name)
-    model = Model.load(path / "result.json" if path.is_dir() else path)
+    model = Model.load(name)
     return model if group is None else model.of_group(group)
 
 

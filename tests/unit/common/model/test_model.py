@@ -34,6 +34,8 @@ def test_the_class_is_an_attribute_of_the_package() -> None:
 def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
     Model(decay()).save(tmp_path / "m.json")
     assert Model.load(tmp_path / "m.json").result == decay()
+    Model(decay()).save(tmp_path / "result.json")
+    assert Model.load(tmp_path).result == decay()
 
 
 @pytest.mark.parametrize(
@@ -136,6 +138,52 @@ def test_scores_are_r2_of_simulations_of_all_trajectories() -> None:
     assert model.score([exact, exact]) == pytest.approx(1.0)
     assert model.score({"t": TIMES, "x": exact["x"] + 0.1 * np.sin(40.0 * TIMES)}) < 0.99
     assert Model(result({"x": "x**2"})).score({"t": 3.0 * TIMES, "x": 1.0 + TIMES}) == -np.inf
+
+
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        ({"t": TIMES, "x": TIMES}, "no column 'y'"),
+        ({"t": TIMES, "x": TIMES, "y": np.append(np.nan, TIMES[1:])}, "no finite 'y'"),
+    ],
+)
+def test_a_score_needs_every_state_of_order_1_in_the_first_row(data: dict, sentence: str) -> None:
+    with pytest.raises(UsageError, match=sentence):
+        Model(result({"x": "y", "y": "-x"})).score(data)
+
+
+def test_velocities_of_order_2_are_estimated_from_three_rows() -> None:
+    found = result({"x": "-x"}, ("x_dot",))
+    found["equations"][0]["lhs"] = "d2x/dt2"
+    assert Model(found).score({"t": TIMES, "x": np.cos(TIMES)}) > 0.99
+    with pytest.raises(UsageError, match="3 rows of 'x'"):
+        Model(found).score({"t": TIMES[:2], "x": TIMES[:2]})
+    with pytest.raises(UsageError, match="no finite 'x'"):
+        Model(found).score({"t": TIMES, "x": np.append(np.nan, TIMES[1:])})
+
+
+@pytest.mark.parametrize("name", ["O2/N2", "dose/day"])
+def test_a_target_with_a_slash_is_no_derivative(name: str) -> None:
+    found = result({"y": "2.0*x"}, ("x",))
+    found["symbols"] = {name: "y", "x": "x"}
+    found["equations"][0] |= {"lhs": name, "variable": name}
+    found["system"] |= {"kind": "regression", "units": {name: "mol"}}
+    del found["symbols"][name]
+    found["equations"][0]["program"] = from_infix("2.0*x", ["x"]).to_bytes().hex()
+    model = Model(found)
+    assert model.is_regression
+    assert str(model) == f"{name} = 2*x  [mol]"
+    assert model.predict({"x": [1.0]}) == pytest.approx([2.0])
+    assert "frac" not in model.latex() + model.mathml()
+
+
+def test_a_constant_on_its_bound_has_its_ends_and_no_other_level() -> None:
+    found = decay()
+    found["equations"][0]["constants"] = [constant(-2.0, 0.1) | {"std_error": None, "interval": [-2.0, -1.5]}]
+    assert "± " not in Model(found).summary()
+    assert "-2 to -1.5" in Model(found).summary()
+    assert Model(found).conf_int() == {"c1": pytest.approx((-2.0, -1.5))}
+    assert Model(found).conf_int(0.5) == {"c1": None}
 
 
 def test_the_index_of_a_pandas_frame_is_a_column_by_its_name() -> None:

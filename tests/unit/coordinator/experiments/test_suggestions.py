@@ -85,6 +85,25 @@ def test_a_linear_model_alone_is_measured_where_its_constant_shows_most() -> Non
     assert "about the constants" in str(found)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_candidate_that_the_data_have_excluded_is_said_to_be() -> None:
+    distances = np.array([[0.0, 900.0], [900.0, 0.0]])
+    assert told(distances, [1.0, 0.0], np.ones((2, 2))).information == 0.0
+    times = np.linspace(0.0, 2.0, 150)
+    x = 2.0 * np.exp(-0.5 * times) + 1e-5 * np.random.default_rng(3).standard_normal(150)
+    data = measured({"x": "-0.5*x"}, [(times, {"x": x})], 1e-5)
+    found = suggest(data, Request({}, rivals=[{"x": "-0.2"}]))
+    assert found.purpose == "precision"
+    assert found.reason == "the data have excluded all but one of 2 candidates already"
+
+
+def test_a_model_without_constants_and_candidates_is_refused() -> None:
+    known = measured({"x": "-x"}, [(TIMES, {"x": 2.0 * np.exp(-TIMES) + 0.01 * NOISE})], 0.01)
+    known["equations"][0]["origin"] = "known"
+    with pytest.raises(UsageError, match="no experiment tells more"):
+        suggest(known, Request({}))
+
+
 def test_candidates_that_foretell_the_same_are_not_told_apart() -> None:
     found = suggest(FOUND, Request({"x": (0.01, 0.02)}))
     assert found.purpose == "precision"

@@ -48,6 +48,15 @@ def test_an_input_that_nothing_gives_is_named(saved: Path, capsys: pytest.Captur
     assert "the input 'u', of which nothing is given" in capsys.readouterr().err
 
 
+def test_a_regression_has_no_time_to_simulate(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = result({}, ("x",))
+    found["equations"] = [result({"y": "2*x"}, ("x",))["equations"][0] | {"lhs": "y"}]
+    found["system"]["kind"] = "regression"
+    (saved / "result.json").write_text(json.dumps(found))
+    assert main(["simulate", str(saved)]) == 2
+    assert "regression without time" in capsys.readouterr().err
+
+
 def test_the_drift_of_a_process_is_simulated_with_the_band_of_its_own_constants(
     saved: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
