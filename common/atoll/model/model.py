@@ -321,7 +321,8 @@ class Model(Exports):
         """Integrate from an initial state. How it ends is its `status`: a blow-up is a result, not an error.
 
         Args:
-            x0: the initial state, by name or in order; None: that of the first measured trajectory.
+            x0: the initial state, by name or in order; None: that of the first measured trajectory, with its inputs
+                where `u` names none.
             t: times that ascend, the first being that of `x0`; one number: until then, from the first time measured;
                 None: the times of the first trajectory.
             u: inputs: by name numbers, arrays at the times `t` or functions of time; or an array (N, U), or a function
@@ -338,7 +339,8 @@ class Model(Exports):
         self.require_one_group()
         times = self.times_of(t)
         bands = (self._errors, self._quantile) if has_bands and self._errors is not None else None
-        found = simulate(self.field, self.start_of(x0), times, self._inputs(u, times), bands)
+        recorded = self.recorded if x0 is None else {}
+        found = simulate(self.field, self.start_of(x0), times, self._inputs(u, times, recorded), bands)
         return replace(found, time=self.time)
 
     def predict(
@@ -573,11 +575,44 @@ class Model(Exports):
         parts = (self._result.get("simulation") or {}).get("trajectories") or ()
         return next((each for each in parts if each.get("start")), {})
 
+    @property
+    def beginning(self) -> Mapping[str, Any]:
+        """The first simulated trajectory, else the first measured one; empty where there is none."""
+        return self.first or self._first_measured
+
+    @property
+    def _first_measured(self) -> Mapping[str, Any]:
+        """Name, start and times of the first measured trajectory that has a row with all its states, from there on."""
+        for each in (self._result.get("data") or {}).get("trajectories") or ():
+            columns = {name: np.array(values, dtype=np.float64) for name, values in each["measured"].items()}
+            times = np.array(each["times"], dtype=np.float64)
+            known = np.flatnonzero(np.isfinite([times, *columns.values()]).all(axis=0))
+            if len(known):
+                part = {name: values[known] for name, values in {self.time: times, **columns}.items()}
+                start = {self._columns[name]: value for name, value in self.rows_of(part)[2].items()}
+                return {"name": each["name"], "start": start, "times": part[self.time].tolist()}
+        return {}
+
+    @property
+    def recorded(self) -> dict[str, Callable[[float], float]]:
+        """The inputs that were recorded along the first trajectory, by symbol, as functions of time."""
+        listed = (self._result.get("data") or {}).get("trajectories") or ()
+        its = next((each for each in listed if each["name"] == self.beginning.get("name")), None)
+        if its is None:
+            return {}
+        named, times = self._result["symbols"], np.array(its["times"], dtype=np.float64)
+        return {
+            named.get(name, name): _curve(times, np.array(values, dtype=np.float64))
+            for name, values in its["inputs"].items()
+            if np.isfinite(np.array(values, dtype=np.float64)).any()
+        }
+
     def start_of(self, x0: Given | None) -> FloatArray:
         if x0 is None:
-            if not self.first:
+            its = self.beginning
+            if not its:
                 raise UsageError("the result has no fitted initial state; give one, such as x0={'x': 1.0}")
-            given: Given = {self._result["symbols"][name]: value for name, value in self.first["start"].items()}
+            given: Given = {self._result["symbols"][name]: value for name, value in its["start"].items()}
         else:
             given = x0
         if not isinstance(given, Mapping):
@@ -596,7 +631,7 @@ class Model(Exports):
         return np.array([number(named[name], f"the initial value of {name!r}") for name in self.states])
 
     def times_of(self, t: npt.ArrayLike | float | None) -> FloatArray:
-        first = np.array(self.first.get("times") or (), dtype=np.float64)
+        first = np.array(self.beginning.get("times") or (), dtype=np.float64)
         if t is None:
             if not len(first):
                 raise UsageError("the result has no simulated trajectory; give the times, such as t=10.0")
@@ -610,7 +645,10 @@ class Model(Exports):
         return np.linspace(begin, float(times), ROWS)
 
     def _inputs(
-        self, u: Mapping[str, Any] | npt.ArrayLike | Callable[[float], Any] | None, times: FloatArray
+        self,
+        u: Mapping[str, Any] | npt.ArrayLike | Callable[[float], Any] | None,
+        times: FloatArray,
+        recorded: Mapping[str, Callable[[float], float]],
     ) -> Inputs | None:
         if not self.inputs:
             return None
@@ -624,13 +662,17 @@ class Model(Exports):
                 raise UsageError(f"inputs have the shape {values.shape}, expected {shape}: rows by {self.inputs}")
             return interpolated(times, values)
         given: Any = {} if u is None else u
-        return together([self._input(name, given, times) for name in self.inputs])
+        return together([self._input(name, given, times, recorded.get(name)) for name in self.inputs])
 
-    def _input(self, name: str, given: Any, times: FloatArray) -> Callable[[float], float]:
+    def _input(
+        self, name: str, given: Any, times: FloatArray, recorded: Callable[[float], float] | None
+    ) -> Callable[[float], float]:
         column = next((each for each in (name, self._columns[name]) if _has(given, each)), None)
         if column is None:
             if self._columns[name] == self.time:
                 return lambda t: t
+            if recorded is not None:
+                return recorded
             raise UsageError(f"the model has the input {name!r}, of which nothing is given; name it in u")
         its = given[column]
         if callable(its):
@@ -700,6 +742,13 @@ def _stacked(columns: Sequence[FloatArray]) -> FloatArray:
         lengths = ", ".join(sorted(str(each.shape[0] if each.ndim == 1 else each.shape) for each in columns))
         raise UsageError(f"columns have {lengths} rows; one number of rows is expected")
     return np.stack(columns)
+
+
+def _curve(times: FloatArray, values: FloatArray) -> Callable[[float], float]:
+    """Return what was recorded at `times` (N,) as a function of time, without the rows that have no value."""
+    known = np.isfinite(values)
+    curve = interpolated(times[known], values[known, np.newaxis])
+    return lambda t: float(curve(t)[0])
 
 
 def _slope(times: FloatArray, position: FloatArray, name: str) -> float:

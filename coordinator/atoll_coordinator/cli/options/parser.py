@@ -191,6 +191,13 @@ def _add_simulate(verbs: Any) -> None:
     _add_group(parser)
     parser.add_argument("--until", metavar="T", help="last time (default: that of the first trajectory, or the file's)")
     parser.add_argument("--step", metavar="DT", help="from one time to the next (default: 500 steps in all)")
+    parser.add_argument(
+        "--hold",
+        action="append",
+        default=[],
+        metavar="u=1",
+        help="value of an input (default: as measured); repeatable",
+    )
     parser.add_argument("-o", "--output", metavar="FILE", help="write to this file (default: stdout)")
     parser.add_argument("--json", action="store_true", help="write JSON: status, message, columns")
 

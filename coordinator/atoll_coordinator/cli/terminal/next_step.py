@@ -86,7 +86,9 @@ def _with_result(result: Mapping[str, Any], folder: str) -> _Proposal:
         return ["result", f"{folder}/result.json", "--format", "latex"], "the equation for a paper"
     if any(equation["verdict"] == "no model" for equation in result["equations"]):
         return ["result", f"{folder}/result.json"], "the best expression of each size"
-    if kind == "process" or (result.get("system") or {}).get("inputs"):
+    parts = ((result.get(each) or {}).get("trajectories") for each in ("simulation", "data"))
+    is_driven = kind == "process" or (result.get("system") or {}).get("inputs")
+    if is_driven and any(parts):  # otherwise, as of a job that was cut, nothing tells an initial state
         return ["simulate", folder, "-o", f"{folder}/simulation.csv"], "the model along what was measured"
     loose = any(not constant["identifiable"] for each in result["equations"] for constant in each["constants"])
     if loose:

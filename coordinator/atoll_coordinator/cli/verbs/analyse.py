@@ -1,13 +1,12 @@
 """``coordinator analyse``: the dynamics of the model of a saved result, as text or JSON."""
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 
 from atoll.errors import UsageError
 from atoll_coordinator.cli.exit_codes import DONE
 from atoll_coordinator.cli.terminal.output import as_json, say
-from atoll_coordinator.cli.verbs.simulate import finite_number, load, write
+from atoll_coordinator.cli.verbs.simulate import assignments, finite_number, load, write
 
 
 def analyse(options: argparse.Namespace) -> int:
@@ -38,19 +37,6 @@ def _vary(parameter: str | None, bounds: str | None) -> tuple[str, tuple[float, 
         given, missing = ("--range", "--parameter c1") if parameter is None else ("--parameter", "--range A:B")
         raise UsageError(f"{given} was given without {missing}; give both")
     return parameter, interval(bounds, "--range")
-
-
-def assignments(texts: Sequence[str], option: str, example: str) -> list[tuple[str, str]]:
-    """Split ``x=0:3`` into name and value; several may stand in one text, separated by commas; raises UsageError."""
-    found: dict[str, str] = {}
-    for text in (part for each in texts for part in each.split(",")):
-        name, separator, value = (part.strip() for part in text.partition("="))
-        if not separator or not name or not value:
-            raise UsageError(f"{option} wants {example}, but got {text!r}")
-        if name in found:
-            raise UsageError(f"{option} names '{name}' twice; give one")
-        found[name] = value
-    return list(found.items())
 
 
 def interval(text: str, option: str) -> tuple[float, float]:

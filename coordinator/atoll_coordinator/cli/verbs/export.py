@@ -10,8 +10,7 @@ from atoll.errors import UsageError
 from atoll.model.model import Model
 from atoll_coordinator.cli.exit_codes import DONE
 from atoll_coordinator.cli.terminal.output import note, say
-from atoll_coordinator.cli.verbs.analyse import assignments
-from atoll_coordinator.cli.verbs.simulate import Given, finite_number, load, times_of, write
+from atoll_coordinator.cli.verbs.simulate import Given, held_inputs, load, times_of, write
 
 
 def export(options: argparse.Namespace) -> int:
@@ -73,11 +72,7 @@ def _beginning(model: Model, options: argparse.Namespace) -> dict[str, Any]:
     is_told = options.until is not None or options.step is not None or given.times is not None
     times = times_of(model, given, options) if is_told else None
     inputs: dict[str, Any] = {} if times is None else dict(given.inputs(times) or {})
-    held = {name: finite_number(text, f"--hold {name}") for name, text in assignments(options.hold, "--hold", "u=1")}
-    unknown = next((name for name in held if model.result["symbols"].get(name, name) not in model.inputs), None)
-    if unknown is not None:
-        raise UsageError(f"--hold names {unknown!r}; the inputs are {', '.join(model.inputs) or 'none'}")
-    return {"x0": given.state, "t": times, "u": inputs | held}
+    return {"x0": given.state, "t": times, "u": inputs | held_inputs(model, options.hold)}
 
 
 def _write_petab(model: Model, options: argparse.Namespace) -> None:

@@ -2,7 +2,7 @@
 
 import argparse
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,7 +29,8 @@ def simulate(options: argparse.Namespace) -> int:
         raise UsageError("the model is a regression without time, so there is nothing to simulate; see its result")
     given = Given(model, options.initial)
     times = times_of(model, given, options)
-    found = model.simulate(given.state, times, given.inputs(times))
+    inputs = {**(given.inputs(times) or {}), **held_inputs(model, options.hold)}
+    found = model.simulate(given.state, times, inputs)
     text = as_json(found.as_dict()) if options.json else found.to_csv()
     if options.output is None:
         say(text)
@@ -46,6 +47,29 @@ def load(name: str, group: str | None = None) -> Model:
     """Return the model of a result by its path or its folder, that of one `group` if named; raises UsageError."""
     model = Model.load(name)
     return model if group is None else model.of_group(group)
+
+
+def held_inputs(model: Model, texts: Sequence[str]) -> dict[str, float]:
+    """Return the inputs that ``--hold`` gives, by name; raises UsageError."""
+    held = {name: finite_number(text, f"--hold {name}") for name, text in assignments(texts, "--hold", "u=1")}
+    symbols = model.result["symbols"]
+    unknown = next((name for name in held if symbols.get(name, name) not in model.inputs), None)
+    if unknown is not None:
+        raise UsageError(f"--hold names {unknown!r}; the inputs are {', '.join(model.inputs) or 'none'}")
+    return {symbols.get(name, name): value for name, value in held.items()}
+
+
+def assignments(texts: Sequence[str], option: str, example: str) -> list[tuple[str, str]]:
+    """Split ``x=0:3`` into name and value; several may stand in one text, separated by commas; raises UsageError."""
+    found: dict[str, str] = {}
+    for text in (part for each in texts for part in each.split(",")):
+        name, separator, value = (part.strip() for part in text.partition("="))
+        if not separator or not name or not value:
+            raise UsageError(f"{option} wants {example}, but got {text!r}")
+        if name in found:
+            raise UsageError(f"{option} names '{name}' twice; give one")
+        found[name] = value
+    return list(found.items())
 
 
 class Given:
@@ -83,7 +107,7 @@ class Given:
         columns = [
             name for name in self._table.names if named.get(name) in self._model.inputs and name != self._model.time
         ]
-        return {name: np.interp(times, at, self._column(name)) for name in columns} or None
+        return {named[name]: np.interp(times, at, self._column(name)) for name in columns} or None
 
     def _column(self, name: str) -> FloatArray:
         assert self._table is not None
@@ -103,6 +127,10 @@ class Given:
         symbols = self._model.result["symbols"]
         found = {symbols.get(each, each): float(table.column(each)[0]) for each in table.names if table.rows}
         lacking = [state for state in self._model.states if state not in found]
+        if lacking and self._model.time in table.names:
+            columns = {symbol: column for column, symbol in symbols.items()}
+            part = {columns.get(symbols.get(each, each), each): self._column(each) for each in table.names}
+            return self._model.rows_of(part)[2]
         if lacking:
             raise UsageError(f"{name} has no column for {', '.join(lacking)}; an initial state names every state")
         return {state: found[state] for state in self._model.states}
@@ -142,8 +170,7 @@ def finite_number(text: str, option: str) -> float:
 
 def times_of(model: Model, given: Given, options: argparse.Namespace) -> FloatArray:
     """Return the times of the simulation; raises UsageError where nothing tells them."""
-    trajectories = (model.result.get("simulation") or {}).get("trajectories") or ()
-    known = given.times if given.times is not None else np.array(trajectories[0]["times"] if trajectories else ())
+    known = given.times if given.times is not None else np.array(model.beginning.get("times") or ())
     if options.until is None and options.step is None and len(known):
         return known
     begin = float(known[0]) if len(known) else 0.0

@@ -6,8 +6,8 @@ from pathlib import Path
 from atoll.errors import UsageError
 from atoll_coordinator.cli.exit_codes import DONE
 from atoll_coordinator.cli.terminal.output import as_json, say
-from atoll_coordinator.cli.verbs.analyse import assignments, interval
-from atoll_coordinator.cli.verbs.simulate import finite_number, load, write
+from atoll_coordinator.cli.verbs.analyse import interval
+from atoll_coordinator.cli.verbs.simulate import assignments, finite_number, load, write
 
 
 def suggest(options: argparse.Namespace) -> int:

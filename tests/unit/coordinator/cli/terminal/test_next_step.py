@@ -12,6 +12,7 @@ from atoll_coordinator.cli.terminal.next_step import next_step
 WORDS = ["run", "my data.csv", "--seed", "3", "--out", "here"]
 ENDED_BY_EPOCHS = {"why": "max-epochs", "config": {"budget": {"max_epochs": 20}}}
 ENDED_BY_TIME = {"why": "max-time", "config": {"budget": {"max_time": 60.0}}}
+SIMULATED = {"simulation": {"trajectories": [{"name": "1"}]}}
 AGAIN = "coordinator run 'my data.csv' --seed 3"
 
 
@@ -36,8 +37,15 @@ def after(
         ("coordinator analyse here", {"rivals": 1}),
         ("coordinator suggest here", {"verdict": "doubtful", "rivals": 1}),
         ("coordinator analyse here --identifiability", {"verdict": "doubtful", "loose": True, "rivals": 1}),
-        ("coordinator simulate here -o here/simulation.csv", {"system": {"kind": "process", "inputs": []}}),
-        ("coordinator simulate here -o here/simulation.csv", {"system": {"kind": "dynamics", "inputs": ["u"]}}),
+        (
+            "coordinator simulate here -o here/simulation.csv",
+            {"system": {"kind": "process", "inputs": []}, **SIMULATED},
+        ),
+        (
+            "coordinator simulate here -o here/simulation.csv",
+            {"system": {"kind": "dynamics", "inputs": ["u"]}, **SIMULATED},
+        ),
+        ("coordinator analyse here", {"system": {"kind": "dynamics", "inputs": ["u"]}, "simulation": None}),
         ("coordinator result here/result.json --format latex", {"system": {"kind": "regression", "inputs": ["u"]}}),
         (f"{AGAIN} --robust", {"warnings": ["Some look like outliers; --robust takes their weight away."]}),
         (f"{AGAIN} --stochastic", {"reason": "It grows like a random walk: with --stochastic, drift and diffusion"}),

@@ -48,6 +48,31 @@ def test_an_input_that_nothing_gives_is_named(saved: Path, capsys: pytest.Captur
     assert "the input 'u', of which nothing is given" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("simulation", [None, {"trajectories": [{"name": "1", "start": {"x": 2.0}, "times": [0, 1]}]}])
+def test_what_was_recorded_is_simulated_unless_inputs_are_held(
+    saved: Path, capsys: pytest.CaptureFixture[str], simulation: dict | None
+) -> None:
+    found = result({"x": "u*x"}, ("u",)) | {"simulation": simulation}
+    measured = {"name": "1", "times": [0.0, 1.0], "measured": {"x": [2.0, 2.0]}, "inputs": {"u": [0.0, 0.0]}}
+    found["data"]["trajectories"] = [measured]
+    (saved / "result.json").write_text(json.dumps(found))
+    assert main(["simulate", str(saved)]) == 0
+    assert capsys.readouterr().out == "t,x\n0.0,2.0\n1.0,2.0\n"
+    assert main(["simulate", str(saved), "--hold", "u=1"]) == 0
+    assert float(capsys.readouterr().out.split(",")[-1]) == pytest.approx(2.0 * 2.718281828)
+    assert main(["simulate", str(saved), "--hold", "v=1"]) == 2
+    assert "--hold names 'v'; the inputs are u" in capsys.readouterr().err
+
+
+def test_velocities_that_a_file_lacks_are_estimated(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = result({"x": "0*x"}, ("x_dot",))
+    found["equations"][0]["lhs"] = "d2x/dt2"
+    (saved / "result.json").write_text(json.dumps(found))
+    (saved / "a.csv").write_text("t,x\n0,1\n1,3\n2,5\n")
+    assert main(["simulate", str(saved), "--initial", str(saved / "a.csv")]) == 0
+    assert [float(cell) for cell in capsys.readouterr().out.splitlines()[-1].split(",")] == pytest.approx([2, 5, 2])
+
+
 def test_a_regression_has_no_time_to_simulate(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = result({}, ("x",))
     found["equations"] = [result({"y": "2*x"}, ("x",))["equations"][0] | {"lhs": "y"}]
