@@ -23,6 +23,7 @@ def summary(model: "Model") -> str:
         lines.append(str(each))
         if each.verdict is not None:
             lines.append(f"    {each.verdict}: {each.reason}")
+    lines += filter(None, [model.remark])
     rows = [_HEADS, *map(_cells, model.params.values())]
     widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADS))]
     if model.params:
@@ -70,6 +71,8 @@ def _mathml_parts(lhs: str, variable: str, expression: str, names: Sequence[str]
 def html(model: "Model") -> str:
     """Return equations, verdicts and a table of constants for a notebook."""
     parts = [mathml(model)]
+    if model.remark:
+        parts.append(f"<p>{escaping.escape(model.remark)}</p>")
     verdicts = [each for each in model.equations if each.verdict is not None]
     parts += [
         f"<p><b>{escaping.escape(each.lhs)}: {each.verdict}.</b> {escaping.escape(each.reason or '')}</p>"

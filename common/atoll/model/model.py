@@ -20,7 +20,15 @@ from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.model.arguments import by_name, interval, number, numbers, shown
 from atoll.model.export.methods import Exports
-from atoll.model.parameters import LEVEL, JointErrors, Parameter, differing_groups, of_group, parameters_of
+from atoll.model.parameters import (
+    LEVEL,
+    JointErrors,
+    Parameter,
+    differing_groups,
+    of_group,
+    parameters_of,
+    remark_on_means,
+)
 from atoll.model.saved import check_result, read_result, write_text
 from atoll.model.simulation import Inputs, Simulation, interpolated, simulate, together
 from atoll.model.vector_field import VectorField
@@ -467,7 +475,12 @@ class Model(Exports):
     # ------------------------------------------------------------------------------------------- what it looks like
 
     def __repr__(self) -> str:
-        return "\n".join(map(str, self.equations))
+        return "\n".join([*map(str, self.equations), *filter(None, [self.remark])])
+
+    @property
+    def remark(self) -> str:
+        """What is to be said beside the equations: that constants are means over groups; "" where they are not."""
+        return remark_on_means(self._result)
 
     def summary(self) -> str:
         """Return equations, verdicts, constants and provenance as text."""
@@ -476,13 +489,19 @@ class Model(Exports):
         return summary(self)
 
     def to_sympy(self) -> "dict[str, sympy.Expr]":
-        """Return the right-hand sides as sympy expressions, by left-hand side; constants keep every bit."""
+        """Return the right-hand sides as sympy expressions, by left-hand side; constants keep every bit.
+
+        Constants that differ between `groups` are means over them; see `of_group`.
+        """
         from atoll.expression.text.export import to_sympy
 
         return {each.lhs: to_sympy(from_infix(each.exact, self._names), self._names) for each in self.equations}
 
     def latex(self) -> str:
-        """Return the equations as lines of LaTeX's ``aligned`` environment."""
+        """Return the equations as lines of LaTeX's ``aligned`` environment.
+
+        Constants that differ between `groups` are means over them; see `of_group`.
+        """
         from atoll.model.display import latex
 
         return latex(self)

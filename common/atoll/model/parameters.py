@@ -107,6 +107,12 @@ def differing_groups(result: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(str(each["group"]) for each in result.get("groups") or ())
 
 
+def remark_on_means(result: Mapping[str, Any]) -> str:
+    """Return a line that says of which groups the constants in equations are means; "" where they are of no groups."""
+    names = " ".join(", ".join(differing_groups(result)).split())
+    return f"Constants that differ between groups are means over them; the groups are {names}." if names else ""
+
+
 def _differs(equation: Mapping[str, Any]) -> bool:
     """Tell whether an equation has a constant that is not the same in all groups."""
     known = equation["constants"]

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
+from atoll.model.parameters import differing_groups
 from atoll.report.chart import Axis, Chart
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, element, figure, number, paragraph, section, table
@@ -31,7 +32,33 @@ def constants(its: Findings) -> list[Element]:
     ]
     notes = [paragraph(_correlation(each)) for each in its.result.get("correlations") or ()]
     profiles = () if its.identifiability is None else _profiles(its.identifiability)
-    return [section("constants", "Constants", table("Constants", heads, rows), *notes, *profiles)]
+    return [section("constants", "Constants", table("Constants", heads, rows), *_groups(its), *notes, *profiles)]
+
+
+def _groups(its: Findings) -> list[Element]:
+    """Return a table of the constants that differ between groups of trajectories, none where there are none."""
+    if not differing_groups(its.result):
+        return []
+    heads = ["equation", "constant", "group", "value", "standard error", "95 % interval"]
+    rows = [row for each in its.result["equations"] for row in _rows_of_groups(each)]
+    return [table("Constants that differ between groups; those above are means", heads, rows)]
+
+
+def _rows_of_groups(equation: Mapping[str, Any]) -> list[list[str | Element]]:
+    return [
+        [
+            equation["lhs"],
+            element("span", f"constant {place + 1}"),
+            element("span", str(group["group"])),
+            number(its["value"], 6),
+            number(its["std_error"], 2),
+            _interval(its),
+        ]
+        for place, mean in enumerate(equation.get("constants") or ())
+        if not mean.get("shared")
+        for group in equation.get("groups") or ()
+        for its in group["constants"][place : place + 1]
+    ]
 
 
 def _profiles(found: "Identifiability") -> list[Element]:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from atoll.model.parameters import differing_groups
 from atoll.report.chart import COLORS, Axis, Chart
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, element, figure, legend, number, paragraph, section, table
@@ -18,6 +19,9 @@ def dynamics(its: Findings) -> list[Element]:
     """Return the section, none of a regression."""
     if its.model is not None and its.model.is_regression:
         return []
+    if its.analysis is None and (groups := differing_groups(its.result)):
+        text = f"Constants differ between the groups {', '.join(groups)}; coordinator report --group NAME analyses one."
+        return [section("dynamics", "Dynamics", paragraph(text))]
     if its.analysis is None:
         return [section("dynamics", "Dynamics", paragraph(f"The model is not analysed: {its.unanalysed}."))]
     found = its.analysis.as_dict()

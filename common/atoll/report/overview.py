@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from atoll.model.display import equation_mathml
+from atoll.model.parameters import remark_on_means
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, element, facts, number, paragraph, parse_mathml, scrolling, section
 
@@ -21,7 +22,9 @@ def overview(its: Findings) -> Element:
     equations = [_equation(each, its) for each in found["equations"]]
     warnings = [element("li", text) for text in found.get("warnings") or ()]
     noted = (element("h3", "Warnings"), element("ul", *warnings)) if warnings else ()
-    return section("found", "Found", *equations, facts(_facts(its)), *noted)
+    remark = remark_on_means(found)
+    means = [paragraph(remark)] if remark else []
+    return section("found", "Found", *equations, *means, facts(_facts(its)), *noted)
 
 
 def _equation(each: Mapping[str, Any], its: Findings) -> Element:
@@ -43,6 +46,8 @@ def _facts(its: Findings) -> list[tuple[str, str]]:
     found, system = its.result, its.system
     data = found.get("data") or {}
     said = [("Data", f"{', '.join(data['files'])}: {data['rows']} rows")] if data else []
+    if found.get("group") is not None:
+        said.append(("Group", str(found["group"])))
     names = {"states": "States", "inputs": "Inputs"}
     said += [(names[key], ", ".join(map(its.labelled, system[key]))) for key in names if system.get(key)]
     if system.get("target"):

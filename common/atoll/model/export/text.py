@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from atoll.expression.text.export import left_side_to_latex, to_latex
 from atoll.expression.text.parsing import from_infix
+from atoll.model.parameters import remark_on_means
 
 _COLUMNS: Final = (
     "variable",
@@ -46,7 +47,9 @@ def as_csv(result: Mapping[str, Any]) -> str:
 def as_sympy(result: Mapping[str, Any]) -> str:
     """Return Python source that makes the symbols and a dictionary ``equations`` from left-hand side to expression."""
     names = list(result["symbols"].values())
-    lines = ["import sympy", "", f"names = {names!r}", "symbols = {name: sympy.Symbol(name) for name in names}"]
+    remark = remark_on_means(result)
+    lines = [f"# {remark}"] if remark else []
+    lines += ["import sympy", "", f"names = {names!r}", "symbols = {name: sympy.Symbol(name) for name in names}"]
     lines += ["equations = {"]
     for equation in result["equations"]:
         if equation["expression"] is not None:
@@ -58,7 +61,9 @@ def as_sympy(result: Mapping[str, Any]) -> str:
 def as_latex(result: Mapping[str, Any]) -> str:
     """Return an ``align*`` environment with one line for each equation."""
     lines = [f"  {line}" for line in latex_lines(result)]
-    return "\n".join([r"\begin{align*}", *([" \\\\\n".join(lines)] if lines else []), r"\end{align*}"])
+    remark = remark_on_means(result)
+    begin = [*([f"% {remark}"] if remark else []), r"\begin{align*}"]
+    return "\n".join([*begin, *([" \\\\\n".join(lines)] if lines else []), r"\end{align*}"])
 
 
 def latex_lines(result: Mapping[str, Any]) -> list[str]:

@@ -239,6 +239,7 @@ def _add_analyse(verbs: Any) -> None:
 def _add_report(verbs: Any) -> None:
     parser = _verb(verbs, "report", "a saved result as one HTML page that needs neither network nor script")
     parser.add_argument("result", metavar="RESULT", help="PATH/result.json, or its folder")
+    _add_group(parser)
     parser.add_argument("-o", "--output", metavar="FILE", help="the page (default: report.html beside the result)")
     parser.add_argument("--pictures", metavar="DIR", help="also write every picture as an SVG file of its own")
 

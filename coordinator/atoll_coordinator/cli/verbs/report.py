@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from atoll.errors import UsageError
+from atoll.model.model import Model
 from atoll.model.saved import read_result, write_text
 from atoll.report.page import as_text, build_page, pictures
 from atoll_coordinator.cli.exit_codes import DONE
@@ -16,7 +17,8 @@ def report(options: argparse.Namespace) -> int:
     if path.is_dir():
         path /= "result.json"
     output = path.with_name(REPORT) if options.output is None else Path(options.output)
-    page = build_page(read_result(path))
+    found = read_result(path)
+    page = build_page(found if options.group is None else Model(found).of_group(options.group).result)
     write_text(output, as_text(page))
     note(f"report in {output}")
     if options.pictures is not None:

@@ -272,6 +272,18 @@ def test_a_model_of_groups_asks_which_one_is_meant() -> None:
         Model(decay()).of_group(1)
 
 
+def test_what_is_shown_says_that_constants_are_means_over_groups() -> None:
+    model = Model(grouped())
+    remark = "Constants that differ between groups are means over them; the groups are 1, 2."
+    assert repr(model).splitlines()[1:] == [remark]
+    assert remark in model.summary().splitlines()
+    assert f"<p>{remark}</p>" in model._repr_html_()
+    assert model.export("latex").startswith(f"% {remark}\n")
+    assert model.export("sympy").startswith(f"# {remark}\n")
+    for name in ("latex", "sympy"):
+        assert "means" not in repr(model.of_group(1)) + model.of_group(1).export(name)
+
+
 def test_groups_that_share_all_constants_are_none() -> None:
     found = grouped()
     found["equations"][0]["constants"][1]["shared"] = True

@@ -8,11 +8,13 @@ import pytest
 
 from atoll.experiments.identifiability import Direction, Identifiability, ProfiledConstant
 from atoll.experiments.suggestions import Candidate, Suggestion, Suggestions
+from atoll.model.model import Model
 from atoll.report.choice import choice
 from atoll.report.constants import constants
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, to_text
 from atoll.report.origin import origin
+from atoll.report.overview import overview
 from atoll.report.page import as_html
 from tests.unit.common.report.results import dynamics, process, regression
 
@@ -138,3 +140,37 @@ def test_regressions_and_processes_have_sections_of_their_own(found: dict[str, A
     assert section in page.sections
     assert number in page.texts
     assert ("dynamics" in page.sections) == (section == "process")
+
+
+def of_groups() -> dict[str, Any]:
+    """Return the result of two species, x growing at 2.5 in group a and at 3.5 in group <b>."""
+    found = dynamics()
+    equation = found["equations"][0]
+    mean, whole = equation["constants"][0], equation["expression"]
+    equation["groups"] = [
+        {
+            "group": name,
+            "expression": whole.replace("3.0", str(value)),
+            "constants": [{**mean, "value": value, "std_error": 0.25}],
+        }
+        for name, value in (("a", 2.5), ("<b>", 3.5))
+    ]
+    found["groups"] = [{"group": name, "trajectories": ["1"], "covariance": None} for name in ("a", "<b>")]
+    return found
+
+
+def test_constants_of_each_group_are_listed() -> None:
+    read = Reader(as_html(of_groups()))
+    place = read.texts.index("<b>")
+    assert read.texts[read.texts.index("a") : place + 2].count("2.5") == 1
+    assert "3.5" in read.texts[place : place + 4]
+    assert "0.25" in read.texts[place : place + 6]
+    assert any("differ between the groups a, <b>; coordinator report --group NAME" in text for text in read.texts)
+    assert any("means over them; the groups are a, <b>." in text for text in read.texts)
+
+
+def test_the_page_of_one_group_is_analysed() -> None:
+    found = Findings.of(Model(of_groups()).of_group("<b>").result)
+    assert found.analysis is not None
+    assert found.analysis.field.values(np.array([[1.0, 0.0]]))[0, 0] == pytest.approx(2.5)
+    assert "<b>" in Reader(to_text(overview(found))).texts

@@ -33,6 +33,11 @@ def test_pictures_are_files_that_need_no_page(saved: Path) -> None:
     assert ".line" in (root[0].text or "")
 
 
+def test_a_group_that_is_none_is_refused(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", str(saved), "--group", "a"]) == 2
+    assert "there is no group 'a'" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("text", ["no JSON", "[]", '{"schema": 1}', '{"schema": 2, "equations": []}'])
 def test_what_is_no_result_ends_with_a_sentence(saved: Path, text: str, capsys: pytest.CaptureFixture[str]) -> None:
     (saved / "result.json").write_text(text, "utf-8")
