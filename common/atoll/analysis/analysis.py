@@ -36,8 +36,8 @@ class Analysis:
 
     `inputs` (U,) were held. `nullclines` has the polylines (n, 2) of each of two states, and is empty for others.
     `lyapunov` is of courses that no fixed point or cycle explains, None where there are none. `comparisons` stand
-    beside the measured trajectories. `branches` (of fixed points) and `cycle_branches` are those along what was
-    `varied`; `coefficients` name what can be.
+    beside the measured trajectories, but not beside those `not_compared`, whose inputs are not known. `branches` (of
+    fixed points) and `cycle_branches` are those along what was `varied`; `coefficients` name what can be.
     """
 
     field: VectorField
@@ -55,6 +55,7 @@ class Analysis:
     varied: Varied | None = None
     branches: tuple[Branch, ...] = ()
     cycle_branches: tuple[CycleBranch, ...] = ()
+    not_compared: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         from atoll.analysis.rendering import as_text
@@ -131,6 +132,7 @@ def _analysed(
         None if along is None else along[1],
         branches,
         cycle_branches,
+        tuple(each.name for each in measured if flow.field.inputs and each.inputs is None),
     )
 
 

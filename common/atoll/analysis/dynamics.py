@@ -11,8 +11,9 @@ import numpy as np
 
 from atoll.analysis.basins import Attractor, destinations
 from atoll.analysis.box import Box
-from atoll.analysis.flow import UNBOUNDED, Flow, follow
+from atoll.analysis.flow import UNBOUNDED, Flow, follow, follow_rates
 from atoll.data.dataset import FloatArray
+from atoll.model.simulation import Inputs, interpolated
 from atoll.model.vector_field import VectorField
 
 ROWS: Final = 2000
@@ -30,11 +31,15 @@ _SAME: Final = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """A measured trajectory: `times` (n,) from 0 and `states` (n, D)."""
+    """A measured trajectory: `times` (n,) from 0 and `states` (n, D).
+
+    `inputs` are those that were recorded, (U,) as a function of these times; None where they are not known.
+    """
 
     name: str
     times: FloatArray
     states: FloatArray
+    inputs: Inputs | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +114,27 @@ def measured_trajectories(found: Mapping[str, Any], field: VectorField) -> tuple
                 states[0] = [float(start[columns[name]]) for name in field.states]
             rows = np.isfinite(states).all(axis=1)
             if rows.sum() > 3:
-                trajectories.append(Measured(str(each["name"]), times[rows] - times[rows][0], states[rows]))
+                begin, name = float(times[rows][0]), str(each["name"])
+                inputs = _recorded(found, field, name, begin)
+                trajectories.append(Measured(name, times[rows] - begin, states[rows], inputs))
     return tuple(trajectories)
+
+
+def _recorded(found: Mapping[str, Any], field: VectorField, name: str, begin: float) -> Inputs | None:
+    """Return the inputs recorded along a trajectory, from `begin` on; None where one of them was not."""
+    listed = (found.get("data") or {}).get("trajectories") or ()
+    its = next((each for each in listed if str(each["name"]) == name), None)
+    if its is None or not field.inputs:
+        return None
+    named, clock = found["symbols"], (found.get("system") or {}).get("time")
+    columns = {named.get(column, column): values for column, values in its["inputs"].items()}
+    columns |= {named[clock]: its["times"]} if clock in named else {}
+    if not all(symbol in columns for symbol in field.inputs):
+        return None
+    times = np.array(its["times"], dtype=np.float64)
+    values = np.array([columns[symbol] for symbol in field.inputs], dtype=np.float64).T
+    known = np.isfinite(values).all(axis=1)
+    return interpolated(times[known] - begin, values[known]) if known.any() else None
 
 
 def _curve(
@@ -128,7 +152,12 @@ def _curve(
 def compared(
     flow: Flow, box: Box, attractors: Sequence[Attractor], trajectories: Sequence[Measured], duration: float
 ) -> tuple[Comparison, ...]:
-    """Return the model beside each measured trajectory; `duration` is how long courses have to reach an attractor."""
+    """Return the model beside each measured trajectory; `duration` is how long courses have to reach an attractor.
+
+    A model with inputs is driven by those that were recorded; trajectories without any are left out. What it reaches is
+    with the inputs held.
+    """
+    trajectories = [each for each in trajectories if not flow.field.inputs or each.inputs is not None]
     if not trajectories:
         return ()
     starts = np.array([each.states[0] for each in trajectories])
@@ -136,13 +165,25 @@ def compared(
     found = []
     for each, reaches in zip(trajectories, reached.tolist(), strict=True):
         times = np.linspace(0.0, each.times[-1], ROWS)
-        course = follow(flow, each.states[0], times)
+        course = _course(flow, each, times)
         with np.errstate(invalid="ignore"):
             inside = np.abs((course - box.middle) / box.widths).max(axis=1) < UNBOUNDED
         known = np.isfinite(course).all(axis=1)
         simulated = motion(times[known], course[known])
         found.append(Comparison(each.name, bool(inside.all()), motion(each.times, each.states), simulated, reaches))
     return tuple(found)
+
+
+def _course(flow: Flow, its: Measured, times: FloatArray) -> FloatArray:
+    """Return the states (n, D) from where a measured trajectory begins, driven by its inputs where it has some."""
+    recorded = its.inputs
+    if recorded is None:
+        return follow(flow, its.states[0], times)
+
+    def rates(x: FloatArray) -> FloatArray:  # the last state is the time
+        return np.append(flow.field.values(x[:-1], recorded(float(x[-1])), flow.parameters), 1.0)
+
+    return follow_rates(rates, np.append(its.states[0], 0.0), times)[:, :-1]
 
 
 def motion(times: FloatArray, states: FloatArray) -> Motion:

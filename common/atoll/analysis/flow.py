@@ -123,12 +123,17 @@ def steps(
 
 def follow(flow: Flow, start: FloatArray, times: FloatArray) -> FloatArray:
     """Return the states (n, D) at rising `times` from 0; NaN after the point where the course cannot be followed."""
-    found = np.full((len(times), flow.size), np.nan)
+    return follow_rates(flow.rates, start, times)
+
+
+def follow_rates(rates: Rates, start: FloatArray, times: FloatArray) -> FloatArray:
+    """Return the states (n, D) that `rates` make of a start (D,), as `follow` does."""
+    found = np.full((len(times), len(start)), np.nan)
     row = 0
     while row < len(times) and times[row] <= 0.0:
         found[row] = start
         row += 1
-    for step in steps(flow.rates, start, float(times[-1]) if len(times) else 0.0):
+    for step in steps(rates, start, float(times[-1]) if len(times) else 0.0):
         while row < len(times) and times[row] <= step.after:
             found[row] = step.at(float(times[row]))
             row += 1

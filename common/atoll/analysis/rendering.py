@@ -59,6 +59,7 @@ def as_data(its: Analysis) -> dict[str, Any]:
         "conserved": [each.text for each in its.conserved],
         "is_volume_preserving": its.is_volume_preserving,
         "dynamics": [_comparison(each, its) for each in its.comparisons],
+        "not_compared": list(its.not_compared),
         "continuation": _continuation(its),
     }
 
@@ -288,7 +289,11 @@ def _other_lines(its: Analysis) -> list[str]:
 
 
 def _comparison_lines(its: Analysis) -> list[str]:
-    return [line for each in its.comparisons for line in _beside(each, its)]
+    lines = [line for each in its.comparisons for line in _beside(each, its)]
+    if its.not_compared:
+        names = ", ".join(its.not_compared)
+        lines.append(f"the model is not compared with the data of trajectory {names}: the result has not its inputs")
+    return lines
 
 
 def _beside(each: Comparison, its: Analysis) -> list[str]:
@@ -301,7 +306,8 @@ def _beside(each: Comparison, its: Analysis) -> list[str]:
         facts[-1] = "has other amplitudes than the data"
     if each.has_same_order is not None:
         facts.append("phases agree" if each.has_same_order else "phases differ")
-    facts.append(f"reaches: {_reached(each.reaches, its)}")
+    held = ", inputs held" if its.field.inputs else ""
+    facts.append(f"reaches{held}: {_reached(each.reaches, its)}")
     return [f"from trajectory {each.name} the model " + ", ".join(facts)]
 
 

@@ -197,8 +197,11 @@ def _basins(found: Mapping[str, Any]) -> Element:
 
 
 def _comparisons(found: Mapping[str, Any]) -> list[Element]:
+    names = ", ".join(found["not_compared"])
+    text = f"The model is not compared with the data of trajectory {names}: the result has not its inputs."
+    without = [paragraph(text)] if names else []
     if not found["dynamics"]:
-        return []
+        return without
     rows = [
         [
             element("span", str(each["trajectory"])),
@@ -211,7 +214,7 @@ def _comparisons(found: Mapping[str, Any]) -> list[Element]:
         for each in found["dynamics"]
     ]
     heads = ["trajectory", "the model is", "period", "amplitudes", "phases", "reaches"]
-    return [table("The model, simulated freely, beside the data", heads, rows)]
+    return [table("The model, simulated freely, beside the data", heads, rows), *without]
 
 
 def _same(flag: bool | None, simulated: str = "", measured: str = "") -> str:

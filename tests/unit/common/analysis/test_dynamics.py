@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from atoll.analysis.analysis import analyse_result
 from atoll.analysis.dynamics import measured_trajectories, motion
 from atoll.model.vector_field import VectorField
+from tests.unit.common.model.results import result
 
 TIMES = np.linspace(0.0, 20.0, 401)
 
@@ -37,3 +39,22 @@ def test_velocities_are_differences_and_begin_as_fitted() -> None:
     (measured,) = measured_trajectories(found, VectorField.from_result(found))
     np.testing.assert_allclose(measured.states[1:-1, 1], -np.sin(TIMES)[1:-1], atol=1e-3)
     assert measured.states[0].tolist() == [1.0, 7.0]
+
+
+def test_driven_models_are_compared_along_the_recorded_inputs_or_not_at_all() -> None:
+    """x' = u - x with u = 2 sin(t) from the wave's beginning: x = sin(t) - cos(t)."""
+    found = result({"x": "u - x"}, ("u",))
+    times = 5.0 + TIMES
+    x = {"x": (np.sin(TIMES) - np.cos(TIMES)).tolist()}
+    found["simulation"] = {"trajectories": [{"name": "1", "times": times.tolist(), "values": x, "start": {"x": -1.0}}]}
+    unknown = analyse_result(found, {})
+    assert unknown.comparisons == ()
+    assert "not compared with the data of trajectory 1" in str(unknown)
+    recorded = {"name": "1", "times": times.tolist(), "measured": x, "inputs": {"u": (2.0 * np.sin(TIMES)).tolist()}}
+    found["data"]["trajectories"] = [recorded]
+    known = analyse_result(found, {})
+    (its,) = known.comparisons
+    assert its.has_same_period
+    assert its.has_same_amplitudes
+    assert its.simulated.period == pytest.approx(2.0 * np.pi, rel=1e-2)
+    assert known.as_dict()["not_compared"] == []

@@ -22,6 +22,8 @@ def saved(tmp_path: Path) -> Path:
     curves = {name: values.tolist() for name, values in course.items()}
     simulation = {"trajectories": [{"name": "a", "times": times.tolist(), "values": curves}]}
     found = result({"x": "0.5*x - x**3 + u", "y": "-y"}, ("u",), simulation=simulation)
+    recorded = {"name": "a", "times": times.tolist(), "measured": curves, "inputs": {"u": [0.0] * 200}}
+    found["data"]["trajectories"] = [recorded]
     (tmp_path / "result.json").write_text(json.dumps(found))
     return tmp_path
 
@@ -46,7 +48,7 @@ def test_text_says_what_the_measured_trajectory_reaches(saved: Path, capsys: pyt
     assert "fixed points: 3 (Newton steps from 403 starts)" in said
     assert "50.0 ± 1.2 % reach the stable node (0.707107, 0)" in said
     assert "from trajectory a the model is bounded" in said
-    assert "reaches: stable node (0.707107, 0)" in said
+    assert "reaches, inputs held: stable node (0.707107, 0)" in said
 
 
 def test_inputs_are_held_and_files_written(saved: Path) -> None:
