@@ -115,7 +115,7 @@ def remark_on_means(result: Mapping[str, Any]) -> str:
 
 def _differs(equation: Mapping[str, Any]) -> bool:
     """Tell whether an equation has a constant that is not the same in all groups."""
-    known = equation["constants"]
+    known = equation.get("constants") or ()
     if known and all(each.get("shared") for each in known):
         return False  # the mean of equal numbers may have another last bit
     return any(each["expression"] != equation["expression"] for each in equation.get("groups") or ())
