@@ -10,11 +10,8 @@ import math
 from atoll.compilation.jit import allocating_kernel, kernel
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
+from atoll_coordinator.model.cholesky import factorize, substitute
 from atoll_coordinator.model.shooting.kernels.innovations import decayed
-
-SMALLEST = 1e-200
-"""Least curvature that counts: below it a direction is flat."""
-RIDGE = 1e-13
 
 
 @kernel
@@ -71,49 +68,6 @@ def normal_equations(segments: Ints, observed: Ints, steps: FloatArray, residual
     for p in range(fitted):
         for q in range(p):
             normal[q, p] = normal[p, q]
-
-
-@kernel
-def factorize(matrix: FloatArray, size: int, scale: FloatArray, damping: float) -> bool:
-    """Overwrite the lower triangle of a symmetric `matrix` by its Cholesky factor, diagonal scaled to 1 + damping.
-
-    `scale` (size,) takes the square roots of the diagonal. Returns False when it is not positive definite.
-    """
-    for i in range(size):
-        scale[i] = math.sqrt(max(matrix[i, i], SMALLEST))
-    for i in range(size):
-        for j in range(i):
-            matrix[i, j] /= scale[i] * scale[j]
-        matrix[i, i] = 1.0 + damping + RIDGE
-    for i in range(size):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                matrix[i, i] = math.sqrt(total)
-            else:
-                matrix[i, j] = total / matrix[j, j]
-    return True
-
-
-@kernel
-def substitute(factor: FloatArray, size: int, scale: FloatArray, vector: FloatArray) -> None:
-    """Overwrite `vector` (size,) by the solution of the system that `factorize` prepared."""
-    for i in range(size):
-        total = vector[i] / scale[i]
-        for k in range(i):
-            total -= factor[i, k] * vector[k]
-        vector[i] = total / factor[i, i]
-    for i in range(size - 1, -1, -1):
-        total = vector[i]
-        for k in range(i + 1, size):
-            total -= factor[k, i] * vector[k]
-        vector[i] = total / factor[i, i]
-    for i in range(size):
-        vector[i] /= scale[i]
 
 
 @allocating_kernel

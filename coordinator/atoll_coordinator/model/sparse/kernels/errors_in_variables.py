@@ -14,6 +14,7 @@ import numpy as np
 from atoll.compilation.jit import allocating_kernel, kernel
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
+from atoll_coordinator.model.cholesky import factorize, substitute
 from atoll_coordinator.model.sparse.kernels.robust import CAUCHY
 
 _MOST_DAMPING = 1e4
@@ -120,17 +121,20 @@ def fit_errors_in_variables(
     """
     count = len(kept)
     gradient, trial, others = np.zeros(count), np.zeros(count), scaled.copy()
-    factor, step = np.zeros((count, count)), np.zeros(count)
+    factor, step, sizes = np.zeros((count, count)), np.zeros(count), np.zeros(count)
     loss = measure(kept, columns, side, products, cross, least, typical, coefficients, scaled, normal, gradient, True)
     damping = 1e-3
     for _ in range(rounds):
         gain = -1.0
         while damping <= _MOST_DAMPING:
-            if solve_scaled(normal, gradient, damping, factor, step):
+            factor[:] = normal
+            if factorize(factor, count, sizes, damping):
+                step[:] = gradient
+                substitute(factor, count, sizes, step)
                 for a in range(count):
                     trial[a] = coefficients[a] + step[a]
                 following = measure(
-                    kept, columns, side, products, cross, least, typical, trial, others, factor, gradient, False
+                    kept, columns, side, products, cross, least, typical, trial, others, normal, gradient, False
                 )
                 gain = loss - following
                 if gain > 0.0:
@@ -147,41 +151,3 @@ def fit_errors_in_variables(
         if gain < settled:
             break
     return loss
-
-
-@allocating_kernel
-def solve_scaled(normal: FloatArray, side: FloatArray, damping: float, factor: FloatArray, found: FloatArray) -> bool:
-    """Solve ``normal`` (M, M) with its unit diagonal raised by `damping`; False where it is not positive (Cholesky).
-
-    `factor` (M, M) takes the triangle, `found` (M,) the solution.
-    """
-    count = len(side)
-    sizes = np.empty(count)
-    for a in range(count):
-        if not normal[a, a] > 0.0 or normal[a, a] == math.inf:
-            return False
-        sizes[a] = math.sqrt(normal[a, a])
-    for a in range(count):
-        for b in range(a + 1):
-            total = normal[a, b] / sizes[a] / sizes[b] + (damping if a == b else 0.0)
-            for c in range(b):
-                total -= factor[a, c] * factor[b, c]
-            if a == b:
-                if not total > 0.0:
-                    return False
-                factor[a, a] = math.sqrt(total)
-            else:
-                factor[a, b] = total / factor[b, b]
-    for a in range(count):
-        total = side[a] / sizes[a]
-        for c in range(a):
-            total -= factor[a, c] * found[c]
-        found[a] = total / factor[a, a]
-    for a in range(count - 1, -1, -1):
-        total = found[a]
-        for c in range(a + 1, count):
-            total -= factor[c, a] * found[c]
-        found[a] = total / factor[a, a]
-    for a in range(count):
-        found[a] /= sizes[a]
-    return True

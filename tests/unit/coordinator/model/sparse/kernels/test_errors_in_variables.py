@@ -8,7 +8,6 @@ from atoll_coordinator.model.sparse.kernels.errors_in_variables import (
     error_products,
     fit_errors_in_variables,
     measure,
-    solve_scaled,
 )
 from atoll_coordinator.model.sparse.kernels.robust import CAUCHY
 
@@ -77,11 +76,3 @@ def test_covariances_are_those_of_simulated_errors():
     side = -errors[:, 1] @ slope[0]
     assert products[0] == pytest.approx(np.cov(terms.T), abs=0.03)
     assert cross[0] == pytest.approx([-np.cov(side, terms[:, k])[0, 1] for k in range(2)], abs=0.03)
-
-
-def test_systems_that_are_not_positive_are_refused():
-    matrix, side, found = np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([1.0, -1.0]), np.zeros(2)
-    assert solve_scaled(matrix, side, 0.0, np.zeros((2, 2)), found)
-    assert matrix @ found == pytest.approx(side)
-    assert not solve_scaled(np.array([[1.0, 2.0], [2.0, 1.0]]), side, 0.0, np.zeros((2, 2)), found)
-    assert not solve_scaled(np.zeros((2, 2)), side, 0.0, np.zeros((2, 2)), found)
