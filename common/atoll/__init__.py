@@ -5,8 +5,9 @@
 ``machine`` what this process may use of its machine; ``command_line``, ``program``, ``logs`` and ``errors`` what both
 command lines share.
 
-``model`` is what users hold of a model that was found, ``analysis`` what its dynamics are, ``experiments`` what is said
-of the data that it needs; ``Model`` here is loaded when it is first used.
+``model`` is what users hold of a model that was found, ``stochastic`` the steps and paths of a process, ``analysis``
+what the dynamics of a model are, ``experiments`` what is said of the data that it needs; ``Model`` here is loaded when
+it is first used.
 
 `atoll` imports neither `atoll_coordinator` nor `atoll_island_worker`.
 """

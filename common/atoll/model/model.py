@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from atoll.expression.evaluation import values_of
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.model.arguments import by_name, interval, number, numbers, shown
+from atoll.model.ensembles import density_of_process, ensemble_of
 from atoll.model.export.methods import Exports
 from atoll.model.parameters import (
     LEVEL,
@@ -32,6 +33,9 @@ from atoll.model.parameters import (
 from atoll.model.saved import check_result, read_result, write_text
 from atoll.model.simulation import Inputs, Simulation, interpolated, simulate, together
 from atoll.model.vector_field import VectorField
+from atoll.stochastic.densities import StationaryDensity
+from atoll.stochastic.moments import Pair
+from atoll.stochastic.paths import PATHS, Ensemble
 from atoll.suggestions import did_you_mean
 
 if TYPE_CHECKING:
@@ -317,6 +321,7 @@ class Model(Exports):
 
     # ------------------------------------------------------------------------------------------- what it does
 
+    @overload
     def simulate(
         self,
         x0: Given | None = None,
@@ -325,7 +330,34 @@ class Model(Exports):
         *,
         has_bands: bool = True,
         group: object = None,
-    ) -> Simulation:
+        paths: None = None,
+        seed: int = 0,
+    ) -> Simulation: ...
+
+    @overload
+    def simulate(
+        self,
+        x0: Given | None = None,
+        t: npt.ArrayLike | float | None = None,
+        u: Mapping[str, Any] | npt.ArrayLike | Callable[[float], Any] | None = None,
+        *,
+        has_bands: bool = True,
+        group: object = None,
+        paths: int,
+        seed: int = 0,
+    ) -> Ensemble: ...
+
+    def simulate(  # noqa: PLR0913, the keywords are the options of the command
+        self,
+        x0: Given | None = None,
+        t: npt.ArrayLike | float | None = None,
+        u: Mapping[str, Any] | npt.ArrayLike | Callable[[float], Any] | None = None,
+        *,
+        has_bands: bool = True,
+        group: object = None,
+        paths: int | None = None,
+        seed: int = 0,
+    ) -> Simulation | Ensemble:
         """Integrate from an initial state. How it ends is its `status`: a blow-up is a result, not an error.
 
         Args:
@@ -337,19 +369,61 @@ class Model(Exports):
                 of time that returns U numbers. An input that is the time itself needs none.
             has_bands: whether the errors of the constants are carried on into 95 % bands, where they are known.
             group: of trajectories whose constants are taken, where these may differ; one of `groups`.
+            paths: of a stochastic process, how many are drawn: an `Ensemble`. None: the drift alone is followed.
+            seed: of the paths; the same seed gives the same paths.
 
         Raises:
             UsageError: the arguments do not fit, the model has no time, or its constants are those of groups and none
-                is named.
+                is named; paths are asked for of a model without noise of its own.
         """
         if group is not None:
-            return self.of_group(group).simulate(x0, t, u, has_bands=has_bands)
-        self.require_one_group()
-        times = self.times_of(t)
-        bands = (self._errors, self._quantile) if has_bands and self._errors is not None else None
-        recorded = self.recorded if x0 is None else {}
-        found = simulate(self.field, self.start_of(x0), times, self._inputs(u, times, recorded), bands)
-        return replace(found, time=self.time)
+            model = self.of_group(group)
+        else:
+            self.require_one_group()
+            model = self
+        field, times, start = model.field, model.times_of(t), model.start_of(x0)
+        inputs = model._inputs(u, times, model.recorded if x0 is None else {})
+        if paths is not None:
+            return ensemble_of(model, start, times, inputs, (paths, seed))
+        bands = (model._errors, model._quantile) if has_bands and model._errors is not None else None
+        return replace(simulate(field, start, times, inputs, bands), time=model.time)
+
+    def stationary_density(
+        self,
+        x0: Given | None = None,
+        *,
+        inputs: Mapping[str, float] | None = None,
+        paths: int = PATHS,
+        seed: int = 0,
+    ) -> StationaryDensity | None:
+        """Return the density that paths of a stochastic process settle into; None where they do not settle.
+
+        Paths that stay where they begin for longer than they are simulated settle there, as in one of two wells.
+
+        Args:
+            x0: where all paths begin; None: as measured.
+            inputs: values at which inputs are held, by name; zeros unless given.
+            paths: how many are drawn.
+            seed: of the paths.
+
+        Raises:
+            UsageError: the arguments do not fit, or the model has no noise of its own.
+        """
+        given = {name: number(its, f"the input {name!r}") for name, its in by_name(inputs, "inputs").items()}
+        held = {self._result["symbols"].get(name, name): its for name, its in given.items()}
+        unknown = next((name for name in held if name not in self.inputs), None)
+        if unknown is not None:
+            raise UsageError(f"there is no input {unknown!r}; the inputs are {', '.join(self.inputs) or 'none'}")
+        return density_of_process(self, self.start_of(x0), [held.get(name, 0.0) for name in self.inputs], (paths, seed))
+
+    @cached_property
+    def components(self) -> dict[str, Pair]:
+        """The equations of the diffusion g g' of a process dx = f dt + g dW: the places of both states, by name."""
+        columns = [*enumerate(self._columns[name] for name in self.states)]
+        pairs = {f"[{name}]": (place, place) for place, name in columns}
+        pairs |= {f"[{one},{other}]": (i, j) for i, one in columns for j, other in columns if i < j}
+        named = [each["variable"] for each in self._result["equations"]]
+        return {name: pairs[name] for name in named if name in pairs}
 
     def predict(
         self, x: Mapping[str, Any] | npt.ArrayLike, u: Mapping[str, Any] | npt.ArrayLike | None = None
@@ -596,8 +670,17 @@ class Model(Exports):
 
     @property
     def beginning(self) -> Mapping[str, Any]:
-        """The first simulated trajectory, else the first measured one; empty where there is none."""
-        return self.first or self._first_measured
+        """The first simulated trajectory, the ensemble of a process, else the first measured one; empty without."""
+        return self.first or self._first_of_ensemble or self._first_measured
+
+    @property
+    def _first_of_ensemble(self) -> Mapping[str, Any]:
+        """Name, start and times of the ensemble of a process; empty where there is none."""
+        its = (self._result.get("process") or {}).get("ensemble")
+        if not its:
+            return {}
+        start = {name: float(values[0]) for name, values in its["mean"].items()}
+        return {"name": its.get("trajectory"), "start": start, "times": its["times"]}
 
     @property
     def _first_measured(self) -> Mapping[str, Any]:

@@ -99,7 +99,7 @@ def simulate(
     By LSODA, which takes implicit steps where the system is stiff. `bands` are the errors of the constants and how many
     standard errors lie on either side; `most` bounds the evaluations. Raises UsageError where arguments do not fit.
     """
-    t = _checked(field, x0, t)
+    check_times(field, x0, t)
     task = _Task(field, inputs, most)
     states, reached, last = _integrated(task, x0, t)
     status: Status = "finished" if last is None else _ending(task, x0, reached, last, float(t[-1] - t[0]))
@@ -111,14 +111,15 @@ def simulate(
     return Simulation(field.states, t, states, status, sentence, spread, states - half, states + half)
 
 
-def _checked(field: VectorField, x0: FloatArray, t: FloatArray) -> FloatArray:
+def check_times(field: VectorField, x0: FloatArray, t: FloatArray, paths: int = 1) -> None:
+    """Raise UsageError where an initial state or times are none, or so many paths are too many numbers."""
     if x0.shape != (len(field.states),) or not np.isfinite(x0).all():
         raise UsageError(f"an initial state has a finite number for each of {', '.join(field.states)}; correct it")
     if t.ndim != 1 or len(t) < 1 or not np.isfinite(t).all() or (np.diff(t) <= 0.0).any():
         raise UsageError("times must be finite and ascend; give at least one")
-    if len(t) * len(x0) > MOST_NUMBERS:
-        raise UsageError(f"{len(t)} times of {len(x0)} states are more than {MOST_NUMBERS} numbers; take longer steps")
-    return t
+    if paths * len(t) * len(x0) > MOST_NUMBERS:
+        what = f"{len(t)} times of {len(x0)} states" + (f" on {paths} paths" if paths > 1 else "")
+        raise UsageError(f"{what} are more than {MOST_NUMBERS} numbers; take longer steps")
 
 
 class _SpentError(Exception):

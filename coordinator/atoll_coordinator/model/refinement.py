@@ -12,6 +12,9 @@ from atoll.expression.dimensions import EquationUnits
 from atoll.expression.program import MAX_NODES, Program
 from atoll.expression.text.infix import PRINTABLE_SIZE, tree_size
 from atoll.search.pareto import FrontEntry
+from atoll.stochastic.densities import StationaryDensity
+from atoll.stochastic.moments import Discretisation
+from atoll.stochastic.paths import Ensemble
 
 Grade = Literal["exact", "good", "doubtful", "no model"]
 RefiningEnd = Literal["finished", "max-time", "not refined"]
@@ -277,56 +280,37 @@ class Simulation:
 
 
 @dataclass(frozen=True, eq=False)
-class Ensemble:
-    """Paths of a process from where the trajectory of this `name` begins, at its `times` (R,), centred.
+class MeasuredDensity:
+    """The density that a process settles into, that of the measurements in the same bins, `measured` (S, B).
 
-    `kept` of so many `paths` have finite states to the end. `mean`, `lower`, `median` and `upper` (S, R) are theirs,
-    the bounds those that 5 % lie beyond on either side.
+    `overlap` (S,) is the integral of the lesser of both.
     """
 
-    name: str
-    kept: int
-    paths: int
-    times: FloatArray
-    mean: FloatArray
-    lower: FloatArray
-    median: FloatArray
-    upper: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class StationaryDensity:
-    """The density of each state that a process settles into.
-
-    `edges` (S, B + 1) bound the bins of `density` and of `measured` (S, B), the density of the measurements; `overlap`
-    (S,) is the integral of the lesser of both, `mean` and `deviation` (S,) are those of the process.
-    """
-
-    edges: FloatArray
-    density: FloatArray
+    settled: StationaryDensity
     measured: FloatArray
     overlap: FloatArray
-    mean: FloatArray
-    deviation: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class ProcessFindings:
     """What is known of a stochastic process as a whole.
 
-    `steps` were measured, of this median `length`; `log_likelihood` is the mean of a step in nats, `held_out` that of
-    steps that took no part (None without). `noise` has the standard deviation of the errors of measurement of the
-    states that show any; `stationary` is None where the process does not settle.
+    `steps` were measured, of this median `length`, and are those of this `discretisation`; `log_likelihood` is the mean
+    of a step in nats, `held_out` that of steps that took no part (None without). `noise` has the standard deviation of
+    the errors of measurement of the states that show any; `ensemble` begins where the `trajectory` of this name does,
+    at its centred times; `stationary` is None where the process does not settle.
     """
 
     states: tuple[str, ...]
     steps: int
     length: float
+    discretisation: Discretisation
     log_likelihood: float
     held_out: float | None
     noise: Mapping[str, Constant]
+    trajectory: str
     ensemble: Ensemble | None
-    stationary: StationaryDensity | None
+    stationary: MeasuredDensity | None
 
 
 @dataclass(frozen=True, eq=False)

@@ -131,16 +131,17 @@ def content_of(
     result = model.result
     names = tuple(result["symbols"].values())
     formulas = _formulas(model, names)
-    of_states = {} if model.is_regression else {each["variable"]: each for each in result["equations"]}
-    times = np.zeros(1) if model.is_regression else _times(model, t)
+    components = {} if model.is_regression else model.components
+    by_name = dict(zip((each["variable"] for each in result["equations"]), formulas, strict=True))
+    times = np.zeros(1) if model.is_regression else model.times_of(t)
     return Content(
         names,
         tuple(_variable(model, name) for name in model.states),
         tuple(_input(model, name, u or {}, times) for name in model.inputs),
         tuple(each for each in model.params.values() if _is_named(each)),
         tuple(formulas[:1]) if model.is_regression else _rates(model, formulas, names),
-        _covariance(model, dict(zip(of_states, formulas, strict=False))),
-        () if model.is_regression else tuple(_start(model, x0).tolist()),
+        {pair: by_name[name] for name, pair in components.items()},
+        () if model.is_regression else tuple(model.start_of(x0).tolist()),
         float(times[0]),
         float(times[-1]),
         max(len(times) - 1, 1),
@@ -184,13 +185,6 @@ def _rates(model: "Model", formulas: Sequence[Formula], names: Sequence[str]) ->
     return (*velocities, *(of[name] for name in model.states[:half]))
 
 
-def _covariance(model: "Model", formulas: Mapping[str, Formula]) -> dict[tuple[int, int], Formula]:
-    columns = [_column(model, name) for name in model.states]
-    names = {f"[{name}]": (place, place) for place, name in enumerate(columns)}
-    names |= {f"[{one},{other}]": (i, j) for i, one in enumerate(columns) for j, other in enumerate(columns) if i < j}
-    return {names[name]: its for name, its in formulas.items() if name in names}
-
-
 def _units(model: "Model") -> dict[str, str]:
     return (model.result.get("system") or {}).get("units") or {}
 
@@ -226,24 +220,6 @@ def _pieces(times: FloatArray, values: FloatArray) -> FloatArray:
 
     curve = PchipInterpolator(times, values)
     return np.column_stack([curve.x[:-1], curve.c[::-1].T])
-
-
-def _times(model: "Model", t: Any) -> FloatArray:
-    if t is None and not model.first and (its := _ensemble(model)):
-        return np.array(its["times"], dtype=np.float64)
-    return model.times_of(t)
-
-
-def _start(model: "Model", x0: Any) -> FloatArray:
-    its = _ensemble(model)
-    if x0 is None and not model.first and its:
-        return np.array([float(its["mean"][_column(model, name)][0]) for name in model.states])
-    return model.start_of(x0)
-
-
-def _ensemble(model: "Model") -> Mapping[str, Any]:
-    """Return the simulated paths of a process; empty where there are none."""
-    return (model.result.get("process") or {}).get("ensemble") or {}
 
 
 def _origin(model: "Model") -> list[str]:

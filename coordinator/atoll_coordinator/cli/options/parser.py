@@ -198,6 +198,15 @@ def _add_simulate(verbs: Any) -> None:
         metavar="u=1",
         help="value of an input (default: as measured); repeatable",
     )
+    parser.add_argument(
+        "--paths",
+        metavar="N",
+        help="of a stochastic process: draw so many paths; mean, median and the bounds that 5 %% lie beyond",
+    )
+    parser.add_argument("--seed", metavar="S", help="of the paths (default: 0)")
+    parser.add_argument(
+        "--each-path", action="store_true", help="write each path, as rows with a column trajectory, instead of bounds"
+    )
     parser.add_argument("-o", "--output", metavar="FILE", help="write to this file (default: stdout)")
     parser.add_argument("--json", action="store_true", help="write JSON: status, message, columns")
 

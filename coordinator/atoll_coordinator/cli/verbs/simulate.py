@@ -23,24 +23,50 @@ _SLACK: Final = 1e-9
 
 
 def simulate(options: argparse.Namespace) -> int:
-    """Simulate the model of ``options.result``; how it ends is said on stderr. Return the exit code."""
+    """Simulate the model of ``options.result``, or draw paths; how it ends is said on stderr. Return the exit code."""
     model = load(options.result, options.group)
     if model.is_regression:
         raise UsageError("the model is a regression without time, so there is nothing to simulate; see its result")
     given = Given(model, options.initial)
     times = times_of(model, given, options)
     inputs = {**(given.inputs(times) or {}), **held_inputs(model, options.hold)}
-    found = model.simulate(given.state, times, inputs)
-    text = as_json(found.as_dict()) if options.json else found.to_csv()
-    if options.output is None:
+    paths, seed = (_whole(getattr(options, name), f"--{name}") for name in ("paths", "seed"))
+    if paths is None and (options.each_path or seed is not None):
+        raise UsageError(
+            f"{'--each-path' if options.each_path else '--seed'} belongs to --paths; say how many there are"
+        )
+    if paths is None:
+        found = model.simulate(given.state, times, inputs)
+        _deliver(as_json(found.as_dict()) if options.json else found.to_csv(), options.output)
+        if model.result.get("process") is not None:
+            note("coordinator: the drift was simulated, without the noise of the process; --paths draws paths with it")
+        if found.status != "finished":
+            note(f"coordinator: the simulation ended early: {found.message}")
+        return DONE
+    ensemble = model.simulate(given.state, times, inputs, paths=paths, seed=seed or 0)
+    each = options.each_path
+    _deliver(
+        as_json(ensemble.as_dict(has_paths=each)) if options.json else ensemble.to_csv(has_paths=each), options.output
+    )
+    if len(ensemble.finite) < paths:
+        note(f"coordinator: {ensemble.message}")
+    return DONE
+
+
+def _deliver(text: str, output: str | None) -> None:
+    if output is None:
         say(text)
     else:
-        write(Path(options.output), text)
-    if model.result.get("process") is not None:
-        note("coordinator: the drift was simulated, without the noise of the process")
-    if found.status != "finished":
-        note(f"coordinator: the simulation ended early: {found.message}")
-    return DONE
+        write(Path(output), text)
+
+
+def _whole(text: str | None, option: str) -> int | None:
+    """Return the whole number that is given to an option; raises UsageError."""
+    if text is None:
+        return None
+    if not text.isdecimal():
+        raise UsageError(f"{option} must be a whole number, but {text!r} was given")
+    return int(text)
 
 
 def load(name: str, group: str | None = None) -> Model:

@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
+from atoll.stochastic.paths import Ensemble
 from atoll_coordinator.data.recording import ProcessRecording
-from atoll_coordinator.model.refinement import Ensemble, ProcessFindings, StationaryDensity
+from atoll_coordinator.model.refinement import MeasuredDensity, ProcessFindings
 from atoll_coordinator.model.result.numbers import curve, finite, thinned
 from atoll_coordinator.model.result.tables import percent, plus_minus
 
@@ -20,6 +21,7 @@ def process(its: ProcessFindings | None, recording: ProcessRecording | None) -> 
     return {
         "steps": its.steps,
         "step": finite(its.length),
+        "discretisation": its.discretisation,
         "log_likelihood": finite(its.log_likelihood),
         "held_out_log_likelihood": finite(its.held_out),
         "measurement_noise": {
@@ -30,41 +32,42 @@ def process(its: ProcessFindings | None, recording: ProcessRecording | None) -> 
             }
             for state, sd in its.noise.items()
         },
-        "ensemble": _ensemble(its.ensemble, its.states, recording.offset),
-        "stationary": _stationary(its.stationary, its.states),
+        "ensemble": _ensemble(its.ensemble, its.trajectory, recording.offset),
+        "stationary": _stationary(its.stationary),
     }
 
 
-def _ensemble(its: Ensemble | None, states: tuple[str, ...], offset: float) -> dict[str, Any] | None:
+def _ensemble(its: Ensemble | None, trajectory: str, offset: float) -> dict[str, Any] | None:
     if its is None:
         return None
-    rows = thinned(len(its.times), MOST_POINTS)
+    rows = thinned(len(its.t), MOST_POINTS)
     curves = {"mean": its.mean, "lower": its.lower, "median": its.median, "upper": its.upper}
     return {
-        "trajectory": its.name,
-        "paths": its.paths,
-        "finite_paths": its.kept,
-        "times": curve(its.times[rows] + offset, digits=12),
+        "trajectory": trajectory,
+        "paths": len(its.x),
+        "finite_paths": len(its.finite),
+        "times": curve(its.t[rows] + offset, digits=12),
         **{
-            key: {state: curve(values[index, rows]) for index, state in enumerate(states)}
+            key: {state: curve(values[rows, index]) for index, state in enumerate(its.states)}
             for key, values in curves.items()
         },
     }
 
 
-def _stationary(its: StationaryDensity | None, states: tuple[str, ...]) -> dict[str, Any] | None:
+def _stationary(its: MeasuredDensity | None) -> dict[str, Any] | None:
     if its is None:
         return None
+    settled = its.settled
     return {
         state: {
-            "mean": finite(float(its.mean[index])),
-            "sd": finite(float(its.deviation[index])),
+            "mean": finite(float(settled.mean[index])),
+            "sd": finite(float(settled.sd[index])),
             "overlap": finite(float(its.overlap[index])),
-            "edges": curve(its.edges[index]),
-            "density": curve(its.density[index]),
+            "edges": curve(settled.edges[index]),
+            "density": curve(settled.density[index]),
             "measured": curve(its.measured[index]),
         }
-        for index, state in enumerate(states)
+        for index, state in enumerate(settled.states)
     }
 
 

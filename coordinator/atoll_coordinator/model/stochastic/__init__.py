@@ -1,12 +1,11 @@
 """The law of a stochastic process, dx = f dt + g dW, from candidates of the search: drift f and diffusion B = g g'.
 
-- `jets`: programs with their first and second derivatives by the states
-- `moments`: mean and covariance of a step
 - `likelihood`: of all steps, also with errors of measurement; constants fitted, their information
 - `regression`: candidates for one equation, the others as they are
 - `choice`: equations exchanged one after another, the shortest description
-- `simulation`: ensembles and the stationary density
+- `simulation`: ensembles and the stationary density, beside the measurements
 - `conclusion`: errors of constants, verdicts, what is reported
 
-`pipeline` calls `choice` and `conclusion`. The reasons and figures: ADR 0044.
+`pipeline` calls `choice` and `conclusion`. The moments of a step and the paths of a process are in `atoll.stochastic`.
+The reasons and figures: ADR 0044.
 """

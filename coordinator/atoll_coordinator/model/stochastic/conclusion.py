@@ -22,6 +22,7 @@ from atoll.expression.unit_coefficients import (
     make_coefficients_explicit,
     write_factors,
 )
+from atoll.stochastic.paths import Simulator
 from atoll_coordinator.data.increments.bins import Rows, split_into_bins
 from atoll_coordinator.data.increments.steps import take_steps
 from atoll_coordinator.model.inference.residuals import check
@@ -42,7 +43,7 @@ from atoll_coordinator.model.regression.rounding import round_estimates
 from atoll_coordinator.model.selection.candidates import CandidateSet, form
 from atoll_coordinator.model.stochastic.choice import ChosenProcess, is_zero
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
-from atoll_coordinator.model.stochastic.simulation import Simulator, settle, simulate_ensemble
+from atoll_coordinator.model.stochastic.simulation import settle, simulate_ensemble
 from atoll_coordinator.settings import SETTINGS
 
 _NO_COVARIANCE: Final = "The noises of these states show no correlation that is worth its description."
@@ -310,7 +311,7 @@ def _findings(chosen: ChosenProcess, fitted: FittedProcess, shown: ProcessModel,
         sd = math.sqrt(fitted.model.noise[process.states.index(state)])
         bounds = (sd * math.exp(-1.96 * its), sd * math.exp(1.96 * its)) if its < 50.0 else None
         noise[state] = Constant(sd, sd, sd * its, bounds)
-    simulator = Simulator(shown, np.random.default_rng(seed))
+    simulator = Simulator(shown.moments, np.random.default_rng(seed))
     unseen = take_steps(process, held_out=True)
     held_out = None
     if len(unseen.lengths):
@@ -320,9 +321,10 @@ def _findings(chosen: ChosenProcess, fitted: FittedProcess, shown: ProcessModel,
         process.states,
         len(steps.lengths),
         float(np.median(steps.lengths)),
+        shown.discretisation,
         -fitted.misfit / len(steps.lengths),
         held_out,
         noise,
-        simulate_ensemble(simulator, process),
+        *simulate_ensemble(simulator, process),
         settle(simulator, process, steps),
     )

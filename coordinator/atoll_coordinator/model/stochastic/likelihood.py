@@ -20,9 +20,9 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, with_constants
+from atoll.stochastic.moments import Discretisation, Pair, StepMoments, step_moments
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.model.damping import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING
-from atoll_coordinator.model.stochastic.moments import Pair, StepMoments, step_moments
 from atoll_coordinator.settings import SETTINGS
 
 _DIFFERENCE = 1e-5
@@ -33,13 +33,14 @@ _DIFFERENCE = 1e-5
 class ProcessModel:
     """A process: programs of the `drift` (S) and of the components of the diffusion, in the order of their `pairs`.
 
-    `noise` has the variance of the errors of measurement of each state (S).
+    `noise` has the variance of the errors of measurement of each state (S); `discretisation` says what a step is.
     """
 
     drift: tuple[Program, ...]
     diffusion: tuple[Program, ...]
     pairs: tuple[Pair, ...]
     noise: tuple[float, ...]
+    discretisation: Discretisation = "local linearisation"
 
     @property
     def programs(self) -> tuple[Program, ...]:
@@ -54,7 +55,8 @@ class ProcessModel:
 
     def moments(self, points: FloatArray, lengths: FloatArray) -> StepMoments:
         """Return the moments of steps of these `lengths` (N,) from `points` (V, N)."""
-        return step_moments(self.drift, dict(zip(self.pairs, self.diffusion, strict=True)), points, lengths)
+        diffusion = dict(zip(self.pairs, self.diffusion, strict=True))
+        return step_moments(self.drift, diffusion, points, lengths, self.discretisation)
 
     def parameters(self, free: Sequence[int]) -> FloatArray:
         """Return the constants of the equations `free`, by number, and the logarithms of standard errors of noise."""

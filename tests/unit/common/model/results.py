@@ -42,3 +42,11 @@ def constant(value: float, error: float) -> dict[str, Any]:
     """Return a constant with its standard error, as a result has it."""
     bounds = [value - 2.0 * error, value + 2.0 * error]
     return {"value": value, "std_error": error, "fitted": value, "interval": bounds, "identifiable": True}
+
+
+def process_result(drift: str = "1-x", diffusion: str = "0.25", inputs: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Return the content of the result.json of a process of one state that was measured in steps of 0.1 from 2."""
+    found = result({"x": drift, "[x]": diffusion}, inputs)
+    del found["symbols"]["[x]"]
+    ensemble = {"trajectory": "1", "times": [0.0, 0.5], "mean": {"x": [2.0, 1.6]}}
+    return found | {"process": {"step": 0.1, "ensemble": ensemble}}

@@ -3,10 +3,11 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from atoll_coordinator.cli.main import main
-from tests.unit.common.model.results import result
+from tests.unit.common.model.results import process_result, result
 
 
 @pytest.fixture
@@ -125,3 +126,38 @@ def test_bad_input_is_one_sentence(
     said = capsys.readouterr().err
     assert sentence in said
     assert said.count("\n") == 1
+
+
+def test_paths_of_a_process_are_written_as_bounds_or_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "result.json").write_text(json.dumps(process_result()))
+    words = ["simulate", str(tmp_path), "--until", "0.2", "--step", "0.1"]
+    assert main([*words, "--paths", "3", "--seed", "5"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert (lines[:2], len(lines)) == (["t,x_mean,x_lower,x_median,x_upper", "0.0,2.0,2.0,2.0,2.0"], 4)
+    assert main([*words, "--paths", "3", "--seed", "5", "--each-path"]) == 0
+    rows = [line.split(",") for line in capsys.readouterr().out.splitlines()]
+    assert (rows[0], rows[4][:2], len(rows)) == (["trajectory", "t", "x"], ["2", "0.0"], 10)
+    assert float(lines[2].split(",")[1]) == pytest.approx(
+        np.mean([float(row[2]) for row in (rows[2], rows[5], rows[8])])
+    )
+    assert main([*words, "--paths", "2", "--json", "--each-path"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["states"]["x"]) == 2
+    assert main(words) == 0
+    assert "the drift was simulated, without the noise of the process; --paths" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "fault"),
+    [
+        (["--seed", "1"], "--seed belongs to --paths"),
+        (["--each-path"], "--each-path belongs to --paths"),
+        (["--paths", "x"], "--paths must be a whole number, but 'x' was given"),
+        (["--paths", "0"], "paths must be a whole number of at least 1"),
+    ],
+)
+def test_options_of_paths_that_do_not_fit_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], fault: str
+) -> None:
+    (tmp_path / "result.json").write_text(json.dumps(process_result()))
+    assert main(["simulate", str(tmp_path), *words]) == 2
+    assert fault in capsys.readouterr().err

@@ -1,8 +1,8 @@
 import numpy as np
 from scipy import stats
 
+from atoll.stochastic.moments import step_moments
 from atoll_coordinator.model.stochastic.likelihood import ProcessLikelihood, ProcessModel
-from atoll_coordinator.model.stochastic.moments import step_moments
 from tests.unit.coordinator.model.stochastic.processes import model_of, ornstein_uhlenbeck, steps_of
 
 

@@ -1,8 +1,9 @@
 import numpy as np
 
+from atoll.stochastic.paths import Simulator
 from atoll_coordinator.data.increments.steps import take_steps
 from atoll_coordinator.data.recording import ProcessRecording, SampledPath
-from atoll_coordinator.model.stochastic.simulation import Simulator, settle, simulate_ensemble
+from atoll_coordinator.model.stochastic.simulation import settle, simulate_ensemble
 from tests.unit.coordinator.model.stochastic.processes import model_of, ornstein_uhlenbeck
 
 
@@ -13,18 +14,19 @@ def recording(states: np.ndarray, step: float) -> ProcessRecording:
 
 def test_an_ensemble_and_a_settled_density_are_those_of_the_process() -> None:
     process = recording(ornstein_uhlenbeck(3000, 0.1, seed=1) + np.where(np.arange(3000) == 0, 2.0, 0.0), 0.1)
-    simulator = Simulator(model_of("-1*x", "0.25"), np.random.default_rng(1))
-    ensemble = simulate_ensemble(simulator, process)
+    simulator = Simulator(model_of("-1*x", "0.25").moments, np.random.default_rng(1))
+    name, ensemble = simulate_ensemble(simulator, process)
+    assert name == "1"
     assert ensemble is not None
-    assert ensemble.kept == ensemble.paths
-    assert abs(ensemble.mean[0, 10] - 2.0 * np.exp(-1.0)) < 4.0 * 0.35 / np.sqrt(ensemble.paths)
+    assert len(ensemble.finite) == len(ensemble.x)
+    assert abs(ensemble.mean[10, 0] - 2.0 * np.exp(-1.0)) < 4.0 * 0.35 / np.sqrt(len(ensemble.x))
     density = settle(simulator, process, take_steps(process))
     assert density is not None
-    assert abs(density.deviation[0] - 0.5 / np.sqrt(2.0)) < 0.01
+    assert abs(density.settled.sd[0] - 0.5 / np.sqrt(2.0)) < 0.01
     assert density.overlap[0] > 0.9
 
 
 def test_what_grows_without_end_does_not_settle() -> None:
     process = recording(1.0 + ornstein_uhlenbeck(500, 0.1, seed=1), 0.1)
-    simulator = Simulator(model_of("0.05*x", "0.01*x*x"), np.random.default_rng(1))
+    simulator = Simulator(model_of("0.05*x", "0.01*x*x").moments, np.random.default_rng(1))
     assert settle(simulator, process, take_steps(process)) is None

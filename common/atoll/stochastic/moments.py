@@ -13,23 +13,29 @@ A state without noise of its own is moved by that of the states it follows: over
 order, J B J' h^3 / 3, or of the fifth where it follows such a state. That is small, and yet not zero (hypoelliptic
 processes: Ditlevsen & Samson 2019, who expand to these orders; Melnykova 2020, by the linearisation used here). What is
 so certain asks for as much of the mean: the part of the drift alone is a step of Runge and Kutta, of fourth order.
+
+A table may also be the output of Euler and Maruyama's method, a row for each of its steps. Then mean and covariance of
+a step are h f and h B, and nothing else: noise of one state does not reach another one within the step.
 Letters: S states, V variables, R rows.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.evaluation import values_of
 from atoll.expression.program import Program
-from atoll_coordinator.model.stochastic.jets import Jet, jet_of
+from atoll.stochastic.jets import Jet, jet_of
 
 Pair = tuple[int, int]
 """Two states by their index, the first not above the second: a component of the diffusion."""
+
+Discretisation = Literal["local linearisation", "Euler-Maruyama"]
+"""What a step is: that of the process in time, or of the numerical method of this name."""
 
 _NODES: Final = ((0.5 - 0.5 / math.sqrt(3.0), 0.5), (0.5 + 0.5 / math.sqrt(3.0), 0.5))
 _MORE_NODES: Final = ((0.5 - math.sqrt(0.15), 5.0 / 18.0), (0.5, 4.0 / 9.0), (0.5 + math.sqrt(0.15), 5.0 / 18.0))
@@ -50,7 +56,11 @@ class StepMoments:
 
 
 def step_moments(
-    drift: Sequence[Program], diffusion: Mapping[Pair, Program], points: FloatArray, steps: FloatArray
+    drift: Sequence[Program],
+    diffusion: Mapping[Pair, Program],
+    points: FloatArray,
+    steps: FloatArray,
+    discretisation: Discretisation = "local linearisation",
 ) -> StepMoments:
     """Return the moments of steps.
 
@@ -59,11 +69,14 @@ def step_moments(
         diffusion: B, component by component; those that are missing are zero.
         points: (V, R), where steps begin; states first, then inputs, which stay as they are in a step.
         steps: (R,), their lengths.
+        discretisation: what a step is.
     """
     states = len(drift)
     with np.errstate(all="ignore"):
         value, jacobian, hessian = _stacked([jet_of(program, points, states) for program in drift], states)
         tensor, its_change = _diffusion(diffusion, points, value, states)
+        if discretisation == "Euler-Maruyama":
+            return StepMoments(steps * value, steps * tensor, np.eye(states)[:, :, None] + steps * jacobian)
         curved = 0.25 * np.einsum("jkr,ijkr->ir", tensor, hessian)
         mean = _flow(drift, value, points, steps) + steps * steps * curved
         square = np.einsum("ijr,jkr->ikr", jacobian, jacobian)

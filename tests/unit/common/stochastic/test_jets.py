@@ -3,7 +3,7 @@ import pytest
 
 from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
-from atoll_coordinator.model.stochastic.jets import jet_of
+from atoll.stochastic.jets import jet_of
 
 NAMES = ["x", "y", "u"]
 

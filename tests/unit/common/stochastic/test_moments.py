@@ -1,7 +1,7 @@
 import numpy as np
 
 from atoll.expression.text.parsing import from_infix
-from atoll_coordinator.model.stochastic.moments import step_moments
+from atoll.stochastic.moments import step_moments
 
 
 def test_a_step_of_ornstein_and_uhlenbeck_is_their_transition_density_to_third_order() -> None:
