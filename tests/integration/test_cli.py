@@ -121,12 +121,11 @@ def test_a_target_error_that_is_not_met_is_exit_code_4_with_the_models_written(t
 ENDLESS = ["--target-error", "1e-300", "--max-epochs", "1000000", "--workers", "2", "--out", "out"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_keeps_the_best_so_far_and_leaves_no_process(tmp_path: Path, number: signal.Signals) -> None:
+def test_an_interrupt_keeps_the_best_so_far_and_leaves_no_process(tmp_path: Path) -> None:
     with started("run", DATA, *ENDLESS, cwd=tmp_path) as process:
         read_until(process.stderr, "(searching)")
         assert len(workers_of(tmp_path)) == 2
-        process.send_signal(number)
+        process.send_signal(signal.SIGTERM)
         out, err = finish(process)
     assert process.returncode == 130, err
     assert "dx/dt = " in out
@@ -198,12 +197,9 @@ def test_serve_submit_status_result_and_cancel_by_hand(tmp_path: Path) -> None:
         assert coordinator("delete", "second", *there, cwd=tmp_path).stdout == "job second is deleted\n"
         assert coordinator("status", "second", *there, cwd=tmp_path).returncode == 2
 
-        result = json.loads(coordinator("result", "first", "--format", "json", *there, cwd=tmp_path).stdout)
-        assert result["job"] == "first"
-        for form, words in (("text", "pick"), ("csv", "variable,"), ("sympy", "import sympy"), ("latex", "align")):
-            assert words in coordinator("result", "first", "--format", form, *there, cwd=tmp_path).stdout
-        picked = coordinator("result", "first", "--pick", "x=0", "--json", *there, cwd=tmp_path)
-        assert json.loads(picked.stdout)["equations"][0]["front"][0]["selected"]
+        picked = json.loads(coordinator("result", "first", "--pick", "x=0", "--json", *there, cwd=tmp_path).stdout)
+        assert picked["job"] == "first"
+        assert picked["equations"][0]["front"][0]["selected"]
         assert coordinator("result", "nothing", *there, cwd=tmp_path).returncode == 2
 
         serve.send_signal(signal.SIGTERM)

@@ -1,8 +1,9 @@
-"""Coordinator and workers as processes of several machines would be: who finds whom, and who is left when one dies."""
+"""Coordinator, workers and routers as processes of several machines: who finds whom, and who is left when one dies."""
 
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import pytest
 
 from atoll.config import DataConfig, JobConfig
 from atoll.errors import RefusedError
+from atoll.wire.addresses import bindable, parse_address
 from atoll_coordinator.client import connected
 from atoll_coordinator.data.reading.files import read_table
 
@@ -247,3 +249,44 @@ def test_a_job_in_the_line_is_cancelled_and_the_others_stay_in_it(place: Path) -
         assert coordinator.status("j6").ahead == 1
         with pytest.raises(RefusedError, match="was cancelled before its search began"):
             coordinator.result("j5")
+
+
+@contextlib.contextmanager
+def routing(place: Path, name: str, *words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """Run a router; yield the address that it left in its file."""
+    file = place / name
+    file.unlink(missing_ok=True)
+    with started(place, "coordinator", "router", "--connect-file", name, *words) as process:
+        until(file.exists)
+        yield file.read_text().split()[0], process
+
+
+@pytest.mark.slow
+def test_a_job_through_two_routers_one_of_which_is_killed_under_way_has_the_same_digest(
+    place: Path, tmp_path: Path, digest: str
+) -> None:
+    place = Path(shutil.copy(place / "data.csv", tmp_path)).parent
+    central = str(bindable(parse_address("tcp/127.0.0.1:0")))
+    with (
+        started(place, "coordinator", "serve", "--router", central, "--state", "one", "--wait", "60"),
+        routing(place, "site", "--listen", "tcp/127.0.0.1:0", "--connect", central) as (site, _),
+        started(place, "island_worker", "--connect-file", "site", "--processes", "1", "--name", "far", "--wait", "90"),
+        started(place, "island_worker", "--connect", central, "--processes", "1", "--name", "near", "--wait", "90"),
+    ):
+        with routing(place, "first", "--listen", central), connected(site, 60.0) as client:
+            until(lambda: {each.worker for each in client.workers() if each.state == "ready"} == {"near", "far"})
+            submit = ("submit", "data.csv", *SEARCH, "--no-wait", "--id", "j", "--connect", site)
+            assert done(place, "coordinator", *submit).stdout == "j\n"
+            until(lambda: client.status("j").point_evaluations > 0)
+        with routing(place, "again", "--listen", central), connected(site, 60.0) as client:
+            until(lambda: client.status("j").state == "done")
+            assert client.result("j")["digest"] == digest
+            assert {each.worker for each in client.workers() if each.state != "lost"} == {"near", "far"}
+            second = done(place, "coordinator", "serve", "--router", site, "--state", "two")
+            assert second.returncode == 2
+            assert "a coordinator is there already" in second.stderr
+            health = done(place, "coordinator", "doctor", "--connect", site, "data.csv", "--state", ".")
+            assert health.returncode == 0, health.stdout
+    log = (place / "coordinator.log").read_text()
+    assert "router link up=False" in log
+    assert "worker lost" not in log

@@ -22,7 +22,7 @@ def make(*words: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize("target", ["demo", "test", "quick", "check", "bench"])
 def test_every_target_is_explained_and_prepares_the_environment(target: str) -> None:
     assert f"make {target} " in make("help").stdout
-    plan = make("--dry-run", "--always-make", target)
+    plan = make("--dry-run", "--always-make", target, f"PYTHON={sys.executable}")
     assert plan.returncode == 0, plan.stderr
     assert "pip install" in plan.stdout
     assert ".venv/bin/" in plan.stdout

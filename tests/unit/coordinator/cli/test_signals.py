@@ -34,6 +34,11 @@ def test_an_interrupt_that_somebody_sends_counts_also_in_the_background() -> Non
         signal.raise_signal(signal.SIGINT)
 
 
-def test_without_that_a_hang_up_ends_a_program() -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_without_that_all_of_them_end_a_program_alike(number: signal.Signals) -> None:
+    stop = threading.Event()
+    with stopping(stop):
+        signal.raise_signal(number)
+    assert stop.is_set()
     with pytest.raises(KeyboardInterrupt), raising_interrupts():
-        signal.raise_signal(signal.SIGHUP)
+        signal.raise_signal(number)

@@ -349,9 +349,9 @@ def test_when_the_time_is_over_the_best_so_far_is_shown_and_that_is_said(seconds
 
 
 def test_a_deadline_that_is_not_reached_changes_nothing():
-    config = JobConfig(space=ARITHMETIC)
-    preparation = prepare(table(LOTKA, LOTKA_STARTS, TIMES, 0.02, 0), config)
-    pool = pools(preparation, **LOTKA_POOL)
+    config = JobConfig(space=NO_LIBRARIES)
+    preparation = prepare(table(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES, 0.02, 0), config)
+    pool = pools(preparation, x=("y",), y=("-x", "-1.9*x - 0.35*y"))
     its, other = refine_all(preparation, config, pool, Deadline(1e9)), refine_all(preparation, config, pool)
     assert its.end == "finished"
     assert its.warnings == other.warnings
