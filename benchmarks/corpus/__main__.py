@@ -15,13 +15,14 @@ from typing import Any, Final
 
 from atoll.errors import UsageError
 from atoll_coordinator.cli.terminal.output import say
-from benchmarks.corpus.campaign import CorpusJournal, judge_again, run_jobs
+from benchmarks.corpus.campaign import judge_again, run_jobs
 from benchmarks.corpus.cases import OURS, SAMPLINGS, Key, make_case
 from benchmarks.corpus.families import NAMED
 from benchmarks.corpus.outcomes import Outcome
 from benchmarks.corpus.qualities import NAMED_QUALITIES, QUALITIES, quality
 from benchmarks.corpus.tables import by_grade, by_quality, equation_rows
 from benchmarks.harness.command_line import plain_errors, positive, seeds, whole
+from benchmarks.harness.journal import Journal
 from benchmarks.peers import operon, pysindy_models
 from benchmarks.peers.operon_models import OPERON
 
@@ -65,7 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.show:
             _show(wanted)
             return 0
-        journal = CorpusJournal(options.out, words)
+        out = options.out
+        journal = Journal("corpus", Outcome, out, words, resume=out is not None and out.exists())
         if options.judge_again:
             judge_again(wanted, journal)
         if options.only_judge:

@@ -1,15 +1,12 @@
 """How one job came out: form, extra terms, verdict and prediction of each equation, and what the job took."""
 
 import math
-import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any, Final
 
 from atoll.config import JobConfig
 from atoll.errors import UsageError
-from atoll.wire.messages.views import JobView
 from benchmarks.corpus.cases import LEAST_T, Case, Key
 from benchmarks.corpus.forms import Kind, judge_form
 from benchmarks.corpus.lengths import excess_of_truth
@@ -83,34 +80,9 @@ class Outcome:
         """Seconds of one core that the job took in all."""
         return sum(self.cpu.values())
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values; numbers that are not finite become text."""
-        return {name: _plain(value) for name, value in asdict(self).items()}
-
-
-def outcome_from(value: Mapping[str, Any]) -> Outcome:
-    """Return the outcome that `to_json` wrote; raises KeyError or TypeError when it is something else."""
-    equations = tuple(
-        EquationOutcome(**{name: _number(part) for name, part in each.items()}) for each in value["equations"]
-    )
-    excess = _number(value.get("excess"))
-    return Outcome(**{**value, "key": Key(**value["key"]), "equations": equations, "excess": excess})
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _plain(each) for name, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _number(value: Any) -> Any:
-    return float(value) if value in ("inf", "-inf", "nan") else value
-
 
 def judge_job(
-    key: Key, case: Case, result: Mapping[str, Any], meter: "Meter | None" = None, failure: str | None = None,
+    key: Key, case: Case, result: Mapping[str, Any], stopwatch: Stopwatch | None = None, failure: str | None = None,
     config: JobConfig | None = None,
 ) -> Outcome:  # fmt: skip
     """Judge `result`, the contents of a result.json, empty when the job failed.
@@ -121,7 +93,7 @@ def judge_job(
     truths = case.system.truths
     r2 = fresh_r2([equations.get(state, {}).get("expression") for state in truths], case)
     judged = tuple(_equation(case, state, equations.get(state, {}), r2[state]) for state in truths)
-    wall, cpu = ({}, {}) if meter is None else (meter.stopwatch.seconds, meter.cpu)
+    wall, cpu = ({}, {}) if stopwatch is None else (stopwatch.seconds, stopwatch.processor)
     excess = None
     if config is not None and not all(its.is_right for its in judged):
         excess = excess_of_truth(case.table, config, truths, [its.expression for its in judged])
@@ -179,38 +151,3 @@ def fresh_r2(expressions: Sequence[str | None], case: Case) -> dict[str, float |
     errors = sum(((each - its) ** 2).sum(axis=0) for each, its in zip(found, true, strict=True) if each is not None)
     spread = sum(((its - mean) ** 2).sum(axis=0) for its in true)
     return {state: float(1.0 - errors[place] / max(float(spread[place]), 1e-300)) for place, state in enumerate(states)}
-
-
-@dataclass
-class Meter:
-    """Takes wall and processor time of a job by its state, of the processes `pids` and all below them."""
-
-    pids: Sequence[int]
-    stopwatch: Stopwatch = field(default_factory=Stopwatch)
-    cpu: dict[str, float] = field(default_factory=dict)
-    _last: float | None = None
-
-    def watch(self, view: JobView) -> None:
-        """Add what passed since the last look to the state that the job is in; see `Stopwatch.watch`."""
-        now = cpu_seconds(self.pids)
-        if self._last is not None:
-            self.cpu[view.state] = self.cpu.get(view.state, 0.0) + max(now - self._last, 0.0)
-        self._last = now
-        self.stopwatch.watch(view)
-
-
-def cpu_seconds(pids: Sequence[int]) -> float:
-    """Return the processor seconds of some processes and all below them, as far as /proc tells."""
-    parents: dict[int, int] = {}
-    ticks: dict[int, int] = {}
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            fields = (folder / "stat").read_text("utf-8").rpartition(")")[2].split()
-        except (OSError, IndexError):
-            continue
-        parents[int(folder.name)] = int(fields[1])
-        ticks[int(folder.name)] = sum(map(int, fields[11:15]))  # own, and of children that ended
-    below = set(pids)
-    while children := {pid for pid, parent in parents.items() if parent in below and pid not in below}:
-        below |= children
-    return sum(ticks.get(pid, 0) for pid in below) / os.sysconf("SC_CLK_TCK")

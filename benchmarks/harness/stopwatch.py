@@ -1,8 +1,9 @@
-"""How long a job was in each of its states, how much memory that took, and an end to it when it takes too long."""
+"""How long a job was in each of its states, what that took, and an end to it when it takes too long."""
 
 import os
 import resource
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -13,6 +14,7 @@ JOB_LIMIT_S: Final = 1800.0
 """No job of these benchmarks takes longer, whatever it does."""
 
 _MB: Final = 2**20
+_PAGE_MB: Final = resource.getpagesize() / _MB
 _UNIT: Final = 1024
 """Of `resource.getrusage`, on Linux."""
 
@@ -21,16 +23,20 @@ _UNIT: Final = 1024
 class Stopwatch:
     """Takes the time of one job; `watch` is called several times a second.
 
-    `seconds` are those in which the job was seen in each state. With `weighs`, `most_memory_mb` is the largest sum of
-    the resident memory of all processes below this one (shared pages counted once for each), where /proc tells.
+    `seconds` are those in which the job was seen in each state. With `counts`, `processor` are the seconds that all
+    processes below this one, and those of theirs that have ended, computed in these; with `weighs`, `most_memory_mb` is
+    the largest sum of the resident memory of the processes (shared pages counted once for each). Where /proc tells.
     """
 
     limit_s: float = JOB_LIMIT_S
     weighs: bool = False
+    counts: bool = False
     seconds: dict[str, float] = field(default_factory=dict)
+    processor: dict[str, float] = field(default_factory=dict)
     most_memory_mb: float = 0.0
     _begun: float = field(default_factory=time.monotonic)
     _last: float | None = None
+    _last_processor: float = 0.0
 
     def watch(self, view: JobView) -> None:
         """Add the time since the last look to the state that the job is in.
@@ -38,10 +44,13 @@ class Stopwatch:
         Raises:
             TimeoutError: the job takes longer than the limit.
         """
-        now = time.monotonic()
+        now, processor = time.monotonic(), processor_seconds() if self.counts else 0.0
         if self._last is not None and view.state not in FINAL_STATES:
             self.seconds[view.state] = self.seconds.get(view.state, 0.0) + now - self._last
-        self._last = now
+            if self.counts:
+                used = max(processor - self._last_processor, 0.0)
+                self.processor[view.state] = self.processor.get(view.state, 0.0) + used
+        self._last, self._last_processor = now, processor
         if self.weighs:
             self.most_memory_mb = max(self.most_memory_mb, resident_mb())
         if now - self._begun > self.limit_s:
@@ -50,19 +59,28 @@ class Stopwatch:
 
 def resident_mb() -> float:
     """Return the resident memory of all processes below this one in MB, 0 where /proc does not tell."""
+    return _summed(lambda folder, _: int((folder / "statm").read_text("utf-8").split()[1]) * _PAGE_MB)
+
+
+def processor_seconds() -> float:
+    """Return the processor seconds of all processes below this one, and of those of theirs that have ended."""
+    return _summed(lambda _, state: sum(map(int, state[11:15]))) / os.sysconf("SC_CLK_TCK")
+
+
+def _summed(amount: Callable[[Path, list[str]], float]) -> float:
+    """Return the sum over all processes below this one of what is read of a process's folder and state."""
     parents: dict[int, int] = {}
-    sizes: dict[int, float] = {}
+    amounts: dict[int, float] = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             state = (folder / "stat").read_text("utf-8").rpartition(")")[2].split()
-            pages = int((folder / "statm").read_text("utf-8").split()[1])
+            amounts[int(folder.name)] = amount(folder, state)
+            parents[int(folder.name)] = int(state[1])
         except (OSError, IndexError, ValueError):
             continue
-        parents[int(folder.name)] = int(state[1])
-        sizes[int(folder.name)] = pages * resource.getpagesize() / _MB
     below, found = {os.getpid()}, 0.0
     while children := {pid for pid, parent in parents.items() if parent in below and pid not in below}:
-        found += sum(sizes[pid] for pid in children)
+        found += sum(amounts[pid] for pid in children)
         below |= children
     return found
 

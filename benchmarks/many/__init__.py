@@ -4,5 +4,4 @@
 - `campaign`: all searches that are asked for, one after another, each judged
 - `laws`: the laws that regression alone finds, judged
 - `outcomes`: how one search ended
-- `processor_time`: processor seconds by the state that a job is in
 """

@@ -10,7 +10,6 @@ from atoll.config import PRESETS, JobConfig
 from atoll.data.dataset import FloatArray
 from atoll.data.table import Table
 from atoll.errors import AtollError, UsageError
-from atoll.wire.messages.views import JobView
 from atoll_coordinator.cli.terminal.output import note, say, table
 from benchmarks.corpus.forms import judge_form
 from benchmarks.dysts.flows import NEVER_POLYNOMIAL, load
@@ -21,7 +20,6 @@ from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.stopwatch import Stopwatch
 from benchmarks.kernels.derivatives import table_of
 from benchmarks.many.outcomes import Outcome
-from benchmarks.many.processor_time import ProcessorTime
 from benchmarks.many.systems import SYSTEMS, sampled
 
 
@@ -82,20 +80,15 @@ def case(name: str, noise: float, seed: int, options: argparse.Namespace) -> Cas
 
 def _one(searches: Searches, name: str, noise: float, seed: int, options: argparse.Namespace) -> Outcome:
     its = case(name, noise, seed, options)
-    stopwatch, processor, begun = Stopwatch(), ProcessorTime(), time.monotonic()
-
-    def watch(view: JobView) -> None:
-        stopwatch.watch(view)
-        processor.watch(view)
-
+    stopwatch, begun = Stopwatch(counts=True), time.monotonic()
     try:
-        result = searches.solve(f"{name} {noise:g} % seed {seed}", its.table, its.config, watch)
+        result = searches.solve(f"{name} {noise:g} % seed {seed}", its.table, its.config, stopwatch.watch)
     except AtollError as error:
         searches.check()  # without a coordinator no job is to blame
         nothing, seconds = (None,) * len(its.equations), time.monotonic() - begun
         forms = ("none",) * len(its.equations)
         return Outcome(
-            name, noise, seed, forms, nothing, nothing, seconds, stopwatch.seconds, processor.seconds, str(error)
+            name, noise, seed, forms, nothing, nothing, seconds, stopwatch.seconds, stopwatch.processor, str(error)
         )
     found = {equation["variable"]: equation for equation in result["equations"]}
     texts = [found.get(state, {}).get("expression") for state in its.equations]
@@ -105,7 +98,7 @@ def _one(searches: Searches, name: str, noise: float, seed: int, options: argpar
     )
     return Outcome(
         name, noise, seed, forms, tuple(found.get(state, {}).get("verdict") for state in its.equations), tuple(texts),
-        float(result.get("seconds") or 0.0), stopwatch.seconds, processor.seconds, result.get("reason"),
+        float(result.get("seconds") or 0.0), stopwatch.seconds, stopwatch.processor, result.get("reason"),
     )  # fmt: skip
 
 

@@ -22,13 +22,13 @@ from typing import Final
 from atoll.errors import UsageError
 from atoll_coordinator.cli.terminal.output import note, say
 from benchmarks.harness.command_line import plain_errors, positive, seeds, whole
+from benchmarks.harness.journal import Journal
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.systems import TABLE_III
 from benchmarks.noise import cases as noise_cases
 from benchmarks.noise.data import VARIANTS, Key, Variant, case
 from benchmarks.noise.goals import goals, shown
-from benchmarks.noise.journal import Journal
 from benchmarks.noise.judging import Outcome, outcome
 from benchmarks.noise.search import search
 from benchmarks.noise.tables import by_equation, by_grade, by_level, line, misses, summarized
@@ -54,7 +54,7 @@ def _methods(options: argparse.Namespace) -> tuple[str, ...]:
     return METHODS if options.only_versus else (OURS, *METHODS)
 
 
-def campaign(options: argparse.Namespace, journal: Journal) -> list[Outcome]:
+def campaign(options: argparse.Namespace, journal: Journal[Outcome]) -> list[Outcome]:
     """Do all searches that the journal does not have; return the outcomes of all that were asked for."""
     wanted = [*keys(options)]
     if options.judge_again:
@@ -71,7 +71,7 @@ def campaign(options: argparse.Namespace, journal: Journal) -> list[Outcome]:
     return [journal.outcomes[key] for key in wanted]
 
 
-def _one(searches: Searches | None, key: Key, options: argparse.Namespace, journal: Journal) -> None:
+def _one(searches: Searches | None, key: Key, options: argparse.Namespace, journal: Journal[Outcome]) -> None:
     its = case(key)
     if key.method == OURS:
         assert searches is not None
@@ -122,7 +122,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             Record(f"noise --{options.section}", words, options.json).write(rows=rows)
             return 0
         _check(options)
-        journal = Journal(options.resume or options.out, options.resume is not None, words)
+        journal = Journal("noise", Outcome, options.resume or options.out, words, resume=options.resume is not None)
         outcomes = campaign(options, journal)
         return 0 if show(outcomes, options, words) else 1
 
