@@ -11,6 +11,7 @@ from atoll.data.dataset import FloatArray
 from atoll.expression.dimensions import EquationUnits
 from atoll.expression.program import MAX_NODES, Program
 from atoll.expression.text.infix import PRINTABLE_SIZE, tree_size
+from atoll.expression.writing.opened import Shape
 from atoll.search.pareto import FrontEntry
 from atoll.stochastic.densities import StationaryDensity
 from atoll.stochastic.moments import Discretisation
@@ -142,6 +143,18 @@ class Covariance:
     constants: tuple[tuple[str, int | None], ...]
     matrix: FloatArray
     freedom: float
+
+
+@dataclass(frozen=True)
+class SharedTerm:
+    """A term that was fitted in several equations together, such as a flux that leaves one state and enters another.
+
+    Its numbers inside are the same in all of them. `multiples` has by variable how many times the flux stands in its
+    equation, None where the factor is one of its own; `shape` is the term without numbers.
+    """
+
+    shape: Shape
+    multiples: Mapping[str, float | None]
 
 
 @dataclass(frozen=True)
@@ -324,6 +337,7 @@ class Refinement:
     warnings: tuple[str, ...] = ()
     chaos: Chaos | None = None
     process: ProcessFindings | None = None
+    shared_terms: tuple[SharedTerm, ...] = ()
     covariance: Covariance | None = None
     by_group: tuple[GroupCovariance, ...] = ()
     end: RefiningEnd = "finished"

@@ -25,7 +25,7 @@ from atoll.expression.operators import (
 from atoll.expression.program import MAX_NODES, Program
 from atoll.expression.writing.layout import in_order
 from atoll.expression.writing.shortest import sum_of
-from atoll.expression.writing.sums import ONE, Atom, Monomial, Sum, UndefinedError, add, distribute
+from atoll.expression.writing.sums import ONE, Atom, Monomial, Sum, UndefinedError, add, distribute, merged
 
 MOST_TERMS: Final = 40
 """Sums of more terms are not opened."""
@@ -123,6 +123,25 @@ def _lead(its: Sum) -> Monomial | None:
     return next((monomial for monomial, _ in its if monomial != ONE), None)
 
 
+def raised_quotients(its: Sum) -> Iterator[tuple[Shape, Sum]]:
+    """Yield for each n/(c + u) in a sum that has n, too, the shape of n*u/(c + u), and the sum with that instead.
+
+    It has no more terms: n/(c + u) is (n - n*u/(c + u))/c.
+    """
+    factors = dict(its)
+    for monomial, factor in its:
+        for atom, count in monomial:
+            below = dict(atom[1]) if atom[0] == ADD and count == -1 and len(atom[1]) == 2 else {}
+            constant = below.pop(ONE, 0.0)
+            rest = merged(each for each in monomial if each[0] != atom)
+            if constant and rest in factors:
+                ((lead, number),) = below.items()
+                raised = merged([*rest, *lead, (atom, -1)])
+                others = tuple(term for term in its if term[0] != monomial)
+                instead = ((rest, factor / constant), (raised, -factor * number / constant))
+                yield shape_of(raised), add((1.0, others), (1.0, instead))
+
+
 def open_terms(program: Program, is_written: IsWritten = lambda *_: False) -> Opened | None:
     """Return the opened form of a program; None when there is none, or none that is small enough.
 
@@ -131,9 +150,13 @@ def open_terms(program: Program, is_written: IsWritten = lambda *_: False) -> Op
         is_written: which coefficients of one or minus one become constants.
     """
     try:
-        its = terms_of(program)
+        return open_sum(terms_of(program), is_written)
     except UndefinedError:
         return None
+
+
+def open_sum(its: Sum, is_written: IsWritten = lambda *_: False) -> Opened | None:
+    """Return the program of an opened sum, as `open_terms` does."""
     builder = _Builder(is_written)
     output = builder.sum_of_terms(its)
     if len(builder.nodes) > MAX_NODES:

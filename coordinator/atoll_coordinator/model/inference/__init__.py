@@ -2,6 +2,7 @@
 
 - `conclusion`: the model fitted to all rows, rounded, simulated and judged: `summarize`
 - `groups`: the same where groups of trajectories have constants of their own: `summarize_groups`
+- `shared_terms`: terms that equations share, fitted together
 - `standard_errors`: standard errors, intervals and correlations of constants
 - `simulation`: the model along measured trajectories, with bands
 - `attractor`: whether a long simulation of a chaotic model keeps the measured averages

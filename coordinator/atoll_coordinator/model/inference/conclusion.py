@@ -1,8 +1,8 @@
 """From the chosen system to what is reported: constants with errors, alternatives, verdicts, simulations."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from atoll_coordinator.data.recording import Smoothing
 from atoll_coordinator.model.inference.attractor import look_for_chaos
 from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
+from atoll_coordinator.model.inference.shared_terms import fit_together
 from atoll_coordinator.model.inference.simulation import (
     bands,
     fit_starts,
@@ -43,6 +44,7 @@ from atoll_coordinator.model.refinement import (
     Prediction,
     Refined,
     Refinement,
+    SharedTerm,
     Simulated,
     Simulation,
     StateErrors,
@@ -59,6 +61,7 @@ from atoll_coordinator.model.selection.rounding import RoundedSystem, round_show
 from atoll_coordinator.model.selection.shortcut import longest, predictable_rows
 from atoll_coordinator.model.shooting.lyapunov import growth_rate
 from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.system import SharedNumber
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.shooting.variance import estimate_variance
 from atoll_coordinator.model.structure.poles import find_poles
@@ -67,12 +70,16 @@ from atoll_coordinator.settings import SETTINGS
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """Equations as they are shown: `rounded` and their `fit`; `free` is that of `explicit`, all constants free."""
+    """Equations as they are shown: `rounded` and their `fit`; `free` is that of `explicit`, all constants free.
+
+    Terms that they share were fitted together.
+    """
 
     rounded: RoundedSystem
     fit: FittedModel
     explicit: tuple[ExplicitCoefficients, ...]
     free: FittedModel
+    shared_terms: tuple[SharedTerm, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +141,8 @@ def summarize(selection: SelectedModel) -> Refinement | None:
         return None
     task = final.task
     errors = estimate_errors(final.comparison, final.free)
-    described = describe_constants(final.comparison, final.explicit, final.shown, errors)
+    of_constants = errors.of_constants(final.free.fit.system)
+    described = describe_constants(final.comparison, final.explicit, final.shown, of_constants)
     constants = [each.with_simple(its) for each, its in zip(described, final.equations.rounded.simple, strict=True)]
     out = None if final.unseen is None else _held_out(final, final.unseen, final.shown, errors)
     chaos = _chaos(final)
@@ -164,11 +172,12 @@ def summarize(selection: SelectedModel) -> Refinement | None:
             (*trajectories, *(out.trajectories if out is not None else ())),
             student_95(errors.freedom),
         ),
-        find_correlations(final.comparison, task.variables, final.explicit, errors),
+        find_correlations(final.comparison, task.variables, final.explicit, of_constants),
         state_errors(final),
         (*remarks(task), *pole_remarks(final)),
         chaos,
-        covariance=joint_covariance(final.comparison, task.variables, final.explicit, errors),
+        shared_terms=final.equations.shared_terms,
+        covariance=joint_covariance(final.comparison, task.variables, final.explicit, of_constants),
     )
 
 
@@ -225,6 +234,7 @@ def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> F
         if other is not None and other.fit.misfit <= shown.fit.misfit:
             shown = other
         shown = _shortened(whole.task, comparison, best, shown)
+        shown = _with_shared_terms(whole.task, comparison, shown)
         task, seen, fit = seen_in_whole(whole.task, comparison, shown)
         return Final(task, ranking, origins, unseen_comparison(task), comparison, shown, seen, fit)
     return None
@@ -240,6 +250,21 @@ def _shortened(task: ModellingTask, comparison: ModelComparison, near: FittedMod
     return shown if other is None or other.fit.nats > shown.fit.nats else other
 
 
+def _with_shared_terms(task: ModellingTask, comparison: ModelComparison, shown: Shown) -> Shown:
+    """Return what is shown with the terms that equations share fitted together, if the data allow it."""
+    found = fit_together(comparison, shown.free, shown.rounded.programs)
+    if found is None or not all(map(task.may_be_shown, found.model.programs)):
+        return shown
+    other = _show(comparison, found.model, found.model.programs, found.numbers)
+    if other is None:
+        return shown
+    terms = tuple(
+        SharedTerm(each.shape, {task.variables[equation]: multiple for equation, multiple in each.multiples.items()})
+        for each in found.terms
+    )
+    return replace(other, shared_terms=terms)
+
+
 def seen_in_whole(
     task: ModellingTask, comparison: ModelComparison, shown: Shown
 ) -> tuple[ModellingTask, ModelComparison, TrajectoryFit]:
@@ -253,24 +278,27 @@ def seen_in_whole(
     return task, comparison, shown.fit.fit
 
 
-def _show(comparison: ModelComparison, near: FittedModel, programs: tuple[Program, ...]) -> Shown | None:
+def _show(
+    comparison: ModelComparison, near: FittedModel, programs: tuple[Program, ...], shared: Collection[SharedNumber] = ()
+) -> Shown | None:
     """Return equations of these structures as they are shown, fitted beside another model; None if they cannot be."""
-    explicit, free = _freed(comparison, near, programs)
-    fitted = comparison.fit_beside(near, programs)
+    explicit, free = _freed(comparison, near, programs, shared)
+    fitted = comparison.fit_beside(near, programs, shared=shared)
     if fitted is not None:
         fitted = comparison.fit_correlated(fitted) or fitted
     if free is None or fitted is None:
         return None
-    errors, is_exact = estimate_errors(comparison, free), comparison.is_exact(free)
+    errors, is_exact = estimate_errors(comparison, free).of_constants(free.fit.system), comparison.is_exact(free)
+    numbers = fitted.fit.system.columns[0].tolist()
 
     def outside(rounded: RoundedSystem) -> frozenset[int]:
-        """Return the fitted constants, by number, that lie outside of their intervals as they are shown."""
+        """Return the fitted numbers, by index, of constants that lie outside of their intervals as they are shown."""
         if is_exact:
             return frozenset()  # intervals are those of the integration's errors
         known = describe_constants(comparison, explicit, rounded.programs, errors)
         sought = (each for equation, each in enumerate(known) if equation not in comparison.fixed)
         written = (its for each in sought for its in each.written)
-        return frozenset(number for number, its in enumerate(written) if not its.is_within)
+        return frozenset(number for number, its in zip(numbers, written, strict=True) if not its.is_within)
 
     found = _rounded(comparison, fitted, outside)
     return None if found is None else Shown(*found, explicit, free)
@@ -290,7 +318,7 @@ def _without_refuted(task: ModellingTask, comparison: ModelComparison, shown: Sh
 
 
 _Outside = Callable[[RoundedSystem], frozenset[int]]
-"""Tells the constants, by number, that lie outside of their intervals."""
+"""Tells the fitted numbers, by index, of constants that lie outside of their intervals."""
 
 
 def _rounded(
@@ -339,7 +367,7 @@ def shortest_writing(task: ModellingTask, comparison: ModelComparison, equation:
 
 
 def _freed(
-    comparison: ModelComparison, best: FittedModel, shown: Sequence[Program]
+    comparison: ModelComparison, best: FittedModel, shown: Sequence[Program], shared: Collection[SharedNumber]
 ) -> tuple[tuple[ExplicitCoefficients, ...], FittedModel | None]:
     """Fit what is shown with all its constants free, factors of one that are not written among them if that can be."""
     explicit = tuple(
@@ -348,10 +376,25 @@ def _freed(
         else make_coefficients_explicit(program)
         for equation, program in enumerate(shown)
     )
-    free = comparison.fit_beside(best, [each.program for each in explicit])
+    free = comparison.fit_beside(
+        best, [each.program for each in explicit], shared=_in_explicit(explicit, shown, shared)
+    )
     if free is not None:
         return explicit, comparison.fit_correlated(free) or free
-    return tuple(map(as_written, shown)), comparison.fit_beside(best, shown)
+    return tuple(map(as_written, shown)), comparison.fit_beside(best, shown, shared=shared)
+
+
+def _in_explicit(
+    explicit: Sequence[ExplicitCoefficients], shown: Sequence[Program], shared: Collection[SharedNumber]
+) -> list[SharedNumber]:
+    """Return shared numbers by the nodes that their constants have in the explicit programs."""
+    nodes = {}
+    for equation, (each, program) in enumerate(zip(explicit, shown, strict=True)):
+        before = constant_places(program)
+        for node, origin in zip(constant_places(each.program), each.origins, strict=True):
+            if origin is not None:
+                nodes[equation, before[origin]] = (equation, node)
+    return [tuple((nodes[place], multiple) for place, multiple in number) for number in shared]
 
 
 def unseen_comparison(task: ModellingTask) -> ModelComparison | None:
@@ -381,9 +424,8 @@ def _held_out(
 
 def _carried_bands(final: Final, unseen: ModelComparison, fit: TrajectoryFit, errors: Errors) -> FloatArray | None:
     """Return the standard errors (O, N) of held-out trajectories as simulated; None when they cannot be told."""
-    system = unseen.system([each.program for each in final.explicit])
     free = final.free.fit
-    near = unseen.estimator.fit(system, None, 0, fit.starts, free.errors, is_stiff=fit.is_stiff)
+    near = unseen.estimator.fit(free.system, None, 0, fit.starts, free.errors, is_stiff=fit.is_stiff)
     return None if near is None else bands(unseen.estimator.measurements, near, *scaled_covariance(free, errors))
 
 

@@ -8,7 +8,7 @@ large in one group, r*(x - k*x*x) has one that differs. So each coefficient in t
 Letters: G groups, P constants of all equations, Q numbers that these are in all groups together.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,12 +45,9 @@ from atoll_coordinator.model.selection.joint_search import SelectedModel
 from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks
 from atoll_coordinator.model.selection.rounding import RoundedSystem
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
-from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.model.shooting.system import Place, SharedNumber
 from atoll_coordinator.model.structure.one_sided import within_bounds
 from atoll_coordinator.settings import SETTINGS
-
-Place = tuple[int, int]
-"""An equation and a node of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +56,11 @@ class SharedModel:
 
     model: FittedModel
     shared: frozenset[Place] = frozenset()
+
+
+def _numbers(shared: Collection[Place]) -> frozenset[SharedNumber]:
+    """Return a number for each of these constants."""
+    return frozenset(((place, 1.0),) for place in shared)
 
 
 def summarize_groups(selection: SelectedModel) -> Refinement | None:
@@ -123,7 +125,7 @@ def _refinement(final: Final, shared: frozenset[Place], errors: Errors, values: 
             if index in comparison.fixed
             else tuple((index, node) in shared for node in constant_places(final.shown[index])),
         )
-    is_one = shared.issuperset(_places(comparison, model.fit.system))
+    is_one = shared.issuperset(comparison.places(model.fit.system))
     return Refinement(
         equations,
         Simulation(task.variables, (*trajectories, *(out.trajectories if out else ())), student_95(errors.freedom)),
@@ -155,7 +157,7 @@ def _with_shared(comparison: ModelComparison, model: SharedModel) -> SharedModel
         following = None
         for place in _alike_first(comparison, model)[:2]:
             shared = model.shared | {place}
-            fitted = comparison.fit_beside(model.model, model.model.programs, shared=shared)
+            fitted = comparison.fit_beside(model.model, model.model.programs, shared=_numbers(shared))
             if fitted is not None and fitted.nats < model.model.nats:
                 following = SharedModel(fitted, shared)
                 break
@@ -171,21 +173,14 @@ def _alike_first(comparison: ModelComparison, model: SharedModel) -> list[Place]
     """
     fit = model.model.fit
     system = fit.system
-    values, variances = system.by_place(system.values), system.by_place(np.diag(covariance(fit)))
+    values, variances = system.by_place(system.values), system.by_place(np.diag(covariance(fit)), 2)
     weights = 1.0 / np.maximum(variances, 1e-300)
     with np.errstate(all="ignore"):
         means = (weights * values).sum(axis=0) / weights.sum(axis=0)
         statistics = np.nan_to_num((weights * (values - means) ** 2).sum(axis=0))
-    places = list(_places(comparison, system))
+    places = comparison.places(system)
     order = sorted(range(len(places)), key=lambda number: float(statistics[number]))
     return [places[number] for number in order if places[number] not in model.shared]
-
-
-def _places(comparison: ModelComparison, system: System) -> Iterator[Place]:
-    """Yield equation and node of each fitted constant."""
-    firsts = [0, *(system.outputs + 1).tolist()]
-    for node, owner in zip(system.places.tolist(), system.owners.tolist(), strict=True):
-        yield owner - len(comparison.leading), node - firsts[owner]
 
 
 def _written(whole: SelectedModel, begun: SharedModel) -> SharedModel:
@@ -198,7 +193,7 @@ def _written(whole: SelectedModel, begun: SharedModel) -> SharedModel:
             programs = [*best.model.programs]
             programs[equation] = program
             kept = frozenset(place for place in best.shared if place[0] != equation)
-            fitted = comparison.fit_beside(best.model, programs, shared=kept)
+            fitted = comparison.fit_beside(best.model, programs, shared=_numbers(kept))
             if fitted is not None:
                 found = _with_shared(comparison, SharedModel(fitted, kept))
                 best = min(best, found, key=lambda each: each.model.nats)
@@ -239,9 +234,8 @@ class _Described:
         self._groups: Sequence[str] = final.task.recording.groups
         self._errors = errors
         self._system = final.free.fit.system
-        assert self._system.grouping is not None
-        self._columns = self._system.grouping.columns
-        self._places = [*_places(final.comparison, self._system)]
+        self._columns = self._system.columns
+        self._places = final.comparison.places(self._system)
         self._numbers = [self._described(number, value) for number, value in enumerate(values.tolist())]
 
     def _described(self, number: int, value: float) -> Constant:

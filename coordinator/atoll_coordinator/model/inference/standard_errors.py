@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray
+from atoll.expression.kernels.tape import Ints
 from atoll.expression.program import Program, constant_places
 from atoll.expression.unit_coefficients import ExplicitCoefficients
 from atoll_coordinator.model.refinement import Constant, Correlation, Covariance
@@ -18,6 +19,7 @@ from atoll_coordinator.model.regression.covariance import Known, describe, stude
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
+from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.structure.one_sided import one_sided_reaches, within_bounds
 
 _HIGH_CORRELATION: Final = 0.95
@@ -31,7 +33,8 @@ class Errors:
     `values` (P,) have the joint `covariance` (P, P), which is that of the normal equations times `scale`, rows over
     those left to judge by, and at least that of `widening` (P,) times as large standard errors. Student's t has so many
     degrees of `freedom`. `lower` and `upper` (P,) are bounds, None without any; constants on one have a one-sided
-    interval that `reaches` so far from it.
+    interval that `reaches` so far from it. Where several constants are multiples of one number, `columns` (P,) tell of
+    which.
     """
 
     values: FloatArray
@@ -42,6 +45,27 @@ class Errors:
     lower: FloatArray | None = None
     upper: FloatArray | None = None
     reaches: Mapping[int, float] = field(default_factory=dict)
+    columns: Ints | None = None
+
+    def of_constants(self, system: System) -> "Errors":
+        """Return the errors of all constants of a system, given those of the numbers that these are multiples of."""
+        if system.sharing is None:
+            return self
+        (columns,), multiples = system.columns, system.sharing.multiples
+        scale = np.outer(multiples, multiples)
+        lower = upper = None
+        if self.lower is not None and self.upper is not None:
+            lower, upper = np.sort([multiples * self.lower[columns], multiples * self.upper[columns]], axis=0)
+        return Errors(
+            multiples * self.values[columns], scale * self.covariance[np.ix_(columns, columns)], self.freedom,
+            self.scale, self.widening[columns], lower, upper,
+            {
+                place: abs(float(multiples[place])) * self.reaches[number]
+                for place, number in enumerate(columns.tolist())
+                if number in self.reaches
+            },
+            columns,
+        )  # fmt: skip
 
 
 def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
@@ -133,6 +157,7 @@ def find_correlations(
         for second, (other, second_number) in enumerate(names)
         for first, (one, first_number) in enumerate(names[:second])
         if first_number is not None and second_number is not None
+        if errors.columns is None or errors.columns[first] != errors.columns[second]
         if _HIGH_CORRELATION <= abs(unit[first, second]) <= 1.0 + 1e-6
     ]
     return tuple(sorted(pairs, key=lambda pair: -abs(pair.value)))

@@ -117,14 +117,22 @@ def _picked(equation: Mapping[str, Any], number: int) -> dict[str, Any]:
 
 
 def _shared_lines(result: Mapping[str, Any]) -> list[str]:
-    """Return a line for each term with a function that several equations have in common."""
+    """Return a line for each flux, and for each other term with a function that several equations have in common."""
     names = _names(result)
     sides = {equation["variable"]: equation["lhs"] for equation in result["equations"]}
-    return [
-        f"shared: {display(each['term'], names)} in {', '.join(sides[variable] for variable in each['factors'])}"
-        for each in result.get("shared_terms", ())
-        if each["has_function"]
-    ]
+    lines = []
+    for each in result.get("shared_terms", ()):
+        multiples = {variable: its for variable, its in (each.get("multiples") or {}).items() if its is not None}
+        if multiples:
+            variable = next(iter(multiples))
+            rate = abs(each["factors"][variable] / multiples[variable])
+            times = ", ".join(f"{multiples[one]:+.6g} in {sides[one]}" for one in multiples)
+            flux = display(f"{rate!r}*({each['term']})", names)
+            lines.append(f"flux: {flux}, {times}")
+        elif each["has_function"]:
+            within = ", ".join(sides[variable] for variable in each["factors"])
+            lines.append(f"shared: {display(each['term'], names)} in {within}")
+    return lines
 
 
 def _equation_text(equation: Mapping[str, Any], names: Sequence[str], with_tables: bool) -> str:

@@ -124,7 +124,7 @@ def build_result(
         "state": account.state,
         "reason": account.reason,
         "equations": [_equation(config, preparation, outcome, account.state) for outcome in outcomes],
-        "shared_terms": _shared_terms(config, dataset, outcomes, account.state),
+        "shared_terms": _shared_terms(config, dataset, outcomes, account.state, model),
         "noise": noise(preparation.recording, model.errors),
         "smoothing": smoothing(preparation.recording),
         "correlations": correlations(model.correlations),
@@ -156,13 +156,14 @@ def _of_groups(preparation: Preparation, model: Refinement, state: JobState) -> 
 
 
 def _shared_terms(
-    config: JobConfig, dataset: Dataset, outcomes: Sequence[VariableOutcome], state: JobState
+    config: JobConfig, dataset: Dataset, outcomes: Sequence[VariableOutcome], state: JobState, model: Refinement
 ) -> list[dict[str, Any]]:
     """Return the terms that equations have in common, none as long as these may change."""
     if state not in FINAL_STATES or len(outcomes) < 2:
         return []
     shown = {outcome.variable: equation_of(outcome, dataset, config) for outcome in outcomes}
-    return shared_terms({name: its for name, its in shown.items() if its is not None}, dataset.names)
+    equations = {name: its for name, its in shown.items() if its is not None}
+    return shared_terms(equations, dataset.names, model.shared_terms)
 
 
 def versions() -> dict[str, str | int]:

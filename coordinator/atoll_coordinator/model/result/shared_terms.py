@@ -1,7 +1,7 @@
 """Terms that several equations have in common, such as a flux that leaves one state and enters another.
 
 Two terms are one when they differ in their factors alone: inside, numbers agree within two standard errors of their
-difference.
+difference. Those that were fitted together have the same numbers there.
 """
 
 import math
@@ -14,7 +14,7 @@ from atoll.expression.text.infix import to_infix
 from atoll.expression.writing.layout import written
 from atoll.expression.writing.opened import inner_numbers, shape_of, terms_of
 from atoll.expression.writing.sums import ONE, Monomial, UndefinedError
-from atoll_coordinator.model.refinement import Refined
+from atoll_coordinator.model.refinement import Refined, SharedTerm
 from atoll_coordinator.model.result.numbers import finite
 from atoll_coordinator.settings import SETTINGS
 
@@ -22,14 +22,18 @@ _SAME_NUMBER: Final = 1e-9
 """Share by which a number in a term may differ from the constant that it is."""
 
 
-def shared_terms(equations: Mapping[str, Refined], names: Sequence[str]) -> list[dict[str, Any]]:
+def shared_terms(
+    equations: Mapping[str, Refined], names: Sequence[str], together: Sequence[SharedTerm] = ()
+) -> list[dict[str, Any]]:
     """Return the terms that two equations or more have, as `term`, with the `factors` that they have there.
 
-    Numbers and lone variables are no such terms. Numbers inside are those of the first equation.
+    Numbers are no such terms, nor are lone variables that were not fitted together. Numbers inside are those of the
+    first equation. Of terms that were fitted together `multiples` has how many times the flux stands in each equation.
 
     Args:
         equations: by variable.
         names: of all variables.
+        together: the terms that were fitted together.
     """
     found: list[tuple[Monomial, Refined, dict[str, float]]] = []
     for variable, its in equations.items():
@@ -45,19 +49,31 @@ def shared_terms(equations: Mapping[str, Refined], names: Sequence[str]) -> list
             "term": _text(monomial, names),
             "has_function": any(atom[0] != VARIABLE for atom, _ in monomial),
             "factors": {variable: finite(factor) for variable, factor in factors.items()},
+            "multiples": _multiples(monomial, factors, together),
         }
         for monomial, _, factors in found
-        if len(factors) > 1
+        if len(factors) > 1 and not (_is_variable(monomial) and _multiples(monomial, factors, together) is None)
     ]
 
 
+def _multiples(
+    monomial: Monomial, factors: Mapping[str, float], together: Sequence[SharedTerm]
+) -> dict[str, float | None] | None:
+    """Return how many times the flux stands in each equation, None of a term that was not fitted together."""
+    shape = shape_of(monomial)
+    return next(
+        (dict(each.multiples) for each in together if each.shape == shape and factors.keys() >= each.multiples.keys()),
+        None,
+    )
+
+
 def _terms(its: Refined) -> list[tuple[Monomial, float]]:
-    """Return the products of an equation with their factors; none where it has too many terms."""
+    """Return the terms of an equation with their factors; none where it has too many."""
     try:
         terms = terms_of(its.program)
     except UndefinedError:
         return []
-    return [(monomial, factor) for monomial, factor in terms if monomial != ONE and not _is_variable(monomial)]
+    return [(monomial, factor) for monomial, factor in terms if monomial != ONE]
 
 
 def _is_variable(monomial: Monomial) -> bool:

@@ -27,7 +27,7 @@ from atoll_coordinator.model.selection.groups import GroupedRows
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.independence import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
-from atoll_coordinator.model.shooting.system import System, system_of
+from atoll_coordinator.model.shooting.system import Place, SharedNumber, System, system_of
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
 
@@ -129,7 +129,7 @@ class ModelComparison:
 
     def system(
         self, programs: Sequence[Program], fixed_nodes: Sequence[Iterable[int]] = (), near: System | None = None,
-        shared: Collection[tuple[int, int]] = (),
+        shared: Collection[SharedNumber] = (),
     ) -> System:  # fmt: skip
         """Return the system of `programs`.
 
@@ -138,7 +138,7 @@ class ModelComparison:
             fixed_nodes: nodes of each whose constants stay as they are.
             near: where groups of trajectories have constants of their own, a system whose equations, if they are the
                 same, say which; for others constants are fitted to each group's rows.
-            shared: constants that all groups have in common all the same, by equation and node.
+            shared: numbers that all groups, or several constants, have in common all the same.
         """
         fixed = [
             set(constant_places(program)) if index in self.fixed else set(fixed_nodes[index]) if fixed_nodes else set()
@@ -148,10 +148,20 @@ class ModelComparison:
         variables = self.estimator.measurements.variables
         system = system_of([*self.leading, *programs], self.names, variables, [*none, *fixed])
         lower, upper = self._ranges(programs, fixed)
+        constants = system.constants[None]
         if self.groups is not None:
-            system = self.groups.grouped(system, len(self.leading), fixed, near, shared)
-            lower, upper = self.groups.spread(system, lower), self.groups.spread(system, upper)
+            constants = self.groups.constants(system, len(self.leading), fixed, near)
+        if self.groups is not None or shared:
+            system = system.sharing_numbers(constants, shared, len(self.leading))
+        if system.sharing is not None and lower is not None and upper is not None:
+            lower, upper = system.sharing.ranges(lower, upper)
         return replace(system, lower=lower, upper=upper)
+
+    def places(self, system: System) -> list[Place]:
+        """Return equation and node of each fitted constant of one of this comparison's systems."""
+        firsts = [0, *(system.outputs + 1).tolist()]
+        pairs = zip(system.places.tolist(), system.owners.tolist(), strict=True)
+        return [(owner - len(self.leading), node - firsts[owner]) for node, owner in pairs]
 
     def _ranges(
         self, programs: Sequence[Program], fixed: Sequence[Collection[int]]
@@ -185,7 +195,7 @@ class ModelComparison:
 
     def fit_beside(
         self, near: FittedModel, programs: Sequence[Program], steps: int = SETTINGS.effort.steps,
-        fixed_nodes: Sequence[Iterable[int]] = (), shared: Collection[tuple[int, int]] = (),
+        fixed_nodes: Sequence[Iterable[int]] = (), shared: Collection[SharedNumber] = (),
     ) -> FittedModel | None:  # fmt: skip
         """Return the fitted `system` of `programs` and the rest, begun with the initial states of `near`.
 
@@ -258,9 +268,7 @@ class ModelComparison:
 
     def _constants_length(self, system: System) -> float:
         """Return the nats of all fitted numbers: those of one group are known from its rows alone."""
-        if system.grouping is None:
-            return self._shared_nats * system.count
-        own = system.grouping.own_numbers
+        own = 0 if system.sharing is None else system.sharing.own_numbers
         return self._own_nats * own + self._shared_nats * (system.count - own)
 
     def _drift(self, fit: TrajectoryFit) -> float:

@@ -86,6 +86,6 @@ def _least(model: FittedModel | None, columns: FloatArray, coefficients: Sequenc
     is_factor = ~np.isin(its.places, sorted(_below(model.programs[0])))
     if int(is_factor.sum()) != len(coefficients):
         return by_size
-    variances = its.by_place(np.diag(covariance(model.fit)))[:, is_factor]
+    variances = its.by_place(np.diag(covariance(model.fit)), 2)[:, is_factor]
     squares = its.by_place(its.values)[:, is_factor] ** 2
     return int(np.argmin(np.sqrt((squares / np.maximum(variances, 1e-300)).sum(axis=0))))

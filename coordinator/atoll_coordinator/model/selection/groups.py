@@ -4,7 +4,6 @@ Letters: G groups, P constants that are fitted, Q numbers that these are in all 
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -13,7 +12,7 @@ from atoll.data.dataset import FloatArray, Problem
 from atoll.expression.program import Program, constant_places, structure
 from atoll.expression.restrictions import NONE, Restrictions
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.shooting.system import Grouping, System
+from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.settings import SETTINGS
 
 
@@ -38,48 +37,29 @@ class GroupedRows:
         ]
         self._known: dict[tuple[int, bytes], FloatArray] = {}
 
-    def grouped(
-        self, system: System, leading: int, fixed: Sequence[Collection[int]], near: System | None,
-        shared: Collection[tuple[int, int]],
-    ) -> System:  # fmt: skip
-        """Return `system` with constants by group; arguments as of `ModelComparison.system`, `leading` equations first.
+    def constants(
+        self, system: System, leading: int, fixed: Sequence[Collection[int]], near: System | None
+    ) -> FloatArray:
+        """Return the constants (G, N) of each group's nodes with which a fit of `system` begins.
 
-        Where constants are shared, it begins from their mean.
+        Arguments are as of `ModelComparison.system`, `leading` equations first.
         """
         own = np.repeat(system.constants[None], self.count, axis=0)
         ends = (system.outputs + 1).tolist()
         for index, program in enumerate(system.equations[leading:]):
             part = slice(ends[index + leading] - len(program), ends[index + leading])
             own[:, part] = self._constants(index, program, fixed[index], near, part, leading)
-        columns = np.zeros((self.count, len(system.places)), np.int64)
-        number = 0
-        for place, (node, owner) in enumerate(zip(system.places.tolist(), system.owners.tolist(), strict=True)):
-            first = ends[owner] - len(system.equations[owner])
-            is_shared = (owner - leading, node - first) in shared
-            if is_shared:
-                own[:, node] = own[:, node].mean()
-            columns[:, place] = number if is_shared else number + np.arange(self.count)
-            number += 1 if is_shared else self.count
-        made = replace(system, grouping=Grouping(own, columns, number))
-        return made.with_values(made.values)
-
-    def spread(self, system: System, values: FloatArray | None) -> FloatArray | None:
-        """Return for each of the Q numbers the one of `values` (P,) that belongs to its constant."""
-        if values is None or system.grouping is None:
-            return None
-        found = np.zeros(system.count)
-        found[system.grouping.columns] = values[None, :]
-        return found
+        return own
 
     def _constants(
         self, index: int, program: Program, fixed: Collection[int], near: System | None, part: slice, leading: int
     ) -> FloatArray:
         """Return the constants (G, N) of one equation with which its fit begins."""
-        if near is not None and near.grouping is not None:
+        if near is not None and near.sharing is not None:
             before = near.equations[index + leading]
             if structure(before) == structure(program):
                 first = int(near.outputs[index + leading]) + 1 - len(before)
-                found = near.grouping.constants[:, first : first + len(before)].copy()
+                found = near.sharing.constants[:, first : first + len(before)].copy()
                 for node in fixed:
                     if program.constants[node] != near.constants[first + node]:
                         found[:, node] = program.constants[node]

@@ -90,7 +90,7 @@ class LocalSearch:
         fit = model.fit
         own = np.flatnonzero(fit.system.owners == equation + len(self._comparison.leading))
         inflation = self._comparison.inflation(model)
-        variances = fit.system.by_place(inflation * np.diag(covariance(fit)))[:, own]
+        variances = fit.system.by_place(inflation * np.diag(covariance(fit)), 2)[:, own]
         values = fit.system.by_place(fit.system.values)[:, own]
         priced: list[tuple[float, float, int, float]] = []
         for number, place in enumerate(constant_places(program)):

@@ -4,8 +4,9 @@ As `atoll_coordinator.model.regression.rounding` does for one equation: near its
 of the constants, which tells what simple numbers the data single out and how many digits estimates deserve.
 """
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+import sys
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from atoll_coordinator.model.refinement import SimpleNumber
 from atoll_coordinator.model.regression.rounding import Rounding, find_simple, round_estimates
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
+from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.settings import SETTINGS
 
 
@@ -60,14 +62,15 @@ def round_shown(
         comparison: where it was fitted.
         model: its structure is the one that is shown.
         digits: of their standard errors to which estimates are rounded.
-        estimates: constants, by number, whose place no simple number takes although one is singled out.
+        estimates: fitted numbers, by index, whose place no simple number takes although one is singled out.
     """
-    count = len(model.fit.system.places)
-    if not count:
+    system = model.fit.system
+    if not system.count:
         return RoundedSystem(model.programs, tuple(() for _ in model.programs))
     rounding = _rounding(comparison, model, digits, estimates)
-    programs, _ = _decided(comparison, model.programs, dict(enumerate(rounding.values.tolist())))
-    simple = iter(rounding.simple)
+    values = rounding.values.tolist() if system.sharing is None else _tidied(system.by_place(rounding.values)[0])
+    programs, _ = _decided(comparison, model.programs, dict(enumerate(values)))
+    simple = iter(_multiplied(system, rounding.simple))
     return RoundedSystem(
         tuple(programs),
         tuple(
@@ -75,6 +78,18 @@ def round_shown(
             for index, program in enumerate(programs)
         ),
     )
+
+
+def _tidied(values: FloatArray) -> list[float]:
+    """Return multiples of decimals as decimals."""
+    return [float(f"{value:.{sys.float_info.dig}g}") for value in values.tolist()]
+
+
+def _multiplied(system: System, simple: Sequence[SimpleNumber | None]) -> Iterator[SimpleNumber | None]:
+    """Yield the simple number near each constant, given those near the numbers (Q,) that they are multiples of."""
+    for place, number in enumerate(system.columns[0].tolist()):
+        its, multiple = simple[number], 1.0 if system.sharing is None else float(system.sharing.multiples[place])
+        yield None if its is None else replace(its, value=its.value * multiple)
 
 
 def _rounding(comparison: ModelComparison, model: FittedModel, digits: int, estimates: Collection[int]) -> Rounding:

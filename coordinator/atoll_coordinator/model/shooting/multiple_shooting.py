@@ -296,10 +296,10 @@ class MultipleShooting:
         states, fitted, local = len(system.outputs), system.count, starts.shape[1]
         simulated = np.full((states, its.rows), np.nan)
         gradients = np.zeros((its.rows, states, fitted + local))
-        if system.grouping is None:
+        if system.sharing is None:
             done, taken = self._integrate(method, system, segments, starts, simulated, gradients)
         else:
-            done, taken = self._integrate_groups(method, system, segments, starts, simulated, gradients)
+            done, taken = self._integrate_shared(method, system, segments, starts, simulated, gradients)
         for place, state in enumerate(its.offset.tolist() if local > states else []):
             gradients[:, its.observed[state], fitted + states + place] = 1.0
         for resting, state in zip(its.resting if its.resting is not None else (), its.observed.tolist(), strict=False):
@@ -319,16 +319,16 @@ class MultipleShooting:
         )  # fmt: skip
         return done, int(taken[0])
 
-    def _integrate_groups(
+    def _integrate_shared(
         self, method: _Method, system: System, segments: Ints, starts: FloatArray, simulated: FloatArray,
         gradients: FloatArray,
     ) -> tuple[int, int]:  # fmt: skip
-        """Do as `_integrate`, each segment with the constants of its group."""
-        assert system.grouping is not None
+        """Do as `_integrate`, each segment with the constants of its group, which are multiples of fitted numbers."""
+        assert system.sharing is not None
         states, places = len(system.outputs), len(system.places)
         narrow = np.zeros((self.measurements.rows, states, places + states))
         groups, all_done, all_taken = self.measurements.groups_of(segments), 0, 0
-        for group, columns in enumerate(system.grouping.columns):
+        for group, columns in enumerate(system.sharing.columns):
             chosen = groups == group
             own = np.ascontiguousarray(segments[chosen])
             done, taken = self._integrate(
@@ -338,8 +338,9 @@ class MultipleShooting:
             if done < len(own):
                 return done, all_taken
             all_done += done
-            for first, end in own.tolist():
-                gradients[first:end, :, columns] = narrow[first:end, :, :places]
+            rows = np.flatnonzero(np.repeat(chosen, segments[:, 1] - segments[:, 0]))
+            for place, (column, multiple) in enumerate(zip(columns, system.sharing.multiples, strict=True)):
+                gradients[rows, :, column] += multiple * narrow[rows, :, place]
         gradients[:, :, system.count : system.count + states] = narrow[:, :, places:]
         return all_done, all_taken
 

@@ -15,17 +15,24 @@ from atoll.expression.operators import CONSTANT, VARIABLE
 from atoll.expression.program import Program
 from atoll_coordinator.model.shooting.kernels.rates import Tape
 
+Place = tuple[int, int]
+"""A constant: its equation, and its node there."""
+
+SharedNumber = tuple[tuple[Place, float], ...]
+"""The constants that are multiples of one fitted number, in all groups of trajectories, each with its multiple."""
+
 
 @dataclass(frozen=True, eq=False)
-class Grouping:
-    """Constants that differ between groups of trajectories: G groups, Q fitted numbers in all.
+class Sharing:
+    """Which of Q fitted numbers each constant is a multiple of, in each of G groups of trajectories; G is one without.
 
-    `constants` (G, N) are those of each group's tape; `columns` (G, P) tell which of the Q numbers stands at each
-    fitted constant: the same one in all groups where these share it.
+    `constants` (G, N) are those of each group's tape. The fitted constant p of group g is the number `columns[g, p]`
+    times `multiples[p]`: the same number in all groups where these share it, and at several constants where these do.
     """
 
     constants: FloatArray
     columns: Ints
+    multiples: FloatArray
     count: int
 
     @property
@@ -39,14 +46,29 @@ class Grouping:
         """Number of groups G."""
         return len(self.constants)
 
+    def numbers(self, places: Ints) -> FloatArray:
+        """Return the fitted numbers (Q,), given the nodes of the constants (P,)."""
+        values = np.zeros(self.count)
+        values[self.columns] = self.constants[:, places] / self.multiples
+        return values
+
+    def ranges(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return bounds on the fitted numbers (Q,) that keep each constant within its own, `lower` and `upper` (P,)."""
+        ends = np.sort([lower / self.multiples, upper / self.multiples], axis=0)
+        least, most = np.full(self.count, -np.inf), np.full(self.count, np.inf)
+        for columns in self.columns:
+            np.maximum.at(least, columns, ends[0])
+            np.minimum.at(most, columns, ends[1])
+        return least, most
+
 
 @dataclass(frozen=True, eq=False)
 class System:
     """D equations on one tape, see `kernels.rates.Tape`; `equations` are the programs that it was made of.
 
     `parameters` (N,) numbers the fitted constants; `places` are their nodes, `owners` (P,) their equations. `lower` and
-    `upper` (Q,) are bounds on the fitted numbers, None where there are none. With a `grouping` there are more fitted
-    numbers than places, Q of P; `constants` are then the means over the groups. Without one Q is P.
+    `upper` (Q,) are bounds on the fitted numbers, None where there are none. With a `sharing` there are more fitted
+    numbers than places or fewer, Q of P; `constants` are then the means over the groups. Without one Q is P.
     """
 
     equations: tuple[Program, ...]
@@ -60,7 +82,7 @@ class System:
     places: Ints
     lower: FloatArray | None = None
     upper: FloatArray | None = None
-    grouping: Grouping | None = None
+    sharing: Sharing | None = None
 
     @property
     def tape(self) -> Tape:
@@ -70,29 +92,60 @@ class System:
     @property
     def count(self) -> int:
         """Number Q of fitted numbers."""
-        return len(self.places) if self.grouping is None else self.grouping.count
+        return len(self.places) if self.sharing is None else self.sharing.count
+
+    @property
+    def columns(self) -> Ints:
+        """Which of the fitted numbers each constant is a multiple of, by group and constant (G, P)."""
+        return np.arange(len(self.places))[None] if self.sharing is None else self.sharing.columns
 
     @property
     def values(self) -> FloatArray:
         """The fitted numbers (Q,)."""
-        if self.grouping is None:
-            return self.constants[self.places]
-        values = np.zeros(self.grouping.count)
-        values[self.grouping.columns] = self.grouping.constants[:, self.places]
-        return values
+        return self.constants[self.places] if self.sharing is None else self.sharing.numbers(self.places)
 
     def with_values(self, values: FloatArray) -> "System":
         """Return the system with other values (Q,) of the fitted numbers, within their bounds."""
         if self.lower is not None and self.upper is not None:
             values = np.clip(values, self.lower, self.upper)
         constants = self.constants.copy()
-        if self.grouping is None:
+        if self.sharing is None:
             constants[self.places] = values
             return replace(self, constants=constants)
-        own = self.grouping.constants.copy()
-        own[:, self.places] = values[self.grouping.columns]
+        own = self.sharing.constants.copy()
+        own[:, self.places] = self.by_place(values)
         constants[self.places] = own[:, self.places].mean(axis=0)
-        return replace(self, constants=constants, grouping=replace(self.grouping, constants=own))
+        return replace(self, constants=constants, sharing=replace(self.sharing, constants=own))
+
+    def sharing_numbers(self, constants: FloatArray, shared: Collection[SharedNumber], leading: int = 0) -> "System":
+        """Return the system with a number of each group at each constant, but for those that are `shared`.
+
+        Where numbers are shared, it begins from the mean of what the constants say.
+
+        Args:
+            constants: of the nodes, by group (G, N).
+            shared: by equation and node, the first equation being the one after the `leading` ones.
+        """
+        starts = [0, *(self.outputs[:-1] + 1).tolist()][leading:]
+        fitted = {node: place for place, node in enumerate(self.places.tolist())}
+        together: dict[int, tuple[list[int], list[float]]] = {}
+        for number in shared:
+            its = [fitted[starts[equation] + node] for (equation, node), _ in number]
+            together |= dict.fromkeys(its, (its, [multiple for _, multiple in number]))
+        groups, own = len(constants), constants.copy()
+        columns = np.full((groups, len(self.places)), -1, np.int64)
+        multiples, count = np.ones(len(self.places)), 0
+        for place in range(len(self.places)):
+            if columns[0, place] >= 0:
+                continue
+            its, multiples[its] = together.get(place, ([place], [1.0]))
+            if place in together:
+                nodes = self.places[its]
+                own[:, nodes] = (own[:, nodes] / multiples[its]).mean() * multiples[its]
+            columns[:, its] = count if place in together else count + np.arange(groups)[:, None]
+            count += 1 if place in together else groups
+        made = replace(self, sharing=Sharing(own, columns, multiples, count))
+        return made.with_values(made.values)
 
     def held(self, gradient: FloatArray) -> npt.NDArray[np.bool_] | None:
         """Return which of the fitted numbers (Q,) lie on a bound beyond which `gradient` (Q,) wants to move them.
@@ -115,32 +168,38 @@ class System:
     def with_fixed_constants(self) -> "System":
         """Return the system with no constant to be fitted, all as they are."""
         none = np.zeros(0, dtype=np.int64)
-        grouping = self.grouping
-        if grouping is not None:
-            grouping = Grouping(grouping.constants, np.zeros((grouping.groups, 0), np.int64), 0)
+        sharing = self.sharing
+        if sharing is not None:
+            sharing = Sharing(sharing.constants, np.zeros((sharing.groups, 0), np.int64), np.zeros(0), 0)
         return replace(
             self, parameters=np.full_like(self.parameters, -1), owners=none, places=none, lower=None, upper=None,
-            grouping=grouping,
+            sharing=sharing,
         )  # fmt: skip
 
-    def by_place(self, numbers: FloatArray) -> FloatArray:
-        """Return what belongs to the Q fitted numbers by group and constant (G, P); G is one without groups."""
-        return numbers[None] if self.grouping is None else np.asarray(numbers[self.grouping.columns])
+    def by_place(self, numbers: FloatArray, power: int = 1) -> FloatArray:
+        """Return what belongs to the Q fitted numbers by group and constant (G, P); G is one without groups.
+
+        Variances grow with the `power` 2 of the multiples.
+        """
+        if self.sharing is None:
+            return numbers[None]
+        return np.asarray(numbers[self.sharing.columns] * self.sharing.multiples**power)
 
     def of_group(self, group: int) -> "System":
         """Return the system with the constants of one group, without bounds; itself where there are no groups."""
-        if self.grouping is None:
+        if self.sharing is None:
             return self
-        return replace(self, constants=self.grouping.constants[group], lower=None, upper=None, grouping=None)
+        return replace(self, constants=self.sharing.constants[group], lower=None, upper=None, sharing=None)
 
     def arrays(self) -> Iterator[FloatArray | Ints | None]:
         """Yield all arrays that decide what a fit of the system gives."""
         yield from self.tape
         yield self.lower
         yield self.upper
-        if self.grouping is not None:
-            yield self.grouping.constants
-            yield self.grouping.columns
+        if self.sharing is not None:
+            yield self.sharing.constants
+            yield self.sharing.columns
+            yield self.sharing.multiples
 
     @property
     def programs(self) -> tuple[Program, ...]:

@@ -6,7 +6,7 @@ import pytest
 from atoll.expression.evaluation import values_of
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
-from atoll.expression.writing.opened import factored_forms, open_terms
+from atoll.expression.writing.opened import factored_forms, open_terms, raised_quotients, shape_of, terms_of
 
 NAMES = ("x", "y")
 POINTS = np.random.default_rng(3).uniform(0.5, 2.0, (2, 20))
@@ -53,3 +53,14 @@ def test_each_coefficient_is_a_factor_of_all_in_turn():
     ) == 2
     assert all(np.allclose(values_of(each, POINTS), values_of(program, POINTS)) for each in forms)
     assert list(factored_forms(from_infix("3*x", NAMES))) == []
+
+
+def test_a_quotient_is_raised_where_that_takes_no_new_term() -> None:
+    names = ("x", "y")
+    its = terms_of(from_infix("1.6*y/(0.8 + x) - 2.4*y", names))
+    ((shape, raised),) = raised_quotients(its)
+    ((flux, _),) = terms_of(from_infix("x*y/(0.8 + x)", names))
+    assert shape == shape_of(flux)
+    assert dict(raised)[flux] == pytest.approx(-2.0)
+    assert sorted(factor for _, factor in raised) == pytest.approx([-2.0, -0.4])
+    assert list(raised_quotients(terms_of(from_infix("1.6*y/(0.8 + x) - 2.4", names)))) == []

@@ -361,3 +361,5 @@ def test_text_names_the_functions_that_equations_have_in_common():
     ]
     lines = [line for line in render_text(its).splitlines() if line.startswith("shared")]
     assert lines == ["shared: S/(1 + x) in dx/dt, dv/dt"]
+    its["shared_terms"][0]["multiples"] = {"x": 1.0, "v": -2.0}
+    assert "flux: S/(1 + x), +1 in dx/dt, -2 in dv/dt" in render_text(its).splitlines()

@@ -59,12 +59,12 @@ def test_a_shared_constant_is_one_number_and_costs_one():
     its = comparison(0.02)
     apart = its.fit_model([LOGISTIC])
     node = constant_places(LOGISTIC)[1]
-    together = its.fit_beside(apart, apart.programs, shared={(0, node)})
+    together = its.fit_beside(apart, apart.programs, shared={(((0, node), 1.0),)})
     assert together.fit.system.count == 4
     assert np.ptp(by_group(together)[:, 1]) == 0.0
     assert together.nats < apart.nats
     rate = constant_places(LOGISTIC)[0]
-    assert its.fit_beside(apart, apart.programs, shared={(0, rate)}).nats > apart.nats + 10.0
+    assert its.fit_beside(apart, apart.programs, shared={(((0, rate), 1.0),)}).nats > apart.nats + 10.0
 
 
 def test_sensitivities_are_those_of_finite_differences():

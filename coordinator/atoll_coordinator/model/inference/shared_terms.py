@@ -1,0 +1,317 @@
+"""Terms that several equations share, fitted together: a flux that leaves one state and enters another (ADR 0058).
+
+Brackets opened, each term has a factor and numbers inside. Two terms of the same shape are one flux where the same
+numbers stand inside, and where one factor is a simple multiple of the other they are its stoichiometry. What the data
+allow is told by the quadratic form that the misfit is near its minimum, one decision after another, as for simple
+numbers; a fit with all of it decides.
+
+Letters: P fitted constants.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from atoll.data.dataset import FloatArray
+from atoll.expression.program import Program, constant_places
+from atoll.expression.writing.opened import Opened, Shape, open_sum, raised_quotients, shape_of, terms_of
+from atoll.expression.writing.sums import Sum, UndefinedError
+from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.regression.rounding import find_simple
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.shooting.covariance import bounded_covariance
+from atoll_coordinator.model.shooting.system import Place, SharedNumber
+from atoll_coordinator.settings import SETTINGS
+
+_ROUNDING: Final = 2.0**-50
+"""Differences below this share of a constant are those of arithmetic."""
+
+
+@dataclass(frozen=True)
+class Stoichiometry:
+    """A term of this `shape` in several equations: its fitted `numbers`, which stand in them all.
+
+    `multiples` has by equation how many times the flux stands there, None where the factor is fitted by itself. With
+    it the description is about so many `nats` shorter, of which the `saving` is what a flux takes that is written once.
+    """
+
+    shape: Shape
+    multiples: Mapping[int, float | None]
+    numbers: tuple[SharedNumber, ...]
+    nats: float
+    saving: float
+
+
+@dataclass(frozen=True, eq=False)
+class FittedTogether:
+    """A model whose equations share these terms, and thus these numbers."""
+
+    model: FittedModel
+    terms: tuple[Stoichiometry, ...]
+
+    @property
+    def numbers(self) -> list[SharedNumber]:
+        """The shared numbers of all terms."""
+        return [number for term in self.terms for number in term.numbers]
+
+
+def fit_together(comparison: ModelComparison, near: FittedModel, shown: Sequence[Program]) -> FittedTogether | None:
+    """Return `shown` with brackets opened and shared terms fitted together; None where that is no shorter description.
+
+    Equations that are given or have bounds are left as they are.
+    """
+    sums = _sums(comparison, shown)
+    opened = [None if its is None else open_sum(its) for its in sums]
+    common = _common(opened)
+    if not common:
+        return None
+    programs = [its.program if its is not None else shown[equation] for equation, its in enumerate(opened)]
+    free, apart = comparison.fit_beside(near, programs), comparison.fit_beside(near, shown)
+    if free is None or apart is None:
+        return None
+    savings = {shape: _saving(shape, sums) for shape in common}
+    costs = [structure_length(made) - structure_length(its) for made, its in zip(programs, shown, strict=True)]
+    terms = _worthwhile(_found(comparison, free, common, savings), costs)
+    if not terms:
+        return None
+    touched = {equation for term in terms for equation in term.multiples}
+    chosen = [free.programs[each] if each in touched else apart.programs[each] for each in range(len(shown))]
+    numbers = [number for term in terms for number in term.numbers]
+    together = comparison.fit_beside(free, chosen, shared=numbers)
+    if together is None or together.nats - sum(term.saving for term in terms) >= apart.nats:
+        return None
+    return FittedTogether(together, terms)
+
+
+# ----------------------------------------------------------------------------------------------- terms and their places
+
+
+@dataclass(frozen=True)
+class _Occurrence:
+    """A term of an equation: the place of its factor, None for a factor of one, and those of its numbers inside.
+
+    Each comes with the sign that the constant there acts with.
+    """
+
+    equation: int
+    factor: tuple[Place, float] | None
+    inner: tuple[tuple[Place, float], ...]
+
+
+def _sums(comparison: ModelComparison, shown: Sequence[Program]) -> list[Sum | None]:
+    """Return the terms of each equation, None of those that stay as they are.
+
+    Where another equation has n*u/(c + u), this one has it in place of n/(c + u).
+    """
+    sums = [_terms(comparison, equation, program) for equation, program in enumerate(shown)]
+    shapes = [{shape_of(monomial) for monomial, _ in its or ()} for its in sums]
+    for equation, its in enumerate(sums):
+        others = set().union(*shapes[:equation], *shapes[equation + 1 :])
+        sums[equation] = next((other for shape, other in raised_quotients(its or ()) if shape in others), its)
+    return sums
+
+
+def _saving(shape: Shape, sums: Sequence[Sum | None]) -> float:
+    """Return by how many nats a term is shorter where it is written once more, its numbers being known.
+
+    A part that a program uses again costs as little within one equation.
+    """
+    monomials = (monomial for its in sums for monomial, _ in its or () if shape_of(monomial) == shape)
+    made = open_sum(((next(monomials), 1.0),))
+    return 0.0 if made is None else structure_length(made.program) - SETTINGS.criterion.common
+
+
+def _terms(comparison: ModelComparison, equation: int, program: Program) -> Sum | None:
+    """Return the terms of an equation that may be written in another way, None of others."""
+    if equation in comparison.fixed or comparison.restrictions(equation).bounds is not None:
+        return None
+    try:
+        return terms_of(program)
+    except UndefinedError:
+        return None
+
+
+def _common(opened: Sequence[Opened | None]) -> dict[Shape, list[_Occurrence]]:
+    """Return the terms that two equations or more have, by shape; those are left out that one has several times."""
+    found: dict[Shape, list[_Occurrence]] = {}
+    for equation, its in enumerate(opened):
+        for shape, occurrence in _occurrences(equation, its) if its is not None else ():
+            found.setdefault(shape, []).append(occurrence)
+    return {
+        shape: those
+        for shape, those in found.items()
+        if len(those) > 1 and len({each.equation for each in those}) == len(those)
+    }
+
+
+def _occurrences(equation: int, opened: Opened) -> Iterator[tuple[Shape, _Occurrence]]:
+    """Yield the terms of an equation that have a variable, with their shapes."""
+    places = [(equation, node) for node in constant_places(opened.program)]
+    by_shape: dict[Shape, list[tuple[Place, float, bool]]] = {}
+    for place, role in zip(places, opened.roles, strict=True):
+        by_shape.setdefault(role.shape, []).append((place, role.sign, role.is_inner))
+    for shape, its in by_shape.items():
+        factors = [(place, sign) for place, sign, is_inner in its if not is_inner]
+        inner = tuple((place, sign) for place, sign, is_inner in its if is_inner)
+        if shape and len(factors) < 2:
+            yield shape, _Occurrence(equation, factors[0] if factors else None, inner)
+
+
+# --------------------------------------------------------------------------------------------------- what they share
+
+
+@dataclass(eq=False)
+class _Estimates:
+    """Fitted constants by place, their `values` (P,) and `covariance` (P, P), as decisions move them."""
+
+    index: Mapping[Place, int]
+    values: FloatArray
+    covariance: FloatArray
+
+    def value(self, place: Place) -> float:
+        """Return what a constant is."""
+        return float(self.values[self.index[place]])
+
+    def row(self, *parts: tuple[tuple[Place, float], float]) -> FloatArray:
+        """Return the coefficients (P,) of a sum of constants, each with its sign, times a factor."""
+        found = np.zeros(len(self.values))
+        for (place, sign), factor in parts:
+            found[self.index[place]] += sign * factor
+        return found
+
+    def variance(self, row: FloatArray) -> float:
+        """Return the variance of a sum of constants, that of arithmetic at least."""
+        least = _ROUNDING * float(np.abs(row * self.values).max())
+        return max(float(row @ self.covariance @ row), least * least, 1e-300)
+
+    def decided(self, row: FloatArray) -> tuple["_Estimates", float]:
+        """Return the estimates if a sum of constants is zero, and the nats that the misfit grows by."""
+        variance, away = self.variance(row), float(row @ self.values)
+        column = self.covariance @ row
+        values = self.values - column * (away / variance)
+        covariance = self.covariance - np.outer(column, column) / variance
+        return _Estimates(self.index, values, covariance), 0.5 * away * away / variance
+
+
+@dataclass(eq=False)
+class _Flux:
+    """Terms that have the same numbers inside; `nats` and `saving` are those of `Stoichiometry`.
+
+    `ratios` are the factors over that of the `reference`, which is their smallest, where they are simple; by equation.
+    """
+
+    terms: list[_Occurrence]
+    nats: float = 0.0
+    saving: float = 0.0
+    reference: tuple[Place, float] | None = None
+    direction: float = 1.0
+    ratios: dict[int, float] = field(default_factory=dict)
+
+
+def _found(
+    comparison: ModelComparison, free: FittedModel, common: Mapping[Shape, Sequence[_Occurrence]],
+    savings: Mapping[Shape, float],
+) -> list[Stoichiometry]:  # fmt: skip
+    """Return what the estimates of a fit say that terms share."""
+    system = free.fit.system
+    index = {place: number for number, place in enumerate(comparison.places(system))}
+    estimates = _Estimates(index, system.values, comparison.inflation(free) * bounded_covariance(free.fit))
+    found = []
+    for shape, those in common.items():
+        estimates, fluxes = _alike(estimates, those, comparison.constant_nats, savings[shape])
+        for flux in fluxes:
+            estimates = _with_multiples(estimates, flux, comparison.constant_nats)
+            term = _stoichiometry(shape, flux)
+            found += [term] if term is not None else []
+    return found
+
+
+def _alike(
+    estimates: _Estimates, those: Sequence[_Occurrence], constant_nats: float, saving: float
+) -> tuple[_Estimates, list[_Flux]]:
+    """Return terms of one shape by the numbers inside, which are the same where that shortens the description."""
+    fluxes: list[_Flux] = []
+    for term in those:
+        for flux in fluxes:
+            trial, nats = estimates, saving if term.inner else 0.0
+            if len(flux.terms[0].inner) != len(term.inner):
+                continue
+            for one, other in zip(flux.terms[0].inner, term.inner, strict=True):
+                trial, grown = trial.decided(trial.row((one, 1.0), (other, -1.0)))
+                nats += constant_nats - grown
+            if nats > 0.0 or not term.inner:
+                estimates, flux.nats = trial, flux.nats + nats
+                flux.saving += saving if term.inner else 0.0
+                flux.terms.append(term)
+                break
+        else:
+            fluxes.append(_Flux([term]))
+    return estimates, fluxes
+
+
+def _with_multiples(estimates: _Estimates, flux: _Flux, constant_nats: float) -> _Estimates:
+    """Fill in which factors are simple multiples of the smallest, and return the estimates with these decided."""
+    factors = {term.equation: term.factor for term in flux.terms if term.factor is not None}
+    if len(factors) < 2:
+        return estimates
+    sizes = {equation: sign * estimates.value(place) for equation, (place, sign) in factors.items()}
+    least = min(sizes, key=lambda equation: abs(sizes[equation]))
+    reference = flux.reference = factors.pop(least)
+    flux.direction = 1.0 if sizes[least] > 0.0 else -1.0
+    for equation, factor in factors.items():
+        ratio = _simple_ratio(estimates, reference, factor)
+        if ratio is not None:
+            estimates, grown = estimates.decided(estimates.row((factor, 1.0), (reference, -ratio)))
+            flux.nats += constant_nats - grown
+            flux.ratios |= {least: 1.0, equation: ratio}
+    return estimates
+
+
+def _simple_ratio(estimates: _Estimates, one: tuple[Place, float], other: tuple[Place, float]) -> float | None:
+    """Return the fraction that the data single out as the factor `other` over `one`, None where there is none."""
+    below, above = (sign * estimates.value(place) for place, sign in (one, other))
+    if below == 0.0:
+        return None
+    ratio = above / below
+    variance = estimates.variance(estimates.row((other, 1.0 / below), (one, -ratio / below)))
+    number = find_simple(np.array([ratio]), np.array([[variance]])).get(0)
+    denominators = SETTINGS.regression.denominators
+    return number if number is not None and any((number * each).is_integer() for each in denominators) else None
+
+
+def _stoichiometry(shape: Shape, flux: _Flux) -> Stoichiometry | None:
+    """Return what the terms of a flux share, None where that is nothing."""
+    terms = [term for term in flux.terms if term.inner or term.equation in flux.ratios]
+    if len(terms) < 2:
+        return None
+    numbers: list[SharedNumber] = [
+        tuple((term.inner[number][0], term.inner[number][1] * sign) for term in terms)
+        for number, (_, sign) in enumerate(terms[0].inner)
+    ]
+    if flux.reference is not None and flux.ratios:
+        sign = flux.reference[1]
+        factors = [(term.factor, flux.ratios[term.equation]) for term in terms if term.equation in flux.ratios]
+        numbers.append(tuple((its[0], its[1] * sign * ratio) for its, ratio in factors if its is not None))
+    multiples = {
+        term.equation: flux.ratios[term.equation] * flux.direction if term.equation in flux.ratios else None
+        for term in terms
+    }
+    return Stoichiometry(shape, multiples, tuple(numbers), flux.nats, flux.saving)
+
+
+def _worthwhile(terms: Sequence[Stoichiometry], costs: Sequence[float]) -> tuple[Stoichiometry, ...]:
+    """Return those terms that are worth the `costs` of opening their equations, none of the rest being so."""
+
+    def gain(those: Sequence[Stoichiometry]) -> float:
+        opened = {equation for term in those for equation in term.multiples}
+        return sum(term.nats for term in those) - sum(costs[equation] for equation in sorted(opened))
+
+    chosen = tuple(terms)
+    while chosen:
+        fewer = max((chosen[:place] + chosen[place + 1 :] for place in range(len(chosen))), key=gain)
+        if gain(fewer) <= gain(chosen):
+            break
+        chosen = fewer
+    return chosen if gain(chosen) > 0.0 else ()
