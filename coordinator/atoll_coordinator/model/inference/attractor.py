@@ -2,7 +2,8 @@
 
 Of a chaotic system no course can be foretold beyond some Lyapunov times, but averages can: a long simulation has the
 means and variances of the measurements, up to sampling errors. Both are compared by Welch's t, with averages over
-blocks that are long against the time in which errors grow: trajectories, or where there are few, parts of them.
+blocks that are long against the time in which errors grow: the later halves of trajectories, which begin where they
+were made to begin and come to the attractor first, or where there are few trajectories, parts of them.
 """
 
 import math
@@ -37,13 +38,15 @@ def look_for_chaos(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos |
         return None
     step = float(np.median(np.diff(measurements.times)[np.diff(measurements.owners_of_rows) == 0]))
     lengths = np.bincount(measurements.owners_of_rows)
-    block = int(lengths.max()) // (_BLOCKS if len(lengths) < _BLOCKS else 1)
+    are_few = len(lengths) < _BLOCKS
+    block = int(lengths.max()) // (_BLOCKS if are_few else 2)
     rows = min(max(measurements.rows, _BLOCKS * block), _MOST_ROWS)
     simulated = _simulated(fit, rows, step, tolerance)
     if simulated is None:
         return Chaos(1.0 / rate, False, None)
     measured = [measurements.smoothed[:, measurements.owners_of_rows == owner] for owner in range(len(lengths))]
-    centre = measurements.smoothed.mean(axis=1, keepdims=True)
+    measured = measured if are_few else [each[:, each.shape[1] // 2 :] for each in measured]
+    centre = np.concatenate(measured, axis=1).mean(axis=1, keepdims=True)
     probability = 1.0
     for power in (1, 2):
         ours = _block_means((simulated - centre) ** power, block)
@@ -57,9 +60,7 @@ def _simulated(fit: TrajectoryFit, rows: int, step: float, tolerance: float) -> 
     """Return the states (D, rows) from the end of the last trajectory on; None where the simulation runs away."""
     measurements = fit.estimator.measurements
     estimator = along(measurements, step * np.arange(float(rows)), tolerance)
-    start = np.ascontiguousarray(fit.simulated[:, -1][None])
-    found = estimator.fit(fit.system.with_fixed_constants(), None, 0, start)
-    return found.simulated if found is not None and np.isfinite(found.simulated).all() else None
+    return estimator.simulate(fit.system, fit.simulated[:, -1])
 
 
 def along(measurements: Measurements, times: FloatArray, tolerance: float) -> MultipleShooting:

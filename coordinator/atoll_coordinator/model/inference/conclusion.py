@@ -86,8 +86,9 @@ class Shown:
 class Final:
     """The model on all rows.
 
-    `comparison` is where constants are fitted; `seen` where the equations are simulated as they are shown, over whole
-    trajectories, also where constants are fitted to short pieces of them, and `seen_fit` what that gives. `unseen` is a
+    `comparison` is where constants are fitted, in pieces of at most `piece` rows; `seen` where the equations are
+    simulated as they are shown, over whole trajectories, also where constants are fitted to short pieces of them, and
+    over all rows, also where they are fitted to fewer, and `seen_fit` what that gives. `unseen` is a
     comparison over the held-out trajectories, None when there are none. `by_group` has the equations with the constants
     of each group of trajectories, where these have constants of their own.
     """
@@ -100,6 +101,7 @@ class Final:
     equations: Shown
     seen: ModelComparison
     seen_fit: TrajectoryFit
+    piece: int
     by_group: Sequence[Sequence[Program]] = ()
 
     @property
@@ -116,6 +118,11 @@ class Final:
     def free(self) -> FittedModel:
         """The fit of `explicit`, all constants free."""
         return self.equations.free
+
+    @property
+    def are_errors_summed(self) -> bool:
+        """Whether the equations are simulated along longer pieces than those that constants are fitted to."""
+        return self.piece < min(self.task.piece, longest(self.task))
 
     def origin(self, equation: int, program: Program) -> Origin:
         """Return where a program came from, before its constants were made simple."""
@@ -158,12 +165,11 @@ def summarize(selection: SelectedModel) -> Refinement | None:
         )
         for index, name in enumerate(task.variables)
     }
-    spread = bands(
-        final.comparison.estimator.measurements,
-        final.free.fit,
-        *scaled_covariance(final.free.fit, errors),
-    )
     measurements = final.seen.estimator.measurements
+    if measurements.rows > final.comparison.estimator.measurements.rows:
+        spread = _carried_bands(final, final.seen, final.seen_fit, errors)
+    else:
+        spread = bands(measurements, final.free.fit, *scaled_covariance(final.free.fit, errors))
     trajectories = simulated(measurements, final.seen_fit, spread, task.variables, held_out=False)
     return Refinement(
         equations,
@@ -196,7 +202,6 @@ def state_errors(final: Final) -> dict[str, StateErrors]:
     if comparison.is_exact(final.free):
         return {}  # those of the integration, of which nothing is to be said
     bounds = comparison.estimator.measurements.bounds
-    are_summed = len(bounds) > len(final.seen.estimator.measurements.bounds)
     rows = np.minimum(comparison.misfit.effective_rows(fit.squares), comparison.counts / fit.errors.lengths)
     found = {}
     for index, name in enumerate(final.task.variables):
@@ -207,8 +212,8 @@ def state_errors(final: Final) -> dict[str, StateErrors]:
             share,
             1.0 / (1.0 - decay) if share else None,
             float(rows[index]),
-            are_summed,
-            int((bounds[:, 1] - bounds[:, 0]).max()) if are_summed else None,
+            final.are_errors_summed,
+            int((bounds[:, 1] - bounds[:, 0]).max()) if final.are_errors_summed else None,
         )
     return found
 
@@ -236,7 +241,8 @@ def _finalized(ranking: Ranking, origins: Sequence[Mapping[bytes, Origin]]) -> F
         shown = _shortened(whole.task, comparison, best, shown)
         shown = _with_shared_terms(whole.task, comparison, shown)
         task, seen, fit = seen_in_whole(whole.task, comparison, shown)
-        return Final(task, ranking, origins, unseen_comparison(task), comparison, shown, seen, fit)
+        piece = whole.task.piece
+        return Final(task, ranking, origins, unseen_comparison(task), comparison, shown, seen, fit, piece)
     return None
 
 
@@ -268,13 +274,18 @@ def _with_shared_terms(task: ModellingTask, comparison: ModelComparison, shown: 
 def seen_in_whole(
     task: ModellingTask, comparison: ModelComparison, shown: Shown
 ) -> tuple[ModellingTask, ModelComparison, TrajectoryFit]:
-    """Return the equations as they are shown along whole trajectories, if they were fitted to pieces and can be."""
-    whole = in_whole(task)
-    if whole.piece != task.piece:
-        seen = whole.compare(whole.measurements(whole.variables), whole.variables, is_precise=True)
-        fit = fit_starts(seen, shown.rounded.programs)
-        if fit is not None:
-            return whole, seen, fit
+    """Return the equations as they are shown along whole trajectories and all rows, if they can be.
+
+    Else along those that they were fitted to.
+    """
+    whole, fitted = in_whole(task), comparison.estimator.measurements.rows
+    for here in (whole, task) if whole.piece != task.piece else (task,):
+        measurements = here.measurements(here.variables)
+        if here.piece != task.piece or measurements.rows > fitted:
+            seen = here.compare(measurements, here.variables, is_precise=True)
+            fit = fit_starts(seen, shown.rounded.programs)
+            if fit is not None:
+                return here, seen, fit
     return task, comparison, shown.fit.fit
 
 
@@ -422,11 +433,20 @@ def _held_out(
     )
 
 
-def _carried_bands(final: Final, unseen: ModelComparison, fit: TrajectoryFit, errors: Errors) -> FloatArray | None:
-    """Return the standard errors (O, N) of held-out trajectories as simulated; None when they cannot be told."""
+def _carried_bands(final: Final, other: ModelComparison, fit: TrajectoryFit, errors: Errors) -> FloatArray | None:
+    """Return the standard errors (O, N) of trajectories that constants were not fitted to; None when they fail.
+
+    One trajectory after another: of dozens of states the sensitivities of all would take more memory than there is.
+    """
     free = final.free.fit
-    near = unseen.estimator.fit(free.system, None, 0, fit.starts, free.errors, is_stiff=fit.is_stiff)
-    return None if near is None else bands(unseen.estimator.measurements, near, *scaled_covariance(free, errors))
+    spread, found = scaled_covariance(free, errors), []
+    for owner in sorted(set(other.estimator.measurements.owners.tolist())):
+        estimator, starts = other.estimator.of_trajectory(owner, fit)
+        near = estimator.fit(free.system, None, 0, starts, free.errors, is_stiff=fit.is_stiff)
+        if near is None:
+            return None
+        found.append(bands(estimator.measurements, near, *spread))
+    return np.concatenate(found, axis=1)
 
 
 def _chaos(final: Final) -> Chaos | None:
@@ -476,7 +496,7 @@ def refined_equation(
         noise=0.0 if smoothing.method == "interpolation" and smoothing.quantisation is None else noise,
         standard_deviation=_standard_deviation(measurements, index),
         reference=_reference_smoother(smoothing, noise),
-        are_errors_summed=len(final.comparison.estimator.measurements.bounds) > len(measurements.bounds),
+        are_errors_summed=final.are_errors_summed,
         has_outliers=smoothing.outliers > 0,
         held_out_r2=held_out_r2,
         is_cross_validated=final.unseen is None,

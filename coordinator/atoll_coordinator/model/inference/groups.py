@@ -102,6 +102,7 @@ def summarize_groups(selection: SelectedModel) -> Refinement | None:
         shown,
         comparison,
         fit,
+        whole.task.piece,
         by_group,
     )
     return _refinement(final, chosen.shared, errors, values)

@@ -151,11 +151,8 @@ class _Elsewhere:
         return dict(zip(names, self.starts[place].tolist(), strict=True))
 
     def _course(self, system: System, start: FloatArray) -> FloatArray | None:
-        fit = self._estimator.fit(system.with_fixed_constants(), None, 0, np.ascontiguousarray(start[None]))
-        if fit is None:
-            return None
-        course = fit.simulated[self._measurements.observed]
-        return course if np.isfinite(course).all() else None
+        simulated = self._estimator.simulate(system, start)
+        return None if simulated is None else simulated[self._measurements.observed]
 
 
 class _Misses:

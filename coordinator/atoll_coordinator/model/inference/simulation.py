@@ -132,7 +132,7 @@ def bands(measurements: Measurements, fit: TrajectoryFit, spread: FloatArray, sc
             gradients = sensitivities[first:end, index]
             starts = gradients[:, fitted:]
             constants = gradients[:, :fitted] - starts @ carried
-            variance = np.einsum("np,pq,nq->n", constants, spread, constants)
-            variance += scale * np.einsum("nd,de,ne->n", starts, own, starts)
+            variance = ((constants @ spread) * constants).sum(axis=1)
+            variance += scale * ((starts @ own) * starts).sum(axis=1)
             found[state, first:end] = np.sqrt(np.maximum(variance, 0.0))
     return found

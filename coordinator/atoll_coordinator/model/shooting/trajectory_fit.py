@@ -50,8 +50,8 @@ class TrajectoryFit:
     @property
     def reduced(self) -> FloatArray:
         """The normal matrix (P, P) of the constants, initial states eliminated."""
-        own = _inverses(self.own)
-        return np.asarray(self.normal - np.einsum("gpd,gde,gqe->pq", self.coupling, own, self.coupling))
+        carried = self.coupling @ _inverses(self.own)
+        return np.asarray(self.normal - np.tensordot(carried, self.coupling, axes=([0, 2], [0, 2])))
 
 
 def _inverses(own: FloatArray) -> FloatArray:

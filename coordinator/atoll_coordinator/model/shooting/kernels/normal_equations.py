@@ -7,67 +7,96 @@ shape: the constants' block, and for each segment a block of its own numbers.
 
 import math
 
-from atoll.compilation.jit import allocating_kernel, kernel
+from atoll.compilation.jit import allocating_kernel, inlined, kernel
 from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.tape import Ints
 from atoll_coordinator.model.cholesky import factorize, substitute
 from atoll_coordinator.model.shooting.kernels.innovations import decayed
+
+LINES = 8
+"""Rows of sensitivities whose products are added at once."""
 
 
 @kernel
 def normal_equations(segments: Ints, observed: Ints, steps: FloatArray, residuals: FloatArray, weights: FloatArray,
                      shares: FloatArray, decays: FloatArray, gradients: FloatArray, fitted: int, normal: FloatArray,
                      coupling: FloatArray, own: FloatArray, gradient: FloatArray, own_gradient: FloatArray,
-                     innovations: FloatArray, expected: FloatArray) -> None:  # fmt: skip
+                     lines: FloatArray, expected: FloatArray, sums: FloatArray) -> None:  # fmt: skip
     """Sum up J'WJ and J'Wr by blocks: constants (P, P), (G, P, L), and what each segment has its own (G, L, L).
 
     `residuals` and `weights` are (O, N) for the `observed` (O,) states; a weight of zero leaves a number out. W is the
-    inverse of the covariance that `innovate` describes, with `shares` and `decays` (O,) of each state. `innovations`
-    and `expected` (P + L,) are scratch.
+    inverse of the covariance that `innovate` describes, with `shares` and `decays` (O,) of each state. `lines`
+    (`LINES`, C), `expected` (C,) and `sums` (C, C), C = P + L + 1, are scratch: the whitened sensitivities with the
+    residual behind them, and the products of these.
     """
     local = gradients.shape[2] - fitted
     count = fitted + local
     for g in range(segments.shape[0]):
+        filled = 0
+        for p in range(count + 1):
+            for q in range(p + 1):
+                sums[p, q] = 0.0
         for o in range(observed.shape[0]):
             s, share, white = observed[o], shares[o], 1.0 - shares[o]
-            variance, guessed = share, 0.0
-            for p in range(count):
+            variance = share
+            for p in range(count + 1):
                 expected[p] = 0.0
             for row in range(segments[g, 0], segments[g, 1]):
                 if share > 0.0 and row > segments[g, 0]:
                     kept = decayed(decays[o], steps[row])
                     variance = kept * kept * variance + share * (1.0 - kept * kept)
-                    guessed *= kept
-                    for p in range(count):
+                    for p in range(count + 1):
                         expected[p] *= kept
                 if weights[o, row] == 0.0:
                     continue
                 root = math.sqrt(weights[o, row])
                 total = variance + white
-                gain = variance / total
-                error = root * residuals[o, row] - guessed
-                guessed += gain * error
+                gain, scale = variance / total, math.sqrt(1.0 / total)
+                line = lines[filled]
                 for p in range(count):
-                    change = root * gradients[row, s, p] - expected[p]
-                    innovations[p] = change
-                    expected[p] += gain * change
+                    line[p] = root * gradients[row, s, p] - expected[p]
+                line[count] = root * residuals[o, row] - expected[count]
+                for p in range(count + 1):
+                    expected[p] += gain * line[p]
+                    line[p] *= scale
                 variance -= gain * variance
-                w = 1.0 / total
-                for p in range(fitted):
-                    wj = w * innovations[p]
-                    gradient[p] += wj * error
-                    for q in range(p + 1):
-                        normal[p, q] += wj * innovations[q]
-                    for d in range(local):
-                        coupling[g, p, d] += wj * innovations[fitted + d]
-                for d in range(local):
-                    wj = w * innovations[fitted + d]
-                    own_gradient[g, d] += wj * error
-                    for e in range(local):
-                        own[g, d, e] += wj * innovations[fitted + e]
+                filled += 1
+                if filled == LINES:
+                    add_products(lines, sums)
+                    filled = 0
+        for empty in range(filled, LINES if filled else 0):
+            for p in range(count + 1):
+                lines[empty, p] = 0.0
+        if filled:
+            add_products(lines, sums)
+        for p in range(fitted):
+            gradient[p] += sums[count, p]
+            for q in range(p + 1):
+                normal[p, q] += sums[p, q]
+        for d in range(local):
+            own_gradient[g, d] = sums[count, fitted + d]
+            for p in range(fitted):
+                coupling[g, p, d] = sums[fitted + d, p]
+            for e in range(d + 1):
+                own[g, d, e] = own[g, e, d] = sums[fitted + d, fitted + e]
     for p in range(fitted):
         for q in range(p):
             normal[q, p] = normal[p, q]
+
+
+@inlined
+def add_products(lines: FloatArray, sums: FloatArray) -> None:
+    """Add the products of columns of `lines` (`LINES`, C) to the lower triangle of `sums` (C, C).
+
+    Several lines at once: of many columns, fetching and storing the sums takes longer than multiplying.
+    """
+    for p in range(sums.shape[0]):
+        a, b, c, d = lines[0, p], lines[1, p], lines[2, p], lines[3, p]
+        e, f, g, h = lines[4, p], lines[5, p], lines[6, p], lines[7, p]
+        for q in range(p + 1):
+            first = a * lines[0, q] + b * lines[1, q] + c * lines[2, q] + d * lines[3, q]
+            second = e * lines[4, q] + f * lines[5, q] + g * lines[6, q] + h * lines[7, q]
+            sums[p, q] += first + second
 
 
 @allocating_kernel

@@ -42,6 +42,14 @@ def test_another_attractor_is_told_by_means_and_variances(measured, other):
     assert found.probability < 1e-3
 
 
+def test_the_way_to_the_attractor_does_not_count():
+    its = measurements_of(prepared(500, 0.01, trajectories=8).recording, [0, 1, 2], piece=50)
+    smoothed, count = its.smoothed.copy(), len(its.times) // 8
+    for first in range(0, 8 * count, count):
+        smoothed[:, first : first + count // 2] += 50.0
+    assert looked(replace(its, smoothed=smoothed), TRUTH).is_kept
+
+
 def test_a_simulation_that_runs_away_is_not_kept(measured):
     found = looked(measured, ("0.3*x", "0.3*y", "0.3*z"))
     assert (found.is_kept, found.probability) == (False, None)

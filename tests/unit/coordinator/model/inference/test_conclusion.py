@@ -22,7 +22,7 @@ from atoll_coordinator.model.inference.simulation import fit_starts
 from atoll_coordinator.model.inference.standard_errors import describe_constants, estimate_errors
 from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.refinement import Alternative, Pool
-from atoll_coordinator.model.selection import joint_search
+from atoll_coordinator.model.selection import joint_search, piece_lengths
 from atoll_coordinator.model.selection.candidates import collect_candidates, form
 from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.fitting import settings
@@ -202,6 +202,19 @@ def test_clean_equations_are_exact():
     assert [each.grade for each in its.equations.values()] == ["exact", "exact"]
     assert its.warnings == ()
     assert all(r2 == pytest.approx(1.0, abs=1e-9) for each in its.simulation.trajectories for r2 in each.r2)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_what_was_fitted_to_fewer_rows_is_simulated_along_all(monkeypatch, noise):
+    """As constants of dozens of states are; here those of one trajectory of two."""
+    monkeypatch.setattr(piece_lengths, "SETTINGS", settings("selection", fitted_sensitivities=50))
+    config = JobConfig(space=NO_LIBRARIES)
+    its = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, config=config, noise=noise, seed=108)
+    assert its.warnings == ()
+    assert [each.values.shape for each in its.simulation.trajectories] == [(1, 40), (1, 40)]
+    for start, each in zip(([1.0], [-2.0]), its.simulation.trajectories, strict=True):
+        assert each.errors.shape == (1, 40)
+        assert (np.abs(each.values - DECAY.values(start, TIMES)) <= 4.5 * each.errors + 1e-9).all()
 
 
 def test_constants_stay_as_fitted_where_simple_ones_cannot_be_simulated(monkeypatch):

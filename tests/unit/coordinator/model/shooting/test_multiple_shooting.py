@@ -7,6 +7,7 @@ import pytest
 
 from atoll_coordinator.data.differentiation.robust import fit_robustly
 from atoll_coordinator.data.differentiation.smoothing import Signal
+from atoll_coordinator.model.shooting import multiple_shooting
 from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import measurements_of
@@ -118,6 +119,32 @@ def test_without_steps_a_system_is_simulated_as_it_is():
     fit = MultipleShooting(lotka(), 1e-8).fit(system(LOTKA, "3*x - 2*x*y - x**2", "2*y - x*y - y**2"), None, 0)
     assert np.abs(fit.residuals).max() < 1e-6
     assert fit.residuals == pytest.approx(lotka().measured - fit.simulated)
+
+
+def test_a_simulation_is_that_of_a_fit_without_steps():
+    its, right = lotka(), system(LOTKA, "3*x - 2*x*y - x**2", "2*y - x*y - y**2")
+    one = its.part([1])
+    fit = MultipleShooting(one, 1e-8).fit(right, None, 0)
+    simulated = MultipleShooting(one, 1e-8).simulate(right, fit.starts[0])
+    assert simulated.tolist() == fit.simulated.tolist()
+
+
+def test_a_stiff_system_is_simulated_without_sensitivities():
+    its = measurements(DECAY, [[3.0]], TIMES)
+    simulated = MultipleShooting(its, 1e-4).simulate(system(DECAY, "-1e6*x + 1e6"), np.array([3.0]))
+    assert simulated[0, 1:] == pytest.approx(np.ones(49), abs=1e-3)
+    assert MultipleShooting(its, 1e-4).simulate(system(DECAY, "x*x*x"), np.array([3.0])) is None
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_steps_that_are_tried_by_states_alone_are_the_same(monkeypatch, noise):
+    found = []
+    for rejected in (0.0, 1.0):
+        monkeypatch.setattr(multiple_shooting, "_REJECTED", rejected)
+        estimator = MultipleShooting(lotka(noise=noise), 1e-8)
+        fit = fit_in_stages(estimator, system(LOTKA, *FAR), (8, 25, None), 40)
+        found.append((fit.system.values.tolist(), fit.starts.tolist(), fit.normal.tolist(), estimator.work))
+    assert found[0] == found[1]
 
 
 def test_constants_that_are_held_stay_and_initial_states_are_fitted():

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from atoll_coordinator.model.shooting.kernels.innovations import innovate
-from atoll_coordinator.model.shooting.kernels.normal_equations import normal_equations, solve_step
+from atoll_coordinator.model.shooting.kernels.normal_equations import LINES, normal_equations, solve_step
 
 SEGMENTS = np.array([[0, 5], [5, 6], [6, 14]], dtype=np.int64)
 ROWS = 14
@@ -24,14 +24,14 @@ def drawn(fitted, states, observed, seed=0):
 def blocks(segments, observed, residuals, weights, gradients, shares=(0.0, 0.0), decays=(0.0, 0.0)):
     """Return the blocks of the normal equations: J'WJ by P x P, G x P x D, G x D x D, and J'Wr."""
     states = gradients.shape[1]
-    fitted, groups = gradients.shape[2] - states, len(segments)
+    fitted, groups, columns = gradients.shape[2] - states, len(segments), gradients.shape[2] + 1
     made = (
         np.zeros((fitted, fitted)), np.zeros((groups, fitted, states)), np.zeros((groups, states, states)),
         np.zeros(fitted), np.zeros((groups, states)),
     )  # fmt: skip
     normal_equations(
         segments, observed, STEPS, residuals, weights, np.array(shares), np.array(decays), gradients, fitted, *made,
-        np.empty(fitted + states), np.empty(fitted + states),
+        np.empty((LINES, columns)), np.empty(columns), np.empty((columns, columns)),
     )  # fmt: skip
     return made
 
