@@ -58,6 +58,9 @@ def _reworded(message: str) -> tuple[str, str]:
         known = [word.strip("' ") for word in choice[3].split(",")]
         hint = did_you_mean(choice[2].strip("'"), known)
         return f"{choice[1]} must be one of {choice[3]}, but {choice[2]} was given", hint
+    switch = re.fullmatch(r"argument (.+): ignored explicit argument (.+)", message)
+    if switch:
+        return f"{switch[1]} takes no value, but {switch[2]} was given", ""
     return message.removeprefix("argument "), ""
 
 

@@ -2,9 +2,18 @@
 
 
 class AtollError(Exception):
-    """Root of all errors that are meant for a person; `exit_code` is what a program ends with."""
+    """Root of all errors that are meant for a person; `exit_code` is what a program ends with.
+
+    What to do may have another name in Python than on the command line: the text of the error is for Python,
+    `on_command_line` for programs.
+    """
 
     exit_code = 1
+
+    def __init__(self, sentence: str = "", *, python: str = "", command: str = "") -> None:
+        """Take the sentence, or its beginning and how it goes on in Python and on the command line."""
+        super().__init__(f"{sentence}; {python}" if python else sentence)
+        self.on_command_line = f"{sentence}; {command}" if command else sentence
 
 
 class UsageError(AtollError):

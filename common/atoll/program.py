@@ -49,7 +49,7 @@ def exit_code_of(work: Callable[[], int], complain: Callable[[str], object]) -> 
     try:
         return work()
     except AtollError as error:
-        complain(str(error))
+        complain(error.on_command_line)
         return error.exit_code
     except KeyboardInterrupt:
         return INTERRUPTED

@@ -289,7 +289,9 @@ class Model(Exports):
         if self.groups:
             listed = ", ".join(self.groups)
             raise UsageError(
-                f"constants of this model may differ between its groups ({listed}); choose one, by --group or of_group"
+                f"constants of this model may differ between its groups ({listed})",
+                python="choose one with of_group",
+                command="choose one with --group",
             )
 
     def _with(self, place: int, other: Mapping[str, Any]) -> dict[str, Any]:
@@ -713,7 +715,12 @@ class Model(Exports):
         if x0 is None:
             its = self.beginning
             if not its:
-                raise UsageError("the result has no fitted initial state; give one, such as x0={'x': 1.0}")
+                example = self.states[0]
+                raise UsageError(
+                    "the result has no fitted initial state",
+                    python=f"give one, such as x0={{{example!r}: 1.0}}",
+                    command=f"give one, such as --initial {example}=1",
+                )
             given: Given = {self._result["symbols"][name]: value for name, value in its["start"].items()}
         else:
             given = x0
@@ -736,7 +743,11 @@ class Model(Exports):
         first = np.array(self.beginning.get("times") or (), dtype=np.float64)
         if t is None:
             if not len(first):
-                raise UsageError("the result has no simulated trajectory; give the times, such as t=10.0")
+                raise UsageError(
+                    "the result has no simulated trajectory",
+                    python="give the times, such as t=10.0",
+                    command="give the last time, such as --until 10",
+                )
             return first
         times = numbers(t, "times")
         if times.ndim:
@@ -775,7 +786,11 @@ class Model(Exports):
                 return lambda t: t
             if recorded is not None:
                 return recorded
-            raise UsageError(f"the model has the input {name!r}, of which nothing is given; name it in u")
+            raise UsageError(
+                f"the model has the input {name!r}, of which nothing is given",
+                python="name it in u",
+                command=f"give a number, such as --hold {name}=1, or a file with its column as --initial",
+            )
         its = given[column]
         if callable(its):
             return lambda t: number(its(t), f"what the function of the input {name!r} returns")

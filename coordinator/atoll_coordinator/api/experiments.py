@@ -7,6 +7,7 @@ from atoll.data.table import Table
 from atoll.experiments.identifiability import Identifiability
 from atoll.experiments.suggestions import Suggestions
 from atoll_coordinator.api.tables import table_of
+from atoll_coordinator.api.wording import python_words
 from atoll_coordinator.experiments.identifiability import identify
 from atoll_coordinator.experiments.measured import config_of
 from atoll_coordinator.experiments.space import Request
@@ -15,12 +16,14 @@ from atoll_coordinator.experiments.suggestions import suggest
 
 def identifiability(found: Mapping[str, Any], data: Any, level: float) -> Identifiability:
     """Return what the data determine of the constants of a result; see `atoll.Model.identifiability`."""
-    return identify(found, _table(found, data), level)
+    with python_words():
+        return identify(found, _table(found, data), level)
 
 
 def suggestions(found: Mapping[str, Any], data: Any, **request: Any) -> Suggestions:
     """Return the experiments that would tell most; see `atoll.Model.suggest`."""
-    return suggest(found, Request(**request), _table(found, data))
+    with python_words():
+        return suggest(found, Request(**request), _table(found, data))
 
 
 def _table(found: Mapping[str, Any], data: Any) -> Table | None:

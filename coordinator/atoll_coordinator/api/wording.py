@@ -35,7 +35,9 @@ def python_words() -> Iterator[None]:
         sentence = in_python(str(error))
         if sentence == str(error):
             raise
-        raise type(error)(sentence) from error
+        reworded = type(error)(sentence)
+        reworded.on_command_line = error.on_command_line
+        raise reworded from error
 
 
 def _name(option: str) -> str:

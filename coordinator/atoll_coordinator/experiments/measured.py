@@ -77,8 +77,9 @@ def measured_of(found: Mapping[str, Any], table: Table | None = None) -> Measure
         source = "the data that were given"
     if differing_groups(found) and (table is None or len({each.group for each in recording.trajectories}) > 1):
         raise UsageError(
-            "constants of the model differ between groups of trajectories, which cannot be fitted again together; "
-            "give the data of one group with --data, or as data=…"
+            "constants of the model differ between groups of trajectories, which cannot be fitted again together",
+            python="give the data of one group as data",
+            command="give the data of one group with --data",
         )
     return _laid_out(found, recording, rows, source, is_stored=table is None)
 
@@ -110,7 +111,9 @@ def _stored(found: Mapping[str, Any]) -> tuple[Recording, int, str]:
     """Return what a result has of its measurements, how many rows were measured, and where they come from."""
     trajectories = (found.get("data") or {}).get("trajectories")
     if not trajectories:
-        raise UsageError("the result has no measurements; give the data file with --data, or as data=…")
+        raise UsageError(
+            "the result has no measurements", python="give them as data", command="give the data file with --data"
+        )
     system, symbols = found["system"], found["symbols"]
     states, inputs = tuple(system["states"]), tuple(system["inputs"])
     noise = found.get("noise") or {}

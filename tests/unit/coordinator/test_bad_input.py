@@ -53,7 +53,7 @@ def refusal(text: str | None, *options: str) -> str:
         (changed(5, "0.3,1,1.4"), ["t", "0.3"]),
         (GOOD.replace("t,x,y", "t,x,x"), ["'x'", "name"]),
         (GOOD.replace("t,x,y", "s,x,y"), ["time", "t"]),
-        (GOOD.replace("t,x,y", "Times,x,y"), ["no time column", "did you mean 'Times'?"]),
+        (GOOD.replace("t,x,y", "Times,x,y"), ["no time column", "--time (perhaps Times)"]),
         ("t,x,y\n" + "".join(f"{i},{i * i},3\n" for i in range(40)), ["y", "constant"]),
     ],
 )

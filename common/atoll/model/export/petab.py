@@ -68,7 +68,9 @@ def write(model: "Model", content: Content, data: Sequence[Mapping[str, Any]] | 
     words = Wording(content, sbml.LANGUAGE)
     trajectories = _recorded(model) if data is None else _given(model, data)
     if not trajectories:
-        raise UsageError("the result holds no measurements of trajectories; give them with --data FILE, or as data")
+        raise UsageError(
+            "the result holds no measurements of trajectories", python="give them as data", command="give --data FILE"
+        )
     states = [each.name for each in content.states if any(each.name in its.values for its in trajectories)]
     noise = {name: _Noise.of(model, name, trajectories) for name in states}
     return {

@@ -138,19 +138,31 @@ def _records(name: str, lines: _Counted, separator: str) -> Iterator[tuple[int, 
         return
     numbers: list[int] = []
 
+    quotes = 0
+
     def fed() -> Iterator[str]:
+        nonlocal quotes
         for number, line in lines:
             numbers.append(number)
+            quotes += line.count('"')
             yield line
 
     reader = csv.reader(fed(), delimiter=separator, skipinitialspace=True)
     before = 0
     try:
         for record in reader:
+            if reader.line_num > before + 1 and quotes % 2:
+                raise _unclosed(numbers[before], name)
             yield numbers[before], record
-            before = reader.line_num
+            before, quotes = reader.line_num, 0
     except csv.Error as error:
+        if quotes % 2:
+            raise _unclosed(numbers[before], name) from error
         raise DataError(f"line {numbers[-1]} of {name} cannot be split into cells: {error}") from error
+
+
+def _unclosed(line: int, name: str) -> DataError:
+    return DataError(f'line {line} of {name} has a quotation mark that is not closed; close it, or remove the "')
 
 
 def cells_of(line: str, separator: str) -> list[str]:

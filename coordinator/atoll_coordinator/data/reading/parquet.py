@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 from atoll.errors import DataError
-from atoll_coordinator.data.reading.cells import on_one_line
 from atoll_coordinator.data.reading.rows import Rows, with_breaks
 
 
@@ -15,8 +14,7 @@ def read_parquet(path: Path) -> Rows:
     try:
         frame = polars.read_parquet(path)
     except (polars.exceptions.PolarsError, polars.exceptions.PanicException) as error:
-        found = f"{path.name} is not a Parquet file that can be read"
-        raise DataError(f"{found}: {on_one_line(str(error)) or 'it is damaged'}") from error
+        raise DataError(f"{path.name} is not a Parquet file that can be read; write it anew, or as CSV") from error
     read = [_cells(path.name, series, polars) for series in frame.get_columns()]
     return with_breaks(frame.columns, [cells for cells, _ in read], ("Parquet",), [unit for _, unit in read])
 

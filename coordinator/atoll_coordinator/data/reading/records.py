@@ -33,14 +33,18 @@ def _parsed(name: str, text: str) -> tuple[Any, str]:
         whole = error
     lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
     if len(lines) < 2 or not lines[0][1].strip().endswith("}"):
-        raise DataError(f"{name} is not valid JSON: {whole}") from whole
+        raise DataError(f"{name} is not valid JSON{_at(whole)}; {_EXPECTED}") from whole
     records = []
     for number, line in lines:
         try:
             records.append(json.loads(line))
         except (ValueError, RecursionError) as error:
-            raise DataError(f"line {number} of {name} is not valid JSON: {error}") from error
+            raise DataError(f"line {number} of {name} is not valid JSON; one record a line is expected") from error
     return records, "JSON lines"
+
+
+def _at(error: Exception) -> str:
+    return f" from line {error.lineno}, column {error.colno} on" if isinstance(error, json.JSONDecodeError) else ""
 
 
 def _columns(name: str, found: Any) -> tuple[list[str], list[Sequence[Any]]]:

@@ -12,6 +12,11 @@ from atoll_coordinator.data.roles.units import are_units
 
 _BRACKETS: Final = re.compile(r"^\s*[\[(](.*)[\])]\s*$")
 _NO_UNIT: Final = frozenset({"-", "–", "1"})
+_FORM_OF_DATES: Final = re.compile(
+    r"(?:(?:yyyy|yy|dd|mm?)[-./ ]?){2,3}(?:[T ]*(?:[-:. ]?(?:hh?|mm|ss|f+)){2,4})?|hh?:mm(?::ss)?(?:[.,][fs0]+)?",
+    re.IGNORECASE,
+)
+"""How dates and clock times are written, as a row of units may say: dd.mm.yyyy hh:mm."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +85,6 @@ def take_units(rows: Rows) -> Rows:
     """Return `rows` without a first row that holds units in place of numbers; these become the units."""
     if len(rows.lines) < 2 or not is_units_row([column[0] for column in rows.columns], rows.headers):
         return rows
-    if not any(plain_unit(column[0]) for column in rows.columns):
-        return rows
     if not any(is_numeral(column[1]) for column in rows.columns):
         return rows
     place = f"line {rows.lines[0]}" if rows.lines[0] else "the first row"
@@ -96,18 +99,21 @@ def take_units(rows: Rows) -> Rows:
 
 
 def is_units_row(cells: Sequence[str], headers: Sequence[str]) -> bool:
-    """Tell whether `cells` hold units: no number, nothing that cannot be a unit, and not the header once more."""
-    written = [plain_unit(cell) for cell in cells]
-    texts = [unit for unit in written if unit]
+    """Tell whether `cells` hold units, or marks that there are none, and not the header once more.
+
+    Beside them may stand how dates are written (yyyy-mm-dd); no cell is a number.
+    """
+    texts = [unit for unit in map(plain_unit, cells) if unit]
     is_header = [on_one_line(cell) for cell in cells] == list(headers)
-    return bool(texts) and not is_header and are_units(texts)
+    is_nothing = all(is_missing(cell) for cell in cells) or any(is_numeral(cell) for cell in cells)
+    return not is_header and (are_units(texts) if texts else not is_nothing)
 
 
 def plain_unit(cell: str) -> str:
     """Return a unit without its brackets, "" for none."""
     match = _BRACKETS.match(cell)
     text = on_one_line(match[1] if match else cell)
-    return "" if text in _NO_UNIT or is_missing(text) else text
+    return "" if text in _NO_UNIT or is_missing(text) or _FORM_OF_DATES.fullmatch(text) else text
 
 
 def with_breaks(

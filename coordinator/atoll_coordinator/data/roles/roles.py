@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
+import numpy as np
+
 from atoll.config import Angle, DataConfig
 from atoll.data.table import Table
 from atoll.errors import DataError, UsageError
@@ -87,7 +89,7 @@ def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
     check_options(config)
     trajectory = find_trajectory_column(table.names, config)
     for name in sorted(named_columns(config)):
-        _check_known(name, table)
+        _check_known(name, table, may_be_text=name in (config.trajectory, config.group))
     if isinstance(config.holdout, str):
         _check_known(config.holdout.rpartition("=")[0], table)
     for name, unit in config.units.items():
@@ -100,14 +102,18 @@ def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
     return roles, config
 
 
-def _check_known(name: str, table: Table) -> None:
+def _check_known(name: str, table: Table, *, may_be_text: bool = False) -> None:
     """Raise DataError when the table has no column `name`."""
     if name in table.names:
         return
     if name in table.skipped:
         raise DataError(f"column '{name}' holds text; a column of numbers is expected")
-    hint = did_you_mean(name, table.names)
-    raise DataError(f"there is no column '{name}' in {table.files[0]}, which has {', '.join(table.names)}{hint}")
+    texts = table.skipped if may_be_text else ()
+    of_text = f", and with text {', '.join(texts)}" if texts else ""
+    hint = did_you_mean(name, (*table.names, *texts))
+    raise DataError(
+        f"there is no column '{name}' in {table.files[0]}, which has {', '.join(table.names)}{of_text}{hint}"
+    )
 
 
 def _check_unit(name: str, text: str) -> None:
@@ -158,6 +164,9 @@ def _check_time(roles: Roles, table: Table) -> None:
 
 def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
     if not roles.equations:
+        if table.skipped:
+            found = f"no column of numbers is left to be a state; text: {', '.join(table.skipped)}"
+            raise DataError(f"{found}; write numbers alone into cells, and their unit into the header, as x [%]")
         raise DataError("no column is left to be a state; name the states with --states")
     if roles.target is not None and not roles.inputs:
         raise DataError(f"there is no column besides '{roles.target}' from which it could be computed; add one")
@@ -167,8 +176,10 @@ def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
         raise UsageError(f"{counts}; name as many states with --states, in the same order")
     if roles.target is None and not roles.derivatives and roles.time is None:
         looked = config.time or " or ".join(TIME_NAMES[:2])
-        found = f"no time column was found (looked for {looked}); name it with --time, or use --target COLUMN"
-        raise DataError(found + did_you_mean(TIME_NAMES[1], (*table.names, *table.skipped)))
+        ascending = next((name for name in roles.states if _ascends(table, name)), None)
+        perhaps = "" if ascending is None else f" (perhaps {ascending})"
+        found = f"no time column was found (looked for {looked})"
+        raise DataError(f"{found}; name it with --time{perhaps}, or use --target COLUMN")
     for name in config.only or ():
         if name not in roles.equations:
             sought = f"equations are sought for {', '.join(roles.equations)}{did_you_mean(name, roles.equations)}"
@@ -176,6 +187,12 @@ def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
     for name in config.offsets:
         if name not in roles.states:
             raise UsageError(f"--offsets names '{name}', but the states are {', '.join(roles.states)}; remove it")
+
+
+def _ascends(table: Table, name: str) -> bool:
+    """Tell whether the numbers of a column only grow within each trajectory, as times do."""
+    steps = np.delete(np.diff(table.column(name)), [start - 1 for start in table.starts if start])
+    return bool(len(steps)) and bool((steps > 0.0).all())
 
 
 def _check_angles(roles: Roles) -> None:

@@ -1,5 +1,7 @@
 """Options of the command line are keyword arguments in what Python says."""
 
+import pickle
+
 import pytest
 
 from atoll.errors import DataError, UsageError
@@ -21,6 +23,14 @@ from atoll_coordinator.api.wording import in_python, python_words
 )
 def test_options_become_arguments(sentence: str, expected: str) -> None:
     assert in_python(sentence) == expected
+
+
+def test_an_error_has_words_for_python_and_for_the_command_line() -> None:
+    error = pickle.loads(pickle.dumps(UsageError("there is no time", python="give t", command="give --until")))
+    assert (str(error), error.on_command_line) == ("there is no time; give t", "there is no time; give --until")
+    with pytest.raises(DataError, match=r"^name it with time$") as raised, python_words():
+        raise DataError("name it with --time")
+    assert raised.value.on_command_line == "name it with --time"
 
 
 def test_errors_keep_their_kind() -> None:

@@ -116,7 +116,7 @@ def test_an_interval_of_the_model_is_by_its_profile_where_that_is_asked_for() ->
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"data": {"digest": "ab"}}, "has no measurements; give the data file"),
+        ({"data": {"digest": "ab"}}, "has no measurements; give them as data"),
         ({"system": {"kind": "regression"}}, "a regression without time; only models of measured trajectories"),
         ({"system": {"kind": "process"}}, "a stochastic process; only models"),
     ],

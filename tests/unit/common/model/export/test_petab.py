@@ -86,7 +86,7 @@ def test_the_time_as_an_input_goes_on_from_where_a_trajectory_begins(tmp_path: P
 
 
 def test_what_petab_cannot_hold_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="holds no measurements of trajectories; give them with --data"):
+    with pytest.raises(UsageError, match="holds no measurements of trajectories; give them as data"):
         decay().to_petab(tmp_path)
     with pytest.raises(UsageError, match="cannot hold the noise of a process"):
         process().to_petab(tmp_path)

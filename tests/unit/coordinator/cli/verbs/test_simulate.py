@@ -46,7 +46,7 @@ def test_dates_in_a_file_are_counted_in_the_unit_of_the_model(saved: Path, capsy
 
 def test_an_input_that_nothing_gives_is_named(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", str(saved / "result.json"), "--initial", "x=1"]) == 2
-    assert "the input 'u', of which nothing is given" in capsys.readouterr().err
+    assert "the input 'u', of which nothing is given; give a number, such as --hold u=1," in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("simulation", [None, {"trajectories": [{"name": "1", "start": {"x": 2.0}, "times": [0, 1]}]}])
@@ -161,3 +161,25 @@ def test_options_of_paths_that_do_not_fit_are_named(
     (tmp_path / "result.json").write_text(json.dumps(process_result()))
     assert main(["simulate", str(tmp_path), *words]) == 2
     assert fault in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("changes", "words", "sentence"),
+    [
+        ({"data": None}, ["--initial", "x=1"], "nothing tells how long to simulate; give --until"),
+        ({"data": None}, ["--until", "3"], "no fitted initial state; give one, such as --initial x=1"),
+        (
+            {"equations": [{"groups": [{"group": "a", "expression": "2*x"}]}], "groups": [{"group": "a"}]},
+            ["--until", "3"],
+            "between its groups (a); choose one with --group",
+        ),
+    ],
+)
+def test_advice_is_in_the_words_of_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], changes: dict, words: list[str], sentence: str
+) -> None:
+    found = result({"x": "-x"})
+    found |= changes | {"equations": [found["equations"][0] | each for each in changes.get("equations", [{}])]}
+    (tmp_path / "result.json").write_text(json.dumps(found))
+    assert main(["simulate", str(tmp_path), *words]) == 2
+    assert capsys.readouterr().err.endswith(f"{sentence}\n")

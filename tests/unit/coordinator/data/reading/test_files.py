@@ -106,6 +106,20 @@ def test_columns_without_a_name_are_set_aside_unless_empty(read):
     assert table.skipped == ("column 1",)
 
 
+@pytest.mark.parametrize(
+    "row", ["-,-", "YYYY-MM-DD,–", "yyyy-mm-dd,m", "hh:mm:ss,-", ",-", "[dd.mm.yyyy HH:MM:SS],", "[-],[-]"]
+)
+def test_a_row_of_units_may_say_that_there_are_none_and_how_dates_are_written(read, row):
+    table = read(f"time,x\n{row}\n2020-01-01,1\n2020-01-02,2\n")
+    assert table.column("x").tolist() == [1.0, 2.0]
+    assert table.units == ("d", "m" if "m" in row.partition(",")[2] else "")
+
+
+def test_a_first_row_with_a_number_holds_no_units(read):
+    with pytest.raises(DataError, match=r"column 't' of a\.csv holds '-' in line 2"):
+        read("t,x\n-,1\n0,2\n1,3\n")
+
+
 @pytest.mark.parametrize("config", [DataConfig(), DataConfig(trajectory="trajectory")])
 def test_the_trajectory_column_may_hold_names(read, config):
     table = read("trajectory,t,x\nred,0,1\nred,1,2\nblue,0,3\n", config=config)

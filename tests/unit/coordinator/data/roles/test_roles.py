@@ -86,8 +86,8 @@ def test_contradictory_options_are_refused(options, message):
         ("t alpha beta", {"states": ("alfa",)}, "which has t, alpha, beta; did you mean 'alpha'?"),
         ("t x", {"inputs": ("wind",)}, "there is no column 'wind' in a.csv, which has t, x"),
         ("t x", {"states": ("who",)}, "column 'who' holds text; a column of numbers is expected"),
-        ("x y", {}, "no time column was found (looked for t or time); name it with --time, or use --target COLUMN"),
-        ("t", {}, "no column is left to be a state; name the states with --states"),
+        ("x y", {}, "no time column was found (looked for t or time); name it with --time (perhaps x), or use"),
+        ("t", {}, "no column of numbers is left to be a state; text: who; write numbers alone into cells"),
         ("x", {"target": "x"}, "there is no column besides 'x' from which it could be computed"),
     ],
 )
@@ -95,6 +95,12 @@ def test_columns_that_are_not_there_are_refused(names, options, message):
     with pytest.raises(DataError) as raised:
         roles(names, **options)
     assert message in str(raised.value)
+
+
+def test_columns_of_text_may_be_meant_as_groups():
+    table = table_of({"t": [0.0, 1.0], "x": [0.0, 1.0]}, skipped=("strain",))
+    with pytest.raises(DataError, match=r"which has t, x, and with text strain; did you mean 'strain'\?"):
+        assign_roles(table, DataConfig(group="stran"))
 
 
 def test_a_time_column_of_text_is_named():
