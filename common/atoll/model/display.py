@@ -32,7 +32,7 @@ def summary(model: "Model") -> str:
     its = model.provenance
     lines += ["", f"seed {its['seed']}, digest {its['digest']}"]
     if its["data"]:
-        lines.append(f"data {', '.join(its['files'])}: {its['rows']} rows, sha256 {its['data']}")
+        lines.append(f"data {', '.join(its['files'] or ())}: {its['rows']} rows, sha256 {its['data']}")
     if its["command"]:
         lines.append(f"command: {its['command']}")
     return "\n".join(lines)

@@ -4,6 +4,7 @@ Letters: D states, U inputs, N rows or times.
 """
 
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -28,7 +29,7 @@ from atoll.model.parameters import (
     differing_groups,
     of_group,
     parameters_of,
-    remark_on_means,
+    remark_on_groups,
 )
 from atoll.model.saved import check_result, read_result, write_text
 from atoll.model.simulation import Inputs, Simulation, interpolated, simulate, together
@@ -49,6 +50,9 @@ DIGITS: Final = 6
 """Significant digits of the constants that people are shown."""
 ROWS: Final = 501
 """Times of a simulation whose end alone is given."""
+
+_COMPOUND: Final = re.compile(r"[\s*/^.·⋅×⁻¹²³]|\d")
+"""What a unit of several factors or with a power has."""
 
 Given = Mapping[str, Any] | Sequence[float] | FloatArray
 """Numbers by name, or in the order of the states or inputs."""
@@ -85,6 +89,10 @@ class Model(Exports):
             raise UsageError("the result has not found every equation, so there is no model; look at its verdicts")
         self._result = found
 
+    def __reduce__(self) -> tuple[type["Model"], tuple[dict[str, Any]]]:
+        """Go to another process as the result alone: compiled functions, made when first needed, stay behind."""
+        return type(self), (self._result,)
+
     @classmethod
     def from_result(cls, result: Mapping[str, Any]) -> "Model":
         """Return the model of a result (the content of result.json); raises UsageError."""
@@ -96,9 +104,7 @@ class Model(Exports):
 
         Raises UsageError when the file cannot be read or holds none.
         """
-        found = read_result(
-            Path(path) / "result.json" if isinstance(path, str | Path) and Path(path).is_dir() else path
-        )
+        found = read_result(path)
         try:
             return cls(found)
         except UsageError as error:
@@ -556,7 +562,7 @@ class Model(Exports):
     @property
     def remark(self) -> str:
         """What is to be said beside the equations: that constants are means over groups; "" where they are not."""
-        return remark_on_means(self._result)
+        return remark_on_groups(self._result)
 
     def summary(self) -> str:
         """Return equations, verdicts, constants and provenance as text."""
@@ -828,7 +834,8 @@ def _unit(variable: str, lhs: str, units: Mapping[str, str], time: str | None) -
     below = units.get(time, "")
     if not above or not below:
         return ""
-    return f"({above})/({below})^2" if lhs.startswith("d2") else f"({above})/({below})"
+    above, below = (f"({each})" if _COMPOUND.search(each) else each for each in (above, below))
+    return f"{above}/{below}^2" if lhs.startswith("d2") else f"{above}/{below}"
 
 
 def _has_columns(given: Any) -> bool:

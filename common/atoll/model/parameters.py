@@ -107,8 +107,13 @@ def differing_groups(result: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(str(each["group"]) for each in result.get("groups") or ())
 
 
-def remark_on_means(result: Mapping[str, Any]) -> str:
-    """Return a line that says of which groups the constants in equations are means; "" where they are of no groups."""
+def remark_on_groups(result: Mapping[str, Any]) -> str:
+    """Return a line that says of which group the constants in equations are, or of which groups they are means.
+
+    "" where they are of no groups.
+    """
+    if result.get("group") is not None:
+        return f"Constants are those of group {' '.join(str(result['group']).split())}."
     names = " ".join(", ".join(differing_groups(result)).split())
     return f"Constants that differ between groups are means over them; the groups are {names}." if names else ""
 

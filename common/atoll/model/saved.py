@@ -1,41 +1,165 @@
-"""Results as they are saved: the content of ``result.json``."""
+"""Results as they are saved: the content of ``result.json``, which people may have cut or edited."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 from atoll.errors import UsageError
-from atoll.model.arguments import path_of
+from atoll.model.arguments import path_of, shown
 
 SCHEMA: Final = 1
+RESULT: Final = "result.json"
+
+_NUMBERS: Final = [float]
+_PAIR: Final = (float, float)
+_CURVES: Final = {str: _NUMBERS}
+_VALUES: Final = {str: float}
+_CONSTANT: Final = {
+    "value": float, "std_error": float, "fitted": float, "interval": _PAIR, "identifiable": bool, "bounds": _PAIR,
+    "simple": {"value": float, "odds": float, "standard_errors": float}, "at_bound": bool, "shared": bool, "unit": str,
+    "of": str,
+}  # fmt: skip
+_MEMBER: Final = {
+    "expression": str, "complexity": int, "error": float, "normalized_error": float, "r2": float, "nats": float,
+    "holdout_error": float, "held_out_r2": float, "cross_validated": bool, "origin": str, "selected": bool,
+    "constants": [_CONSTANT],
+}  # fmt: skip
+_GROUP: Final = {"group": str, "expression": str, "program": str, "constants": [_CONSTANT]}
+_PLACE: Final = {"variable": str, "constant": int}
+_COVARIANCE: Final = {"constants": [_PLACE], "matrix": [_NUMBERS], "freedom": float}
+_TRAJECTORY: Final = {
+    "name": str, "held_out": bool, "rows": int, "times": _NUMBERS, "measured": _CURVES, "inputs": _CURVES,
+    "input_slopes": _CURVES, "weights": _NUMBERS, "robustness_weights": _CURVES, "r2": _VALUES, "start": _VALUES,
+    "values": _CURVES, "lower": _CURVES, "upper": _CURVES, "smoothed": _CURVES, "residuals": _CURVES,
+    "offsets": _VALUES,
+}  # fmt: skip
+_TRAJECTORIES: Final = {"trajectories": [_TRAJECTORY]}
+_EQUATION: Final = {
+    "variable": str, "lhs": str, "expression": str, "program": str, "origin": str, "why": str, "verdict": str,
+    "reason": str, "complexity": int, "epoch": int, "generation": int, "error": float, "normalized_error": float,
+    "r2": float, "converged": bool, "target_error": float, "point_evaluations": int, "seconds": float, "nats": float,
+    "constants": [_CONSTANT], "implied": [_CONSTANT], "groups": [_GROUP], "candidates": [_MEMBER], "front": [_MEMBER],
+    "units": {"implied": [], "faults": [str]}, "bounds": [{}], "prediction": {"measure_from": _VALUES},
+    "convergence": [{"island": int, "generations": _NUMBERS, "errors": _NUMBERS}],
+}  # fmt: skip
+_NOISE: Final = {
+    "sd": float, "relative": float, "method": str, "span": int, "degree": int, "outliers": int, "residual_rms": float,
+    "doubtful": [{"times": _NUMBERS, "trajectory": str}], "doubtful_rows": int, "quantisation": {},
+    "errors": {"sd": float, "proportional": float, "correlated": float, "independent_rows": float, "piece": int},
+    "largest_residual": {"value": float, "time": float},
+}  # fmt: skip
+_DENSITY: Final = {"edges": _NUMBERS, "density": _NUMBERS, "measured": _NUMBERS, "overlap": float}
+_ENSEMBLE: Final = {
+    "times": _NUMBERS, "mean": _CURVES, "lower": _CURVES, "median": _CURVES, "upper": _CURVES, "trajectory": str,
+}  # fmt: skip
+_SYSTEM: Final = {
+    "kind": str, "order": int, "time": str, "states": [str], "velocities": [str], "inputs": [str], "target": str,
+    "units": {str: str}, "ranges": {str: _PAIR},
+}  # fmt: skip
+_RESULT: Final = {
+    "job": str, "seed": int, "preset": str, "state": str, "reason": str, "digest": str, "command": str, "refining": str,
+    "point_evaluations": int, "search_seconds": float, "seconds": float, "warnings": [str], "equations": [_EQUATION],
+    "covariance": _COVARIANCE, "groups": [{"group": str, "trajectories": [str], "covariance": _COVARIANCE}],
+    "correlations": [{"first": _PLACE, "second": _PLACE, "value": float}], "symbols": {str: str}, "chaos": {},
+    "shared_terms": [{"term": str, "factors": _VALUES}], "noise": {str: _NOISE}, "smoothing": _TRAJECTORIES,
+    "simulation": _TRAJECTORIES, "config": {"data": {}, "budget": {}, "space": {}}, "versions": {}, "system": _SYSTEM,
+    "process": {"measurement_noise": {str: {}}, "stationary": {str: _DENSITY}, "ensemble": _ENSEMBLE},
+    "data": {**_TRAJECTORIES, "digest": str, "files": [str], "rows": int, "read_as": str},
+}  # fmt: skip
+"""What a result holds: kinds of values by key (`str` for any), of lists that of each item, of pairs of both."""
+
+_NEVER_NULL: Final = frozenset(
+    (
+        "variable", "lhs", "name", "group", "term", "constants", "front", "candidates", "groups", "implied", "matrix",
+        "convergence", "generations", "doubtful", "times", "measured", "inputs", "values", "warnings", "factors",
+        "states", "faults", "files", "first", "second",
+    )
+)  # fmt: skip
+"""Other keys may be null, as unknown and non-finite values are; items of lists may not, unless they are numbers."""
+
+
+class Content(dict[str, Any]):
+    """An object of a result: a key that it lacks is a fault of the file, said in one sentence."""
+
+    def __missing__(self, key: object) -> Any:
+        raise UsageError(f"this result lacks {str(key)!r}; give a result.json as it was written")
 
 
 def check_result(found: object) -> dict[str, Any]:
     """Return the content of a result.json; raises UsageError when it is none, or of another version."""
-    equations = found.get("equations") if isinstance(found, dict) and found.get("schema") == SCHEMA else None
-    known = ("variable", "lhs", "expression")
     if (
-        not isinstance(found, dict)
-        or not isinstance(equations, list)
-        or not isinstance(found.get("symbols"), dict)
-        or not all(isinstance(each, dict) and set(known) <= set(each) for each in equations)
+        not isinstance(found, Mapping)
+        or found.get("schema") != SCHEMA
+        or not isinstance(found.get("equations"), list)
+        or not isinstance(found.get("symbols"), Mapping)
+        or not all(
+            isinstance(each, Mapping) and {"variable", "lhs", "expression"} <= {*each} for each in found["equations"]
+        )
     ):
         raise UsageError("this is no result of this version; give the content of a saved result.json")
-    return found
+    checked: dict[str, Any] = _checked(found, _RESULT, "the result")
+    return checked
+
+
+def _checked(found: Any, kind: Any, name: str, *, may_be_null: bool = True) -> Any:
+    """Return a value with every object as `Content`; raises UsageError where it is not of its kind."""
+    if isinstance(found, Mapping) and isinstance(kind, dict):
+        return _object(found, kind)
+    is_list = isinstance(found, list | tuple)
+    if is_list and kind in (_NUMBERS, _PAIR):
+        if all(each is None or isinstance(each, float | int) for each in found) and (kind != _PAIR or len(found) == 2):
+            return found
+    elif is_list and isinstance(kind, list):
+        return [_checked(each, kind[0], name, may_be_null=False) for each in found] if kind else found
+    if kind is None or (found is None and may_be_null and name not in _NEVER_NULL):
+        return found
+    is_number = isinstance(found, int | float) and not isinstance(found, bool)
+    if is_number if kind in (int, float) else isinstance(kind, type) and isinstance(found, kind):
+        return found
+    raise UsageError(
+        f"this result has {shown(found)} as {name!r}, where {_named(kind)} is expected; give it as written"
+    )
+
+
+def _object(found: Mapping[str, Any], kind: Mapping[Any, Any]) -> Content:
+    """Return an object with its values checked: lists beside times are as long as these, and a covariance is square."""
+    for_any = kind.get(str)
+    made = Content()
+    for key, value in found.items():
+        made[key] = _checked(value, kind.get(key, for_any), str(key), may_be_null=for_any in (None, float))
+    if kind is _TRAJECTORY:
+        curves = [its for each in made.values() if isinstance(each, dict) for its in each.values()]
+        if any(isinstance(its, list | tuple) and len(its) != len(made["times"]) for its in curves):
+            raise UsageError("this result has a curve that is not as long as its 'times'; give it as it was written")
+    if kind is _COVARIANCE and any(len(row) != len(made["constants"]) for row in [made["matrix"], *made["matrix"]]):
+        raise UsageError("this result has a covariance of other constants than it names; give it as it was written")
+    return made
+
+
+def _named(kind: Any) -> str:
+    if isinstance(kind, type):
+        return {str: "text", bool: "true or false", int: "a whole number", float: "a number"}[kind]
+    return "an object" if isinstance(kind, dict) else "two numbers" if kind is _PAIR else "a list"
 
 
 def read_result(path: str | Path) -> dict[str, Any]:
-    """Return a saved result; raises UsageError when the file cannot be read or holds none."""
+    """Return a saved result, by its file or the folder of its ``result.json``.
+
+    Raises UsageError when the file cannot be read or holds none.
+    """
+    file = path_of(path)
+    file = file / RESULT if file.is_dir() else file
     try:
-        found = json.loads(path_of(path).read_text("utf-8"))
+        found = json.loads(file.read_text("utf-8"))
     except OSError as error:
-        raise UsageError(f"{path} cannot be read ({error.strerror}); give the path of a saved result.json") from error
+        raise UsageError(f"{file} cannot be read ({error.strerror}); give the path of a saved result.json") from error
     except ValueError as error:
-        raise UsageError(f"{path} holds no JSON; give the path of a saved result.json") from error
+        raise UsageError(f"{file} holds no JSON; give the path of a saved result.json") from error
     try:
         return check_result(found)
     except UsageError as error:
-        raise UsageError(f"{path}: {error}") from None
+        raise UsageError(f"{file}: {error}") from None
 
 
 def write_text(path: str | Path, text: str) -> None:

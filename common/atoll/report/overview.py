@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from atoll.model.display import equation_mathml
-from atoll.model.parameters import remark_on_means
+from atoll.model.parameters import remark_on_groups
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, element, facts, number, paragraph, parse_mathml, scrolling, section
 
@@ -22,7 +22,7 @@ def overview(its: Findings) -> Element:
     equations = [_equation(each, its) for each in found["equations"]]
     warnings = [element("li", text) for text in found.get("warnings") or ()]
     noted = (element("h3", "Warnings"), element("ul", *warnings)) if warnings else ()
-    remark = remark_on_means(found)
+    remark = remark_on_groups(found)
     means = [paragraph(remark)] if remark else []
     return section("found", "Found", *equations, *means, facts(_facts(its)), *noted)
 

@@ -8,8 +8,12 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 from atoll.program import exit_code_of, flush_streams, raise_interrupts
+
+_READERS: Final = frozenset({"result", "simulate", "analyse", "report", "suggest", "export"})
+_MAY_BE_EDITED: Final = "; if the result was edited, give it as it was written"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -24,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         from atoll_coordinator.cli.exit_codes import FAILED
 
-        _complain(_record(error))
+        _complain(_record(error) + (_MAY_BE_EDITED if words[0] in _READERS else ""))
         return FAILED
 
 

@@ -4,13 +4,13 @@ What cannot be used is refused in one sentence, before anything is searched.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from itertools import combinations_with_replacement
+from itertools import combinations, combinations_with_replacement
 from typing import Final
 
 from atoll.config import JobConfig, PriorConfig, SpaceConfig
 from atoll.data.dataset import Dataset
 from atoll.errors import UsageError
-from atoll.expression.bounds import ALL_EQUATIONS, parse_bound
+from atoll.expression.bounds import ALL_EQUATIONS, Bound, parse_bound
 from atoll.expression.operation_list import placed_text
 from atoll.expression.operators import BY_NAME, VARIABLE
 from atoll.expression.program import Program
@@ -87,14 +87,25 @@ def _resolved_bounds(
     general = tuple(bounds.get(ALL_EQUATIONS, ()))
     given = sides.several("--bound", {side: texts for side, texts in bounds.items() if side != ALL_EQUATIONS})
     own = {name: tuple(text for texts in those for text in texts) for name, those in given.items()}
+    if general and not sought:
+        raise UsageError(f"--bound {general[0]!r} is about equations that are sought, but all are known; leave it out")
     names = tuple(sides.symbols.values())
-    for text in (*general, *(text for texts in own.values() for text in texts)):
+    whole = {name: (*general, *own.get(name, ())) for name in (*sought, *(name for name in own if name not in sought))}
+    for name, texts in whole.items():
         try:
-            parse_bound(text, names)
+            _check_agreement(name, [parse_bound(text, names) for text in texts])
         except UsageError as error:
             raise UsageError(f"--bound: {error}") from error
-    whole = {name: (*general, *own.get(name, ())) for name in (*sought, *(name for name in own if name not in sought))}
     return {name: texts for name, texts in whole.items() if texts}
+
+
+def _check_agreement(name: str, bounds: Sequence[Bound]) -> None:
+    """Raise UsageError where two bounds on the same numbers of an equation leave none of them."""
+    for one, other in combinations(bounds, 2):
+        is_of_same = (one.scope, one.shape) == (other.scope, other.shape) or "every" in (one.scope, other.scope)
+        if is_of_same and not max(one.lower, other.lower) < min(one.upper, other.upper):
+            both = f"the bounds {one.text!r} and {other.text!r} of '{name}'"
+            raise UsageError(f"{both} contradict each other; leave one of them out")
 
 
 def _check_required(space: SpaceConfig, names: Sequence[str]) -> None:

@@ -227,8 +227,8 @@ def _origin(model: "Model") -> list[str]:
     its = model.provenance
     lines = [f"Written by Atoll {VERSION}. Result: job {its['job']}, seed {its['seed']}, digest {its['digest']}."]
     if its["data"]:
-        lines.append(f"Data: {', '.join(its['files'])}, {its['rows']} rows, sha256 {its['data']}.")
-    lines += ["", "Equations, with rounded constants:"]
+        lines.append(f"Data: {', '.join(its['files'] or ())}, {its['rows']} rows, sha256 {its['data']}.")
+    lines += ["", "Equations, with rounded constants:", *(f"  {each}" for each in [model.remark] if each)]
     for each in model.equations:
         lines.append(f"  {each}")
         if each.verdict is not None:

@@ -1,29 +1,27 @@
 """The table of formats: what each is called, who opens it, and what writes it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Any, Final
 
 from atoll.errors import UsageError
 from atoll.model.export import c, julia, matlab, modelica, python, sbml, text, xppaut
 from atoll.model.export.content import Content
-
-if TYPE_CHECKING:
-    from atoll.model.model import Model
 
 
 @dataclass(frozen=True)
 class Format:
     """A format of one file: its `name` in options, what it `holds`, who `opens` it.
 
-    Exactly one writer is given: `of_content` where a file has an initial state and times, `of_model` otherwise.
+    Exactly one writer is given: `of_content` where a file has an initial state and times; `of_result` where it
+    holds what a result has, which need not be a model.
     """
 
     name: str
     holds: str
     opens: str
     of_content: Callable[[Content], str] | None = None
-    of_model: "Callable[[Model], str] | None" = None
+    of_result: Callable[[Mapping[str, Any]], str] | None = None
 
 
 FORMATS: Final = {
@@ -36,22 +34,10 @@ FORMATS: Final = {
         Format("modelica", "a model", "OpenModelica, Dymola; FMUs by them", modelica.write),
         Format("xppaut", "an .ode file", "XPPAUT and its AUTO", xppaut.write),
         Format("sbml", "rate rules, L3V2", "COPASI, tellurium, AMICI, Julia's SBMLToolkit", sbml.write),
-        Format("latex", "the equations, aligned", "LaTeX", None, lambda model: text.as_latex(model.result)),
-        Format(
-            "sympy",
-            "the equations as sympy objects",
-            "Python with sympy",
-            None,
-            lambda model: text.as_sympy(model.result),
-        ),
-        Format(
-            "csv",
-            "the fronts, a row for each equation",
-            "spreadsheets, pandas, R",
-            None,
-            lambda model: text.as_csv(model.result),
-        ),
-        Format("json", "the whole result", "coordinator, atoll.Model", None, lambda model: text.as_json(model.result)),
+        Format("latex", "the equations, aligned", "LaTeX", None, text.as_latex),
+        Format("sympy", "the equations as sympy objects", "Python with sympy", None, text.as_sympy),
+        Format("csv", "the fronts, a row for each equation", "spreadsheets, pandas, R", None, text.as_csv),
+        Format("json", "the whole result", "coordinator, atoll.Model", None, text.as_json),
     )
 }
 """By name. PEtab is a folder and has its own writer (`atoll.model.export.petab`)."""

@@ -24,8 +24,8 @@ class Exports:
         its, model = format_of(format), cast("Model", self)
         if its.of_content is not None:
             return its.of_content(content_of(model, x0, t, u))
-        assert its.of_model is not None
-        return its.of_model(model)
+        assert its.of_result is not None
+        return its.of_result(model.result)
 
     def to_python(self, x0: Any = None, t: Any = None, u: Mapping[str, Any] | None = None) -> str:
         """Return a Python module that needs numpy alone and integrates by itself."""

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from atoll.expression.text.export import left_side_to_latex, to_latex
 from atoll.expression.text.parsing import from_infix
-from atoll.model.parameters import remark_on_means
+from atoll.model.parameters import remark_on_groups
 
 _COLUMNS: Final = (
     "variable",
@@ -47,7 +47,7 @@ def as_csv(result: Mapping[str, Any]) -> str:
 def as_sympy(result: Mapping[str, Any]) -> str:
     """Return Python source that makes the symbols and a dictionary ``equations`` from left-hand side to expression."""
     names = list(result["symbols"].values())
-    remark = remark_on_means(result)
+    remark = remark_on_groups(result)
     lines = [f"# {remark}"] if remark else []
     lines += ["import sympy", "", f"names = {names!r}", "symbols = {name: sympy.Symbol(name) for name in names}"]
     lines += ["equations = {"]
@@ -61,7 +61,7 @@ def as_sympy(result: Mapping[str, Any]) -> str:
 def as_latex(result: Mapping[str, Any]) -> str:
     """Return an ``align*`` environment with one line for each equation."""
     lines = [f"  {line}" for line in latex_lines(result)]
-    remark = remark_on_means(result)
+    remark = remark_on_groups(result)
     begin = [*([f"% {remark}"] if remark else []), r"\begin{align*}"]
     return "\n".join([*begin, *([" \\\\\n".join(lines)] if lines else []), r"\end{align*}"])
 

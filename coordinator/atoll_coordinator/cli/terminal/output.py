@@ -13,6 +13,7 @@ REPORT: Final = "report.html"
 """The page of a result, beside it."""
 
 _NUMBERS = re.compile(r"\[\n[^\[\]{}\"]+\]")
+_FACTOR_OF_ONE = re.compile(r"(?<![\w.*/])(?<!e[+-])1\*(?!\*)")
 _NUMBER = re.compile(r"(?<![\w.])\d+\.?\d*(?:[eE][+-]?\d+)?")
 
 
@@ -40,8 +41,8 @@ def as_json(value: object) -> str:
 
 
 def shortened(expression: str, digits: int = 6) -> str:
-    """Return `expression` with its constants rounded to `digits` significant digits, for reading."""
-    return _NUMBER.sub(lambda match: _rounded(match[0], digits), expression)
+    """Return `expression` with its constants rounded to `digits` significant digits, without factors of 1."""
+    return _FACTOR_OF_ONE.sub("", _NUMBER.sub(lambda match: _rounded(match[0], digits), expression))
 
 
 def _rounded(number: str, digits: int) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 from atoll.data.dataset import FloatArray
 from atoll.errors import UsageError
 from atoll.model.model import Model
+from atoll.model.saved import read_result
 from atoll_coordinator.cli.exit_codes import DONE
 from atoll_coordinator.cli.terminal.output import note, say
 from atoll_coordinator.cli.verbs.simulate import Given, held_inputs, load, times_of, write
@@ -17,22 +18,35 @@ def export(options: argparse.Namespace) -> int:
     """Write the model of ``options.result`` in ``options.format``. Return the exit code."""
     from atoll.model.export.formats import PETAB, format_of
 
-    model = _chosen(load(options.result, options.group), options)
     if options.format == PETAB:
-        _write_petab(model, options)
+        _write_petab(_chosen(load(options.result, options.group), options), options)
         return DONE
     if options.data is not None:
         raise UsageError("--data belongs to --format petab, which holds measurements; leave it out")
-    has_start = format_of(options.format).of_content is not None
-    beginning = _beginning(model, options) if has_start else {}
-    text = model.export(options.format, **beginning)
+    its = format_of(options.format)
+    if its.of_result is not None:
+        _write(its.of_result(_result(options)), options)
+        return DONE
+    model = _chosen(load(options.result, options.group), options)
+    beginning = _beginning(model, options)
+    _write(model.export(options.format, **beginning), options)
+    if not model.is_regression:
+        _say_what_is_held(model, beginning["u"])
+    return DONE
+
+
+def _write(text: str, options: argparse.Namespace) -> None:
     if options.output is None:
         say(text.removesuffix("\n"))
     else:
         write(Path(options.output), text)
-    if has_start and not model.is_regression:
-        _say_what_is_held(model, beginning["u"])
-    return DONE
+
+
+def _result(options: argparse.Namespace) -> Mapping[str, Any]:
+    """Return the content of the result, which need not be a model unless a group or other equations are chosen."""
+    if options.group is None and options.candidate is None and not options.pick:
+        return read_result(options.result)
+    return _chosen(load(options.result, options.group), options).result
 
 
 def _say_what_is_held(model: Model, given: Mapping[str, Any]) -> None:

@@ -14,9 +14,7 @@ from atoll_coordinator.cli.terminal.output import REPORT, note
 def report(options: argparse.Namespace) -> int:
     """Write the page of ``options.result``, and its pictures if they are wanted. Return the exit code."""
     path = Path(options.result)
-    if path.is_dir():
-        path /= "result.json"
-    output = path.with_name(REPORT) if options.output is None else Path(options.output)
+    output = (path if path.is_dir() else path.parent) / REPORT if options.output is None else Path(options.output)
     found = read_result(path)
     page = build_page(found if options.group is None else Model(found).of_group(options.group).result)
     write_text(output, as_text(page))

@@ -6,16 +6,14 @@ The job is one of a coordinator, or a saved ``result.json``.
 import argparse
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from atoll.errors import UsageError
-from atoll.model.saved import read_result
+from atoll.model.saved import RESULT, read_result
 from atoll_coordinator.cli.exit_codes import DONE
 from atoll_coordinator.cli.request import CONNECT_LIMIT_S, address_of
 from atoll_coordinator.cli.terminal.output import as_json, say
 from atoll_coordinator.client import connected
-
-RESULT: Final = "result.json"
 
 
 def result(options: argparse.Namespace) -> int:
@@ -24,7 +22,7 @@ def result(options: argparse.Namespace) -> int:
         raise UsageError(f"--json and --format {options.format} contradict each other; give one of them")
     path = Path(options.job)
     if path.suffix == ".json" or (path / RESULT).is_file():
-        found = read_result(path / RESULT if path.is_dir() else path)
+        found = read_result(path)
     else:
         with connected(address_of(options), CONNECT_LIMIT_S) as client:
             found = client.result(client.resolve(options.job))

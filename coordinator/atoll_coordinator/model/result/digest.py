@@ -1,7 +1,8 @@
 """The digest of a result: two runs found the same if and only if it is the same.
 
 It covers what the search found (fronts and runners-up with every bit of constants and errors, epochs, counters) and not
-how long that took, on how many workers, nor what is made of them afterwards.
+how long that took, on how many workers, nor what is made of them afterwards. Of a job without a search it covers the
+known equations with their errors on the data.
 """
 
 import hashlib

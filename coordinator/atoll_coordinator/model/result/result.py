@@ -143,7 +143,7 @@ def build_result(
         "point_evaluations": sum(_total(outcome) for outcome in outcomes),
         "search_seconds": finite(account.search_seconds),
         "seconds": finite(account.seconds),
-        "digest": result_digest([outcome for outcome in outcomes if outcome.why != KNOWN]),
+        "digest": result_digest([outcome for outcome in outcomes if outcome.why != KNOWN] or outcomes),
         "versions": versions(),
     }
 

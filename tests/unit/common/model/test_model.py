@@ -1,6 +1,7 @@
 """A model reads a result, knows its constants, predicts, scores, and writes itself down."""
 
 import json
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -57,11 +58,23 @@ def test_constants_have_errors_and_the_sign_of_the_text() -> None:
     assert narrow == pytest.approx((its.value - 0.1, its.value + 0.1), rel=1e-4)
 
 
-def test_units_of_a_rate_are_those_of_its_columns() -> None:
+@pytest.mark.parametrize(
+    ("x", "t", "unit"),
+    [("m", "s", "m/s"), ("kg m", "s", "(kg m)/s"), ("mol/L", "min", "(mol/L)/min"), ("m", "s^2", "m/(s^2)")],
+)
+def test_units_of_a_rate_are_those_of_its_columns(x: str, t: str, unit: str) -> None:
     found = decay()
-    found["system"]["units"] = {"x": "m", "t": "s"}
+    found["system"]["units"] = {"x": x, "t": t}
     (equation,) = Model(found).equations
-    assert str(equation) == "dx/dt = -2*x  [(m)/(s)]"
+    assert str(equation) == f"dx/dt = -2*x  [{unit}]"
+
+
+def test_a_model_goes_to_another_process_after_its_formulas_were_compiled() -> None:
+    model = Model(decay())
+    model.simulate([1.0], [0.0, 0.5])
+    copied = pickle.loads(pickle.dumps(model))
+    assert copied.result == model.result
+    assert copied.simulate([1.0], [0.0, 0.5])["x"].tolist() == model.simulate([1.0], [0.0, 0.5])["x"].tolist()
 
 
 def test_the_band_is_that_of_the_derivative_by_the_constant() -> None:

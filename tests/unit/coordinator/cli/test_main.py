@@ -71,6 +71,16 @@ def test_an_unexpected_error_is_one_sentence_that_names_the_log(
     assert "deep inside" in log.read_text()
 
 
+def test_of_a_result_that_reads_like_none_an_edit_may_be_the_cause(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    monkeypatch.delenv("ATOLL_DEBUG", raising=False)
+    monkeypatch.setattr(entry, "_dispatch", lambda _: {}["program"])
+    assert main(["analyse", "r"]) == 1
+    assert capsys.readouterr().err.endswith("; if the result was edited, give it as it was written\n")
+
+
 def test_an_unexpected_error_is_raised_when_debugging(
     jobs_verb: Callable[[Handler], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:

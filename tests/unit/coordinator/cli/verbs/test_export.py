@@ -80,3 +80,27 @@ def test_what_does_not_fit_is_said(
 ) -> None:
     assert main(["export", str(saved), *words]) == 2
     assert sentence in capsys.readouterr().err
+
+
+def test_what_needs_no_model_is_written_of_a_result_without_one(
+    saved: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = json.loads((saved / "result.json").read_text())
+    found["equations"][0]["expression"] = None
+    (saved / "result.json").write_text(json.dumps(found))
+    assert json.loads(exported(capsys, str(saved), "--format", "json")) == found
+    assert exported(capsys, str(saved), "--format", "csv").splitlines()[1].endswith("-0.75*x")
+    assert main(["export", str(saved), "--format", "c"]) == 2
+    assert "has not found every equation" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["c", "latex", "sympy"])
+def test_the_heading_of_one_group_names_it(saved: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    found = result({"x": "-0.9*x"}, groups=[{"group": "a\nb", "trajectories": ["1"], "covariance": None}])
+    found["equations"][0]["groups"] = [{"group": "a\nb", "expression": "-0.6*x"}]
+    (saved / "result.json").write_text(json.dumps(found))
+    words = (str(saved), "--format", name, "--group", "a\nb")
+    start = () if name != "c" else ("--initial", "x=1", "--until", "2")
+    text = exported(capsys, *words, *start)
+    assert "Constants are those of group a b." in text
+    assert "0.6" in text

@@ -1,6 +1,7 @@
 """Known equations beside those that are found."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -70,6 +71,16 @@ def test_an_error_that_is_not_finite_is_null():
 def test_the_digest_covers_what_was_searched_alone():
     built, outcomes = result()
     assert built["digest"] == result_digest(outcomes[:1])
+
+
+def test_without_a_search_it_covers_what_is_known_and_the_data():
+    def digest(text):
+        outcomes = [replace(each, why=KNOWN) for each in result(text)[1]]
+        built = build_result("j", JobConfig(), Preparation(DATASET, None), outcomes, Account("done", 1.0, 1.0))
+        return built["digest"]
+
+    assert digest("-x/10") == digest("-x/10")
+    assert len({digest("-x/10"), digest("-x/9"), result_digest([])}) == 3
 
 
 def test_people_read_that_it_was_known():

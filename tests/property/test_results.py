@@ -1,0 +1,58 @@
+"""Whatever is cut from a result or written into it: those who read it go on, or say in a sentence what is wrong."""
+
+import copy
+import json
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from atoll.errors import AtollError
+from atoll.model.model import Model
+from atoll.model.saved import check_result
+from atoll_coordinator.model.result.render import render
+from tests.unit.common.report.results import dynamics, process, regression
+
+RESULTS = [json.loads(json.dumps(each)) for each in (dynamics(), regression(), process())]
+PLACES = 2
+"""Items of a list that are changed; the others are like these."""
+
+
+def paths(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the path of every part of a result."""
+    parts = value.items() if isinstance(value, dict) else enumerate(value[:PLACES]) if isinstance(value, list) else ()
+    for key, part in parts:
+        yield (*path, key)
+        yield from paths(part, (*path, key))
+
+
+PATHS = [(number, path) for number, found in enumerate(RESULTS) for path in paths(found)]
+
+
+def readers(found: dict[str, Any]) -> Iterator[Callable[[], Any]]:
+    yield lambda: render(check_result(found), "csv")
+    yield lambda: render(check_result(found), "latex")
+    yield lambda: Model(found).summary()
+    yield lambda: Model(found)._repr_html_()
+    yield lambda: [str(each) for each in Model(found).candidates]
+    yield lambda: Model(found).export("python", t=[0.0, 1.0])
+
+
+@settings(max_examples=60, deadline=None, derandomize=True, database=None)
+@given(st.sampled_from(PATHS), st.sampled_from(["cut", "text", -3, [], {}]))
+def test_who_reads_a_damaged_result_goes_on_or_says_what_is_wrong(place: tuple[int, Any], change: Any) -> None:
+    number, path = place
+    found = copy.deepcopy(RESULTS[number])
+    part: Any = found
+    for key in path[:-1]:
+        part = part[key]
+    if change == "cut":
+        del part[path[-1]]
+    else:
+        part[path[-1]] = change
+    for read in readers(found):
+        try:
+            read()
+        except AtollError as error:
+            assert "\n" not in str(error)  # noqa: PT017  reading may succeed as well
