@@ -99,7 +99,6 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add_tls_options(parser)
     parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # end with this process
     parser.add_argument("--exit-reasons", type=int, help=argparse.SUPPRESS)  # why we end is written there
-    parser.add_argument("--detach", action="store_true", help=argparse.SUPPRESS)  # the workers to the parent, and end
     parser.add_argument("--supervise", action="store_true", help=argparse.SUPPRESS)  # restart one worker, too
     parser.add_argument("--version", action="version", version=f"atoll {VERSION}")
     complete(parser)
@@ -118,7 +117,7 @@ def _dispatch(options: argparse.Namespace) -> int:
     if number is None:
         number, reason = usable_cores(os.environ)
         sys.stderr.write(f"island-worker: {number} {'process' if number == 1 else 'processes'}: {reason}\n")
-    if number == 1 and not (options.detach or options.supervise):
+    if number == 1 and not options.supervise:
         report = partial(report_to, options.exit_reasons) if options.exit_reasons is not None else complain
         return exit_code_of(partial(work, connect, name, options, options.parent), report)
     names = [f"{name[:58]}-{index}" for index in range(number)]

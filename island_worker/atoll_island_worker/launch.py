@@ -10,7 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from atoll.program import exit_code_of
-from atoll_island_worker.processes.exit_reasons import ExitReasons, complain
+from atoll_island_worker.processes.exit_reasons import ExitReasons
 
 if TYPE_CHECKING:
     from atoll.wire.addresses import Destination
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def work_together(connect: "Destination", names: Sequence[str], options: argparse.Namespace) -> int:
     """Have one process for each name work, as often as it dies; forked, where that can be, after all is loaded once."""
-    from atoll_island_worker.processes.fork_server import Forked, can_fork, fork_detached, load_ahead
+    from atoll_island_worker.processes.fork_server import Forked, can_fork, load_ahead
     from atoll_island_worker.processes.signals import exit_on_signals, request_parent_death_signal
     from atoll_island_worker.processes.supervisor import Start, supervise
 
@@ -35,12 +35,9 @@ def work_together(connect: "Destination", names: Sequence[str], options: argpars
             load_ahead()
             if options.parent not in (None, os.getppid()):
                 return 0
-        parent = options.parent if options.detach else os.getpid()
-        works = {each: partial(_work_as_fork, connect, each, options, parent, remaining) for each in names}
-        if options.detach:
-            fork_detached(works)
-            return 0
-        starts = {each: partial(Forked, partial(act, exit_reasons)) for each, act in works.items()}
+        for each in names:
+            act = partial(_work_as_fork, connect, each, options, os.getpid(), remaining, exit_reasons)
+            starts[each] = partial(Forked, act)
         return supervise(starts, exit_reasons, options.parent, options.grace)
 
 
@@ -68,12 +65,11 @@ def _log_options(options: argparse.Namespace) -> list[str]:
 
 def _work_as_fork(
     connect: "Destination", name: str, options: argparse.Namespace, parent: int, remaining: Callable[[], float | None],
-    exit_reasons: ExitReasons | None = None,
+    exit_reasons: ExitReasons,
 ) -> int:  # fmt: skip
     """Work as a fork, for what is left of the lifetime."""
     options.lifetime = remaining()
-    report = exit_reasons.report if exit_reasons is not None else complain
-    return exit_code_of(partial(work, connect, name, options, parent), report)
+    return exit_code_of(partial(work, connect, name, options, parent), exit_reasons.report)
 
 
 def work(connect: "Destination", name: str, options: argparse.Namespace, parent: int | None) -> int:

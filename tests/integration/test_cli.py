@@ -70,6 +70,10 @@ def workers_of(run: Path) -> list[int]:
     return found
 
 
+def parent_of(pid: int) -> int:
+    return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+
+
 def wait_until_gone(run: Path) -> None:
     end = time.monotonic() + 20
     while workers_of(run):
@@ -124,7 +128,7 @@ ENDLESS = ["--target-error", "1e-300", "--max-epochs", "1000000", "--workers", "
 def test_an_interrupt_keeps_the_best_so_far_and_leaves_no_process(tmp_path: Path) -> None:
     with started("run", DATA, *ENDLESS, cwd=tmp_path) as process:
         read_until(process.stderr, "(searching)")
-        assert len(workers_of(tmp_path)) == 2
+        assert len(workers_of(tmp_path)) == 3, "two, and who watches over them"
         process.send_signal(signal.SIGTERM)
         out, err = finish(process)
     assert process.returncode == 130, err
@@ -142,13 +146,16 @@ def test_no_worker_survives_a_run_that_is_killed(tmp_path: Path) -> None:
         wait_until_gone(tmp_path)
 
 
-def test_a_worker_that_dies_is_said_and_the_others_go_on(tmp_path: Path) -> None:
+def test_a_worker_that_dies_is_said_and_started_again_as_long_as_somebody_watches(tmp_path: Path) -> None:
     with started("run", DATA, *ENDLESS, cwd=tmp_path) as process:
         read_until(process.stderr, "(searching)")
-        os.kill(workers_of(tmp_path)[0], signal.SIGKILL)
-        read_until(process.stderr, "ended with signal 9")
-        os.kill(workers_of(tmp_path)[0], signal.SIGKILL)
+        (watcher,) = (pid for pid in workers_of(tmp_path) if parent_of(pid) == process.pid)
+        dead = next(pid for pid in workers_of(tmp_path) if pid != watcher)
+        os.kill(dead, signal.SIGKILL)
+        read_until(process.stderr, f"process {dead} (w-")
+        os.kill(watcher, signal.SIGKILL)
         _, err = finish(process)
+        wait_until_gone(tmp_path)
     assert process.returncode == 1
     assert "every worker has ended" in err
 

@@ -43,7 +43,7 @@ def main(workers: int, parent: int) -> int:
 
 def _serve(number: int, parent: int, log: Path, stop: threading.Event) -> None:
     endpoint = free_endpoint()
-    with LocalWorkers(endpoint, number, log, are_replaced=True) as workers, contextlib.closing(ProcessPool()) as pool:
+    with LocalWorkers(endpoint, number, log) as workers, contextlib.closing(ProcessPool()) as pool:
         pool.preload(load_preparation)
         pool.preload(load_refinement)
         from atoll_coordinator.cli.local.coordinator import LocalCoordinator

@@ -16,7 +16,7 @@ from typing import Final
 
 from atoll.errors import AtollError, UnreachableError, UsageError
 from atoll.machine.cores import usable_cores
-from atoll_coordinator.cli.local.subreaper import plain_environment
+from atoll_coordinator.cli.local.workers import plain_environment
 from atoll_coordinator.cli.options.parser import MOST_WORKERS
 
 _START_LIMIT_S: Final = 60.0

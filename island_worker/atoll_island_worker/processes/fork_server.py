@@ -10,10 +10,8 @@ import importlib
 import os
 import signal
 import sys
-import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Iterator
 from typing import Final
 
 from atoll.errors import AtollError
@@ -21,11 +19,7 @@ from atoll.errors import AtollError
 Work = Callable[[], int]
 """What a forked worker does; returns its exit code."""
 
-_ADOPTION_LIMIT_S: Final = 5.0
-_POLL_S: Final = 0.001
 _STDIN: Final = 0
-_STDOUT: Final = 1
-_STDERR: Final = 2
 _ASKING: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
@@ -77,30 +71,6 @@ class Forked:
     def _send(self, number: int) -> None:
         if self._code is None:  # else the number may be another process's
             os.kill(self.pid, number)
-
-
-def fork_detached(works: Mapping[str, Work]) -> None:
-    """Fork a worker for each name and return at once: they are left to whom the system gives them as children.
-
-    Each of them writes its name and process id in a line on stdout, before anything else; stdout is closed when all
-    have done so and this process has ended.
-
-    Raises:
-        AtollError: the system starts no more processes; the workers before have been left.
-    """
-    mother = os.getpid()
-    for name, work in works.items():
-        _fork(partial(_announced, name, work, mother))
-
-
-def _announced(name: str, work: Work, mother: int) -> int:
-    """Do `work` once this process belongs to another than `mother`, who is about to end."""
-    os.write(_STDOUT, f"{name} {os.getpid()}\n".encode())
-    os.dup2(_STDERR, _STDOUT)
-    end = time.monotonic() + _ADOPTION_LIMIT_S
-    while os.getppid() == mother and time.monotonic() < end:
-        time.sleep(_POLL_S)
-    return work()
 
 
 def _fork(work: Work) -> int:

@@ -144,8 +144,8 @@ def test_no_worker_is_forked_for_a_parent_that_died_while_loading(
 ) -> None:
     monkeypatch.setattr(forking, "can_fork", lambda: True)
     monkeypatch.setattr(processes, "request_parent_death_signal", lambda: None)
-    monkeypatch.setattr(forking, "fork_detached", lambda works: pytest.fail("a worker was forked"))
-    assert cli.main(["--connect", "tcp/a:1", "--processes", "2", "--parent", str(1 << 30), "--detach"]) == 0
+    monkeypatch.setattr(forking, "Forked", lambda work: pytest.fail("a worker was forked"))
+    assert cli.main(["--connect", "tcp/a:1", "--processes", "2", "--parent", str(1 << 30)]) == 0
     assert loads == ["all"]
 
 

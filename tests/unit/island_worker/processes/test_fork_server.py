@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from atoll.errors import AtollError
-from atoll_island_worker.processes.fork_server import fork_detached
+from atoll_island_worker.processes.fork_server import Forked
 
 LIMIT_S = 100.0
 
@@ -54,4 +54,4 @@ def test_a_system_that_starts_no_more_processes_is_said(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(os, "fork", refuse)
     with pytest.raises(AtollError, match="starts no more processes"):
-        fork_detached({"w-0": lambda: 0})
+        Forked(lambda: 0)

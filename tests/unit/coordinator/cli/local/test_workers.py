@@ -1,4 +1,4 @@
-"""The worker processes of a local run."""
+"""The worker processes of a local run, here in the hands of little programs that watch over nobody."""
 
 import subprocess
 import sys
@@ -9,35 +9,52 @@ import pytest
 
 from atoll.errors import DataError
 from atoll_coordinator.cli.local import workers as local
-from atoll_coordinator.cli.local.workers import LocalWorkers
+from atoll_coordinator.cli.local.workers import LocalWorkers, NoWorkerLeftError
 
 DEAF = """
-import os, signal, sys
+import signal
 signal.signal(signal.SIGTERM, signal.SIG_IGN)
-open(sys.argv[1], "w").close()
+print("deaf", flush=True)
 signal.pause()
+"""
+ENDS = """
+import sys
+sys.stderr.write("a line of the log\\nisland-worker: process 7 (w-0) was ended by signal 9\\n")
+sys.stderr.write("island-worker: no other is left\\n")
 """
 
 
-def test_after_an_error_a_worker_that_hears_nothing_is_not_waited_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture
+def workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> LocalWorkers:
+    monkeypatch.setattr(local, "supervisor_command", lambda endpoint, number: [sys.executable, "-c", request.param])
+    return LocalWorkers("tcp/127.0.0.1:1", 2, tmp_path / "log")
+
+
+@pytest.mark.parametrize("workers", [DEAF], indirect=True)
+def test_after_an_error_a_process_that_hears_nothing_is_not_waited_for(
+    workers: LocalWorkers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A worker that is loading its libraries answers a SIGTERM late; bad data must be refused at once."""
-    command = [sys.executable, "-c", DEAF]
-    monkeypatch.setattr(local, "worker_command", lambda endpoint, name: [*command, str(tmp_path / name)])
+    """One that is loading its libraries answers a SIGTERM late; bad data must be refused at once."""
     monkeypatch.setattr(local, "_STOP_LIMIT_S", 1e6)
-    monkeypatch.setattr(local, "become_subreaper", lambda: False)
-    workers = LocalWorkers("tcp/127.0.0.1:1", 2, tmp_path / "log").__enter__()
-    processes = list(workers._processes.values())
-    while not all((tmp_path / name).exists() for name in ("w-0", "w-1")):
-        assert all(process.poll() is None for process in processes)
+    workers.__enter__()
+    while "deaf" not in workers.log.read_text():
+        assert workers._process.poll() is None
     workers.__exit__(DataError, DataError("no data"), None)
-    assert [process.returncode for process in processes] == [-9, -9]
+    assert workers._process.returncode == -9
 
 
-def test_a_worker_that_the_system_cannot_end_is_waited_for_within_a_limit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("workers", [ENDS], indirect=True)
+def test_what_is_said_of_workers_is_told_once_and_their_end_is_an_error(workers: LocalWorkers) -> None:
+    with workers:
+        workers._process.wait()
+        sentences = workers._said()
+        with pytest.raises(NoWorkerLeftError, match=r"the reason is in .*log: island-worker: no other is left$"):
+            workers.check()
+    assert sentences == ["process 7 (w-0) was ended by signal 9", "no other is left"]
+    assert workers._said() == []
+
+
+def test_a_process_that_the_system_cannot_end_is_waited_for_within_a_limit(tmp_path: Path) -> None:
     """Such as one that hangs in a driver: it is killed, and stays."""
 
     class Hung:
@@ -54,7 +71,6 @@ def test_a_worker_that_the_system_cannot_end_is_waited_for_within_a_limit(
             raise subprocess.TimeoutExpired("worker", timeout or 0.0)
 
     workers = LocalWorkers("tcp/127.0.0.1:1", 1, tmp_path / "log")
-    workers._processes["w-0"] = Hung()  # type: ignore[assignment]
+    workers._process = Hung()  # type: ignore[assignment]
     workers.stop()
-    assert len(Hung.waits) == 2
-    assert all(limit is not None and 0.0 <= limit <= local._STOP_LIMIT_S for limit in Hung.waits)
+    assert Hung.waits == [local._STOP_LIMIT_S] * 2
