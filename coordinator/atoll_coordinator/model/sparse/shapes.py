@@ -79,7 +79,7 @@ _POWER: Final = Function(
     lambda u, c: u**c, lambda u, c: (POW, u, c), lambda u, c: u**c * np.log(u), lambda _: _EXPONENTS
 )
 _EXP: Final = _scaled(EXP, _BOTH_SIGNS, np.exp, np.exp)
-_SCALED: Final = {
+SCALED: Final = {
     SIN: _scaled(SIN, _RATES, np.sin, np.cos),
     COS: _scaled(COS, _RATES, np.cos, lambda u: -np.sin(u)),
     EXP: _EXP,
@@ -207,7 +207,7 @@ def _arguments(
     for each in columns:
         u, leaf = inputs[each], (VARIABLE, each)
         positive = allowed(_OF_POSITIVE) if (u > 0.0).all() else []
-        yield leaf, u, [*waves, *allowed(_SCALED), *([_OVER] if DIVIDE in operators else []), *positive]
+        yield leaf, u, [*waves, *allowed(SCALED), *([_OVER] if DIVIDE in operators else []), *positive]
         yield (MULTIPLY, leaf, leaf), u * u, allowed(_OF_SQUARES)
     for one, other in combinations(columns, 2):
         for join, u in ((SUBTRACT, inputs[one] - inputs[other]), (ADD, inputs[one] + inputs[other])):

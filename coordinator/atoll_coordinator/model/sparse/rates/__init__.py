@@ -4,6 +4,7 @@
 - `screening`: which variables an equation takes
 - `sums`: sums of products and functions fitted robustly, the shortest of them
 - `functions`: which product with a function a polynomial lacks
+- `networks`: a hyperbolic tangent of a weighted sum beside a linear part
 - `laws`: the law of one state, if its rows have one
 
 The reasons and figures: ADR 0043.

@@ -2,8 +2,10 @@
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
+from atoll.expression.operators import TANH
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.sparse.rates.functions import extended
+from atoll_coordinator.model.sparse.rates.networks import with_network
 from atoll_coordinator.model.sparse.rates.rows import RateRows
 from atoll_coordinator.model.sparse.rates.screening import screened
 from atoll_coordinator.model.sparse.rates.sums import Atom, RateSum, polished, pruned, shortest_sum
@@ -15,7 +17,8 @@ from atoll_coordinator.settings import SETTINGS
 def find_rate_laws(rows: RateRows, columns: Sequence[int], operators: Collection[int]) -> tuple[Law, ...]:
     """Return the law, none where no sum of a few terms leaves as little as the derivatives' errors.
 
-    Polynomials of the first and second degree first, then these with functions, then those of higher degree.
+    Polynomials of the first and second degree first, then a node of a network, then these polynomials with functions,
+    then those of higher degree.
 
     Args:
         rows: of the derivative sought.
@@ -43,6 +46,8 @@ def _sums(rows: RateRows, columns: Sequence[int], operators: Collection[int]) ->
     low, high = libraries[:2], libraries[2:]
     for atoms in low:
         yield _shortest(rows, [atoms])
+    if TANH in operators and low:
+        yield _shortest(rows, [atoms for atoms in [with_network(rows, low[0], columns)] if atoms])
     beginnings: list[Sequence[Atom]] = [*low]
     for _ in range(SETTINGS.sparse.pursued_functions):
         longer = [extended(rows, begun, columns, operators) for begun in beginnings]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from atoll.data.dataset import FloatArray
-from atoll.expression.program import Program
+from atoll.expression.program import Program, constant_places
 from atoll.expression.writing.shortest import collected
 from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
 from atoll_coordinator.model.sparse.kernels.elimination import eliminate
@@ -32,8 +32,8 @@ class Atom:
 
     def price(self, rows: int) -> float:
         """Return the nats of the term in a sum: its structure, and 1/2 ln N for each constant."""
-        constants = 1 + self.shape.has_constant
-        return structure_length(sum_program([(2.5, self.shape.expression(1.5))])) + constants * constant_nats_of(rows)
+        program = sum_program([(2.5, self.shape.expression(1.5))])
+        return structure_length(program) + len(constant_places(program)) * constant_nats_of(rows)
 
 
 @dataclass(frozen=True, eq=False)

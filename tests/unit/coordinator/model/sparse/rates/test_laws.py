@@ -41,6 +41,14 @@ def test_the_law_is_found(law, variables, constants):
     assert found.excess <= 1.0
 
 
+def test_the_law_of_a_node_has_its_weights_and_no_others():
+    rows, exact = rows_of("0.3 - 0.4*x1 - 0.5*tanh(3*x2 + 1.2*x3 - 6)", NAMES[:4])
+    (found,) = find_rate_laws(rows, range(4), {*OPERATORS, BY_NAME["tanh"].code})
+    sizes = np.sort(np.abs(found.program.constants[constant_places(found.program)]))
+    assert sizes == pytest.approx([0.3, 0.4, 0.5, 1.2, 3.0, 6.0], rel=1e-3)
+    assert np.abs(values_of(found.program, rows.inputs) - exact).max() < 1e-3 * exact.std()
+
+
 def test_what_no_short_sum_describes_has_no_law():
     generator = np.random.default_rng(5)
     rows, exact = rows_of("x1 + x2*x3")
