@@ -20,7 +20,7 @@ VERSION: Final = "0.1.0"
 PROTOCOL_VERSION: Final = 6
 """Raised whenever a message on the wire changes its shape or meaning."""
 
-ENGINE_REVISION: Final = 5
+ENGINE_REVISION: Final = 6
 """Raised whenever the same seed may give other bits: a change of kernels, of variation or of seeding."""
 
 _API: Final = "atoll_coordinator.api"

@@ -1,5 +1,6 @@
 """Whatever happens on the way, one seed has one answer: whole stories of coordinator, workers and client."""
 
+import json
 import os
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from atoll.config import BudgetConfig, EvolutionConfig, JobConfig
+from atoll_coordinator.model.sparse import laws
 from tests.placements import placements_in
 from tests.simulation.bus.faults import Partition, Plan
 from tests.simulation.harness.simulated_cluster import World, comparable
@@ -114,6 +116,19 @@ def test_all_of_it_together_does_not_change_the_answer() -> None:
         world.at(1.0 + 0.04 * seed, lambda world=world: world.crash("w0"))  # type: ignore[misc]
         world.at(1.5, lambda world=world: world.start_worker("w3", slowness=3.0))  # type: ignore[misc]
         assert answer(world, seed % 8) == undisturbed(seed % 8)
+
+
+def test_settled_equations_leave_the_workers_to_the_others_whatever_happens(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(laws, "settled_variables", lambda *_: frozenset({"x"}))
+    for seed in FEW_SEEDS:
+        alone = comparable(World(workers=1, seed=seed).run(config(seed)))
+        world = World(workers=3, seed=seed, plan=Plan(drop=0.03, duplicate=0.05, late=0.05))
+        world.at(1.0 + 0.1 * seed, lambda world=world: world.crash("w0"))  # type: ignore[misc]
+        assert answer(world, seed) == alone
+        epochs = {each["variable"]: each["epoch"] for each in json.loads(alone)["equations"]}
+        assert epochs["x"] == 1 < epochs["y"]
 
 
 def test_another_seed_gives_another_answer() -> None:

@@ -103,27 +103,35 @@ def _are_many(names: Sequence[str]) -> bool:
     return math.comb(len(names) + SETTINGS.sparse.degree, len(names)) > SETTINGS.sparse.largest_library
 
 
-def has_laws(preparation: Preparation, config: JobConfig) -> bool:
-    """Tell whether each equation that is sought has a law that needs no long search to compare it with.
+def settled_variables(preparation: Preparation, config: JobConfig) -> frozenset[str]:
+    """Return the variables whose equations have laws that need no long search to compare them with.
 
-    That is a law whose errors are those of noise, chosen on more rows than systems are compared on. Not where the user
-    has said when the search ends or where it begins.
+    Those are laws whose errors are those of noise, chosen on more rows than systems are compared on. Among many
+    variables each equation counts for itself; else all are settled or none, since the laws of few are found beside a
+    search that ends soon. None where the user has said when the search ends or where it begins.
     """
     dataset, recording, budget = preparation.dataset, preparation.recording, config.budget
     is_asked = budget.target_error is not None or budget.stagnation is not None or bool(config.prior.guesses)
     if recording is None or is_asked:
-        return False
+        return frozenset()
     if recording.groups:
-        return all(has_laws(part, config) for part in by_group(preparation))
+        return frozenset.intersection(*(settled_variables(part, config) for part in by_group(preparation)))
     rows = sum(len(each.times) for each in recording.trajectories if not each.held_out)
-    for _, laws in find_all_laws(dataset, recording, config, {}):
-        if not laws or not may_be_shown(laws[0].program, config.space.max_size):
-            return False
-        if not laws[0].is_tested or laws[0].probability < SETTINGS.inference.improbable:
-            return False
-        if rows <= SETTINGS.selection.compared_rows and not laws[0].is_of_rates:
-            return False
-    return True
+    settled = set()
+    for name, laws in find_all_laws(dataset, recording, config, {}):
+        if _settles(laws, rows, config.space.max_size):
+            settled.add(name)
+        elif not _are_many(dataset.names):
+            return frozenset()
+    return frozenset(settled)
+
+
+def _settles(laws: Sequence[Law], rows: int, largest: int | None) -> bool:
+    """Tell whether the first of these laws of an equation needs no long search to compare it with."""
+    if not laws or not may_be_shown(laws[0].program, largest):
+        return False
+    is_like_noise = laws[0].is_tested and laws[0].probability >= SETTINGS.inference.improbable
+    return is_like_noise and (rows > SETTINGS.selection.compared_rows or laws[0].is_of_rates)
 
 
 def _has_like_rows(recording: Recording) -> bool:

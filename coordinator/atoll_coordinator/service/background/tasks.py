@@ -75,7 +75,7 @@ def refine(preparation: Preparation, config: JobConfig, pools: Pools, deadline: 
 
 def prepare_job(preparer: Preparer, job: str, table: bytes, config: JobConfig) -> JobPrepared | PreparationFailed:
     """Prepare the table of a job, or say why that cannot be done."""
-    from atoll_coordinator.model.sparse.laws import has_laws  # loads kernels
+    from atoll_coordinator.model.sparse.laws import settled_variables  # loads kernels
     from atoll_coordinator.model.sparse.rates.screening import with_screened_variables
 
     try:
@@ -86,8 +86,8 @@ def prepare_job(preparer: Preparer, job: str, table: bytes, config: JobConfig) -
         known = known_entries(preparation.dataset, resolved)
         preparation = with_remarks(preparation, resolved)
         resolved = with_units(resolved, preparation.source)
-        is_brief = has_laws(preparation, resolved)
-        return JobPrepared(job, Prepared(preparation, resolved, blob, len(data), known, is_brief), data)
+        settled = settled_variables(preparation, resolved)
+        return JobPrepared(job, Prepared(preparation, resolved, blob, len(data), known, settled), data)
     except (DataError, UsageError, RemoteProtocolError) as error:
         return PreparationFailed(job, "data", str(error))
     except Exception as error:  # the job fails with it, the coordinator goes on

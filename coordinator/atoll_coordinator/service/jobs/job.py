@@ -84,8 +84,8 @@ JobAction = CommitCuts | PublishCommit | Refine | CommitResult
 class Prepared:
     """What preparing gave, the resolved configuration, and the dataset's bytes by digest and size.
 
-    `known` has the known equations by variable, as members of fronts of their own; `has_laws` tells that all others
-    have laws by regression (`atoll_coordinator.model.sparse.laws.has_laws`).
+    `known` has the known equations by variable, as members of fronts of their own; `settled` are the variables
+    that have laws by regression (`atoll_coordinator.model.sparse.laws.settled_variables`).
     """
 
     preparation: Preparation
@@ -93,7 +93,7 @@ class Prepared:
     blob: str
     size: int
     known: Mapping[str, FrontEntry] = field(default_factory=dict)
-    has_laws: bool = False
+    settled: frozenset[str] = frozenset()
 
     @property
     def sought(self) -> tuple[Target, ...]:
@@ -299,7 +299,7 @@ class Job:
             stagnation=stagnation_of(config, target, recording),
             commit_order=commit_order_of(config),
             runners_up=config.evolution.runners_up or 0,
-            has_laws=prepared.has_laws,
+            has_law=target.variable in prepared.settled,
         )
         return Archipelago(
             self.id, target.variable, limits, measure_of(target, independent_rows(target, recording)),

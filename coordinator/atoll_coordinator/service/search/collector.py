@@ -48,7 +48,7 @@ class Stagnation:
 class Limits:
     """When an archipelago ends by itself: epochs at most, epochs without improvement; and what counts at a hit.
 
-    `runners_up` are kept of each complexity. `has_laws` ends it after the first epoch, which is for comparison.
+    `runners_up` are kept of each complexity. `has_law` ends it after the first epoch, which is for comparison.
     """
 
     islands: int
@@ -56,7 +56,7 @@ class Limits:
     stagnation: Stagnation
     commit_order: CommitOrder
     runners_up: int = 0
-    has_laws: bool = False
+    has_law: bool = False
 
 
 @dataclass(slots=True)
@@ -294,7 +294,7 @@ class Collector:
     def _end_if_due(self, epoch: int, hit: Position | None) -> None:
         if hit is not None:
             self._end("target", epoch * self.limits.commit_order.generations + hit.generation)
-        elif self.limits.has_laws:
+        elif self.limits.has_law:
             self._end("law")
         elif self.limits.stagnation.is_due(epoch, self.state.improved_at):
             self._end("stagnation")

@@ -251,9 +251,9 @@ def test_a_search_that_does_not_get_better_stagnates(collector: Collector) -> No
     assert (collector.cut.why, collector.cut.epochs, collector.cut.generation) == ("stagnation", 6, None)
 
 
-def test_with_laws_the_first_epoch_is_the_last_unless_it_met_the_target() -> None:
+def test_with_a_law_the_first_epoch_is_the_last_unless_it_met_the_target() -> None:
     for hit, why in ((None, "law"), (50, "target")):
-        collector = Collector("x", replace(LIMITS, has_laws=True), best_error)
+        collector = Collector("x", replace(LIMITS, has_law=True), best_error)
         fill(collector, 0, report(0, error=0.1, hit=hit), report(1))
         assert collector.cut is not None
         assert (collector.cut.why, collector.cut.epochs) == (why, 1)
