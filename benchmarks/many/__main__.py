@@ -2,7 +2,8 @@
 
 ``python -m benchmarks.many run --systems yeast lorenz96-40 --seeds 1000-1004 --out FILE.jsonl`` searches each system
 with each seed and judges every equation; ``--resume FILE.jsonl`` goes on; ``show FILE.jsonl`` prints the table again.
-``laws`` in place of ``run`` judges the laws that regression finds, and searches nothing.
+``laws`` in place of ``run`` judges the laws that regression finds, and searches nothing. ``irrelevant`` measures what
+an equation costs beside states that do not matter to it.
 ``--dysts DIR`` adds flows of the files that ``python -m benchmarks.dysts make`` has written there, by their names.
 """
 
@@ -12,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.harness.command_line import seeds, whole
-from benchmarks.many import laws
+from benchmarks.many import irrelevant, laws
 from benchmarks.many.campaign import run, show
 from benchmarks.many.systems import SYSTEMS
 
@@ -23,6 +24,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else list(arguments)
     if options.verb == "laws":
         return laws.run(options)
+    if options.verb == "irrelevant":
+        return irrelevant.run(options)
     return run(options, words) if options.verb == "run" else show(options.file)
 
 
@@ -41,6 +44,9 @@ def _parser() -> argparse.ArgumentParser:
     running.add_argument("--workers", type=whole, default=2, help="worker processes (%(default)s)")
     running.add_argument("--out", type=Path, metavar="FILE", help="file of JSON lines to write each search to")
     running.add_argument("--resume", type=Path, metavar="FILE", help="such a file, to go on with")
+    beside = verbs.add_parser("irrelevant", help="what an equation costs beside states that do not matter to it")
+    beside.add_argument("--others", type=int, nargs="+", default=[0, 4, 10, 20, 40], help="how many (even)")
+    beside.add_argument("--seeds", type=seeds, default=seeds("1000"), help="of the data (1000)")
     showing = verbs.add_parser("show", help="print the table of a file")
     showing.add_argument("file", type=Path, metavar="FILE")
     return parser
