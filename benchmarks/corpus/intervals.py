@@ -18,6 +18,7 @@ import numpy as np
 from atoll.config import PRESETS
 from atoll.data.dataset import FloatArray
 from atoll.data.table import Table
+from atoll.expression.evaluation import values_of
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.expression.writing.shortest import shortest
@@ -36,7 +37,6 @@ from benchmarks.harness.parallel import in_parallel
 from benchmarks.harness.record import Record
 from benchmarks.harness.systems import Sampled
 from benchmarks.judging.coverage import Covered, covered
-from benchmarks.judging.evaluation import evaluate
 from benchmarks.kernels.derivatives import table_of
 
 ROWS: Final = {1: 200, 4: 100}
@@ -78,7 +78,7 @@ def estimate(key: Key) -> Estimated:
         return Estimated(key, ())
     found: list[Covered] = []
     for name, text in system.truths.items():
-        truth = evaluate(from_infix(text, tuple(clean)), tuple(clean.values()))
+        truth = values_of(from_infix(text, tuple(clean)), np.array([*clean.values()]))
         its = refinement.equations[name]
         judged = covered(to_infix(its.program, names), list(map(asdict, its.constants)), clean, truth)
         found += [each for each in judged or () if each.has_interval]

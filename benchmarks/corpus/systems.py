@@ -14,10 +14,11 @@ from typing import Final
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from atoll.expression.evaluation import values_of
+from atoll.expression.program import Program
 from atoll.expression.text.parsing import from_infix
 from benchmarks.corpus.families import FAMILIES, NAMED, Box, Family
 from benchmarks.corpus.random_equations import random_family
-from benchmarks.judging.evaluation import evaluate
 from benchmarks.judging.fractions import FloatArray
 from benchmarks.judging.generalisation import Field, field_of
 
@@ -233,10 +234,10 @@ def _matter(system: CorpusSystem, values: FloatArray) -> bool:
         names = tuple(dict.fromkeys(_CONSTANT.findall(text)))
         program = from_infix(text, (*system.states, *names))
 
-        def at(shift: float, name: str, names: tuple[str, ...] = names, program: object = program) -> FloatArray:
+        def at(shift: float, name: str, names: tuple[str, ...] = names, program: Program = program) -> FloatArray:
             shifted = {**system.constants, name: system.constants[name] * (1.0 + shift)} if name else system.constants
             columns = [*values.T, *(np.full(len(values), shifted[each]) for each in names)]
-            return evaluate(program, columns)  # type: ignore[arg-type]
+            return values_of(program, np.array(columns))
 
         with np.errstate(all="ignore"):
             slopes = at(0.0, "")

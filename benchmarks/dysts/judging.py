@@ -13,9 +13,9 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.errors import UsageError
+from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
 from benchmarks.dysts.flows import Flow
-from benchmarks.judging.evaluation import evaluate
 
 _NEGLIGIBLE: Final = 1e-12
 SMALL_ERROR: Final = 1e-2
@@ -134,7 +134,7 @@ def _rate_error(flow: Flow, texts: Sequence[str | None]) -> float | None:
 def _error(text: str, states: Sequence[str], columns: Sequence[FloatArray], rate: FloatArray) -> float:
     try:
         with np.errstate(all="ignore"):
-            values = evaluate(from_infix(text, tuple(states)), list(columns))
+            values = values_of(from_infix(text, tuple(states)), np.array(columns))
     except UsageError:
         return math.inf
     return float(np.sqrt(np.mean((values - rate) ** 2)) / max(float(rate.std()), 1e-300))

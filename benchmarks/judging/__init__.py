@@ -2,6 +2,6 @@
 
 ``forms`` decides whether a model is exact in form (``rewriting`` and ``angles`` bring it to ``fractions`` first);
 ``verdict`` judges an equation of a result, ``coverage`` its intervals, ``generalisation`` its predictions from fresh
-initial conditions; ``evaluation`` computes expressions; ``equivalents`` are other ways to write known truths;
+initial conditions; ``equivalents`` are other ways to write known truths;
 ``writings`` counts how short the equations are that are shown.
 """

@@ -13,9 +13,9 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import least_squares
 
+from atoll.expression.evaluation import values_of
 from atoll.expression.program import Program
 from atoll.expression.text.parsing import from_infix
-from benchmarks.judging.evaluation import evaluate
 from benchmarks.judging.fractions import FloatArray
 
 EXACT: Final = 1e-8
@@ -73,7 +73,7 @@ class _Structure:
     def values(self, constants: FloatArray) -> FloatArray:
         rows = len(self.columns[0])
         parameters = [np.full(rows, sign * constants[entry]) for entry, sign in self.owners]
-        return evaluate(self.program, (*self.columns, *parameters))
+        return values_of(self.program, np.array([*self.columns, *parameters]))
 
 
 def covered(

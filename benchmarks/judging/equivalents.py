@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
+from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
-from benchmarks.judging.evaluation import evaluate
 from benchmarks.judging.fractions import FloatArray
 
 EQUIVALENTS: Final = {
@@ -199,4 +199,4 @@ def rows_of(name: str) -> tuple[dict[str, FloatArray], FloatArray]:
     generator = np.random.default_rng(0)
     ranges = _RANGES.get(name.rstrip("12"), _POSITIVE)
     columns = {each: generator.uniform(*its, ROWS) for each, its in zip("xy", ranges, strict=True)}
-    return columns, evaluate(from_infix(EQUIVALENTS[name][0], tuple(columns)), list(columns.values()))
+    return columns, values_of(from_infix(EQUIVALENTS[name][0], tuple(columns)), np.array([*columns.values()]))

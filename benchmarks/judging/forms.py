@@ -28,8 +28,8 @@ from typing import Final
 import numpy as np
 
 from atoll.errors import UsageError
+from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
-from benchmarks.judging.evaluation import evaluate
 from benchmarks.judging.fractions import (
     Atoms,
     FloatArray,
@@ -162,7 +162,7 @@ def _check_arguments(
     """
     if max(both.angle_difference, both.argument_difference) <= NEGLIGIBLE:
         return
-    actual = evaluate(from_infix(model, tuple(data)), tuple(data.values()))
+    actual = values_of(from_infix(model, tuple(data)), np.array([*data.values()]))
     error = scale.contribution(actual - scale.values(found))
     allowed = SLACK * (scale.sensitivity(found, both.angle_difference) + both.argument_difference) + NEGLIGIBLE
     if not error <= allowed:
@@ -233,8 +233,8 @@ def _largest_difference(found: Fraction, sought: Fraction, scale: _Scale) -> flo
 def _function_error(model: str, truth: str, data: Mapping[str, FloatArray]) -> float | None:
     """Return the difference on fresh points, drawn uniformly from the range of each column."""
     generator = np.random.default_rng(0)
-    fresh = [generator.uniform(np.min(column), np.max(column), FRESH_POINTS) for column in data.values()]
-    found, sought = (evaluate(from_infix(text, tuple(data)), fresh) for text in (model, truth))
+    fresh = np.array([generator.uniform(np.min(column), np.max(column), FRESH_POINTS) for column in data.values()])
+    found, sought = (values_of(from_infix(text, tuple(data)), fresh) for text in (model, truth))
     defined = np.isfinite(sought)
     error = (
         float(np.sqrt(np.mean((found - sought)[defined] ** 2)) / np.std(sought[defined])) if defined.any() else math.nan
@@ -254,7 +254,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     data = _read(options.data) if options.data else _uniform(options.model, options.truth)
     try:
         deviation = options.deviation or float(
-            np.std(evaluate(from_infix(options.truth, tuple(data)), [*data.values()]))
+            np.std(values_of(from_infix(options.truth, tuple(data)), np.array([*data.values()])))
         )
         verdict = compare(options.model, options.truth, data, deviation, options.tolerance)
     except UsageError as error:

@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from atoll.expression.evaluation import DEFINITIONS, value_of
 from atoll.expression.operators import (
     ADD,
     CONSTANT,
@@ -30,7 +31,6 @@ from atoll.expression.operators import (
 from atoll.expression.program import Program
 from atoll.expression.text.parsing import from_infix
 from benchmarks.judging.angles import LARGEST_MULTIPLE, NEGLIGIBLE, Key, SharedAtoms, Side
-from benchmarks.judging.evaluation import OPERATIONS
 from benchmarks.judging.fractions import (
     ONE,
     Atoms,
@@ -128,7 +128,7 @@ class _Walk:
             return inverse(argument)
         number = _number(argument)
         if number is not None:
-            return constant(float(OPERATIONS[code](number, number)))
+            return constant(value_of(code, number, number))
         if code in (SIN, COS):
             return self._trigonometric(code, argument)
         if code == EXP:
@@ -147,7 +147,7 @@ class _Walk:
 
     def _function(self, code: int, argument: Fraction) -> FloatArray:
         values = self._values(argument)
-        return np.asarray(OPERATIONS[code](values, values), dtype=np.float64)
+        return np.asarray(DEFINITIONS[code].value(values, values), dtype=np.float64)
 
     def _values(self, fraction: Fraction) -> FloatArray:
         return self._atoms.evaluate(fraction.numerator) / self._atoms.evaluate(fraction.denominator)

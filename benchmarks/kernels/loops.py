@@ -11,13 +11,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from atoll.compilation.jit import inlined, kernel
+from atoll.data.dataset import FloatArray
 from atoll.expression.kernels.lanes import fill, place
 from atoll.expression.kernels.tape import LANES, forward, reverse_block
-from atoll.expression.operators import ARITY, CONSTANT, VARIABLE
+from atoll.expression.operators import ARITY, CONSTANT, VARIABLE, Functions, definitions
 from atoll_island_worker.evolution.kernels.fit import errors, residual_of
 from atoll_island_worker.evolution.kernels.tape import compile_tape
 from atoll_island_worker.evolution.structures import Floats, Lists, Rows, Tape, Work, empty_tape, empty_work
-from benchmarks.judging.evaluation import OPERATIONS, FloatArray
 
 REGISTER_STEPS: Final = 4
 """Multiplications, and additions, that `in_registers_into` does with each number."""
@@ -155,6 +155,11 @@ def instructions(lists: Lists, p: int, tape: Tape) -> Instructions:
     return list(zip(*(part[:count].tolist() for part in parts), strict=True))
 
 
+_BY_NUMPY: Final = definitions(
+    Functions(np.sin, np.cos, np.exp, np.log, np.sqrt, np.abs, np.tanh, np.power, np.sign, lambda x, v: np.log(x))
+)
+
+
 def values_by_numpy(program: Instructions, inputs: FloatArray) -> FloatArray:
     """Return the output of a list on `inputs` (V, R), one numpy call for each node."""
     values: list[FloatArray] = []
@@ -164,7 +169,7 @@ def values_by_numpy(program: Instructions, inputs: FloatArray) -> FloatArray:
         elif code == CONSTANT:
             values.append(np.full(inputs.shape[1], constant))
         else:
-            values.append(OPERATIONS[code](values[left], values[right if ARITY[code] > 1 else left]))
+            values.append(_BY_NUMPY[code].value(values[left], values[right if ARITY[code] > 1 else left]))
     return values[-1]
 
 

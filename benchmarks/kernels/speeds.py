@@ -10,10 +10,10 @@ from typing import Final
 
 import numpy as np
 
+from atoll.data.dataset import FloatArray
 from atoll.expression.operators import BY_NAME
 from atoll_island_worker.evolution.kernels.rows import padded_rows
 from atoll_island_worker.evolution.structures import Lists, Rows
-from benchmarks.judging.evaluation import FloatArray
 from benchmarks.kernels.corpus import Corpus
 from benchmarks.kernels.loops import (
     REGISTER_STEPS,

@@ -14,9 +14,9 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 
 from atoll.data.table import Table
+from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
 from benchmarks.harness.systems import RUNS, SYSTEMS, Sampled, System, drawn, solutions, with_noise
-from benchmarks.judging.evaluation import evaluate
 from benchmarks.judging.fractions import FloatArray
 from benchmarks.kernels.derivatives import table_of
 from benchmarks.noise.odd_systems import ODD
@@ -85,8 +85,7 @@ class Case:
 
     def slope(self, state: str) -> FloatArray:
         """Return the true derivative (R,) of `state` where it was measured, not finite where the truth is not."""
-        with np.errstate(all="ignore"):
-            return evaluate(from_infix(self.truths[state], self.names), list(self.clean.values()))
+        return values_of(from_infix(self.truths[state], self.names), np.array([*self.clean.values()]))
 
 
 def case(key: Key) -> Case:

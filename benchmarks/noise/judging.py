@@ -13,9 +13,9 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.errors import UsageError
+from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
 from benchmarks.judging.coverage import Covered, covered
-from benchmarks.judging.evaluation import evaluate
 from benchmarks.judging.forms import FormVerdict, compare
 from benchmarks.judging.generalisation import foretold, is_foretold
 from benchmarks.judging.verdict import SMALL_ERROR
@@ -171,10 +171,10 @@ def _path_error(case: Case, name: str, text: str | None) -> float | None:
     if text is None:
         return None
     inputs = [np.array([signal(time) for time in case.fresh.times.tolist()]) for signal in case.fresh.inputs]
-    columns = [*case.fresh.states.T, *inputs]
+    columns = np.array([*case.fresh.states.T, *inputs])
     try:
         with np.errstate(all="ignore"):
-            found, truth = (evaluate(from_infix(each, case.names), columns) for each in (text, case.truths[name]))
+            found, truth = (values_of(from_infix(each, case.names), columns) for each in (text, case.truths[name]))
             return _finite(float(np.sqrt(np.mean((found - truth) ** 2)) / np.std(truth)))
     except UsageError:
         return None

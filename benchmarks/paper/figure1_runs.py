@@ -10,12 +10,12 @@ import numpy as np
 
 from atoll.config import JobConfig
 from atoll.data.dataset import FloatArray
+from atoll.expression.evaluation import values_of
 from atoll.expression.program import Program
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.search.seeding import Stream, stream_key
 from atoll_island_worker.evolution.island import Island
-from benchmarks.judging.evaluation import evaluate
 from benchmarks.paper.archipelago import problem_of
 from benchmarks.paper.population import Population, population
 from benchmarks.paper.random_targets import random_targets
@@ -77,8 +77,7 @@ def run(task: Task) -> Run:
     """Evolve one island and look at its best solution from time to time. Pure: the task decides everything."""
     truth = from_infix(FUNCTION, ("x",)) if task.target is None else _targets(task.targets)[task.target]
     x, fresh = _points(task, "points", task.rows), _points(task, "fresh points", FRESH)
-    with np.errstate(all="ignore"):
-        values, fresh_values = evaluate(truth, [x]), evaluate(truth, [fresh])
+    values, fresh_values = values_of(truth, x[np.newaxis]), values_of(truth, fresh[np.newaxis])
     island = Island(problem_of(x, values), _config(task), 0)
     looks, sizes, converged, found = [], [], None, None
     for generation in looks_until(task.generations, task.target is not None):
@@ -133,7 +132,7 @@ def _advance(island: Island, generation: int) -> None:
 
 def _is_exact(its: Population, best: int, x: FloatArray, values: FloatArray) -> bool:
     with np.errstate(all="ignore"):
-        errors = np.abs(evaluate(its.program(best), [x]) - values)
+        errors = np.abs(values_of(its.program(best), x[np.newaxis]) - values)
     return bool((errors < CONVERGED * values.std()).all())
 
 

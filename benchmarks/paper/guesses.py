@@ -16,6 +16,7 @@ import numpy as np
 
 from atoll.config import PRESETS, JobConfig, PriorConfig
 from atoll.data.dataset import Dataset, Problem, Target
+from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.cli.terminal.output import count, note, say, table
 from atoll_coordinator.service.jobs.defaults import resolve
@@ -23,7 +24,6 @@ from benchmarks.harness.command_line import add_run_options, plain_errors, posit
 from benchmarks.harness.parallel import in_parallel
 from benchmarks.harness.record import Record
 from benchmarks.harness.systems import TRUTH, trajectories
-from benchmarks.judging.evaluation import evaluate
 from benchmarks.paper.archipelago import Archipelago
 
 STRIDE: Final = 10
@@ -75,7 +75,7 @@ def problem_of(guessed: Guessed, seed: int, step: float = 0.1) -> Problem:
     """Return the equation's problem: sampled states, and the truth's values there."""
     sampled = trajectories(guessed.system, step, seed)
     inputs = np.ascontiguousarray(np.concatenate(sampled.values).T)
-    values = evaluate(from_infix(TRUTH[guessed.system][guessed.variable], sampled.names), list(inputs))
+    values = values_of(from_infix(TRUTH[guessed.system][guessed.variable], sampled.names), inputs)
     target = Target(guessed.variable, f"d{guessed.variable}/dt", values, 0.0, float(values.std()))
     return Problem(sampled.names, inputs, target)
 

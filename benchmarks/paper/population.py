@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.data.dataset import FloatArray
+from atoll.expression.evaluation import DEFINITIONS
 from atoll.expression.operators import ARITY, CONSTANT, VARIABLE
 from atoll.expression.program import Program
 from atoll.wire.codec import decode_arrays
 from atoll_island_worker.evolution.island import Island
-from benchmarks.judging.evaluation import OPERATIONS
 
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
@@ -61,7 +61,7 @@ class Population:
                     else:
                         left = values[self.left[which, node], which]
                         right = values[self.right[which, node], which] if ARITY[code] > 1 else left
-                        values[node, which] = OPERATIONS[code](left, right)
+                        values[node, which] = DEFINITIONS[code].value(left, right)
         outputs: FloatArray = values[-1]
         return outputs
 

@@ -25,9 +25,9 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray
+from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
 from atoll.search.seeding import Stream, stream_key
-from benchmarks.judging.evaluation import evaluate
 
 BUDGET: Final = 500_000
 """Point evaluations of a run whose published budget is not known."""
@@ -87,7 +87,7 @@ class Row:
 
     def values(self, x: FloatArray) -> FloatArray:
         """Return the truth at `x`."""
-        return evaluate(from_infix(self.truth, ("x",)), [x])
+        return values_of(from_infix(self.truth, ("x",)), x[np.newaxis])
 
 
 def _weighted(name: str, truth: str, paper: float, other: float, *, counts_hits: bool = False) -> Row:

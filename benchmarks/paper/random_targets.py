@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 
 from atoll.data.dataset import FloatArray
+from atoll.expression.evaluation import node_values
 from atoll.expression.operators import BY_NAME, VARIABLE
 from atoll.expression.program import Program
 from atoll.expression.simplification import simplify_program
 from atoll.search.seeding import Stream, stream_key
-from benchmarks.judging.evaluation import node_values
 
 MOST_OPERATORS: Final = 10
 """Operators of a target at most, before it is simplified."""
@@ -57,6 +57,6 @@ def _drawn(stream: Stream, codes: list[int]) -> Program:
 
 def _is_fit(program: Program, x: FloatArray) -> bool:
     with np.errstate(all="ignore"):
-        *parts, values = node_values(program, [x])
+        *parts, values = node_values(program, x[np.newaxis])
         varies = all(float(np.ptp(part)) > FLAT for part in parts)
         return varies and bool(np.isfinite(values).all()) and SPREAD[0] <= float(values.std()) <= SPREAD[1]

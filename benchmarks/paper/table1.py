@@ -24,6 +24,7 @@ import numpy as np
 
 from atoll.config import PRESETS, Preset
 from atoll.data.dataset import FloatArray
+from atoll.expression.evaluation import node_values, values_of
 from atoll.expression.operators import SIN
 from atoll.expression.program import Program
 from atoll.expression.text.infix import to_infix
@@ -32,7 +33,6 @@ from atoll_coordinator.cli.terminal.output import count, note, say, table
 from benchmarks.harness.command_line import add_run_options, plain_errors, whole
 from benchmarks.harness.parallel import canvas, in_parallel, save
 from benchmarks.harness.record import Record
-from benchmarks.judging.evaluation import evaluate, node_values
 from benchmarks.paper.archipelago import Archipelago, configured, problem_of
 from benchmarks.paper.published import FRESH, HIT, LARGEST_ERROR, ROWS, USUAL, Row
 
@@ -97,14 +97,13 @@ def converged(row: Row, entry: FrontEntry, x: FloatArray, fresh: FloatArray) -> 
 def largest_error(program: Program, x: FloatArray, values: FloatArray) -> float:
     """Return the largest error of `program` at `x`, inf where it is not finite."""
     with np.errstate(all="ignore"):
-        errors = np.abs(evaluate(program, [x]) - values)
+        errors = np.abs(values_of(program, x[np.newaxis]) - values)
     return float(errors.max()) if np.isfinite(errors).all() else math.inf
 
 
 def is_shifted(program: Program, x: FloatArray) -> bool:
     """Whether there is a sine of an angle that is 2x or -2x but for a constant: a cosine of 2x by its phase."""
-    with np.errstate(all="ignore"):
-        values = node_values(program, [x])
+    values = node_values(program, x[np.newaxis])
     nodes = zip(program.operators.tolist(), program.left.tolist(), strict=True)
     return any(code == SIN and _turns_twice(values[left], x) for code, left in nodes)
 

@@ -24,10 +24,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.cli.terminal.output import note, say, table
 from benchmarks.judging.equivalents import EQUIVALENTS, OTHERS, OVERCREDITED, UNCREDITED, rows_of
-from benchmarks.judging.evaluation import evaluate
 from benchmarks.judging.forms import compare
 from benchmarks.judging.fractions import FloatArray
 
@@ -144,7 +144,7 @@ def strict_solved(expression: str, truth: str, columns: Mapping[str, FloatArray]
 def coefficient_of_determination(expression: str, columns: Mapping[str, FloatArray], labels: FloatArray) -> float:
     """Return 1 - sum (label - value)² / sum (label - mean label)²; -inf when a value is not finite."""
     with np.errstate(all="ignore"):
-        values = evaluate(from_infix(expression, tuple(columns)), list(columns.values()))
+        values = values_of(from_infix(expression, tuple(columns)), np.array([*columns.values()]))
         share = float(np.sum((labels - values) ** 2) / np.sum((labels - np.mean(labels)) ** 2))
     return 1.0 - share if np.isfinite(share) else -np.inf
 

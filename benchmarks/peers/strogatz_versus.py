@@ -7,13 +7,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from atoll.config import JobConfig
 from atoll.data.table import Table
+from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.cli.terminal.output import error_text, note, say, table
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches
-from benchmarks.judging.evaluation import evaluate
 from benchmarks.judging.fractions import FloatArray
 from benchmarks.peers import operon
 from benchmarks.peers.operon import search_apart
@@ -89,7 +91,7 @@ def race(key: tuple[str, int], result: Mapping[str, Any], rows: Table, peer: ope
 def measured_error(expression: str, rows: Table) -> float | None:
     """Return the mean of |value - label| over label's deviation on all rows; None when it is not finite."""
     names = tuple(name for name in rows.names if name != LABEL)
-    values = evaluate(from_infix(expression, names), [rows.column(name) for name in names])
+    values = values_of(from_infix(expression, names), np.array([rows.column(name) for name in names]))
     label: FloatArray = rows.column(LABEL)
     error = float(abs(values - label).mean() / label.std())
     return error if math.isfinite(error) else None

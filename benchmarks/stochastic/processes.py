@@ -10,9 +10,9 @@ import numpy as np
 
 from atoll.data.dataset import FloatArray
 from atoll.data.table import Table
+from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
 from benchmarks.harness.systems import Sampled
-from benchmarks.judging.evaluation import evaluate
 from benchmarks.kernels.derivatives import table_of
 
 SUBSTEPS: Final = 50
@@ -50,8 +50,7 @@ class Process:
 
     def values(self, text: str, states: FloatArray) -> FloatArray:
         """Return an expression at states (S, R)."""
-        found = evaluate(from_infix(text, self.names), tuple(states))
-        return np.broadcast_to(np.asarray(found, dtype=np.float64), states.shape[1:]).copy()
+        return values_of(from_infix(text, self.names), states).copy()
 
 
 _WELL: Final = {"x": "x-x**3"}

@@ -40,7 +40,7 @@ def _base_log(x: FloatArray, v: FloatArray) -> FloatArray:
     return np.where((x == 0.0) & (v == 0.0), 0.0, np.log(x))
 
 
-_OPERATORS: Final = definitions(
+DEFINITIONS: Final = definitions(
     Functions(
         _periodic(np.sin), _periodic(np.cos), np.exp, np.log, np.sqrt, np.abs, np.tanh, _power, np.sign, _base_log
     )
@@ -50,15 +50,15 @@ _OPERATORS: Final = definitions(
 def value_of(code: int, left: float, right: float) -> float:
     """Return the value of one operator; not finite where it has none."""
     with np.errstate(all="ignore"):
-        return float(_OPERATORS[code].value(np.array([left]), np.array([right]))[0])
+        return float(DEFINITIONS[code].value(np.array([left]), np.array([right]))[0])
 
 
 def values_of(program: Program, inputs: FloatArray) -> FloatArray:
     """Return the values of `program` at all rows of `inputs` (V, R), shape (R,); not finite where there is none."""
-    return _node_values(program, inputs)[-1]
+    return node_values(program, inputs)[-1]
 
 
-def _node_values(program: Program, inputs: FloatArray) -> list[FloatArray]:
+def node_values(program: Program, inputs: FloatArray) -> list[FloatArray]:
     """Return the values of every node of `program` at all rows of `inputs` (V, R), each of shape (R,)."""
     rows = inputs.shape[1]
     values: list[FloatArray] = []
@@ -69,7 +69,7 @@ def _node_values(program: Program, inputs: FloatArray) -> list[FloatArray]:
             elif code == CONSTANT:
                 values.append(np.full(rows, constant))
             else:
-                values.append(_OPERATORS[code].value(values[left], values[right]))
+                values.append(DEFINITIONS[code].value(values[left], values[right]))
     return values
 
 
@@ -78,7 +78,7 @@ def values_and_gradient(program: Program, inputs: FloatArray, places: Sequence[i
 
     The derivatives are found by one reverse sweep; not finite where there is none.
     """
-    values = _node_values(program, inputs)
+    values = node_values(program, inputs)
     codes, lefts, rights = program.operators.tolist(), program.left.tolist(), program.right.tolist()
     depends = _dependent(codes, lefts, rights, places)
     adjoint: list[FloatArray | None] = [None] * len(codes)
@@ -90,9 +90,9 @@ def values_and_gradient(program: Program, inputs: FloatArray, places: Sequence[i
                 continue
             at = values[lefts[i]], values[rights[i]], values[i]
             if depends[lefts[i]]:
-                _gather(adjoint, lefts[i], mine * _slope(_OPERATORS[code].left, *at))
+                _gather(adjoint, lefts[i], mine * _slope(DEFINITIONS[code].left, *at))
             if ARITY[code] == 2 and depends[rights[i]]:
-                _gather(adjoint, rights[i], mine * _slope(_OPERATORS[code].right, *at))
+                _gather(adjoint, rights[i], mine * _slope(DEFINITIONS[code].right, *at))
     found = [adjoint[place] for place in places]
     zero = np.zeros_like(values[-1])
     return values[-1], np.array([zero if each is None else each for each in found]).reshape(len(found), len(zero))

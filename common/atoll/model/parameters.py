@@ -4,7 +4,7 @@ Letters: P constants of a vector field, K constants whose joint covariance is kn
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
@@ -231,10 +231,6 @@ class JointErrors:
     def rates(self, x: FloatArray, u: FloatArray | None) -> FloatArray:
         """Return the derivatives (D, K) of the rates by the constants at a point."""
         return self.field.parameter_derivatives(x, u, self.values)[:, list(self.columns)] * self.signs
-
-    def with_covariance(self, covariance: FloatArray) -> "JointErrors":
-        """Return the same with another covariance (K, K)."""
-        return replace(self, covariance=covariance)
 
 
 def _opened(program: Program, origins: Sequence[int | None]) -> ExplicitCoefficients | None:

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from atoll.expression.evaluation import values_of
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from benchmarks.judging.coverage import covered
-from benchmarks.judging.evaluation import evaluate
 
 ROWS = np.random.default_rng(0).uniform(0.4, 4.0, (2, 60))
 COLUMNS = {"x": ROWS[0], "y": ROWS[1]}
@@ -14,7 +14,7 @@ TRUTH = "3*x - 2*x*y - x**2"
 
 
 def values(text):
-    return evaluate(from_infix(text, ("x", "y")), list(ROWS))
+    return values_of(from_infix(text, ("x", "y")), np.array([*ROWS]))
 
 
 def entry(value, half_width=0.1, fitted=None):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from atoll.errors import UsageError
+from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
-from benchmarks.judging.evaluation import evaluate
 from benchmarks.judging.forms import FormVerdict, compare, main
 
 RANGES = {
@@ -334,7 +334,7 @@ def data_for(truth: str) -> tuple[dict[str, np.ndarray], float]:
     names = ("v", "a") if place == "glider" else ("x", "y")
     generator = np.random.default_rng(3)
     data = {name: generator.uniform(*span, 400) for name, span in zip(names, RANGES[place], strict=True)}
-    return data, float(np.std(evaluate(from_infix(truth, names), list(data.values()))))
+    return data, float(np.std(values_of(from_infix(truth, names), np.array([*data.values()]))))
 
 
 def judge(model: str, truth: str, tolerance: float = 0.01) -> FormVerdict:
@@ -369,7 +369,7 @@ def test_units_do_not_matter():
     generator = np.random.default_rng(5)
     data = {"x": generator.uniform(1e-7, 8e-6, 300), "y": generator.uniform(1e5, 8e6, 300)}
     truth = "3*x - 2e-6*x*y - 1e6*x**2"
-    sd = float(np.std(evaluate(from_infix(truth, ("x", "y")), list(data.values()))))
+    sd = float(np.std(values_of(from_infix(truth, ("x", "y")), np.array([*data.values()]))))
     assert compare("x*(3 - 2e-6*y - 1e6*x)", truth, data, sd).exact
     assert not compare("x*(3 - 2e-6*y - 1e6*x) + 1e-8", truth, data, sd).exact
 
@@ -402,7 +402,7 @@ def test_units_do_not_matter():
 def test_other_functions_follow_their_rules(model, truth, is_same):
     generator = np.random.default_rng(7)
     data = {name: generator.uniform(0.5, 2.5, 300) for name in ("x", "y")}
-    sd = float(np.std(evaluate(from_infix(truth, ("x", "y")), list(data.values()))))
+    sd = float(np.std(values_of(from_infix(truth, ("x", "y")), np.array([*data.values()]))))
     assert compare(model, truth, data, sd).exact is is_same
 
 

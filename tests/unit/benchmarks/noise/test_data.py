@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
 from benchmarks.harness.systems import SYSTEMS, TABLE_III, TRUTH, trajectories
-from benchmarks.judging.evaluation import evaluate
 from benchmarks.judging.forms import compare
 from benchmarks.kernels.derivatives import table_of
 from benchmarks.noise.data import LENGTHS, VARIANTS, Key, case, fresh
@@ -109,5 +109,5 @@ def test_odd_systems_move_as_their_equations_say(system):
     point = (1.3, 0.7)
     for (name, truth), value in zip(ODD[system].truth.items(), ODD[system].field(*point), strict=True):
         names = tuple(ODD[system].truth)
-        found = evaluate(from_infix(truth, names), [np.array([each]) for each in point])
+        found = values_of(from_infix(truth, names), np.array([[each] for each in point]))
         assert found == pytest.approx([value], rel=1e-12), name

@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
+from atoll.expression.evaluation import values_of
 from atoll.expression.operators import ADD, CONSTANT, DIVIDE, SIN, VARIABLE
 from atoll.expression.simplification import complexity
 from atoll.expression.text.parsing import from_infix
 from atoll_island_worker.evolution.island import Island
-from benchmarks.judging.evaluation import evaluate
 from benchmarks.paper import figure1
 from benchmarks.paper.archipelago import configured, problem_of
 from benchmarks.paper.figure1_runs import (
@@ -56,7 +56,7 @@ def test_a_size_counts_live_nodes_only(lists):
 
 def test_all_solutions_are_evaluated_at_once(lists):
     assert np.allclose(lists.values(X), [X + np.sin(X), X / 0.5])
-    assert np.allclose(evaluate(lists.program(0), [X]), X + np.sin(X))
+    assert np.allclose(values_of(lists.program(0), X[np.newaxis]), X + np.sin(X))
 
 
 def test_a_loss_is_infinite_where_a_value_is_not_finite(lists):
@@ -80,7 +80,7 @@ def test_random_targets_differ_vary_and_are_of_canonical_size():
     targets = random_targets(60, OPERATORS, X)
     assert len(set(targets)) == 60
     assert all(len(each) == complexity(each) >= LEAST_SIZE for each in targets)
-    spreads = [float(evaluate(each, [X]).std()) for each in targets]
+    spreads = [float(values_of(each, X[np.newaxis]).std()) for each in targets]
     assert np.isfinite(spreads).all()
     assert min(spreads) >= 1e-2
     assert random_targets(20, OPERATORS, X) == targets[:20]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from atoll.config import PRESETS
+from atoll.expression.evaluation import values_of
 from atoll.expression.text.parsing import from_infix
 from benchmarks.harness.systems import Sampled, trajectories
-from benchmarks.judging.evaluation import evaluate
 from benchmarks.paper.seven import SCALED_TRUTH, case, configured, pendulum, scaled, singular
 
 
@@ -25,7 +25,7 @@ def test_a_run_beside_a_singularity_is_flagged_in_the_variable_that_jumps():
 def test_the_truth_in_other_units_is_the_derivative_there():
     plain, large = trajectories("lotka_volterra", 0.02, 0), scaled(0.02, 3)
     state = large.sampled.values[0]
-    slopes = [evaluate(from_infix(text, ("x", "y")), list(state.T)) for text in SCALED_TRUTH.values()]
+    slopes = [values_of(from_infix(text, ("x", "y")), state.T) for text in SCALED_TRUTH.values()]
     x, y = plain.values[0].T
     assert np.allclose(slopes[0] / 1e-6, 3 * x - 2 * x * y - x * x)
     assert np.allclose(slopes[1] / 1e6, 2 * y - x * y - y * y)
