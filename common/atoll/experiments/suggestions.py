@@ -13,17 +13,26 @@ Purpose = Literal["discrimination", "precision"]
 """To tell candidates apart, or to determine the constants of the only one."""
 
 
+_WEIGHTS: Final = (
+    "weights are by how well the data are described alone (Akaike); the result also counts how long equations are, "
+    "and chose by that"
+)
+
+
 @dataclass(frozen=True)
 class Candidate:
     """A candidate with its fitted constants: `equations` by left-hand side, `origin` where it comes from.
 
-    Its `weight` among all candidates is Akaike's, `nats` how far it is behind the best one: ln of the ratio of weights.
+    Its `weight` among all candidates is Akaike's, by how well it describes the data alone; `nats` how far it is behind
+    the best one: ln of the ratio of weights. `longer` is how many nats more than the shown one its description has,
+    which is what results choose by: it also counts what the equations are made of.
     """
 
     equations: Mapping[str, str]
     origin: str
     weight: float
     nats: float
+    longer: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -75,8 +84,8 @@ class Suggestions:
     """Experiments in the order of what they tell per cost.
 
     `purpose` and `reason` say what for and why; `entropy` in nats is how undecided the candidates are, the most that an
-    experiment can tell about them. `bounds` are those of initial states and inputs, of which `measured` are the range
-    of the data. `source` says which data.
+    experiment can tell about them. `bounds` are what is searched of initial states and inputs; of `measured` the
+    range of the smoothed data. `source` says which data.
     """
 
     purpose: Purpose
@@ -96,16 +105,23 @@ class Suggestions:
         lines = [f"candidates ({self.source}):"]
         for number, each in enumerate(self.candidates, start=1):
             texts = "; ".join(f"{side} = {text}" for side, text in each.equations.items())
-            lines.append(f"  {number}. weight {each.weight:.2g} ({each.origin})  {texts}")
+            lines.append(f"  {number}. weight {each.weight:.2g} ({self._origin(each)})  {texts}")
+        if self.candidates and self.candidates[0].origin != "shown":
+            lines.append(_WEIGHTS)
         purpose = "to tell them apart" if self.purpose == "discrimination" else "to determine constants"
         return [*lines, f"purpose: {purpose}, since {self.reason}"]
 
+    def _origin(self, its: Candidate) -> str:
+        if its.origin == "shown":
+            return its.origin
+        return f"{its.origin}, {abs(its.longer):.3g} nats {'longer' if its.longer >= 0.0 else 'shorter'}"
+
     def _bound_lines(self) -> list[str]:
         parts = [
-            f"{name} {low:.4g} to {high:.4g}" + (" (the data's)" if name in self.measured else "")
+            f"{name} {low:.4g} to {high:.4g} ({'of the data, smoothed' if name in self.measured else 'given'})"
             for name, (low, high) in self.bounds.items()
         ]
-        return ["bounds: " + ", ".join(parts)]
+        return ["searched: " + ", ".join(parts)]
 
     def _experiment_lines(self) -> list[str]:
         lines = []
@@ -132,7 +148,13 @@ class Suggestions:
             "reason": self.reason,
             "entropy": self.entropy,
             "candidates": [
-                {"equations": dict(each.equations), "origin": each.origin, "weight": each.weight, "nats": each.nats}
+                {
+                    "equations": dict(each.equations),
+                    "origin": each.origin,
+                    "weight": each.weight,
+                    "nats": each.nats,
+                    "longer": each.longer,
+                }
                 for each in self.candidates
             ],
             "bounds": {name: [*ends] for name, ends in self.bounds.items()},

@@ -82,6 +82,18 @@ def parameters_of(result: Mapping[str, Any], equations: Sequence[Mapping[str, An
     return {each.name: each for each in found}
 
 
+def constant_names(result: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return by equation what its `constants` are called in `parameters_of`; one that its text lacks by its value."""
+    names, count, found = list(result["symbols"].values()), 0, {}
+    for equation in result["equations"]:
+        read = [] if equation["expression"] is None else _read(equation, names)
+        known = {id(its): f"c{count + place}" for place, (_, its) in enumerate(read, start=1)}
+        constants = equation.get("constants") or ()
+        found[equation["variable"]] = [known.get(id(its)) or f"{its['value'] or 0.0:.6g}" for its in constants]
+        count += len(read)
+    return found
+
+
 def _label(result: Mapping[str, Any]) -> str:
     """Return what groups of trajectories are told apart by."""
     return str(((result.get("config") or {}).get("data") or {}).get("group") or "trajectory")
@@ -140,7 +152,24 @@ def of_group(result: Mapping[str, Any], group: Mapping[str, Any]) -> dict[str, A
         if whole and whole.get("trajectories"):
             chosen = [each for each in whole["trajectories"] if each["name"] in group["trajectories"]]
             made[part] = {**whole, "trajectories": chosen}
-    return made
+    return made | {"noise": _noise_of(result, made)}
+
+
+def _noise_of(result: Mapping[str, Any], made: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the noise with as many independent rows as the trajectories of one group have, of those of all."""
+    whole, part = (_searched_rows(each) for each in (result, made))
+    noise = dict(result.get("noise") or {})
+    for name, its in noise.items():
+        errors = (its or {}).get("errors")
+        if errors and errors.get("independent_rows") and whole:
+            independent = errors["independent_rows"] * part / whole
+            noise[name] = {**its, "errors": {**errors, "independent_rows": independent}}
+    return noise
+
+
+def _searched_rows(result: Mapping[str, Any]) -> int:
+    listed = (result.get("data") or {}).get("trajectories") or ()
+    return sum(each.get("rows") or 0 for each in listed if not each.get("held_out"))
 
 
 def _parameter(name: str, variable: str, value: float, its: Mapping[str, Any]) -> Parameter:

@@ -1,9 +1,9 @@
 """The constants with their errors, and which of them the data hardly tell apart."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from atoll.model.parameters import differing_groups
+from atoll.model.parameters import constant_names, differing_groups
 from atoll.report.chart import Axis, Chart
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, element, figure, number, paragraph, section, table
@@ -17,7 +17,8 @@ MOST_PROFILES: Final = 12
 
 def constants(its: Findings) -> list[Element]:
     """Return the section, none where no equation has a constant."""
-    rows = [row for each in its.result["equations"] for row in _rows(each)]
+    names = constant_names(its.result)
+    rows = [row for each in its.result["equations"] for row in _rows(each, names[each["variable"]])]
     if not rows:
         return []
     heads = [
@@ -30,25 +31,25 @@ def constants(its: Findings) -> list[Element]:
         "simple number near it",
         "determined",
     ]
-    notes = [paragraph(_correlation(each)) for each in its.result.get("correlations") or ()]
+    notes = [paragraph(_correlation(each, names)) for each in its.result.get("correlations") or ()]
     profiles = () if its.identifiability is None else _profiles(its.identifiability)
-    return [section("constants", "Constants", table("Constants", heads, rows), *_groups(its), *notes, *profiles)]
+    return [section("constants", "Constants", table("Constants", heads, rows), *_groups(its, names), *notes, *profiles)]
 
 
-def _groups(its: Findings) -> list[Element]:
+def _groups(its: Findings, names: Mapping[str, Sequence[str]]) -> list[Element]:
     """Return a table of the constants that differ between groups of trajectories, none where there are none."""
     if not differing_groups(its.result):
         return []
     heads = ["equation", "constant", "group", "value", "standard error", "95 % interval"]
-    rows = [row for each in its.result["equations"] for row in _rows_of_groups(each)]
+    rows = [row for each in its.result["equations"] for row in _rows_of_groups(each, names[each["variable"]])]
     return [table("Constants that differ between groups; those above are means", heads, rows)]
 
 
-def _rows_of_groups(equation: Mapping[str, Any]) -> list[list[str | Element]]:
+def _rows_of_groups(equation: Mapping[str, Any], names: Sequence[str]) -> list[list[str | Element]]:
     return [
         [
             equation["lhs"],
-            element("span", f"constant {place + 1}"),
+            element("span", names[place]),
             element("span", str(group["group"])),
             number(its["value"], 6),
             number(its["std_error"], 2),
@@ -88,9 +89,9 @@ def _profile(its: "ProfiledConstant", most: float) -> Element:
     return figure(drawn.svg(), its.name, table(f"profile of {its.name}", ["value", "deviance"], rows))
 
 
-def _rows(equation: Mapping[str, Any]) -> list[list[str | Element]]:
-    listed = [(f"constant {index + 1}", each) for index, each in enumerate(equation.get("constants") or ())]
-    listed += [(f"factor of {each['of']}", each) for each in equation.get("implied") or ()]
+def _rows(equation: Mapping[str, Any], names: Sequence[str]) -> list[list[str | Element]]:
+    listed = [*zip(names, equation.get("constants") or (), strict=True)]
+    listed += [(f"1 of {each['of']}", each) for each in equation.get("implied") or ()]
     return [
         [
             equation["lhs"],
@@ -119,6 +120,6 @@ def _simple(its: Mapping[str, Any] | None) -> str:
     return f"{number(its['value'], 6)}, odds {number(its['odds'], 2)}, {number(its['standard_errors'], 2)} se off"
 
 
-def _correlation(its: Mapping[str, Any]) -> str:
-    names = [f"constant {its[key]['constant'] + 1} of {its[key]['variable']}" for key in ("first", "second")]
-    return f"{names[0]} and {names[1]} are hardly told apart: correlation {number(its['value'], 3)}."
+def _correlation(its: Mapping[str, Any], names: Mapping[str, Sequence[str]]) -> str:
+    first, second = (names[its[key]["variable"]][its[key]["constant"]] for key in ("first", "second"))
+    return f"{first} and {second} are hardly told apart: correlation {number(its['value'], 3)}."

@@ -210,7 +210,8 @@ class _Report:
             sides[name]: to_infix(program, equations.names, digits=4)
             for name, program in zip(equations.variables, programs, strict=True)
         }
-        return Candidate(texts, its.origin, its.weight, its.nats)
+        shown = next(each.length for each in self._rivals if each.origin == "shown")
+        return Candidate(texts, its.origin, its.weight, its.nats, its.length - shown)
 
     def _suggestion(self, its: _Tried, *, is_precise: bool) -> Suggestion:
         space, design = self._space, its.design

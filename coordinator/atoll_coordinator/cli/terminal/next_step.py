@@ -57,18 +57,21 @@ def _again_with_option(result: Mapping[str, Any], words: Sequence[str]) -> _Prop
 
 
 def _again_for_longer(result: Mapping[str, Any], words: Sequence[str]) -> _Proposal | None:
-    """Propose twice the budget where it ended the search of an equation that is not good."""
+    """Propose twice the budget where it ended the search of an equation that is not good, or refining it."""
     ends = {equation["why"] for equation in _poor(result)}
     budget = (result.get("config") or {}).get("budget", {})
-    if "max-time" in ends and budget.get("max_time") is not None:
+    is_cut = bool(ends) and result.get("refining") in ("not refined", "max-time")
+    if ("max-time" in ends or is_cut) and budget.get("max_time") is not None:
         seconds = _seconds(words) or budget["max_time"]
-        return [*_without(_elsewhere(words), "--max-time"), "--max-time", f"{2.0 * seconds:g}s"], _LONGER
+        again = [*_without(_elsewhere(words), "--max-time"), "--max-time", f"{2.0 * seconds:g}s"]
+        return again, _NOT_REFINED if is_cut else _LONGER
     if "max-epochs" in ends and budget.get("max_epochs") is not None and not budget.get("max_epochs_of"):
         return [*_without(_elsewhere(words), "--max-epochs"), "--max-epochs", str(2 * budget["max_epochs"])], _LONGER
     return None
 
 
 _LONGER: Final = "the search ended before it had converged"
+_NOT_REFINED: Final = "the time was over before the equations were fitted to trajectories and compared"
 
 
 def _again_with_operators(result: Mapping[str, Any], words: Sequence[str]) -> _Proposal | None:

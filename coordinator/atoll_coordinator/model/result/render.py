@@ -11,6 +11,7 @@ from atoll.errors import UsageError
 from atoll.expression.text.infix import to_infix
 from atoll.expression.text.parsing import from_infix
 from atoll.model.export.text import as_csv, as_latex, as_sympy
+from atoll.model.parameters import constant_names
 from atoll_coordinator.model.result import tables
 from atoll_coordinator.model.result.process import process_lines
 
@@ -79,7 +80,8 @@ def render_text(result: Mapping[str, Any], *, fronts: bool = False) -> str:
     constants, contenders, noise and simulations.
     """
     names = _names(result)
-    blocks = [_equation_text(equation, names, fronts) for equation in result["equations"]]
+    called = constant_names(result)
+    blocks = [_equation_text(each, names, called[each["variable"]], fronts) for each in result["equations"]]
     if fronts:
         blocks += [*tables.noise_lines(result), *tables.simulation_table(result), *tables.correlation_lines(result)]
     else:
@@ -135,7 +137,7 @@ def _shared_lines(result: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _equation_text(equation: Mapping[str, Any], names: Sequence[str], with_tables: bool) -> str:
+def _equation_text(equation: Mapping[str, Any], names: Sequence[str], called: Sequence[str], with_tables: bool) -> str:
     if equation["expression"] is None:
         return f"{equation['lhs']} = ?\n    nothing found yet"
     lines = [f"{equation['lhs']} = {display(equation['expression'], names)}"]
@@ -145,7 +147,7 @@ def _equation_text(equation: Mapping[str, Any], names: Sequence[str], with_table
     lines += [f"    {constants}"] if constants else []
     lines += tables.units_line(equation.get("units"))
     groups = [{**each, "text": display(each["expression"], names)} for each in equation.get("groups") or ()]
-    lines += tables.groups_table(equation["constants"], groups)
+    lines += tables.groups_table(equation["constants"], groups, called)
     if equation.get("verdict") is not None:
         lines.append(f"    {equation['verdict']}: {equation['reason']}")
     lines.append(f"    {_standing(equation)}")

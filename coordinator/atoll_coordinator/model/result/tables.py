@@ -7,6 +7,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
+from atoll.model.parameters import constant_names
+
 MOST_LINES: Final = 12
 """Trajectories and pairs of constants listed one by one; of more, the worst are."""
 NEAREST: Final = 2
@@ -135,15 +137,17 @@ def units_line(units: Mapping[str, Any] | None) -> list[str]:
     return [f"    units: not written is {factors}"]
 
 
-def groups_table(constants: Sequence[Mapping[str, Any]], groups: Sequence[Mapping[str, Any]]) -> list[str]:
+def groups_table(
+    constants: Sequence[Mapping[str, Any]], groups: Sequence[Mapping[str, Any]], names: Sequence[str]
+) -> list[str]:
     """Return a line for each group of trajectories with the constants of its own; nothing where all share them.
 
-    Constants are named by their places in the equation, from c1.
+    `names` are those of the constants.
     """
     own = [place for place, each in enumerate(constants) if each.get("shared") is False]
     if not groups or not own:
         return []
-    heads = ("group", *(f"c{place + 1} = {constants[place]['value']:.6g}" for place in own), "")
+    heads = ("group", *(f"{names[place]} = {constants[place]['value']:.6g}" for place in own), "")
     rows = [(its["group"], *(_constant_text(its["constants"][place]) for place in own), its["text"]) for its in groups]
     return columns(heads, rows, "    ")
 
@@ -326,9 +330,12 @@ def _trajectories(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 def correlation_lines(result: Mapping[str, Any]) -> list[str]:
     """Return a line for each pair of constants that the data hardly tell apart, the closest first."""
     constants = {equation["variable"]: equation["constants"] for equation in result["equations"]}
+    names = constant_names(result) if result.get("correlations") else {}
 
     def named(place: Mapping[str, Any]) -> str:
-        return f"{constants[place['variable']][place['constant']]['value']:.6g} of {place['variable']}"
+        variable, number = place["variable"], place["constant"]
+        name, value = names[variable][number], f"{constants[variable][number]['value']:.6g}"
+        return f"{value} of {variable}" + (f" ({name})" if name != value else "")
 
     pairs = sorted(result.get("correlations", ()), key=lambda each: -abs(each["value"] or 0.0))
     return [

@@ -126,6 +126,16 @@ def test_profiles_say_what_the_data_determine_of_each_constant() -> None:
     assert "svg" in page.tags
 
 
+def test_constants_are_called_as_those_of_the_model() -> None:
+    found = dynamics(correlations=[{"first": {"variable": "x", "constant": 0}, "value": -0.99,
+                                    "second": {"variable": "y", "constant": 0}}])  # fmt: skip
+    found["equations"][1]["constants"] = [{**found["equations"][1]["constants"][0], "value": 2.0}]
+    page = read(constants(Findings(found, None)))
+    names = [name for name, its in Model(found).params.items() if its.stderr is not None]
+    assert [text for text in page.texts if text in Model(found).params] == names
+    assert f"{names[0]} and {names[1]} are hardly told apart: correlation -0.99." in page.texts
+
+
 def test_the_next_experiment_stands_with_the_candidates() -> None:
     rivals = tuple(Candidate({"dx/dt": text}, "candidate", 0.5, 0.0) for text in ("x", "2*x"))
     one = Suggestion({"x": 1.5}, {"u": 2.5}, (0.0, 4.0), 1.0, 3.0, 0.625, 7.5)

@@ -9,6 +9,7 @@ from atoll.errors import UsageError
 from atoll.experiments.identifiability import Identifiability
 from atoll.model.model import Model
 from atoll_coordinator.experiments.identifiability import identify
+from atoll_coordinator.experiments.measured import measured_of
 from atoll_coordinator.experiments.relations import relation_of
 from atoll_coordinator.experiments.space import Request
 from atoll_coordinator.experiments.suggestions import suggest
@@ -157,6 +158,13 @@ def test_of_data_those_of_the_chosen_group_are_used(names: str) -> None:
     found = Model(of_groups()).of_group("b").identifiability(data=table_of_groups(*names))
     assert found["c1"].estimate == pytest.approx(-1.2, rel=0.05)
     assert found["c1"].verdict == "determined"
+
+
+def test_a_group_has_its_share_of_the_independent_rows() -> None:
+    found = of_groups()
+    errors = {"errors": {"independent_rows": 10.0, "piece": None}, "sd": 0.02, "relative": 0.02, "method": "loess"}
+    chosen = Model(found | {"noise": {"x": errors}}).of_group("b")
+    assert measured_of(chosen.result).independent.tolist() == pytest.approx([5.0])
 
 
 def test_data_without_the_chosen_group_are_refused() -> None:

@@ -1,6 +1,7 @@
 """``coordinator suggest``: text and JSON from a saved result, and a sentence with exit code 2 for what does not fit."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -34,8 +35,8 @@ def test_text_names_candidates_bounds_and_experiments(saved: Path, capsys: pytes
     assert main(words) == 0
     said = capsys.readouterr().out
     assert said.startswith("candidates (the data that were given):")
-    assert "(given)  dx/dt = " in said
-    assert "(the data's)" in said
+    assert re.search(r"\(given, [\d.e+-]+ nats longer\)  dx/dt = ", said)
+    assert "(of the data, smoothed)" in said
     assert "experiment 1: x = " in said
     assert "per unit of samples" in said
 

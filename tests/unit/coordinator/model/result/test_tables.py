@@ -30,7 +30,8 @@ def trajectory(name: str, *r2: float | None, held_out: bool = False) -> dict[str
 
 def result(*trajectories: dict[str, Any], **more: Any) -> dict[str, Any]:
     equation = {"variable": "x", "verdict": "good", "constants": [constant(3.0, 2.98, 0.02), constant(0.5, 0.4, 0.3)]}
-    return {"equations": [equation], "simulation": {"trajectories": list(trajectories)}, **more}
+    equation |= {"expression": "3.0*x"}
+    return {"equations": [equation], "symbols": {"x": "x"}, "simulation": {"trajectories": list(trajectories)}, **more}
 
 
 LOESS = {"sd": 0.123456, "relative": 0.0512, "method": "loess", "span": 21, "degree": 3, "doubtful_rows": 0}
@@ -180,8 +181,8 @@ def test_constants_that_are_hardly_told_apart_are_named() -> None:
 
     found = correlation_lines(result(correlations=[pair(0, 1, 0.96), pair(1, 0, -0.999), pair(0, 0, None)]))
     assert found == [
-        "hardly told apart: 0.5 of x and 3 of x, correlation -0.999",
-        "hardly told apart: 3 of x and 0.5 of x, correlation 0.960",
+        "hardly told apart: 0.5 of x and 3 of x (c1), correlation -0.999",
+        "hardly told apart: 3 of x (c1) and 0.5 of x, correlation 0.960",
     ]
 
 
