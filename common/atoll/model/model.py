@@ -313,8 +313,14 @@ class Model(Exports):
         }
         unknown |= {"verdict": None, "reason": None}
         taken = {name: other[name] for name in ("expression", "complexity", "origin", "nats")}
+        is_of_group = self._result.get("group") is not None
         equations = [
-            {**each, **(unknown | taken if index == place else {}), "groups": []}
+            {
+                **each,
+                **(unknown | taken if index == place else {}),
+                "groups": [],
+                "is_of_all_groups": bool(each.get("groups")) or (index == place and is_of_group),
+            }
             for index, each in enumerate(self._result["equations"])
         ]
         return {

@@ -122,10 +122,14 @@ def differing_groups(result: Mapping[str, Any]) -> tuple[str, ...]:
 def remark_on_groups(result: Mapping[str, Any]) -> str:
     """Return a line that says of which group the constants in equations are, or of which groups they are means.
 
-    "" where they are of no groups.
+    Members of fronts and candidates have constants of all groups together. "" where there are no groups.
     """
+    together = ", ".join(each["lhs"] for each in result["equations"] if each.get("is_of_all_groups"))
     if result.get("group") is not None:
-        return f"Constants are those of group {' '.join(str(result['group']).split())}."
+        others = f"; those of {together} are of all groups together" if together else ""
+        return f"Constants are those of group {' '.join(str(result['group']).split())}{others}."
+    if together:
+        return f"Constants of {together} are of all groups together, which may differ in them."
     names = " ".join(", ".join(differing_groups(result)).split())
     return f"Constants that differ between groups are means over them; the groups are {names}." if names else ""
 

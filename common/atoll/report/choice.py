@@ -22,6 +22,8 @@ def choice(its: Findings) -> list[Element]:
             "In nats, how much longer the data are to describe by another equation than by the one shown: below "
             "about 3 the data hardly decide."
         )
+        if its.result.get("groups") or its.result.get("group") is not None:
+            compared.append(paragraph("Constants of candidates are of all groups of trajectories together."))
         following = () if its.suggestions is None else _next_experiment(its.suggestions)
         sections.append(section("candidates", "Candidates", text, *compared, *following))
     if fronts:

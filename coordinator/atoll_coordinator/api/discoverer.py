@@ -109,33 +109,45 @@ class Discoverer:
         for each, text in zip(self._model.equations, self.equations(precision), strict=True):
             sys.stdout.write(f"{each.lhs} = {text}\n")
 
-    def predict(self, x: Any, u: Any = None) -> Any:
-        """Return the derivatives (N, D) at states, of a list a list."""
-        if isinstance(x, (list, tuple)) and np.ndim(x[0]) == 2:
-            return [self.predict(part, None if u is None else u[index]) for index, part in enumerate(x)]
-        return self._model.predict(_rows(x), None if u is None else _rows(u))
+    def predict(self, x: Any, u: Any = None, *, group: object = None) -> Any:
+        """Return the derivatives (N, D) at states, of a list a list.
 
-    def simulate(self, x0: Any, t: Any, u: Any = None) -> FloatArray:
-        """Return the states (N, D) at the times `t` from `x0`; NaN after an early end (see `model_.simulate`)."""
+        `group`: whose constants are taken, with ``per_trajectory=True`` the number of a trajectory from 1.
+        """
+        if isinstance(x, (list, tuple)) and np.ndim(x[0]) == 2:
+            return [self.predict(part, None if u is None else u[index], group=group) for index, part in enumerate(x)]
+        return self._of(group).predict(_rows(x), None if u is None else _rows(u))
+
+    def simulate(self, x0: Any, t: Any, u: Any = None, *, group: object = None) -> FloatArray:
+        """Return the states (N, D) at the times `t` from `x0`; NaN after an early end (see `model_.simulate`).
+
+        `group` is as of `predict`.
+        """
         times = np.atleast_1d(numbers(t, "times"))
-        found = self._model.simulate(numbers(x0, "an initial state"), times, u, has_bands=False)
+        found = self._of(group).simulate(numbers(x0, "an initial state"), times, u, has_bands=False)
         states = np.full((len(times), found.x.shape[1]), np.nan)
         states[: len(found.x)] = found.x
         return states
 
-    def score(self, x: Any, t: Any = 1.0, u: Any = None, x_dot: Any = None) -> float:
-        """Return the mean R2 of the derivatives; without `x_dot` they are differences of `x`."""
+    def score(self, x: Any, t: Any = 1.0, u: Any = None, x_dot: Any = None, *, group: object = None) -> float:
+        """Return the mean R2 of the derivatives; without `x_dot` they are differences of `x`.
+
+        `group` is as of `predict`.
+        """
         measured, found = [], []
         for index, part in enumerate(_parts(x)):
             rows = _rows(part)
             times = _times(_of(t, index, len(_parts(x))), len(rows))
             slopes = np.gradient(rows, times, axis=0) if x_dot is None else _rows(_parts(x_dot)[index])
             measured.append(slopes)
-            found.append(self.predict(rows, None if u is None else _parts(u)[index]))
+            found.append(self.predict(rows, None if u is None else _parts(u)[index], group=group))
         all_measured, all_found = np.concatenate(measured), np.concatenate(found)
         left = ((all_measured - all_found) ** 2).sum(axis=0)
         spread = ((all_measured - all_measured.mean(axis=0)) ** 2).sum(axis=0)
         return float(np.mean(1.0 - left / np.where(spread > 0.0, spread, np.inf)))
+
+    def _of(self, group: object) -> Model:
+        return self._model if group is None else self._model.of_group(group)
 
     @property
     def _model(self) -> Model:

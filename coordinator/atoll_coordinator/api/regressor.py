@@ -27,7 +27,8 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
     """Finds y = f(X) as an expression.
 
     After `fit`: `model_` is the `atoll.Model`, `equation_` its right-hand side, `n_features_in_`, and for frames
-    `feature_names_in_`. Features are called x0, x1, … in expressions, those of frames by their names.
+    `feature_names_in_`. Features are called x0, x1, … in expressions, those of frames by their names; the target is y.
+    `bound`, `require` and `unit` say what is known: ``bound="c > 0"``, ``require={"y": ["x0"]}``, ``unit={"x0": "m"}``.
     """
 
     def __init__(  # noqa: PLR0913  scikit-learn wants every parameter by name
@@ -36,6 +37,9 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
         operators: Any = None,
         seed: int = 0,
         max_size: int | None = None,
+        bound: Any = None,
+        require: Any = None,
+        unit: Any = None,
         max_epochs: int | None = None,
         max_time: Any = None,
         target_error: float | None = None,
@@ -47,6 +51,9 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
         self.operators = operators
         self.seed = seed
         self.max_size = max_size
+        self.bound = bound
+        self.require = require
+        self.unit = unit
         self.max_epochs = max_epochs
         self.max_time = max_time
         self.target_error = target_error

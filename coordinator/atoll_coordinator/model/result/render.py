@@ -55,8 +55,9 @@ def pick(result: Mapping[str, Any], picks: Mapping[str, int]) -> dict[str, Any]:
     for variable in picks:
         if variable not in known:
             raise UsageError(f"--pick names the equation {variable!r}, but there are only {', '.join(known)}")
+    is_of_group = result.get("group") is not None
     equations = [
-        _picked(equation, picks[equation["variable"]]) if equation["variable"] in picks else equation
+        _picked(equation, picks[equation["variable"]], is_of_group) if equation["variable"] in picks else equation
         for equation in result["equations"]
     ]
     return {**result, "equations": equations, "correlations": [], "shared_terms": [], "simulation": None}
@@ -103,7 +104,7 @@ def _names(result: Mapping[str, Any]) -> list[str]:
     return list(result["symbols"].values())
 
 
-def _picked(equation: Mapping[str, Any], number: int) -> dict[str, Any]:
+def _picked(equation: Mapping[str, Any], number: int, is_of_group: bool) -> dict[str, Any]:
     front = equation["front"]
     if not 0 <= number < len(front):
         there = f"from 0 to {len(front) - 1}" if front else "there are none yet"
@@ -114,7 +115,9 @@ def _picked(equation: Mapping[str, Any], number: int) -> dict[str, Any]:
     best["origin"] = "known" if equation["why"] == "known" else "front"
     error = best["normalized_error"]
     converged = error is not None and error <= equation["target_error"]
-    unknown: dict[str, Any] = {"verdict": None, "reason": None, "candidates": []}
+    unknown: dict[str, Any] = {"verdict": None, "reason": None, "candidates": [], "groups": []}
+    if is_of_group or equation.get("groups"):
+        unknown["is_of_all_groups"] = True
     return {**equation, **best, **unknown, "converged": converged, "front": members}
 
 
@@ -145,6 +148,7 @@ def _equation_text(equation: Mapping[str, Any], names: Sequence[str], called: Se
     if with_tables or constants:
         lines += _written_out(equation, names)
     lines += [f"    {constants}"] if constants else []
+    lines += ["    its constants are of all groups together"] if equation.get("is_of_all_groups") else []
     lines += tables.units_line(equation.get("units"))
     groups = [{**each, "text": display(each["expression"], names)} for each in equation.get("groups") or ()]
     lines += tables.groups_table(equation["constants"], groups, called)
@@ -155,7 +159,9 @@ def _equation_text(equation: Mapping[str, Any], names: Sequence[str], called: Se
     if with_tables:
         lines += tables.constants_table(equation["constants"])
     if with_tables or equation.get("verdict") != "exact":
-        lines += tables.contenders_table(equation.get("candidates", ()), lambda text: display(text, names), most)
+        contenders = tables.contenders_table(equation.get("candidates", ()), lambda text: display(text, names), most)
+        lines += contenders
+        lines += ["    constants of contenders are of all groups together"] if contenders and groups else []
     if with_tables:
         lines += [*_front_lines(equation["front"], names), ""]
     return "\n".join(lines)

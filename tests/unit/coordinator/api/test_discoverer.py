@@ -80,3 +80,15 @@ def test_a_list_of_rows_is_one_trajectory(calls: list[tuple[Any, dict[str, Any]]
     Discoverer().fit(X.tolist())
     ((data, _),) = calls
     assert [each["x1"].tolist() for each in data] == [[2.0, 4.0, 7.0]]
+
+
+def test_of_groups_the_constants_of_one_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = result({"x0": "-2.0*x0"}, groups=[{"group": name, "trajectories": [name]} for name in ("1", "2")])
+    found["equations"][0]["groups"] = [{"group": "1", "expression": "-x0"}, {"group": "2", "expression": "-3.0*x0"}]
+    monkeypatch.setattr(discoverer, "discover", lambda *_, **__: Model(found))
+    its = Discoverer(per_trajectory=True).fit([X[:, :1], X[:, :1]], 1.0)
+    assert its.predict([[1.0], [2.0]], group=2).tolist() == [[-3.0], [-6.0]]
+    assert its.simulate([1.0], [0.0, 1.0], group=1)[-1, 0] == pytest.approx(np.exp(-1.0))
+    assert its.score(X[:, :1], x_dot=-3.0 * X[:, :1], group=2) == 1.0
+    with pytest.raises(UsageError, match="choose one with of_group"):
+        its.predict([[1.0]])

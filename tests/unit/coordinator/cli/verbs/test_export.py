@@ -102,5 +102,11 @@ def test_the_heading_of_one_group_names_it(saved: Path, capsys: pytest.CaptureFi
     words = (str(saved), "--format", name, "--group", "a\nb")
     start = () if name != "c" else ("--initial", "x=1", "--until", "2")
     text = exported(capsys, *words, *start)
+    member = {"expression": "-0.75*x", "complexity": 3, "selected": False, "error": 0.5, "normalized_error": 0.5}
+    found["equations"][0] |= {"front": [member | {"r2": 0.5, "constants": []}], "why": "target", "target_error": 0.1}
+    (saved / "result.json").write_text(json.dumps(found))
+    picked = exported(capsys, *words, *start, "--pick", "x=0")
+    assert "those of dx/dt are of all groups together." in picked
+    assert "0.75" in picked
     assert "Constants are those of group a b." in text
     assert "0.6" in text
