@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from atoll_coordinator.model.report.result import Account, VariableOutcome, build_result
 
 from atoll.config import DataConfig, JobConfig
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.cli.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pipeline import refine_all
+from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from benchmarks.harness.command_line import plain_errors, seeds
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches, searching

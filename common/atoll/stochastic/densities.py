@@ -9,8 +9,8 @@ from atoll.data.dataset import FloatArray
 from atoll.stochastic.paths import Simulator
 
 STEPS: Final = 500
-"""In which a density settles, and over as many it is taken; three times it may take as long again."""
-_LONGER: Final = 3
+"""In which a density settles, and over as many it is taken; it may take as long again."""
+_LONGER: Final = 1
 BINS: Final = 40
 """Of a density that is shown."""
 _SIGNIFICANT: Final = 3.0

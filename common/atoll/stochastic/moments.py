@@ -5,9 +5,9 @@ For dx = f dt + g dW with B = g g', the generator of the process is L = f . grad
     mean        h f + h^2/2 L f + ... , the motion by f alone of order h^4
     covariance  integral over s from 0 to h of E(h - s) (B + s L B) E(h - s)'
 
-with J the Jacobian of f and E(s) = I + s J + s^2/2 J J. These are the expansion of moments in powers of h (Kessler
-1997, section 2; Florens-Zmirou 1989), written as a local linearisation (Shoji & Ozaki 1998), so that the covariance is
-positive wherever B + s L B is; the integral is that of Gauss.
+with J the Jacobian of f and E(s) = I + s J + s^2/2 J J + s^3/6 J J J. These are the expansion of moments in powers of h
+(Kessler 1997, section 2; Florens-Zmirou 1989), written as a local linearisation (Shoji & Ozaki 1998), so that the
+covariance is positive wherever B + s L B is; the integral is that of Gauss.
 
 A state without noise of its own is moved by that of the states it follows: over a step its variance is of the third
 order, J B J' h^3 / 3, or of the fifth where it follows such a state. That is small, and yet not zero (hypoelliptic
@@ -80,14 +80,15 @@ def step_moments(
         curved = 0.25 * np.einsum("jkr,ijkr->ir", tensor, hessian)
         mean = _flow(drift, value, points, steps) + steps * steps * curved
         square = np.einsum("ijr,jkr->ikr", jacobian, jacobian)
+        powers = jacobian, square, np.einsum("ijr,jkr->ikr", square, jacobian)
         covariance = np.zeros_like(tensor)
         variances = tensor[range(states), range(states)]
         for node, weight in _NODES if variances.any(axis=1).all() else _MORE_NODES:
-            left = _propagator(jacobian, square, (1.0 - node) * steps)
+            left = _propagator(powers, (1.0 - node) * steps)
             its = tensor + node * steps * its_change
             covariance += weight * steps * np.einsum("ijr,jkr,lkr->ilr", left, its, left)
         covariance[:, :, (variances < 0.0).any(axis=0)] = np.nan
-        return StepMoments(mean, covariance, _propagator(jacobian, square, steps))
+        return StepMoments(mean, covariance, _propagator(powers, steps))
 
 
 def _flow(drift: Sequence[Program], value: FloatArray, points: FloatArray, steps: FloatArray) -> FloatArray:
@@ -99,8 +100,14 @@ def _flow(drift: Sequence[Program], value: FloatArray, points: FloatArray, steps
     return np.asarray(steps / 6.0 * (slopes[0] + 2.0 * slopes[1] + 2.0 * slopes[2] + slopes[3]))
 
 
-def _propagator(jacobian: FloatArray, square: FloatArray, steps: FloatArray) -> FloatArray:
-    return np.asarray(np.eye(len(jacobian))[:, :, None] + steps * (jacobian + 0.5 * steps * square))
+def _propagator(powers: tuple[FloatArray, FloatArray, FloatArray], steps: FloatArray) -> FloatArray:
+    """Return E(s) of the first three powers of the Jacobian.
+
+    Of the third, the variance of a state two equations away from noise needs what is next to its leading term, as what
+    other states leave of it is a thirty-sixth of that.
+    """
+    one, two, three = powers
+    return np.asarray(np.eye(len(one))[:, :, None] + steps * (one + 0.5 * steps * (two + steps / 3.0 * three)))
 
 
 def _stacked(jets: Sequence[Jet], states: int) -> tuple[FloatArray, FloatArray, FloatArray]:

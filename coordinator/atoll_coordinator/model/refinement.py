@@ -308,16 +308,18 @@ class MeasuredDensity:
 class ProcessFindings:
     """What is known of a stochastic process as a whole.
 
-    `steps` were measured, of this median `length`, and are those of this `discretisation`; `log_likelihood` is the mean
-    of a step in nats, `held_out` that of steps that took no part (None without). `noise` has the standard deviation of
-    the errors of measurement of the states that show any; `ensemble` begins where the `trajectory` of this name does,
-    at its centred times; `stationary` is None where the process does not settle.
+    `steps` were measured, of this median `length`, and are those of this `discretisation`: by `discretisation_nats` the
+    description is longer with the other. `log_likelihood` is the mean of a step in nats, `held_out` that of steps that
+    took no part (None without). `noise` has the standard deviation of the errors of measurement of the states that show
+    any; `ensemble` begins where the `trajectory` of this name does, at its centred times; `stationary` is None where
+    the process does not settle.
     """
 
     states: tuple[str, ...]
     steps: int
     length: float
     discretisation: Discretisation
+    discretisation_nats: float
     log_likelihood: float
     held_out: float | None
     noise: Mapping[str, Constant]

@@ -1,12 +1,14 @@
 """What a process moves from one row to the next, over all trajectories that the search may see. Pure."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from atoll.data.dataset import FloatArray
 from atoll_coordinator.data.recording import ProcessRecording
+from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +24,12 @@ class Steps:
     lengths: FloatArray
     increments: FloatArray
     follows: npt.NDArray[np.bool_]
+
+    @cached_property
+    def least_variances(self) -> FloatArray:
+        """The variances (S,) below which what is left of a state's steps does not count as noise."""
+        sizes = np.median(np.abs(self.increments), axis=1)
+        return np.asarray((SETTINGS.process.least_noise * sizes) ** 2)
 
 
 def take_steps(process: ProcessRecording, *, held_out: bool = False) -> Steps:

@@ -11,6 +11,7 @@ from atoll_coordinator.model.result.tables import percent, plus_minus
 
 MOST_POINTS: Final = 101
 """Times at which an ensemble is reported."""
+_EULER_MARUYAMA: Final = "rows are the steps of Euler and Maruyama's method rather than samples of a process in time"
 _BLOCKS: Final = " ▁▂▃▄▅▆▇█"
 
 
@@ -22,6 +23,7 @@ def process(its: ProcessFindings | None, recording: ProcessRecording | None) -> 
         "steps": its.steps,
         "step": finite(its.length),
         "discretisation": its.discretisation,
+        "discretisation_nats": finite(its.discretisation_nats),
         "log_likelihood": finite(its.log_likelihood),
         "held_out_log_likelihood": finite(its.held_out),
         "measurement_noise": {
@@ -80,6 +82,8 @@ def process_lines(result: Mapping[str, Any]) -> list[str]:
         f"errors of measurement of {state}: {plus_minus(noise['sd'], noise['std_error'] or 0.0)}"
         for state, noise in its["measurement_noise"].items()
     ]
+    if its["discretisation"] == "Euler-Maruyama":
+        lines.insert(0, f"{_EULER_MARUYAMA} ({its['discretisation_nats']:.3g} nats shorter so)")
     ensemble = its["ensemble"]
     if ensemble is not None:
         ranges = [

@@ -5,11 +5,14 @@ all steps, the prices of the programs, and half the logarithm of the number of s
 from regression by the model so far, and are fitted by the likelihood, the other equations as they are; then all
 together, and so on until none is exchanged. A covariance of two noises may be zero, and so may a variance: such a
 state follows others without noise of its own, and its equation is an ordinary one.
+
+At the end equations are fitted to the rows as steps of Euler and Maruyama's method, as which many tables are made, and
+stand where that is the shorter description.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -47,7 +50,8 @@ class ChosenProcess:
     """The law of a process: `fitted`, all constants free but those of known equations; `rivals` of each equation.
 
     `variables` are the names of the equations in their order, `sought` the numbers of those that were sought, `free` of
-    those that have constants to fit: a covariance of noises may be zero.
+    those that have constants to fit: a covariance of noises may be zero. With the other discretisation
+    the description is longer by `discretisation_nats`.
     """
 
     process: ProcessRecording
@@ -57,6 +61,7 @@ class ChosenProcess:
     likelihood: ProcessLikelihood
     fitted: FittedProcess
     rivals: tuple[Sequence[Rival], ...]
+    discretisation_nats: float
 
 
 class ProcessChoice:
@@ -79,19 +84,62 @@ class ProcessChoice:
 
     def choose(self) -> ChosenProcess:
         """Return the law of the process."""
-        model = self._with_first_diffusion(self._first_model())
+        fitted = self._settled(self._with_first_diffusion(self._first_model()), looks_around=True)
+        fitted, apart = (fitted, 0.0) if any(fitted.model.noise) else self._discretised(fitted)
+        rivals = tuple(sorted(each.values(), key=lambda rival: rival.nats) for each in self._rivals)
+        free = self._free(fitted.model)
+        return ChosenProcess(
+            self._process, self._variables, self._sought, free, self._likelihood, fitted, rivals, apart
+        )
+
+    def _discretised(self, fitted: FittedProcess) -> tuple[FittedProcess, float]:
+        """Return the law by the discretisation with the shorter description, and by how many nats it is that.
+
+        What one discretisation takes for a term of the diffusion, the other may not need: equations are exchanged for
+        both unless the likelihood of the same ones has decided.
+        """
+        stepped = self._as_euler_maruyama(fitted.model)
+        if stepped.misfit - fitted.misfit > SETTINGS.inference.distinct_nats:
+            return fitted, stepped.misfit - fitted.misfit
+        rivals = [*self._rivals]
+        stepped = self._settled(stepped.model, looks_around=False)
+        apart = self._whole_length(fitted) - self._whole_length(stepped)
+        if apart > SETTINGS.inference.distinct_nats:
+            return stepped, apart
+        self._rivals = rivals
+        return fitted, max(-apart, 0.0)
+
+    def _whole_length(self, fitted: FittedProcess) -> float:
+        """Return the description length of the steps and of all equations that were sought."""
+        programs = [fitted.model.programs[number] for number in self._sought]
+        constants = sum(len(constant_places(fitted.model.programs[number])) for number in self._free(fitted.model))
+        return system_length(fitted.misfit, programs, constants, constant_nats_of(len(self._steps.lengths)))
+
+    def _settled(self, model: ProcessModel, *, looks_around: bool) -> FittedProcess:
+        """Return the model with its equations exchanged until none is; at first also for what is beside the best."""
         length = math.inf
         for number_of_round in range(SETTINGS.process.rounds):
             before = length
             for number in self._sought:
-                model, length = self._exchanged(model, number, looks_around=number_of_round == 0)
+                model, length = self._exchanged(model, number, looks_around=looks_around and number_of_round == 0)
             fitted = self._refitted(model)
             model = fitted.model
             if before - length < SETTINGS.inference.distinct_nats or self._deadline.is_over:
                 break
-        rivals = tuple(sorted(each.values(), key=lambda rival: rival.nats) for each in self._rivals)
-        free = self._free(fitted.model)
-        return ChosenProcess(self._process, self._variables, self._sought, free, self._likelihood, fitted, rivals)
+        return fitted
+
+    def _as_euler_maruyama(self, model: ProcessModel) -> FittedProcess:
+        """Return the same equations, fitted to rows as steps of Euler and Maruyama's method.
+
+        By that a state without noise of its own is moved by the drift alone, whatever variance the model has for it.
+        """
+        model = replace(model, discretisation="Euler-Maruyama")
+        for place, (i, j) in enumerate(model.pairs):
+            if i == j and len(model.drift) + place in self._sought:
+                without, _ = self._without(model, len(model.drift) + place)
+                is_better = self._likelihood.whitened(without).misfit < self._likelihood.whitened(model).misfit
+                model = without if is_better else model
+        return self._likelihood.fit(model, self._free(model))
 
     def _free(self, model: ProcessModel) -> tuple[int, ...]:
         """Return the numbers of the equations whose constants are fitted: those sought, but for one that is zero."""
@@ -109,6 +157,7 @@ class ProcessChoice:
             known = self._candidates[name].known if name in self._candidates else None
             programs[number] = programs[number] if known is None else known
         noise = np.zeros(states) if self._process.noise is None else self._process.noise
+        noise = np.where(noise > self._steps.least_variances, noise, 0.0)
         return ProcessModel(
             tuple(programs[:states]), tuple(programs[states:]), self._process.pairs, tuple(noise.tolist())
         )

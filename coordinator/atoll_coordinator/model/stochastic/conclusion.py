@@ -1,7 +1,8 @@
 """From the chosen law of a process to what is reported: constants with errors, rivals, verdicts, ensembles.
 
 Of a right law the whitened steps are independent, normal and of variance one, whatever the state. Each is tested:
-neighbours (Ljung & Box 1978), means and squares in bins of the states (chi-square), and the fourth moment.
+neighbours (Ljung & Box 1978), means and squares in bins of the states (chi-square), the fourth moment, products with
+other states, and squares of states that have no noise of their own.
 """
 
 import math
@@ -48,6 +49,7 @@ from atoll_coordinator.settings import SETTINGS
 
 _NO_COVARIANCE: Final = "The noises of these states show no correlation that is worth its description."
 _NO_VARIANCE: Final = "This state has no noise of its own: the noise of the states that it follows explains its steps."
+_CERTAIN: Final = "Steps follow this equation but for rounding."
 _SAME: Final = 1e-9
 """Share of the mean square of a function that what is the same in other words differs by: where fits have settled."""
 
@@ -213,14 +215,20 @@ def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equa
     steps = chosen.likelihood.steps
     bins = split_into_bins(steps.points, SETTINGS.effort.kept)
     states = len(model.drift)
+    driven = _without_noise(model)
+    certain = driven if model.discretisation == "Euler-Maruyama" else []
     found: list[tuple[Grade, str]] = []
     for number, equation in enumerate(equations):
         if number >= states and is_zero(equation.program):
             i, j = model.pairs[number - states]
             found.append(("good", _NO_COVARIANCE if i != j else _NO_VARIANCE))
             continue
+        if number in certain and float(np.mean(residuals[number] ** 2)) < 1.0:
+            found.append(("good", _CERTAIN))
+            continue
         if number < states:
             clauses = _drift_objections(residuals[number], bins, steps.follows)
+            clauses += joint_objections(residuals, number, chosen.process.states, has_noise=number not in driven)
         else:
             i, j = model.pairs[number - states]
             clauses = _diffusion_objections(residuals[i], residuals[j], bins, is_variance=i == j)
@@ -234,6 +242,11 @@ def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equa
     return found
 
 
+def _without_noise(model: ProcessModel) -> list[int]:
+    """Return the states that have no noise of their own."""
+    return [i for (i, j), program in zip(model.pairs, model.diffusion, strict=True) if i == j and is_zero(program)]
+
+
 def _drift_objections(residuals: FloatArray, bins: Sequence[Rows], follows: npt.NDArray[np.bool_]) -> list[str]:
     """Return what speaks against the drift of one state, from the whitened steps (N,)."""
     clauses = []
@@ -245,6 +258,30 @@ def _drift_objections(residuals: FloatArray, bins: Sequence[Rows], follows: npt.
     if min(serial, 1.0 - serial) < SETTINGS.inference.improbable / 2.0:
         clauses.append(f"steps go together with those before them (p = {2.0 * min(serial, 1.0 - serial):.1g})")
     return clauses
+
+
+def joint_objections(residuals: FloatArray, state: int, names: Sequence[str], *, has_noise: bool) -> list[str]:
+    """Return what speaks against one state beside the others, from the whitened steps of all (S, N).
+
+    They are independent of each other, and of variance one also where no diffusion of the state's own was fitted to it.
+    """
+    clauses = []
+    if not has_noise and (chance := _chance(residuals[state] ** 2 - 1.0)) < SETTINGS.inference.improbable:
+        size = float(np.sqrt(np.mean(residuals[state] ** 2)))
+        clauses.append(f"its steps are {size:.3g} times what noise of other states makes of them (p = {chance:.1g})")
+    chances = {other: _chance(residuals[state] * residuals[other]) for other in range(len(names)) if other != state}
+    least = min(chances, key=lambda other: chances[other], default=None)
+    if least is not None and chances[least] < SETTINGS.inference.improbable / len(chances):
+        clauses.append(f"the steps it leaves go together with those of {names[least]} (p = {chances[least]:.1g})")
+    return clauses
+
+
+def _chance(values: FloatArray) -> float:
+    """Return the probability of a mean as far from zero as that of independent `values` (N,) if theirs is zero."""
+    from scipy import special
+
+    error = float(values.std()) / math.sqrt(len(values))
+    return 2.0 * float(special.ndtr(-abs(float(values.mean())) / error)) if error > 0.0 else 1.0
 
 
 def _diffusion_objections(one: FloatArray, other: FloatArray, bins: Sequence[Rows], *, is_variance: bool) -> list[str]:
@@ -322,6 +359,7 @@ def _findings(chosen: ChosenProcess, fitted: FittedProcess, shown: ProcessModel,
         len(steps.lengths),
         float(np.median(steps.lengths)),
         shown.discretisation,
+        chosen.discretisation_nats,
         -fitted.misfit / len(steps.lengths),
         held_out,
         noise,

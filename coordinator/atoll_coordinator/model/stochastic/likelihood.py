@@ -115,9 +115,21 @@ class ProcessLikelihood:
     def whitened(self, model: ProcessModel) -> Whitened:
         """Return the whitened residuals of all steps."""
         moments = model.moments(self._points, self.steps.lengths)
-        if not any(model.noise):
-            return _independent(self.steps.increments - moments.mean, moments.covariance)
-        return _banded(*self._system(model, moments))
+        if any(model.noise):
+            return _banded(*self._system(model, moments))
+        covariance = moments.covariance
+        if model.discretisation == "Euler-Maruyama":
+            covariance = self._with_least_noise(covariance)
+        return _independent(self.steps.increments - moments.mean, covariance)
+
+    def _with_least_noise(self, covariance: FloatArray) -> FloatArray:
+        """Return covariances (S, S, N) whose variances are at least those of what does not count as noise.
+
+        By the method of Euler and Maruyama states without noise of their own have none: what they leave is rounding.
+        """
+        for state, least in enumerate(self.steps.least_variances.tolist()):
+            covariance[state, state] = np.maximum(covariance[state, state], least)
+        return covariance
 
     def smoothed(self, model: ProcessModel) -> FloatArray:
         """Return the states (S, N) where steps begin, without the errors of measurement as far as can be told."""

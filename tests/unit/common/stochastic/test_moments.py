@@ -1,4 +1,5 @@
 import numpy as np
+from scipy import linalg
 
 from atoll.expression.text.parsing import from_infix
 from atoll.stochastic.moments import step_moments
@@ -51,6 +52,17 @@ def test_noise_reaches_a_state_two_equations_away_without_a_singular_covariance(
     assert np.linalg.eigvalsh(found.covariance[:, :, 0]).min() > 0.0
 
 
+def test_what_other_states_leave_of_a_state_two_equations_away_is_right() -> None:
+    """The variance of w given x and v is a thirty-sixth of that of w, so that errors of a step count as much more."""
+    names, step = ["x", "v", "w"], 0.05
+    jacobian, noise = np.array([[0.0, 1.0, 0.0], [-1.0, -0.5, 0.0], [1.0, 0.0, -1.0]]), np.diag([0.0, 0.25, 0.0])
+    block = linalg.expm(step * np.block([[-jacobian, noise], [np.zeros((3, 3)), jacobian.T]]))
+    exact = np.linalg.inv(block[3:, 3:].T @ block[:3, 3:])
+    drift = [from_infix(text, names) for text in ("v", "-x - 0.5*v", "x - w")]
+    found = step_moments(drift, {(1, 1): from_infix("0.25", names)}, np.zeros((3, 1)), np.array([step]))
+    assert np.allclose(np.linalg.inv(found.covariance[:, :, 0]), exact, rtol=0.01)
+
+
 def test_what_the_drift_alone_moves_is_right_to_fourth_order() -> None:
     names, begins = ["x", "v"], np.array([[0.8], [0.3]])
     drift = [from_infix("v", names), from_infix("x - x*x*x - 0.5*v", names)]
@@ -69,3 +81,12 @@ def test_a_negative_diffusion_is_none_though_the_covariance_of_a_step_is_positiv
     noise = {(0, 0): from_infix("-1e-6", names), (1, 1): from_infix("0.25", names)}
     found = step_moments(drift, noise, np.zeros((2, 1)), np.array([0.1]))
     assert not np.isfinite(found.covariance).any()
+
+
+def test_a_step_of_euler_and_maruyama_carries_no_noise_from_state_to_state() -> None:
+    names = ["x", "v"]
+    drift, noise = [from_infix(text, names) for text in ("v", "-x")], {(1, 1): from_infix("4", names)}
+    found = step_moments(drift, noise, np.array([[1.0], [3.0]]), np.array([0.1]), "Euler-Maruyama")
+    assert np.allclose(found.mean[:, 0], [0.3, -0.1])
+    assert np.allclose(found.covariance[:, :, 0], [[0.0, 0.0], [0.0, 0.4]])
+    assert np.allclose(found.jacobian[:, :, 0], [[1.0, 0.1], [-0.1, 1.0]])

@@ -1,12 +1,16 @@
+from collections.abc import Mapping
+
 import numpy as np
 from scipy import linalg
 
 from atoll.config import DataConfig, JobConfig, SpaceConfig
 from atoll.data.dataset import FloatArray
 from atoll.expression.evaluation import values_of
+from atoll.expression.text.parsing import from_infix
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.stochastic.choice import ProcessChoice, is_zero
+from atoll_coordinator.model.selection.candidates import CandidateSet
+from atoll_coordinator.model.stochastic.choice import ChosenProcess, ProcessChoice, is_zero
 from tests.unit.coordinator.data.tables import table_of
 
 
@@ -22,16 +26,41 @@ def oscillator(rows: int, step: float, seed: int) -> FloatArray:
     return np.array(found).T
 
 
-def test_a_state_without_noise_of_its_own_has_an_ordinary_equation() -> None:
-    states = oscillator(500, 0.1, seed=1)
+def euler_maruyama(rows: int, step: float, seed: int) -> FloatArray:
+    """Return position and velocity of the same oscillator as the method of Euler and Maruyama moves them."""
+    x, v, found = 1.0, 0.0, [(1.0, 0.0)]
+    for normal in (0.5 * np.sqrt(step) * np.random.default_rng(seed).standard_normal(rows - 1)).tolist():
+        x, v = x + step * v, v - step * (x + 0.5 * v) + normal
+        found.append((x, v))
+    return np.array(found).T
+
+
+def choice_of(states: FloatArray, known: Mapping[str, str] | None = None) -> ChosenProcess:
     config = JobConfig(data=DataConfig(stochastic=True), space=SpaceConfig(operators=("+", "-", "*")))
-    prepared = prepare(table_of({"t": 0.1 * np.arange(500), "x": states[0], "v": states[1]}), config)
+    prepared = prepare(table_of({"t": 0.1 * np.arange(states.shape[1]), "x": states[0], "v": states[1]}), config)
     assert prepared.process is not None
     assert prepared.process.components == ("[x]", "[v]"), "what v carries over to x is no correlation of noises"
-    chosen = ProcessChoice(prepared.dataset, prepared.process, config, {}, Deadline()).choose()
+    candidates = {name: CandidateSet(known=from_infix(text, ["x", "v"])) for name, text in (known or {}).items()}
+    return ProcessChoice(prepared.dataset, prepared.process, config, candidates, Deadline()).choose()
+
+
+def test_a_table_made_by_euler_and_maruyama_is_taken_for_that() -> None:
+    """As samples of a process in time, noise would have to reach x within a step, and be twice as large."""
+    states = euler_maruyama(500, 0.1, seed=1)
+    equations = {"x": "v", "v": "-x - 0.5*v", "[x]": "0"}
+    chosen = choice_of(np.round(states, 7), equations)
+    assert chosen.fitted.model.discretisation == "Euler-Maruyama"
+    assert chosen.discretisation_nats > 100.0
+    assert abs(values_of(chosen.fitted.model.programs[3], states).mean() - 0.25) < 4.0 * 0.25 * np.sqrt(2.0 / 500.0)
+
+
+def test_a_state_without_noise_of_its_own_has_an_ordinary_equation() -> None:
+    states = oscillator(500, 0.1, seed=1)
+    chosen = choice_of(states)
     x, v, of_x, of_v = chosen.fitted.model.programs
     assert is_zero(of_x)
     assert np.allclose(values_of(x, states), states[1], atol=0.005), "it is known far better than steps with noise tell"
     assert np.std(values_of(v, states) + states[0] + 0.5 * states[1]) < 0.3
     assert abs(values_of(of_v, states).mean() - 0.25) < 0.08
     assert chosen.free == (0, 1, 3)
+    assert chosen.fitted.model.discretisation == "local linearisation"
