@@ -7,7 +7,7 @@ width 1, 2 and 3 by turns. The others are textbook systems.
 
 import ast
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -161,6 +161,16 @@ def _pendulums(count: int) -> System:
     return System("pendulums", equations, draw, 10, 201, 0.02, 2)
 
 
+def _uneven() -> System:
+    """Return Lorenz 96 with eight states and a ninth that a function of three drives: it has no law by regression."""
+    core = lorenz96(8)
+
+    def draw(generator: np.random.Generator, number: int) -> FloatArray:
+        return np.append(core.draw(generator, number), generator.normal())
+
+    return replace(core, name="uneven", equations={**core.equations, "h": "sin(0.3*(x1 + x2 + x3)) - h"}, draw=draw)
+
+
 SYSTEMS: Final = {
     each.name: each
     for each in (
@@ -169,5 +179,6 @@ SYSTEMS: Final = {
         _repressilator(),
         _sir(),
         _pendulums(10),
+        _uneven(),
     )
 }

@@ -167,21 +167,35 @@ def ranked_candidates(task: ModellingTask) -> list[list[Program]]:
 
     Where the equations of converged searches give the trajectories up to errors of integration, there are no others;
     where a system of the fronts and of some runners-up leaves noise alone, or none can be simulated however short the
-    pieces, there are none but these.
+    pieces, there are none but these. Among many variables an equation that has laws has no others, unless all have.
     """
     converged = [task.converged(name) for name in task.variables]
     found = [program for program in converged if program is not None]
     if len(found) == len(converged) and _is_exact(task, found):
         return [[program] for program in found]
-    sums = {name: _pursued(task, name) for name in task.variables if name not in task.known}
-    nearest = [_compared(task, name, sums, is_brief=True) for name in task.variables]
+    settled = _settled(task)
+    sums = {name: _pursued(task, name) for name in task.variables if name not in {*task.known, *settled}}
+    nearest = [settled.get(name) or _compared(task, name, sums, is_brief=True) for name in task.variables]
     shortest_pieces = replace(task, piece=min(task.piece, *SETTINGS.shooting.lengths))
     comparison, best = _begun(task, nearest)
     if best is None and _begun(shortest_pieces, nearest)[1] is None:
         return nearest
     if best is not None and _suffices(task, comparison, best):
         return nearest
-    return [_compared(task, name, sums) for name in task.variables]
+    return [settled.get(name) or _compared(task, name, sums) for name in task.variables]
+
+
+def _settled(task: ModellingTask) -> dict[str, list[Program]]:
+    """Return the laws of the equations that have some among many variables.
+
+    None where all have: together they have not held, and one of them is wrong.
+    """
+    found = {
+        name: [law.program for law in laws if task.may_be_shown(law.program)]
+        for name, laws in task.laws.items()
+        if laws and laws[0].is_of_rates and laws[0].excess <= SETTINGS.inference.excess
+    }
+    return found if len(found) < len(task.variables) - len(task.known) else {}
 
 
 def _begun(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> tuple[ModelComparison, FittedModel | None]:

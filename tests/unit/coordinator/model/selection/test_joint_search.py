@@ -11,12 +11,14 @@ from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection import joint_search
 from atoll_coordinator.model.selection.candidates import collect_candidates
 from atoll_coordinator.model.selection.joint_search import ModellingTask, ranked_candidates
+from atoll_coordinator.model.sparse.regression import Law
 from tests.unit.coordinator.model.shooting.made import Known, pools, table
 
 DRAG = Known(("v",), lambda _, z: [-0.05 * z[0] ** 2])
 TRUTH = "-0.05*v*v"
 CLOSE = "100.0*cos(0.0316227766*v) - 100.0"
 """Differs from the truth by less than a thousandth, which counts as found here."""
+NO_LIBRARIES = JobConfig(space=SpaceConfig(operators=("-", "*")))
 CONFIG = JobConfig(space=SpaceConfig(operators=("+", "-", "*", "cos")), budget=BudgetConfig(target_error=1e-2))
 
 
@@ -44,6 +46,19 @@ def test_unless_the_trajectories_show_that_it_only_comes_close(prepared):
     first, *others = candidates(prepared, CLOSE)
     assert others
     assert "cos" not in DRAG.text(first)
+
+
+SPIRAL = Known(("a", "b"), lambda _, z: [-0.2 * z[0] + z[1], -z[0]])
+
+
+@pytest.mark.parametrize(("lawful", "sizes"), [(("a",), (1, 2)), (("a", "b"), (2, 2))])
+def test_an_equation_among_many_that_has_a_law_has_no_other_candidates_unless_all_have(lawful, sizes):
+    measured = prepare(table(SPIRAL, ([3.0, 1.0], [1.0, 2.0]), 0.1 * np.arange(40.0)), NO_LIBRARIES)
+    its = pools(measured, a=("b", "-a"), b=("b", "-b"))
+    laws = {name: (Law(SPIRAL.parsed("b - 0.3*a"), 10.0, 0.5, is_tested=True, is_of_rates=True),) for name in lawful}
+    found = collect_candidates(measured.dataset, NO_LIBRARIES, its)
+    lists = ranked_candidates(ModellingTask(measured.dataset, measured.recording, NO_LIBRARIES, found, laws=laws))
+    assert tuple(min(len(each), 2) for each in lists) == sizes
 
 
 def test_where_no_system_can_be_simulated_no_libraries_are_tried(monkeypatch):
