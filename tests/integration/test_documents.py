@@ -1,49 +1,286 @@
-"""The commands and the code of pages of the documentation do what these pages say."""
+"""Every code block of README and documentation does what its page says, or stands in `NOT_RUN` with the reason.
 
-import os
+A page is followed from its first block to its last in a folder of its own, which holds the examples, some files of
+"your own data" and a saved result `runs/JOB`. All of it happens in this process but for one coordinator with one
+worker, started as the page on several machines says: `run` is `submit` to it, and the service that Python starts is
+this one. A job that was run before, on the same data with the same options, is not run again.
+"""
+
+import contextlib
+import io
+import json
 import re
+import runpy
+import shutil
 import subprocess
 import sys
+import tomllib
+import traceback
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import pytest
 
+from atoll.config import DataConfig
+from atoll_coordinator.api import session
+from atoll_coordinator.cli.main import main
+from atoll_coordinator.cli.options.job_config import job_config
+from atoll_coordinator.cli.options.parser import parse
+from atoll_coordinator.cli.terminal.output import REPORT, say, write_report, write_result
+from atoll_coordinator.data.reading.files import read_table
+from tests.integration.test_processes import started
 from tests.unit import documents
-from tests.unit.documents import ROOT
+from tests.unit.documents import ROOT, Block
 
-PROGRAMS = Path(sys.executable).parent
+SPECIES = "examples/lotka_volterra.csv"
+SOURCES = ("common", "coordinator", "island_worker")
+OWN_DATA = ("measurements.csv", "other.csv", "more.csv")
+"""Files that pages name as the reader's own."""
+
+NOT_RUN = {
+    # commands
+    r"make ": "installs, or runs these tests; tests/unit/test_project.py looks whether the target exists",
+    r"docker |ATOLL_PUBLISH=.* docker ": "needs Docker: make deploy-rehearsal STEPS=compose",
+    r"kubectl ": "needs Kubernetes: make deploy-rehearsal STEPS=kubernetes",
+    r"sbatch ": "needs Slurm: make deploy-rehearsal STEPS=slurm",
+    r"python3 -m venv |pip ": "installs from the network: make test-wheel",
+    r"make-authority |cd ": "tests/unit/test_make_authority.py runs it",
+    r".* tls/": "needs these certificates: tests/integration/test_security.py and test_python_api.py",
+    r"coordinator serve |island-worker": "runs while all pages are followed",
+    r"coordinator router ": "tests/unit/coordinator/cli/verbs/test_router.py runs it",
+    r".* --paths ": "needs the result of a process: tests/unit/coordinator/cli/verbs/test_simulate.py",
+    r".* --group NAME": "needs a result with groups: tests/unit/common/report/test_page.py",
+    # outputs
+    r"limit cycles as c3 varies": "minutes of another system: tests/unit/common/analysis/test_cycle_continuation.py",
+    r"identifiability \(95 %": "of data that the page does not have: tests/unit/coordinator/experiments",
+    r"candidates \(4 trajectories": "of data that the page does not have: tests/unit/coordinator/experiments",
+    r"dx/dt = 0.534067": "of data that the page does not have: tests/unit/coordinator/model/inference/test_groups.py",
+    r"dx/dt = x\*\(1\.5 - y\)": "of data that the page does not have: tests/unit/common/test_units.py",
+    r"warning: Trajectories were simulated in pieces": "a search of chaotic data: benchmarks/RESULTS.md",
+    r"site A: workers": "a drawing",
+}
+"""Why a command or a printed text is not tried here, by how it begins."""
+
+DOCUMENTS = documents.texts()
+BLOCKS = {name: documents.blocks(name, text) for name, text in DOCUMENTS.items()}
+PAGES = [name for name, found in BLOCKS.items() if found]
+
+_FUNCTIONS = """\
+set -eu
+said() { printf '%s\\0' "${ATOLL_CONNECT:-}" "$@" $'\\x01'; }
+for program in coordinator island-worker make docker kubectl sbatch python python3 pip make-authority cd; do
+  eval "$program() { said $program \\"\\$@\\"; }"
+done
+"""
+"""In which the programs write down what they are called with."""
+_FOLDERS = re.compile(r"(?<![\w/.-])(?:[\w.-]+/)+(?=(?:coordinator|island-worker|python|pip|make-authority) )")
+"""The folders of programs, which are called without them."""
 
 
-@pytest.fixture
-def checkout(tmp_path: Path) -> Path:
-    """A folder with the examples, as a reader of the pages has it."""
-    (tmp_path / "examples").symlink_to(ROOT / "examples")
-    return tmp_path
+class Command(NamedTuple):
+    """A command as the shell understands it, and the coordinator that the environment names."""
+
+    connect: str
+    words: list[str]
+
+    @property
+    def text(self) -> str:
+        return " ".join(self.words)
 
 
-def run(words: list[str], folder: Path) -> str:
-    environment = {**os.environ, "TMPDIR": str(folder)}
-    found = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, timeout=200, check=False)
-    assert found.returncode == 0, (words, found.stdout, found.stderr)
-    return found.stdout
+def test_every_block_names_its_language() -> None:
+    assert [
+        block[:3] for found in BLOCKS.values() for block in found if block.language not in documents.LANGUAGES
+    ] == []
 
 
-def test_the_tutorial_and_the_page_on_notebooks_do_what_they_say(checkout: Path) -> None:
-    tutorial, notebooks = (
-        (ROOT / "docs" / f"{name}.md").read_text("utf-8") for name in ("tutorial", "how-to/notebooks")
+def test_every_reason_is_needed_and_names_what_is_there() -> None:
+    texts = [command.text for found in BLOCKS.values() for block in found for command in commands(block)]
+    texts += [block.output[0] for found in BLOCKS.values() for block in found if block.language == "text"]
+    assert [pattern for pattern in NOT_RUN if not any(re.match(pattern, text) for text in texts)] == []
+    named = [name for reason in NOT_RUN.values() for name in re.findall(r"tests/[\w/.]+|benchmarks/[\w/.]+", reason)]
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
+@cache
+def commands(block: Block) -> tuple[Command, ...]:
+    """Return the commands of a block, as bash understands it."""
+    script = block.text
+    if block.language == "console":
+        script = "\n".join(line[2:] for line in script.splitlines() if line.startswith("$ "))
+    elif block.language != "sh":
+        return ()
+    script = re.sub(
+        r"(?<![\w/.-])(?:[\w.-]+/)+(?=(?:coordinator|island-worker|python|pip|make-authority) )", "", script
     )
-    outputs = [run([str(PROGRAMS / words[0]), *words[1:]], checkout) for words in documents.commands(tutorial)]
-    found, simulated, analysed = outputs
-    shown = next(block for block in blocks(tutorial, "") if "doubtful" in block)
-    assert {line.strip() for line in shown.splitlines()} <= {line.strip() for line in found.splitlines()}
-    assert simulated.startswith("year,hare,")
-    assert "centre" in analysed
-    (checkout / "pages.py").write_text("\n".join([*blocks(tutorial, "python"), *blocks(notebooks, "python")]), "utf-8")
-    assert "dhare/dyear = hare*(0.538 - 0.0281*lynx)" in run([sys.executable, "pages.py"], checkout)
-    assert "</html>" in (checkout / "runs" / "hares" / "report.html").read_text("utf-8")
+    shell = shutil.which("bash")
+    if shell is None:
+        pytest.skip("no bash to read the commands of pages")
+    done = subprocess.run([shell, "-c", _FUNCTIONS + "id=one\n" + script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, (block, done.stderr)
+    said = (each.removesuffix("\0").split("\0") for each in done.stdout.split("\x01\0")[:-1])
+    return tuple(Command(connect, words) for connect, *words in said)
 
 
-def blocks(text: str, language: str) -> list[str]:
-    """Return the code blocks of a page in a language."""
-    found: list[str] = re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
-    return found
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Service"]:
+    """A coordinator and a worker, as the page on several machines starts them."""
+    serve, work, _ = (each.words[1:] for each in commands(BLOCKS["docs/how-to/several-machines.md"][0]))
+    place = tmp_path_factory.mktemp("pages")
+    serve = [word.replace("0.0.0.0:7447", "127.0.0.1:0") for word in serve]
+    with started(place, "coordinator", *serve) as coordinator:
+        assert coordinator.stdout is not None
+        line = next(line for line in coordinator.stdout if "island-worker --connect" in line)
+        address = line.split("--connect ")[1].split()[0]
+        work = [word.replace("tcp/192.168.1.5:7447", address) for word in work]
+        with started(place, "island_worker", *work, "--processes", "1"):
+            yield Service(address, place)
+
+
+class Service:
+    """The coordinator of these tests, and what its jobs have found."""
+
+    def __init__(self, address: str, place: Path) -> None:
+        self.address = address
+        self._place = place
+        self._found: dict[tuple[object, ...], tuple[dict[str, Any], str]] = {}
+
+    def run(self, words: list[str]) -> int:
+        """Do what ``run`` does with these words, by a job that is run once."""
+        options = parse(["run", *words])
+        kept = _without(words, {"--out": 2, "--workers": 2, "--report": 1})
+        key = (*(Path(word).read_bytes() if word in options.data else word for word in kept),)
+        if key not in self._found:
+            made = self._place / f"job-{len(self._found)}"
+            with contextlib.redirect_stdout(io.StringIO()) as printed:
+                assert main(["submit", *kept, "--out", str(made), "--connect", self.address]) == 0
+            self._found[key] = json.loads((made / "result.json").read_text("utf-8")), printed.getvalue()
+        result, text = self._found[key]
+        folder = Path(options.out or f"runs/{len(list(Path().glob('runs/*')))}")
+        write_result(folder, result)
+        if options.report:
+            write_report(folder / REPORT, result)
+        say(text)
+        return 0
+
+
+def _without(words: list[str], options: dict[str, int]) -> list[str]:
+    """Return words without these options, each of so many words."""
+    if not words:
+        return []
+    length = options.get(words[0], 0)
+    return _without(words[length:], options) if length else [words[0], *_without(words[1:], options)]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_does_what_it_says(page: str, service: Service, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    local = SimpleNamespace(workers=1, is_alive=True, endpoint=service.address, close=lambda: None)
+    monkeypatch.setattr(session, "_services", {1: local})
+    reader = Reader(service, monkeypatch)
+    for block in BLOCKS[page]:
+        reader.follow(block)
+
+
+class Reader:
+    """Somebody who follows a page in the current folder: names of Python, what was printed, the job of the page."""
+
+    def __init__(self, service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._service = service
+        self._monkeypatch = monkeypatch
+        self._names: dict[str, Any] = {"__name__": "page"}
+        self._printed: list[str] = []
+        self._job = ""
+        Path("examples").symlink_to(ROOT / "examples")
+        head, *rows = (ROOT / SPECIES).read_text("utf-8").splitlines(keepends=True)
+        for name in OWN_DATA:  # a tenth of the rows: what costs most grows with them
+            Path(name).write_text(head + "".join(rows[::10]), "utf-8")
+
+    def follow(self, block: Block) -> None:
+        """Do what a block says."""
+        for command in commands(block):
+            if not is_excused(command.text):
+                self._run(block, command)
+        if block.language in ("text", "console") and not is_excused(block.output[0]):
+            assert [line for line in block.output if line not in self._printed] == [], (block, self._printed)
+        if block.language in ("csv", "mermaid", "python", "toml"):
+            getattr(self, f"_{block.language}")(block)
+
+    def _run(self, block: Block, command: Command) -> None:
+        """Run a command of ours in this process."""
+        words = [self._meant(word) for word in command.words]
+        if command.connect:
+            self._monkeypatch.setenv("ATOLL_CONNECT", self._service.address)
+        self._monkeypatch.setattr(sys, "argv", words)
+        if any(word.startswith(("runs/JOB", "runs/ID", "result.json")) for word in words):
+            self._save_results()
+        code, printed = output_of(lambda: self._call(words))
+        self._printed += printed
+        assert code == 0, (block.page, block.line, words, printed[-5:])
+        if "--no-wait" in words:
+            self._job = printed[-1]
+
+    def _call(self, words: list[str]) -> int:
+        if words[:2] == ["python", "-m"]:
+            self._monkeypatch.setattr(sys, "argv", words[2:])
+            runpy.run_module(words[2], run_name="__main__")
+            return 0
+        assert words[0] == "coordinator", words
+        return self._service.run(words[2:]) if words[1] == "run" else main(words[1:])
+
+    def _meant(self, word: str) -> str:
+        """Return a word with what the page leaves open: the address, the job, a folder."""
+        word = re.sub(r"^tcp/[\w.]+:\d+$|^tcp/[abc]:\d+$", self._service.address, word)
+        return {"ID": self._job, "DIR": "made"}.get(word, word)
+
+    def _save_results(self) -> None:
+        """Save the result of two competing species where pages have that of their reader."""
+        for name in ("runs/JOB", "runs/ID"):
+            if not Path(name).exists():
+                output_of(lambda name=name: self._service.run([OWN_DATA[0], "--out", name]))  # type: ignore[misc]
+        Path("result.json").unlink(missing_ok=True)
+        Path("result.json").symlink_to("runs/JOB/result.json")
+
+    def _python(self, block: Block) -> None:
+        if "runs/JOB" in block.text:
+            self._save_results()
+        code = compile("\n" * block.line + block.text, str(ROOT / block.page), "exec")
+        found, printed = output_of(lambda: exec(code, self._names))
+        self._printed += printed
+        assert found is None, (block.page, block.line, printed)
+
+    def _csv(self, block: Block) -> None:
+        Path("block.csv").write_text(block.text, "utf-8")
+        assert read_table([Path("block.csv")], DataConfig()).names == (*block.text.splitlines()[0].split(","),)
+
+    def _toml(self, block: Block) -> None:
+        Path("job.toml").write_text(block.text, "utf-8")
+        config = job_config(parse(["run", "x.csv", "--config", "job.toml"]))
+        assert config.model_dump(mode="json", exclude_defaults=True) == tomllib.loads(block.text)
+
+    def _mermaid(self, block: Block) -> None:
+        sources = [str(path) for root in SOURCES for path in (ROOT / root).rglob("*.py")]
+        named = re.findall(r"[\w/]*\w\.py", block.text)
+        assert [name for name in named if not any(source.endswith(f"/{name}") for source in sources)] == []
+
+
+def is_excused(text: str) -> bool:
+    """Tell whether something has a reason not to be tried."""
+    return any(re.match(pattern, text) for pattern in NOT_RUN)
+
+
+def output_of(work: Any) -> tuple[Any, list[str]]:
+    """Do `work`; return what it returns, and the lines that it prints on stderr and stdout."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            found = work()
+        except SystemExit as end:  # after --help
+            found = end.code or 0
+        except Exception:
+            traceback.print_exc()
+            found = "failed"
+    return found, [line.strip() for line in (err.getvalue() + out.getvalue()).splitlines()]

@@ -1,13 +1,31 @@
-"""What the documents say, taken apart: commands in code blocks, options, links."""
+"""What the documents say, taken apart: code blocks, commands, options, links."""
 
 import re
 import shlex
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAMS = ("coordinator", "island-worker")
+LANGUAGES = ("console", "csv", "mermaid", "python", "sh", "text", "toml")
+_FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 _COMMAND = re.compile(r"(?:\$ )?(?:docker .* )?(?:[\w.-]+/)*((?:coordinator|island-worker)(?: .*)?)$")
 """A command line; with docker, the last name of a program is the program's, earlier ones are services."""
+
+
+class Block(NamedTuple):
+    """A code block of a page; the language is "" where none is named."""
+
+    page: str
+    line: int
+    language: str
+    text: str
+
+    @property
+    def output(self) -> list[str]:
+        """What a program is said to print, without commands and without what is left out."""
+        lines = (line.strip() for line in self.text.splitlines())
+        return [line for line in lines if line and not line.startswith("$ ") and line not in ("...", "…")]
 
 
 def texts() -> dict[str, str]:
@@ -15,15 +33,20 @@ def texts() -> dict[str, str]:
     files = [
         *ROOT.glob("*.md"),
         *ROOT.glob("docs/**/*.md"),
-        ROOT / "deploy" / "README.md",
+        *ROOT.glob("deploy/**/*.md"),
         ROOT / "examples" / "README.md",
     ]
     return {str(file.relative_to(ROOT)): file.read_text("utf-8") for file in sorted(files)}
 
 
+def blocks(page: str, text: str) -> list[Block]:
+    """Return the code blocks of a page."""
+    return [Block(page, text[: at.start()].count("\n") + 1, at[1], at[2]) for at in _FENCE.finditer(text)]
+
+
 def commands(text: str) -> list[list[str]]:
     """Return the words of every command of ours in the code blocks of `text`, the program's name first."""
-    matches = (_COMMAND.match(line) for line in _code(text))
+    matches = (_COMMAND.match(line) for block in blocks("", text) for line in block.text.splitlines())
     return [shlex.split(match[1], comments=True) for match in matches if match]
 
 
@@ -52,10 +75,3 @@ def tables(text: str) -> list[list[list[str]]]:
         elif found[-1]:
             found.append([])
     return [table for table in found if table]
-
-
-def _code(text: str) -> list[str]:
-    """Return the lines of fenced and indented code blocks."""
-    fences = re.findall(r"^```\w*\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
-    fenced = [line for fence in fences for line in fence.splitlines()]
-    return fenced + [line.strip() for line in text.splitlines() if line.startswith("    .venv/")]

@@ -2,7 +2,6 @@
 
 import argparse
 import pkgutil
-import re
 import subprocess
 import sys
 import tomllib
@@ -17,7 +16,6 @@ import atoll
 from atoll.config import PRESETS
 from atoll_coordinator.cli import exit_codes as exits
 from atoll_coordinator.cli.options import parser as arguments
-from atoll_coordinator.cli.options.job_config import job_config
 from atoll_coordinator.service.jobs.defaults import STAGNATION_CLEAN, STAGNATION_GIVEN, STAGNATION_NOISY
 from atoll_island_worker import cli as worker_cli
 from tests.unit import documents
@@ -95,13 +93,6 @@ def test_commands_in_documents_are_understood(document: str, words: list[str]) -
     assert parsed(words) is not None, f"{document}: {' '.join(words)}"
 
 
-def test_the_job_file_in_the_documents_is_understood(tmp_path: Path) -> None:
-    (text,) = re.findall(r"^```toml\n(.*?)^```", DOCUMENTS["docs/data.md"], re.MULTILINE | re.DOTALL)
-    (tmp_path / "job.toml").write_text(text)
-    config = job_config(arguments.parse(["run", "x.csv", "--config", str(tmp_path / "job.toml")]))
-    assert config.model_dump(mode="json", exclude_defaults=True) == tomllib.loads(text)
-
-
 def test_the_documents_say_when_searches_end() -> None:
     budget, paper = PRESETS["default"].budget, PRESETS["paper"].budget
     text = " ".join(DOCUMENTS["docs/reproducibility.md"].split())
@@ -119,7 +110,17 @@ def test_the_documents_show_every_command() -> None:
 
 @pytest.mark.parametrize("document", [name for name in DOCUMENTS if "adr" not in name])
 def test_options_in_documents_exist(document: str) -> None:
-    foreign = {"--scale", "--volumes", "--strict"}
+    foreign = {
+        "--scale",
+        "--volumes",
+        "--strict",
+        "--coordinator",
+        "--worker",
+        "--submitter",
+        "--admin",
+        "--router",
+        "--days",
+    }
     assert documents.options(DOCUMENTS[document]) - foreign <= all_options(), document
 
 

@@ -83,16 +83,18 @@ class Foreteller:
         self._limits, self._sigmas = np.ascontiguousarray(limits), sigmas
 
     @cached_property
-    def covariance(self) -> FloatArray:
-        """The covariance (P, P) of the constants, which are known beforehand to within their own size."""
+    def root(self) -> FloatArray:
+        """A root (P, P) of the covariance of the constants, which are known beforehand to within their own size."""
         sizes = np.abs(self._fitted.values)
         sizes = np.maximum(sizes, 1e-12 * max(float(sizes.max(initial=0.0)), 1e-280))
         unit = np.nan_to_num(self._fitted.fit.reduced) * np.outer(sizes, sizes) + np.eye(len(sizes))
-        return np.asarray(np.linalg.inv(0.5 * (unit + unit.T)) * np.outer(sizes, sizes))
+        known, directions = np.linalg.eigh(0.5 * (unit + unit.T))
+        return np.asarray(sizes[:, None] * directions / np.sqrt(np.maximum(known, 1.0)))  # below 1 only by rounding
 
-    @cached_property
-    def _root(self) -> FloatArray:
-        return np.asarray(np.linalg.cholesky(self.covariance)) if len(self._fitted.values) else np.zeros((0, 0))
+    @property
+    def covariance(self) -> FloatArray:
+        """The covariance (P, P) of the constants."""
+        return self.root @ self.root.T
 
     def at(self, design: Design) -> Foretold:
         """Return what the candidate foretells of an experiment."""
@@ -108,7 +110,7 @@ class Foreteller:
         )  # fmt: skip
         reached = int(np.isfinite(simulated).all(axis=0).sum())
         by_all = gradients[:, its.observed] / self._sigmas[:, None]
-        spread = np.concatenate([by_all[..., :count] @ self._root, by_all[..., count:] * self._widths], axis=2)
+        spread = np.concatenate([by_all[..., :count] @ self.root, by_all[..., count:] * self._widths], axis=2)
         return Foretold(simulated[its.observed].T / self._sigmas, spread, reached)
 
 
@@ -119,9 +121,10 @@ def discrepancy(one: Foretold, other: Foretold) -> float:
     spread = np.concatenate([one.spread[:rows], other.spread[:rows]], axis=2).reshape(len(difference), -1)
     if not rows or not np.isfinite(spread).all():
         return 0.0
-    projected = spread.T @ difference
-    inner = 2.0 * np.eye(spread.shape[1]) + spread.T @ spread
-    return max(0.5 * float(difference @ difference - projected @ np.linalg.solve(inner, projected)), 0.0)
+    known, directions = np.linalg.eigh(spread.T @ spread)  # an inverse may be out of reach of rounding
+    along = directions.T @ (spread.T @ difference)
+    explained = float((along**2 / (2.0 + np.maximum(known, 0.0))).sum())
+    return max(0.5 * (float(difference @ difference) - explained), 0.0)
 
 
 @dataclass(frozen=True)

@@ -229,7 +229,7 @@ class _Report:
     def _worst(self, design: Design) -> tuple[str, float, float]:
         """Return the constant whose relative error is largest, and that error before and after an experiment."""
         before = self._of_shown.covariance
-        root = np.linalg.cholesky(before)
+        root = self._of_shown.root
         after = root @ precision(self._of_shown.at(design), len(before))[1] @ root.T
         sizes = np.maximum(np.abs(self._shown.values), 1e-300)
         errors = [np.sqrt(np.maximum(np.diag(each), 0.0)) / sizes for each in (before, after)]

@@ -116,6 +116,13 @@ def test_rivals_that_are_given_are_candidates() -> None:
     assert found.purpose == "discrimination"
 
 
+@pytest.mark.parametrize("rival", ["-0.5*x*(1 + 0.2)/(1 + 0.2*x)", "-0.4*x - x*0.1/(1 + x/3)"])
+def test_constants_of_a_rival_that_data_without_noise_do_not_tell_apart_are_no_error(rival: str) -> None:
+    clean = measured({"x": "-0.5*x"}, [(TIMES, {"x": 2.0 * np.exp(-0.5 * TIMES)})], 1e-12)
+    found = suggest(clean, Request(WIDE, rivals=[{"x": rival}]))
+    assert sorted(each.origin for each in found.candidates) == ["given", "shown"]
+
+
 def test_a_quotient_has_rivals_without_its_pole() -> None:
     y = np.array([(4.0 + 2.0 * time) ** 0.5 for time in TIMES])  # dx/dt = 1/x
     found = suggest(measured({"x": "1.02/x"}, [(TIMES, {"x": y + 0.01 * NOISE})], 0.01), Request({"x": (0.2, 3.0)}))
