@@ -7,9 +7,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/atoll-installed
 DOCS := $(VENV)/atoll-docs-installed
+BROWSER := $(VENV)/atoll-browser-installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-wheel quick kernels check soak bench docs lock release-rehearsal deploy-rehearsal clean
+.PHONY: help demo test test-wheel quick kernels check soak bench docs browser lock release-rehearsal deploy-rehearsal clean
 
 help:
 	@echo "make demo    find the two equations of a Lotka-Volterra system, on two workers"
@@ -21,6 +22,7 @@ help:
 	@echo "make bench   the short benchmarks; benchmarks/RESULTS.md has the long ones"
 	@echo "             with STROGATZ=folder also the label files there"
 	@echo "make docs    the documentation as a site, site/index.html, to be read without network"
+	@echo "make browser the site and reports in Chromium: no network, readable by everybody, printable"
 	@echo "make lock    the newest versions of the development tools into requirements-dev.txt"
 	@echo "make release-rehearsal   build, check, install and sign a release without publishing it"
 	@echo "make deploy-rehearsal    run what deploy/ describes: STEPS='compose slurm', WORK=folder, INSTALL=1 (as root)"
@@ -93,6 +95,13 @@ $(DOCS): $(STAMP)
 docs: $(DOCS)
 	@$(BIN)/python docs/build_site.py site
 	@echo "site/index.html"
+
+$(BROWSER): $(DOCS)
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[browser]'
+	@touch $@
+
+browser: $(BROWSER) docs
+	@$(BIN)/pytest tests/integration/test_browser.py --site site
 
 lock: $(STAMP)
 	@$(BIN)/python -m pip install -q --disable-pip-version-check uv

@@ -27,8 +27,9 @@ settings.load_profile("repeatable")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the folder of data sets that are not part of the project."""
+    """Add folders of what is not part of the checkout."""
     parser.addoption("--strogatz", type=Path, help="folder with the 14 Strogatz files, to search them as well")
+    parser.addoption("--site", type=Path, help="folder of the built documentation, to look at it in a browser as well")
 
 
 @pytest.fixture(autouse=True)

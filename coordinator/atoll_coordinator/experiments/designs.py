@@ -88,8 +88,8 @@ class Foreteller:
         sizes = np.abs(self._fitted.values)
         sizes = np.maximum(sizes, 1e-12 * max(float(sizes.max(initial=0.0)), 1e-280))
         unit = np.nan_to_num(self._fitted.fit.reduced) * np.outer(sizes, sizes) + np.eye(len(sizes))
-        known, directions = np.linalg.eigh(0.5 * (unit + unit.T))
-        return np.asarray(sizes[:, None] * directions / np.sqrt(np.maximum(known, 1.0)))  # below 1 only by rounding
+        known, directions = _axes(unit, 1.0)
+        return np.asarray(sizes[:, None] * directions / np.sqrt(known))
 
     @property
     def covariance(self) -> FloatArray:
@@ -114,6 +114,15 @@ class Foreteller:
         return Foretold(simulated[its.observed].T / self._sigmas, spread, reached)
 
 
+def _axes(matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
+    """Return eigenvalues and eigenvectors of a symmetric matrix; below `least` they are by rounding alone.
+
+    What is told of constants may differ by more than rounding lets an inverse be taken.
+    """
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.maximum(values, least), np.asarray(vectors)
+
+
 def discrepancy(one: Foretold, other: Foretold) -> float:
     """Return d' (S_i + S_j)^-1 d of two candidates, over the rows that both reach."""
     rows = min(one.reached, other.reached)
@@ -121,9 +130,9 @@ def discrepancy(one: Foretold, other: Foretold) -> float:
     spread = np.concatenate([one.spread[:rows], other.spread[:rows]], axis=2).reshape(len(difference), -1)
     if not rows or not np.isfinite(spread).all():
         return 0.0
-    known, directions = np.linalg.eigh(spread.T @ spread)  # an inverse may be out of reach of rounding
+    known, directions = _axes(spread.T @ spread, 0.0)
     along = directions.T @ (spread.T @ difference)
-    explained = float((along**2 / (2.0 + np.maximum(known, 0.0))).sum())
+    explained = float((along**2 / (2.0 + known)).sum())
     return max(0.5 * (float(difference @ difference) - explained), 0.0)
 
 
@@ -256,9 +265,9 @@ def precision(foretold: Foretold, constants: int) -> tuple[Gain, FloatArray]:
         return NONE, np.eye(constants)
     by_all = foretold.spread.reshape(-1, foretold.spread.shape[2])
     of, free = by_all[:, :constants], by_all[:, constants:]
-    inner = np.eye(free.shape[1]) + free.T @ free
-    information = of.T @ of - of.T @ free @ np.linalg.solve(inner, free.T @ of)
-    whole = np.eye(constants) + 0.5 * (information + information.T)
-    sign, logarithm = np.linalg.slogdet(whole)
-    told_of = 0.5 * float(logarithm) if sign > 0.0 else 0.0
-    return Gain(told_of, 0.0, told_of), np.asarray(np.linalg.inv(whole))
+    known, directions = _axes(free.T @ free, 0.0)
+    along = directions.T @ (free.T @ of)
+    information = of.T @ of - along.T @ (along / (1.0 + known)[:, None])
+    told_of, directions = _axes(np.eye(constants) + information, 1.0)
+    gain = 0.5 * float(np.log(told_of).sum())
+    return Gain(gain, 0.0, gain), directions / told_of @ directions.T
