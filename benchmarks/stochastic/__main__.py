@@ -25,7 +25,7 @@ from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches, searching
 from benchmarks.stochastic.judging import Judged, judge
 from benchmarks.stochastic.peers import METHODS, Estimate, estimate
-from benchmarks.stochastic.processes import PROCESSES, simulate
+from benchmarks.stochastic.processes import PROCESSES, SUBSTEPS, simulate
 from benchmarks.stochastic.processes import table as table_of
 
 HEADS = ("process", "equation", "seeds", "right", "said good", "good but wrong", "covered", "of", "error")
@@ -40,6 +40,12 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument(
         "--without-search", action="store_true", help="candidates of regression alone, in this process; no workers"
     )
+    parser.add_argument(
+        "--substeps",
+        type=int,
+        default=SUBSTEPS,
+        help="of each step; 1: Euler and Maruyama's tables (%(default)s)",
+    )
     parser.add_argument("--peer", metavar="PYTHON", help="interpreter with kramersmoyal")
     parser.add_argument("--out", type=Path, help="file for all figures as JSON")
     options = parser.parse_args(arguments)
@@ -49,13 +55,13 @@ def main(arguments: Sequence[str]) -> None:
     if options.without_search:
         for seed in options.seeds:
             for case in options.processes:
-                judged += _chosen(case, seed)
+                judged += _chosen(case, seed, options.substeps)
                 record.write(judged=[asdict(each) for each in judged])
     elif options.workers:
         with searching(options.workers) as searches:
             for seed in options.seeds:
                 for case in options.processes:
-                    judged += _searched(searches, case, seed)
+                    judged += _searched(searches, case, seed, options.substeps)
                     record.write(judged=[asdict(each) for each in judged])
     for case in options.processes if options.peer else ():
         for seed in options.seeds:
@@ -67,18 +73,18 @@ def main(arguments: Sequence[str]) -> None:
     say(f"load {load():.1f}")
 
 
-def _searched(searches: Searches, case: str, seed: int) -> list[Judged]:
+def _searched(searches: Searches, case: str, seed: int, substeps: int) -> list[Judged]:
     """Return what a search makes of the paths of one seed, and say it."""
     process = PROCESSES[case]
-    paths = simulate(process, seed)
+    paths = simulate(process, seed, substeps=substeps)
     result = searches.solve(f"{case} {seed}", table_of(process, paths), _config(seed))
     return _said(case, seed, paths, result["equations"], result["seconds"])
 
 
-def _chosen(case: str, seed: int) -> list[Judged]:
+def _chosen(case: str, seed: int, substeps: int) -> list[Judged]:
     """Return what the choice of equations makes of the paths of one seed without programs of a search, and say it."""
     process, began = PROCESSES[case], time.process_time()
-    paths, config = simulate(process, seed), _config(seed)
+    paths, config = simulate(process, seed, substeps=substeps), _config(seed)
     preparation = prepare(table_of(process, paths), config)
     refinement = refine_all(preparation, config, {})
     outcomes = [VariableOutcome(name, (), 0, refined=refinement.equations.get(name))

@@ -82,24 +82,27 @@ PROCESSES: Final = {
 }
 
 
-def simulate(process: Process, seed: int, steps: int = STEPS) -> list[FloatArray]:
-    """Return the paths (S, R) of one seed, as they are measured: so many steps in all."""
+def simulate(process: Process, seed: int, steps: int = STEPS, substeps: int = SUBSTEPS) -> list[FloatArray]:
+    """Return the paths (S, R) of one seed, as they are measured: so many steps in all.
+
+    With one substep they are what the method of Euler and Maruyama makes, a row for each of its steps.
+    """
     random = np.random.default_rng(seed)
     count = steps // process.paths
     settling = SETTLING if process.settles else 0
-    paths = [_path(process, settling + count + 1, random)[:, settling:] for _ in range(process.paths)]
+    paths = [_path(process, settling + count + 1, random, substeps)[:, settling:] for _ in range(process.paths)]
     return [path + process.noise * random.standard_normal(path.shape) for path in paths]
 
 
-def _path(process: Process, rows: int, random: np.random.Generator) -> FloatArray:
+def _path(process: Process, rows: int, random: np.random.Generator, substeps: int) -> FloatArray:
     """Return one path (S, R), in plain numbers: there are half a million small steps."""
     names = ", ".join(process.names)
     rates = eval(f"lambda {names}: ({', '.join([*process.drift.values(), *process.diffusion.values()])},)")
-    small, size = process.step / SUBSTEPS, len(process.names)
-    is_corrected = "0" in process.diffusion.values()
+    small, size = process.step / substeps, len(process.names)
+    is_corrected = "0" in process.diffusion.values() and substeps > 1
     states, found = [*process.starts], [[*process.starts]]
     for _ in range(rows - 1):
-        normal = (random.standard_normal((SUBSTEPS, size)) * np.sqrt(small)).tolist()
+        normal = (random.standard_normal((substeps, size)) * np.sqrt(small)).tolist()
         for each in normal:
             its = rates(*states)
             moved = [
