@@ -1,7 +1,7 @@
 """``python -m benchmarks.stochastic.intervals``: do intervals of constants hold, the equations being the true ones?
 
-The factors of each equation are fitted to paths of 10,000 steps, all of a process at once. ``--substeps 1`` makes tables
-of the method of Euler and Maruyama, which are fitted as such.
+The factors of each equation are fitted to paths of 10,000 steps, all of a process at once. With ``--substeps 1`` paths
+are tables of Euler and Maruyama's method, and fitted as such.
 """
 
 import argparse

@@ -32,10 +32,6 @@ def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str
     component of its diffusion, some of which the data may not show. Raises UsageError.
     """
     names = roles.equations
-    asked = {"--bound": config.prior.bounds, "--require": config.space.required_of}
-    option = next((name for name, given in asked.items() if given and config.data.stochastic), None)
-    if option is not None:
-        raise UsageError(f"--stochastic and {option} exclude each other; the law of a process is chosen by its steps")
     if config.data.stochastic:
         names = (*names, *(component_name(*pair) for pair in combinations_with_replacement(roles.states, 2)))
     known = _sides(config, names, symbols).single("--known", config.prior.known)

@@ -21,6 +21,7 @@ from atoll.config import JobConfig
 from atoll.data.dataset import Dataset
 from atoll.expression.builder import ProgramBuilder
 from atoll.expression.program import Program, constant_places, structure
+from atoll.expression.restrictions import Restrictions, restrictions_of
 from atoll_coordinator.data.increments.steps import Steps, take_steps
 from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.model.criteria import constant_nats_of, system_length
@@ -47,11 +48,11 @@ class Rival:
 
 @dataclass(frozen=True, eq=False)
 class ChosenProcess:
-    """The law of a process: `fitted`, all constants free but those of known equations; `rivals` of each equation.
+    """The law of a process: `fitted`, all constants free but those of known equations.
 
     `variables` are the names of the equations in their order, `sought` the numbers of those that were sought, `free` of
-    those that have constants to fit: a covariance of noises may be zero. With the other discretisation
-    the description is longer by `discretisation_nats`.
+    those that have constants to fit: a covariance of noises may be zero. Each has its `rivals` and keeps to its
+    `restrictions`. With the other discretisation the description is longer by `discretisation_nats`.
     """
 
     process: ProcessRecording
@@ -61,6 +62,7 @@ class ChosenProcess:
     likelihood: ProcessLikelihood
     fitted: FittedProcess
     rivals: tuple[Sequence[Rival], ...]
+    restrictions: Sequence[Restrictions]
     discretisation_nats: float
 
 
@@ -75,7 +77,8 @@ class ProcessChoice:
         self._process, self._candidates = process, candidates
         self._variables = (*process.states, *process.components)
         self._steps: Steps = take_steps(process)
-        self._likelihood = ProcessLikelihood(self._steps)
+        self._restrictions = [restrictions_of(config, name, dataset.names) for name in self._variables]
+        self._likelihood = ProcessLikelihood(self._steps, restrictions=self._restrictions)
         self._finder = CandidateFinder(self._steps, dataset.names, self._variables, config, deadline)
         known = [each for each, its in candidates.items() if its.known is not None]
         self._sought = tuple(k for k, name in enumerate(self._variables) if name not in known)
@@ -89,7 +92,15 @@ class ProcessChoice:
         rivals = tuple(sorted(each.values(), key=lambda rival: rival.nats) for each in self._rivals)
         free = self._free(fitted.model)
         return ChosenProcess(
-            self._process, self._variables, self._sought, free, self._likelihood, fitted, rivals, apart
+            self._process,
+            self._variables,
+            self._sought,
+            free,
+            self._likelihood,
+            fitted,
+            rivals,
+            self._restrictions,
+            apart,
         )
 
     def _discretised(self, fitted: FittedProcess) -> tuple[FittedProcess, float]:
@@ -185,7 +196,9 @@ class ProcessChoice:
         """Return the model with all its constants fitted; where there is noise, about states smoothed by itself."""
         fitted = self._likelihood.fit(model, self._free(model))
         for _ in range(SETTINGS.process.relinearisations if any(model.noise) else 0):
-            self._likelihood = ProcessLikelihood(self._steps, self._likelihood.smoothed(fitted.model))
+            self._likelihood = ProcessLikelihood(
+                self._steps, self._likelihood.smoothed(fitted.model), self._restrictions
+            )
             fitted = self._likelihood.fit(fitted.model, self._free(model))
         return fitted
 
@@ -237,7 +250,8 @@ class ProcessChoice:
                 without = without.with_program(states + place, _constant(0.0)) if i in pair else without
             free = tuple(each for each in (i,) if each in self._sought)
             without = self._likelihood.fit(without, free, SETTINGS.selection.least_gain).model
-        misfit = self._likelihood.whitened(without).misfit
+        is_kept = self._restrictions[number].are_kept(without.programs[number])
+        misfit = self._likelihood.whitened(without).misfit if is_kept else math.inf
         return without, self._length(misfit, without.programs[number], 0)
 
     def _is_of_no_noise(self, model: ProcessModel, number: int) -> bool:
@@ -271,13 +285,22 @@ class ProcessChoice:
 
         It is fitted less well when it is not going to come near the length `least`.
         """
-        program = model.programs[number]
+        program = self._admitted(model.programs[number], number)
+        if program is None:
+            return model, math.inf
+        model = model.with_program(number, program)
         limit = least + 2.0 * _MARGIN - self._length(0.0, program, len(constant_places(program)))
         fitted = self._likelihood.fit(model, (number,), SETTINGS.selection.least_gain, limit)
         program = fitted.model.programs[number]
         nats = self._length(fitted.misfit, program, len(constant_places(program)))
         rivals[structure(program)] = Rival(program, nats)
         return fitted.model, nats
+
+    def _admitted(self, program: Program, number: int) -> Program | None:
+        """Return a program as the restrictions of an equation admit it, constants within their bounds; None: not."""
+        its = self._restrictions[number]
+        admitted = its.admitted(program)
+        return admitted if admitted is None or its.bounds is None else its.bounds.clipped(admitted)
 
     def _length(self, misfit: float, program: Program, constants: int) -> float:
         return system_length(misfit, [program], constants, constant_nats_of(len(self._steps.lengths)))

@@ -102,7 +102,9 @@ def _written(chosen: ChosenProcess) -> tuple[FittedProcess, list[ExplicitCoeffic
     programs = list(chosen.fitted.model.programs)
     for _ in range(2):
         opened = [
-            make_coefficients_explicit(program) if number in chosen.free else as_written(program)
+            make_coefficients_explicit(program)
+            if number in chosen.free and chosen.restrictions[number].bounds is None
+            else as_written(program)
             for number, program in enumerate(programs)
         ]
         fitted = _fitted(chosen, opened)
@@ -122,7 +124,9 @@ def _written(chosen: ChosenProcess) -> tuple[FittedProcess, list[ExplicitCoeffic
             written = [origins[constant] for constant in range(len(origins))]
             values = fitted.model.parameters(chosen.free)[places[number]][written]
             its = covariance[places[number], places[number]][np.ix_(written, written)]
-            program = _rounded(program, values, its)
+            rounded = _rounded(program, values, its)
+            bounds = chosen.restrictions[number].bounds
+            program = rounded if bounds is None else bounds.clipped(rounded)
         equations.append(program)
     described = _described(chosen, fitted, opened, equations)
     return fitted, opened, [_Equation(*each) for each in zip(equations, described, strict=True)]

@@ -17,9 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll.data.dataset import FloatArray
 from atoll.expression.program import Program, constant_places, with_constants
+from atoll.expression.restrictions import Restrictions
 from atoll.stochastic.moments import Discretisation, Pair, StepMoments, step_moments
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.model.damping import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING
@@ -106,10 +108,15 @@ class FittedProcess:
 
 
 class ProcessLikelihood:
-    """The likelihood of one process's steps; `smoothed` says where they are linearised if there is noise."""
+    """The likelihood of one process's steps; `smoothed` says where they are linearised if there is noise.
 
-    def __init__(self, steps: Steps, smoothed: FloatArray | None = None) -> None:
-        self.steps = steps
+    Constants that are fitted keep to the bounds of the `restrictions` of their equations, by number.
+    """
+
+    def __init__(
+        self, steps: Steps, smoothed: FloatArray | None = None, restrictions: Sequence[Restrictions] = ()
+    ) -> None:
+        self.steps, self._restrictions = steps, restrictions
         self._points = steps.points if smoothed is None else np.concatenate([smoothed, steps.points[len(smoothed) :]])
 
     def whitened(self, model: ProcessModel) -> Whitened:
@@ -180,9 +187,11 @@ class ProcessLikelihood:
         values, at, damping = model.parameters(free), self.whitened(model), FIRST_DAMPING
         if not math.isfinite(at.misfit):
             return FittedProcess(model, math.inf, np.zeros((len(values), len(values))))
+        lower, upper = self._ranges(model, free)
         gradient, information = self._derivatives(model, at, free, values)
         for _ in range(SETTINGS.effort.steps if len(values) else 0):
-            step = _solved(information, gradient, damping)
+            is_held = ((values <= lower) & (gradient > 0.0)) | ((values >= upper) & (gradient < 0.0))
+            step = np.clip(values + _solved(information, gradient, damping, is_held), lower, upper) - values
             promised = -0.5 * float(gradient @ step)
             if not promised > settled or at.misfit - promised > limit:
                 break
@@ -199,6 +208,19 @@ class ProcessLikelihood:
                 break
             gradient, information = self._derivatives(model, at, free, values)
         return FittedProcess(model, at.misfit, information)
+
+    def _ranges(self, model: ProcessModel, free: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Return the least and the largest value (K,) that each parameter may have."""
+        count = len(model.parameters(free))
+        lower, upper, first = np.full(count, -math.inf), np.full(count, math.inf), 0
+        for number in free:
+            places = constant_places(model.programs[number])
+            bounds = self._restrictions[number].bounds if self._restrictions else None
+            ranges = None if bounds is None else bounds.ranges(model.programs[number])
+            if ranges is not None:
+                lower[first : first + len(places)], upper[first : first + len(places)] = ranges
+            first += len(places)
+        return lower, upper
 
     def _derivatives(
         self, model: ProcessModel, at: Whitened, free: Sequence[int], values: FloatArray
@@ -218,8 +240,18 @@ class ProcessLikelihood:
             return gradient, slopes[0] @ slopes[0].T + slopes[1] @ slopes[1].T
 
 
-def _solved(information: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
-    """Return the step of (I + damping diag I) step = - gradient; none where a derivative is not finite."""
+def _solved(
+    information: FloatArray, gradient: FloatArray, damping: float, is_held: npt.NDArray[np.bool_]
+) -> FloatArray:
+    """Return the step of (I + damping diag I) step = - gradient; none where a derivative is not finite.
+
+    Parameters that are held at a bound (K,) have no step, and others theirs without them (Bertsekas 1982).
+    """
+    if is_held.any():
+        step, rest = np.zeros_like(gradient), np.flatnonzero(~is_held)
+        part = information[np.ix_(rest, rest)]
+        step[rest] = _solved(part, gradient[rest], damping, is_held[rest]) if len(rest) else 0.0
+        return step
     scale = np.sqrt(np.diag(information))
     scale[scale == 0.0] = 1.0
     unit = information / np.outer(scale, scale)

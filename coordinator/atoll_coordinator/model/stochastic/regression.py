@@ -24,6 +24,7 @@ from atoll.data.dataset import FloatArray, Problem, Target
 from atoll.expression.evaluation import values_of
 from atoll.expression.operators import ADD, BY_NAME, MULTIPLY
 from atoll.expression.program import Program, constant_places, structure
+from atoll.expression.restrictions import restrictions_of
 from atoll.expression.unit_coefficients import make_coefficients_explicit
 from atoll.expression.writing.shortest import shortest
 from atoll_coordinator.data.increments.bins import split_into_bins
@@ -95,7 +96,8 @@ class CandidateFinder:
         operators = frozenset(BY_NAME[name].code for name in space.operators_for(self.variables[number]))
         columns = space.columns_for(self.variables[number], self.names)
         sums = _sparse_sums(weighted, columns) if {ADD, MULTIPLY} <= operators else []
-        least_squares = LeastSquares(weighted.problem, weighted.weights)
+        restrictions = restrictions_of(self.config, self.variables[number], self.names)
+        least_squares = LeastSquares(weighted.problem, weighted.weights, restrictions)
         shortening = Shortening(
             weighted.problem, operators, columns, least_squares, self.deadline, has_simple_numbers=False
         )

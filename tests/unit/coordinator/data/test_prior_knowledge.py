@@ -150,9 +150,3 @@ def test_a_person_is_told_how_it_was_understood():
         "guess: dx/dt = y",
         "guess: dx/dt = 2*y",
     ]
-
-
-@pytest.mark.parametrize("given", [{"bounds": {"*": ("c > 0",)}}, {"required_of": {"x": ("x",)}}])
-def test_processes_know_neither_bounds_nor_required_variables(given):
-    with pytest.raises(UsageError, match=r"--stochastic and --(bound|require) exclude"):
-        prepare(table_of(oscillator()), config_of(data=DataConfig(stochastic=True), **given))

@@ -1,6 +1,12 @@
 import numpy as np
 
+from atoll.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
+from atoll.expression.evaluation import values_of
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.stochastic.conclusion import joint_objections
+from tests.unit.coordinator.data.tables import table_of
+from tests.unit.coordinator.model.stochastic.processes import ornstein_uhlenbeck
 
 NAMES = ("x", "v", "w")
 
@@ -22,3 +28,16 @@ def test_steps_that_are_too_small_for_the_noise_of_others_are_objected_to() -> N
     (said,) = joint_objections(residuals, 2, NAMES, has_noise=False)
     assert said.startswith("its steps are 0.508 times what noise of other states makes of them")
     assert joint_objections(residuals, 2, NAMES, has_noise=True) == []
+
+
+def test_equations_of_a_process_keep_to_bounds_and_have_the_variables_that_they_must_have() -> None:
+    """The drift is -x and the variance 0.25 per time, were they free."""
+    states = ornstein_uhlenbeck(150, 0.2, seed=2)
+    prior = PriorConfig(bounds={"x": ("x > -0.5",)})
+    space = SpaceConfig(operators=("+", "-", "*"), required_of={"[x]": ("x",)})
+    config = JobConfig(data=DataConfig(stochastic=True), prior=prior, space=space)
+    prepared = prepare(table_of({"t": 0.2 * np.arange(150), "x": states}), config)
+    drift, diffusion = (refine_all(prepared, config, {}).equations[name].program for name in ("x", "[x]"))
+    at = np.array([[0.0, 1.0, 2.0]])
+    assert np.allclose(np.diff(values_of(drift, at)), -0.5, atol=1e-12)
+    assert np.ptp(values_of(diffusion, at)) > 0.0
