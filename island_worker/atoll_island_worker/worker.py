@@ -211,13 +211,11 @@ class Worker:
                 self._datasets.announced(body)
             case messages.Placements():
                 for placement in body.placements:
-                    self._handle(events.Placed(placement))
-            case messages.Commit():
-                self._handle(events.Committed(body))
-            case messages.Close():
-                self._handle(events.Closed(body))
+                    self._handle(placement)
+            case messages.Commit() | messages.Close():
+                self._handle(body)
             case messages.CloseJob():
-                self._handle(events.JobClosed(body.job))  # first the islands, then what they are computed from
+                self._handle(body)  # first the islands, then what they are computed from
                 self._datasets.forget(body.job)
             case messages.Shutdown():
                 self._connection.shut_down(body)

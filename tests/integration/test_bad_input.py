@@ -11,16 +11,9 @@ import pytest
 
 from atoll_coordinator.cli.local import workers as local
 from atoll_coordinator.cli.main import main
+from tests.unit.coordinator.test_bad_input import GOOD, changed
 
 pytestmark = pytest.mark.timeout(200)
-
-GOOD = "t,x,y\n" + "".join(f"{0.1 * i:.1f},{i * i * 0.01},{1 + 0.1 * i}\n" for i in range(40))
-
-
-def changed(line: int, text: str) -> str:
-    lines = GOOD.splitlines()
-    lines[line] = text
-    return "\n".join(lines) + "\n"
 
 
 @pytest.fixture
@@ -30,7 +23,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     The worker is a process that does nothing: no search begins on bad data.
     """
     idle = [sys.executable, "-S", "-c", "import signal; signal.pause()"]
-    monkeypatch.setattr(local, "worker_command", lambda endpoint, name: idle)
+    monkeypatch.setattr(local, "supervisor_command", lambda endpoint, number: idle)
     monkeypatch.chdir(tmp_path)
 
     def run(text: str | None, *options: str) -> str:

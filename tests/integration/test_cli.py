@@ -5,39 +5,24 @@ import json
 import os
 import signal
 import subprocess
-import sys
-import time
-from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.programs import LIMIT_S, ROOT, done, started, until
+
 DATA = str(ROOT / "examples" / "lotka_volterra.csv")
-PROGRAM = [sys.executable, "-m", "atoll_coordinator"]
-LIMIT_S = 200
 
 
 def coordinator(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*PROGRAM, *words], cwd=cwd, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    return done(cwd, "coordinator", *words)
 
 
-@contextlib.contextmanager
-def started(*words: str, cwd: Path, program: str = "coordinator") -> Iterator[subprocess.Popen[str]]:
-    """Start a program; its end is the test's business, but not beyond the test."""
-    with subprocess.Popen(
-        [sys.executable, "-m", f"atoll_{program}", *words],
-        cwd=cwd,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    ) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
+def begun(*words: str, cwd: Path, program: str = "coordinator") -> AbstractContextManager[subprocess.Popen[str]]:
+    """Start a program whose stderr is read; its end is the test's business, but not beyond the test."""
+    return started(cwd, program, *words, keeps_log=False)
 
 
 def read_until(stream: Any, words: str) -> str:
@@ -74,36 +59,16 @@ def parent_of(pid: int) -> int:
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
-def wait_until_gone(run: Path) -> None:
-    end = time.monotonic() + 20
-    while workers_of(run):
-        assert time.monotonic() < end, f"workers {workers_of(run)} are still there"
-        time.sleep(0.02)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def environment() -> Iterator[None]:
-    """Let the programs be importable from any folder."""
-    before = os.environ.get("PYTHONPATH")
-    os.environ["PYTHONPATH"] = str(ROOT)
-    os.environ.pop("ATOLL_CONNECT", None)
-    yield
-    if before is None:
-        del os.environ["PYTHONPATH"]
-    else:
-        os.environ["PYTHONPATH"] = before
-
-
 def test_run_finds_the_equations_writes_the_result_and_leaves_no_process(tmp_path: Path) -> None:
-    done = coordinator("run", DATA, "--workers", "2", "--out", "out", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    printed = json.loads(done.stdout)
+    its = coordinator("run", DATA, "--workers", "2", "--out", "out", "--json", cwd=tmp_path)
+    assert its.returncode == 0, its.stderr
+    printed = json.loads(its.stdout)
     assert printed == json.loads((tmp_path / "out" / "result.json").read_text())
     assert (printed["schema"], printed["state"]) == (1, "done")
     assert [equation["converged"] for equation in printed["equations"]] == [True, True]
     assert [equation["verdict"] for equation in printed["equations"]] == ["exact", "exact"]
     for words in ("4 trajectories", "states: x, y", "(exact)", "total", "result in out/result.json"):
-        assert words in done.stderr
+        assert words in its.stderr
     assert workers_of(tmp_path) == []
     again = coordinator("run", DATA, "--out", "out", cwd=tmp_path)
     assert again.returncode == 2
@@ -114,19 +79,19 @@ def test_run_finds_the_equations_writes_the_result_and_leaves_no_process(tmp_pat
 
 def test_a_target_error_that_is_not_met_is_exit_code_4_with_the_models_written(tmp_path: Path) -> None:
     options = ["--workers", "1", "--target-error", "1e-300", "--max-epochs", "1", "--id", "hopeless"]
-    done = coordinator("run", DATA, *options, cwd=tmp_path)
-    assert done.returncode == 4, done.stderr
-    assert "--target-error 1e-300 was not met" in done.stderr
+    its = coordinator("run", DATA, *options, cwd=tmp_path)
+    assert its.returncode == 4, its.stderr
+    assert "--target-error 1e-300 was not met" in its.stderr
     result = json.loads((tmp_path / "runs" / "hopeless" / "result.json").read_text())
     assert [equation["epoch"] for equation in result["equations"]] == [1, 1]
-    assert "dx/dt = " in done.stdout
+    assert "dx/dt = " in its.stdout
 
 
 ENDLESS = ["--target-error", "1e-300", "--max-epochs", "1000000", "--workers", "2", "--out", "out"]
 
 
 def test_an_interrupt_keeps_the_best_so_far_and_leaves_no_process(tmp_path: Path) -> None:
-    with started("run", DATA, *ENDLESS, cwd=tmp_path) as process:
+    with begun("run", DATA, *ENDLESS, cwd=tmp_path) as process:
         read_until(process.stderr, "(searching)")
         assert len(workers_of(tmp_path)) == 3, "two, and who watches over them"
         process.send_signal(signal.SIGTERM)
@@ -139,15 +104,15 @@ def test_an_interrupt_keeps_the_best_so_far_and_leaves_no_process(tmp_path: Path
 
 
 def test_no_worker_survives_a_run_that_is_killed(tmp_path: Path) -> None:
-    with started("run", DATA, *ENDLESS, cwd=tmp_path) as process:
+    with begun("run", DATA, *ENDLESS, cwd=tmp_path) as process:
         read_until(process.stderr, "(searching)")
         process.kill()
         process.wait()
-        wait_until_gone(tmp_path)
+        assert until(lambda: not workers_of(tmp_path))
 
 
 def test_a_worker_that_dies_is_said_and_started_again_as_long_as_somebody_watches(tmp_path: Path) -> None:
-    with started("run", DATA, *ENDLESS, cwd=tmp_path) as process:
+    with begun("run", DATA, *ENDLESS, cwd=tmp_path) as process:
         read_until(process.stderr, "(searching)")
         (watcher,) = (pid for pid in workers_of(tmp_path) if parent_of(pid) == process.pid)
         dead = next(pid for pid in workers_of(tmp_path) if pid != watcher)
@@ -155,33 +120,33 @@ def test_a_worker_that_dies_is_said_and_started_again_as_long_as_somebody_watche
         read_until(process.stderr, f"process {dead} (w-")
         os.kill(watcher, signal.SIGKILL)
         _, err = finish(process)
-        wait_until_gone(tmp_path)
+        assert until(lambda: not workers_of(tmp_path))
     assert process.returncode == 1
     assert "every worker has ended" in err
 
 
 def test_nobody_at_the_address_is_exit_code_3_within_seconds(tmp_path: Path) -> None:
-    done = coordinator("jobs", "--connect", "tcp/127.0.0.1:9", cwd=tmp_path)
-    assert done.returncode == 3
-    assert done.stderr.startswith("coordinator: ")
-    assert done.stderr.count("\n") == 1
-    assert "tcp/127.0.0.1:9" in done.stderr
+    its = coordinator("jobs", "--connect", "tcp/127.0.0.1:9", cwd=tmp_path)
+    assert its.returncode == 3
+    assert its.stderr.startswith("coordinator: ")
+    assert its.stderr.count("\n") == 1
+    assert "tcp/127.0.0.1:9" in its.stderr
 
 
 def test_no_address_is_a_usage_error(tmp_path: Path) -> None:
-    done = coordinator("jobs", cwd=tmp_path)
-    assert (done.returncode, "--connect" in done.stderr, "ATOLL_CONNECT" in done.stderr) == (2, True, True)
+    its = coordinator("jobs", cwd=tmp_path)
+    assert (its.returncode, "--connect" in its.stderr, "ATOLL_CONNECT" in its.stderr) == (2, True, True)
 
 
 @pytest.mark.slow
 def test_serve_submit_status_result_and_cancel_by_hand(tmp_path: Path) -> None:
     """The story of several machines, on one."""
     with contextlib.ExitStack() as stack:
-        serve = stack.enter_context(started("serve", "--listen", "tcp/127.0.0.1:0", "--state", "s", cwd=tmp_path))
+        serve = stack.enter_context(begun("serve", "--listen", "tcp/127.0.0.1:0", "--state", "s", cwd=tmp_path))
         line = read_until(serve.stdout, "island-worker --connect").splitlines()[-1]
         address = line.split()[-1]
         stack.enter_context(
-            started("--connect", address, "--processes", "1", "--name", "lab", cwd=tmp_path, program="island_worker")
+            begun("--connect", address, "--processes", "1", "--name", "lab", cwd=tmp_path, program="island_worker")
         )
         there = ["--connect", address]
 
@@ -215,9 +180,9 @@ def test_serve_submit_status_result_and_cancel_by_hand(tmp_path: Path) -> None:
 
 
 def test_ctrl_c_on_submit_detaches_and_the_job_goes_on(tmp_path: Path) -> None:
-    with started("serve", "--listen", "tcp/127.0.0.1:0", "--state", "s", cwd=tmp_path) as serve:
+    with begun("serve", "--listen", "tcp/127.0.0.1:0", "--state", "s", cwd=tmp_path) as serve:
         address = read_until(serve.stdout, "island-worker --connect").splitlines()[-1].split()[-1]
-        with started("submit", DATA, "--connect", address, "--id", "mine", cwd=tmp_path) as process:
+        with begun("submit", DATA, "--connect", address, "--id", "mine", cwd=tmp_path) as process:
             read_until(process.stderr, "no worker has joined; start one with: island-worker --connect")
             process.send_signal(signal.SIGINT)
             out, err = finish(process)
@@ -231,7 +196,7 @@ def test_ctrl_c_on_submit_detaches_and_the_job_goes_on(tmp_path: Path) -> None:
 def test_a_service_says_what_it_waits_for_and_what_happened(tmp_path: Path) -> None:
     words = ["serve", "--listen", "tcp/127.0.0.1:0", "--state", "s", "--log-format", "json"]
     with contextlib.ExitStack() as stack:
-        serve = stack.enter_context(started(*words, cwd=tmp_path))
+        serve = stack.enter_context(begun(*words, cwd=tmp_path))
         address = read_until(serve.stdout, "island-worker --connect").splitlines()[-1].split()[-1]
         connect = ["--connect", address]
         job = ["submit", DATA, *connect, "--no-wait", "--id", "one", "--max-epochs", "3", "--priority", "2"]
@@ -245,7 +210,7 @@ def test_a_service_says_what_it_waits_for_and_what_happened(tmp_path: Path) -> N
         (listed,) = json.loads(coordinator("jobs", *connect, "--json", cwd=tmp_path).stdout)
         assert (listed["job"], listed["priority"], listed["workers"]) == ("one", 2, 0)
         stack.enter_context(
-            started(*connect, "--processes", "1", "--name", "lab1", cwd=tmp_path, program="island_worker")
+            begun(*connect, "--processes", "1", "--name", "lab1", cwd=tmp_path, program="island_worker")
         )
         followed = coordinator("status", "one", "--follow", *connect, cwd=tmp_path)
         assert followed.returncode == 0, followed.stderr

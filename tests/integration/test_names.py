@@ -1,8 +1,6 @@
 """Any column name goes in: read, searched, printed, and parsed back by our own parser and by sympy."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +9,7 @@ import sympy
 
 from atoll.expression.text.parsing import from_infix
 from tests.oracles.evaluate import evaluate
+from tests.programs import done
 
 NAMES = ("S", "I", "R", "N", "E", "beta", "θ", "lambda", "v [m/s]")
 
@@ -24,11 +23,9 @@ def test_names_that_mean_something_elsewhere_are_names_here(tmp_path: Path) -> N
     lines += [",".join(map(repr, row)) for row in np.column_stack([target, *columns.values()]).tolist()]
     (tmp_path / "names.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     words = ["run", "names.csv", "--target", "label", "--workers", "1", "--max-epochs", "30", "--json"]
-    done = subprocess.run(
-        [sys.executable, "-m", "atoll_coordinator", *words], cwd=tmp_path, capture_output=True, text=True, timeout=250
-    )
-    assert done.returncode == 0, done.stderr
-    result = json.loads(done.stdout)
+    its = done(tmp_path, "coordinator", *words)
+    assert its.returncode == 0, its.stderr
+    result = json.loads(its.stdout)
     symbols = result["symbols"]
     assert {name: symbols[name] for name in NAMES[:7]} == dict(zip(NAMES[:7], NAMES[:7], strict=True))
     assert set(symbols) >= {"S", "lambda", "v"}

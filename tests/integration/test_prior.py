@@ -2,26 +2,18 @@
 
 import json
 import math
-import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from atoll.model.model import Model
 from benchmarks.harness.systems import trajectories, write_csv
-
-ROOT = Path(__file__).resolve().parents[2]
-LIMIT_S = 200
+from tests.programs import LIMIT_S, done
 
 
 def run(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    words = [sys.executable, "-m", "atoll_coordinator", "run", "data.csv", "--workers", "1", "--out", "out", *options]
-    return subprocess.run(
-        words, cwd=folder, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False
-    )
+    return done(folder, "coordinator", "run", "data.csv", "--workers", "1", "--out", "out", *options)
 
 
 @pytest.mark.timeout(LIMIT_S + 50)
@@ -31,17 +23,17 @@ def test_a_guess_a_known_equation_and_allowed_variables_come_together(tmp_path: 
         '[prior]\nknown = {"dy/dt" = "-x/10"}\n[space.operators_of]\nx = ["+", "-", "*"]\n'
     )
     options = ["--config", "job.toml", "--guess", "dx/dt=2*y-x**3+x", "--allow", "x=x,y", "--islands", "2"]
-    done = run(tmp_path, *options)
-    assert done.returncode == 0, done.stderr
-    assert "known: dy/dt = -x/10\nguess: dx/dt = 2*y-x**3+x\n" in done.stderr
+    answer = run(tmp_path, *options)
+    assert answer.returncode == 0, answer.stderr
+    assert "known: dy/dt = -x/10\nguess: dx/dt = 2*y-x**3+x\n" in answer.stderr
     x, y = json.loads((tmp_path / "out" / "result.json").read_text())["equations"]
     assert (x["why"], x["converged"]) == ("target", True)
     assert x["generation"] == 10, "the guess has the right form, so that nothing needs to be searched"
     assert (y["expression"], y["why"], y["converged"]) == ("-x/10.0", "known", True)
     assert y["point_evaluations"] == 0
     assert [member["selected"] for member in y["front"]] == [True]
-    assert "dy/dt = -0.1*x\n" in done.stdout
-    assert "    known: error" in done.stdout
+    assert "dy/dt = -0.1*x\n" in answer.stdout
+    assert "    known: error" in answer.stdout
 
 
 @pytest.mark.timeout(LIMIT_S + 50)
@@ -51,8 +43,8 @@ def test_runs_with_rates_of_their_own_obey_one_law_with_units_and_bounds(tmp_pat
         rows += [f"{strain},{0.2 * k!r},{2.0 / (1.0 + 19.0 * math.exp(-rate * 0.2 * k))!r}" for k in range(60)]
     (tmp_path / "data.csv").write_text("\n".join(rows) + "\n")
     options = ["--group", "strain", "--bound", "x: x > 0", "--require", "x=x", "--islands", "3"]
-    done = run(tmp_path, *options)
-    assert done.returncode == 0, done.stderr
+    answer = run(tmp_path, *options)
+    assert answer.returncode == 0, answer.stderr
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     (equation,) = result["equations"]
     assert equation["verdict"] == "exact", equation["reason"]
@@ -65,5 +57,5 @@ def test_runs_with_rates_of_their_own_obey_one_law_with_units_and_bounds(tmp_pat
     assert {each.unit for each in model.params.values()} <= {"1/h", "L/g", "L/(g h)", "L/(h g)", "g/L"}
     assert (
         "constants may differ between 3 groups of trajectories\nrequired: dx/dt has x\nbounds: dx/dt: x > 0"
-        in done.stderr
+        in answer.stderr
     )

@@ -6,9 +6,7 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,9 +16,8 @@ from atoll.errors import RefusedError
 from atoll.wire.addresses import bindable, parse_address
 from atoll_coordinator.client import connected
 from atoll_coordinator.data.reading.files import read_table
+from tests.programs import LIMIT_S, all_gone, children, done, serving, started, until
 
-ROOT = Path(__file__).resolve().parents[2]
-LIMIT_S = 200.0
 SEARCH = ["--derivatives", "dx,dy", "--seed", "3", "--islands", "3", "--target-error", "1e-300", "--max-epochs", "4"]
 
 
@@ -51,77 +48,6 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "\n".join(["t,x,y,dx,dy", *_steps(1.2, 0.4, 60), "", *_steps(0.5, 2.0, 60)]) + "\n"
     )
     return folder
-
-
-def command(program: str, *arguments: str) -> list[str]:
-    return [sys.executable, "-m", f"atoll_{program}", *arguments]
-
-
-def environment() -> dict[str, str]:
-    kept = {name: value for name, value in os.environ.items() if name != "ATOLL_CONNECT"}
-    return kept | {"PYTHONPATH": str(ROOT)}
-
-
-def done(place: Path, program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        command(program, *arguments),
-        cwd=place, env=environment(), capture_output=True, text=True, timeout=LIMIT_S, check=False,
-    )  # fmt: skip
-
-
-@contextlib.contextmanager
-def started(place: Path, program: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    with (place / f"{program}.log").open("ab") as log:
-        process = subprocess.Popen(
-            command(program, *arguments), cwd=place, env=environment(), stdout=subprocess.PIPE, stderr=log, text=True
-        )
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
-        if process.stdout is not None:
-            process.stdout.close()
-
-
-@contextlib.contextmanager
-def serving(place: Path, state: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """Serve on a free port; yield the address that workers connect to."""
-    with started(place, "coordinator", "serve", "--listen", "tcp/127.0.0.1:0", "--state", state) as process:
-        assert process.stdout is not None
-        for line in process.stdout:
-            if "island-worker --connect" in line:
-                yield line.split()[-1], process
-                return
-        raise AssertionError("the coordinator never said how to start a worker")
-
-
-def until(condition: Callable[[], object]) -> bool:
-    """Ask again until the condition holds."""
-    end = time.monotonic() + LIMIT_S
-    while not condition():
-        assert time.monotonic() < end, "it never came true"
-        time.sleep(0.02)
-    return True
-
-
-def children(parent: int) -> list[int]:
-    found: list[int] = []
-    for task in Path(f"/proc/{parent}/task").iterdir():
-        with contextlib.suppress(OSError):
-            found += map(int, (task / "children").read_text().split())
-    return found
-
-
-def is_gone(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
-    except (FileNotFoundError, ProcessLookupError):
-        return True
-
-
-def all_gone(pids: Sequence[int]) -> bool:
-    return all(map(is_gone, pids))
 
 
 @pytest.fixture(scope="module")

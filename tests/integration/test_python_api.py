@@ -11,7 +11,7 @@ import pytest
 
 import atoll
 from tests.certificates import Lab
-from tests.integration.test_processes import done, started, until
+from tests.programs import done, started, until
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / "examples" / "lotka_volterra.csv"

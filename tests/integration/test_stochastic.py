@@ -1,14 +1,12 @@
 """``coordinator run --stochastic``: real processes, real kernels."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-LIMIT_S = 200
+from tests.programs import LIMIT_S, done
 
 
 @pytest.mark.timeout(LIMIT_S + 50)
@@ -20,12 +18,11 @@ def test_drift_and_diffusion_are_found_with_intervals_an_ensemble_and_a_density(
         rows.append(1.0 + decay * (rows[-1] - 1.0) + spread * each)
     lines = [f"{0.1 * number:.1f},{value:.9g}" for number, value in enumerate(rows)]
     (tmp_path / "data.csv").write_text("\n".join(["t,x", *lines]) + "\n")
-    words = [sys.executable, "-m", "atoll_coordinator", "run", "data.csv", "--stochastic", "--workers", "1",
-             "--islands", "1", "--operators", "+,-,*", "--max-epochs", "2", "--out", "out"]  # fmt: skip
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=LIMIT_S, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "stationary density of x: " in done.stdout
-    assert "ensemble: " in done.stdout
+    options = ["--workers", "1", "--islands", "1", "--operators", "+,-,*", "--max-epochs", "2", "--out", "out"]
+    its = done(tmp_path, "coordinator", "run", "data.csv", "--stochastic", *options)
+    assert its.returncode == 0, its.stderr
+    assert "stationary density of x: " in its.stdout
+    assert "ensemble: " in its.stdout
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     drift, diffusion = result["equations"]
     assert (drift["lhs"], diffusion["lhs"]) == ("dx/dt", "d[x]/dt")

@@ -19,7 +19,7 @@ from tests.simulation.harness.simulated_disk import CoordinatorDied, Disk
 from tests.simulation.harness.stub_islands import StubCompute
 from tests.simulation.soak import ROOT, Tally, chunks, is_real, play
 
-SEEDS = 60
+SEEDS = 40
 """The first ones of those that ``make soak`` plays."""
 
 BLOCK = 20

@@ -28,7 +28,7 @@ class FetchJob:
 
 @dataclass(frozen=True, slots=True)
 class FetchPlacements:
-    """Ask the coordinator for the job's current placements; Placed follows."""
+    """Ask the coordinator for the job's current placements; Placement follows."""
 
     job: str
 

@@ -1,4 +1,4 @@
-"""What happens to a worker's session. Plain data, no behaviour."""
+"""What happens to a worker's session, beside the messages of control. Plain data, no behaviour."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,6 +6,7 @@ from typing import Any
 
 from atoll.wire.messages.workers import (
     Close,
+    CloseJob,
     Commit,
     Finished,
     IslandReport,
@@ -24,13 +25,6 @@ from atoll_island_worker.session.tasks import TaskKey
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
-    """The coordinator placed an archipelago."""
-
-    placement: Placement
-
-
-@dataclass(frozen=True, slots=True)
 class JobReady:
     """The job's configuration and dataset are loaded: its islands can be computed."""
 
@@ -43,27 +37,6 @@ class LoadFailed:
 
     job: str
     sentence: str
-
-
-@dataclass(frozen=True, slots=True)
-class Committed:
-    """The coordinator moved an archipelago's commit forward."""
-
-    commit: Commit
-
-
-@dataclass(frozen=True, slots=True)
-class Closed:
-    """The coordinator needs an archipelago under one term and the ones before no more."""
-
-    close: Close
-
-
-@dataclass(frozen=True, slots=True)
-class JobClosed:
-    """A job has ended."""
-
-    job: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,12 +139,12 @@ class Reset:
 
 
 SessionEvent = (
-    Placed
+    Placement
+    | Commit
+    | Close
+    | CloseJob
     | JobReady
     | LoadFailed
-    | Committed
-    | Closed
-    | JobClosed
     | Mailed
     | PullAsked
     | PullAnswered

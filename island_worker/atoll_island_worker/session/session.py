@@ -13,11 +13,15 @@ from atoll.errors import LocalProtocolError, RemoteProtocolError
 from atoll.search.commit_order import Position
 from atoll.wire.messages.views import WorkerState
 from atoll.wire.messages.workers import (
+    Close,
+    CloseJob,
+    Commit,
     Finished,
     Holding,
     IslandFailure,
     Migrants,
     NewerTerm,
+    Placement,
     PullReports,
     PullStates,
     Sent,
@@ -38,14 +42,10 @@ from atoll_island_worker.session.actions import (
 from atoll_island_worker.session.events import (
     Abandoned,
     Broken,
-    Closed,
-    Committed,
     Computed,
-    JobClosed,
     JobReady,
     LoadFailed,
     Mailed,
-    Placed,
     PullAnswered,
     PullAsked,
     Rejected,
@@ -154,8 +154,7 @@ class Session:
         raise LocalProtocolError(f"the session does not know events of kind {type(event).__name__}")
 
     @_on.register
-    def _placed(self, event: Placed) -> list[Action]:
-        placement = event.placement
+    def _placed(self, placement: Placement) -> list[Action]:
         key = (placement.job, placement.variable)
         if placement.term <= self._terms.get(key, 0):
             return []
@@ -185,22 +184,20 @@ class Session:
         return []
 
     @_on.register
-    def _committed(self, event: Committed) -> list[Action]:
-        commit = event.commit
+    def _committed(self, commit: Commit) -> list[Action]:
         share = self._shares.get((commit.job, commit.variable))
         if share is not None and share.placement.term == commit.term:
             share.commit_at(commit)
         return []
 
     @_on.register
-    def _closed(self, event: Closed) -> list[Action]:
-        close = event.close
+    def _closed(self, close: Close) -> list[Action]:
         self._pending.forget(close.job, close.variable, close.term)
         share = self._shares.get((close.job, close.variable))
         return self._drop((close.job, close.variable)) if share and share.placement.term <= close.term else []
 
     @_on.register
-    def _job_closed(self, event: JobClosed) -> list[Action]:
+    def _job_closed(self, event: CloseJob) -> list[Action]:
         keys = [key for key in self._shares if key[0] == event.job]
         actions: list[Action] = [action for key in keys for action in self._drop(key)]
         self._pending.forget(event.job)

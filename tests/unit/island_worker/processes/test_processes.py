@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -14,6 +13,7 @@ import pytest
 from atoll_island_worker.processes import restart_policy
 from atoll_island_worker.processes.exit_reasons import ExitReasons
 from atoll_island_worker.processes.supervisor import start_process, supervise, worst
+from tests.programs import all_gone, is_gone, until
 
 LIMIT_S = 30.0
 
@@ -78,21 +78,6 @@ while True:
 """
 
 
-def is_gone(pid: int) -> bool:
-    """Return whether a process has ended; one that nobody has waited for yet has."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
-    except (FileNotFoundError, ProcessLookupError):
-        return True
-
-
-def wait_until_gone(pids: list[int]) -> None:
-    end = time.monotonic() + LIMIT_S
-    while not all(map(is_gone, pids)):
-        assert time.monotonic() < end, f"some of {pids} are still there"
-        time.sleep(0.01)
-
-
 class Family:
     """A supervisor with two children."""
 
@@ -143,32 +128,32 @@ def test_a_signal_of_a_parent_that_has_died_ends_at_once() -> None:
 def test_children_have_some_grace_to_hand_over(family_of: FamilyOf) -> None:
     family = family_of(SLOW, 0.1)
     assert family.end(signal.SIGTERM) == 0
-    wait_until_gone(family.children)
+    assert until(lambda: all_gone(family.children))
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 0), (signal.SIGINT, 130), (signal.SIGHUP, 0)])
 def test_a_signal_to_the_parent_ends_the_children_in_order(number: int, code: int, family_of: FamilyOf) -> None:
     family = family_of(OBEDIENT, LIMIT_S)
     assert family.end(number) == code
-    wait_until_gone(family.children)
+    assert until(lambda: all_gone(family.children))
 
 
 def test_who_does_not_listen_is_killed_after_the_limit(family_of: FamilyOf) -> None:
     family = family_of(STUBBORN, 0.2)
     assert family.end(signal.SIGTERM) == 1
-    wait_until_gone(family.children)
+    assert until(lambda: all_gone(family.children))
 
 
 def test_a_second_signal_kills_at_once(family_of: FamilyOf) -> None:
     family = family_of(STUBBORN, 10 * LIMIT_S)
     assert family.end(signal.SIGINT, signal.SIGTERM) == 130
-    wait_until_gone(family.children)
+    assert until(lambda: all_gone(family.children))
 
 
 def test_children_end_when_the_parent_is_killed(family_of: FamilyOf) -> None:
     family = family_of(OBEDIENT, LIMIT_S)
     assert family.end(signal.SIGKILL) == -signal.SIGKILL
-    wait_until_gone(family.children)
+    assert until(lambda: all_gone(family.children))
 
 
 def test_a_child_whose_parent_died_before_it_looked_ends_too() -> None:

@@ -10,6 +10,7 @@ from atoll.wire.messages.workers import (
     Addition,
     Block,
     Close,
+    CloseJob,
     Commit,
     Finished,
     HitStatement,
@@ -44,14 +45,10 @@ from atoll_island_worker.session.actions import (
 from atoll_island_worker.session.events import (
     Abandoned,
     Broken,
-    Closed,
-    Committed,
     Computed,
-    JobClosed,
     JobReady,
     LoadFailed,
     Mailed,
-    Placed,
     PullAnswered,
     PullAsked,
     Rejected,
@@ -73,19 +70,17 @@ def session() -> Iterator[Session]:
 
 def placed(
     *workers: str, term: int = 1, job: str = "job", variable: str = "x", epochs: int = 100, epoch: int = 0
-) -> Placed:
-    return Placed(
-        Placement(
-            incarnation=1,
-            term=term,
-            job=job,
-            variable=variable,
-            workers=workers,
-            epoch=epoch,
-            epochs=epochs,
-            interval=2,
-            commit_order=CommitOrder(generations=100, stride=10, joining=8),
-        )
+) -> Placement:
+    return Placement(
+        incarnation=1,
+        term=term,
+        job=job,
+        variable=variable,
+        workers=workers,
+        epoch=epoch,
+        epochs=epochs,
+        interval=2,
+        commit_order=CommitOrder(generations=100, stride=10, joining=8),
     )
 
 
@@ -227,9 +222,9 @@ def test_mail_may_come_before_the_island_is_ready_for_it_and_twice(session: Sess
     assert action.task.blocks == {1: b"next"}
 
 
-def committed(epoch: int, next_one: int, last: int, holds: bool = False, reported: int = 0) -> Committed:
+def committed(epoch: int, next_one: int, last: int, holds: bool = False, reported: int = 0) -> Commit:
     schedule = Schedule(next=next_one, last=last, holds=holds)
-    return Committed(Commit(job="job", variable="x", term=1, epoch=epoch, schedule=schedule, reported=reported))
+    return Commit(job="job", variable="x", term=1, epoch=epoch, schedule=schedule, reported=reported)
 
 
 def test_no_island_runs_beyond_the_second_checkpoint_after_the_commit(session: Session) -> None:
@@ -484,7 +479,7 @@ def test_what_broke_is_told_until_it_is_closed(session: Session) -> None:
     begun(session, "me", "peer")
     session.handle(Broken(key(0, 0), "division by a fish"))
     assert [(each.island, each.sentence) for each in session.failures()] == [(0, "division by a fish")]
-    session.handle(JobClosed("job"))
+    session.handle(CloseJob(job="job"))
     assert session.failures() == ()
 
 
@@ -506,7 +501,7 @@ def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
 def test_closing_one_variable_keeps_the_others(session: Session) -> None:
     begun(session, "me")
     session.handle(placed("me", variable="y"))
-    assert session.handle(Closed(Close(job="job", variable="x", term=1))) == [Discard(ShareKey("job", "x", 1))]
+    assert session.handle(Close(job="job", variable="x", term=1)) == [Discard(ShareKey("job", "x", 1))]
     assert [each.variable for each in session.holdings()] == ["y"]
     assert session.wants("job")
 
@@ -515,17 +510,17 @@ def test_a_close_of_a_lower_term_that_arrives_late_closes_nothing(session: Sessi
     begun(session, "me")
     session.handle(placed("me", term=2))
     assert session.handle(mail(0, (1, 0, b"early"), term=3)) == [FetchPlacements("job")]
-    assert session.handle(Closed(Close(job="job", variable="x", term=1))) == []
+    assert session.handle(Close(job="job", variable="x", term=1)) == []
     assert [each.term for each in session.holdings()] == [2]
     assert session.handle(mail(0, (1, 0, b"more"), term=3)) == []
-    assert session.handle(Closed(Close(job="job", variable="x", term=3))) == [Discard(ShareKey("job", "x", 2))]
+    assert session.handle(Close(job="job", variable="x", term=3)) == [Discard(ShareKey("job", "x", 2))]
 
 
 def test_closing_a_job_forgets_all_of_it(session: Session) -> None:
     begun(session, "me")
-    assert session.handle(JobClosed("job")) == [Discard(ShareKey("job", "x", 1)), DiscardJob("job")]
+    assert session.handle(CloseJob(job="job")) == [Discard(ShareKey("job", "x", 1)), DiscardJob("job")]
     assert not session.wants("job")
-    assert session.handle(JobClosed("job")) == []
+    assert session.handle(CloseJob(job="job")) == []
     assert session.handle(placed("me")) == []
     session.handle(Abandoned(key(0, 0)))
 
@@ -689,7 +684,7 @@ def test_early_mail_is_forgotten_when_its_job_is_closed_or_its_placement_has_bee
     asked = [FetchPlacements("job")]
     assert session.handle(mail(0, (1, 0, b"early"))) == asked
     assert session.handle(mail(0, (1, 0, b"more"))) == []
-    session.handle(JobClosed("job"))
+    session.handle(CloseJob(job="job"))
     assert session.handle(mail(0, (1, 0, b"late"))) == asked
     session.forget_pending("job")
     assert session.handle(mail(0, (1, 0, b"again"))) == asked
