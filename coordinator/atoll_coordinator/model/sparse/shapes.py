@@ -182,12 +182,21 @@ def shapes(
 
 
 def _quotients(values: FloatArray, column: int) -> Iterator[tuple[Expression, FloatArray, list[Function]]]:
-    """Yield the powers of a variable with 1/(c + u) of each; shifts are powers of shares of the variable."""
+    """Yield the powers of a variable with 1/(c + u) of each; shifts are powers of shares of the variable.
+
+    Of the variable itself there are also shifts beyond its largest value: what is left of a conserved amount saturates.
+    """
     leaf: Expression = (VARIABLE, column)
     square: Expression = (MULTIPLY, leaf, leaf)
     arguments: tuple[Expression, ...] = (leaf, square, (MULTIPLY, leaf, square), (MULTIPLY, square, square))
     for exponent, argument in enumerate(arguments, 1):
         yield argument, values**exponent, [replace(_OVER_SUM, constants=partial(_powers_of_shifts, exponent))]
+    yield leaf, values, [replace(_OVER_SUM, constants=partial(_beyond, float(values.max())))]
+
+
+def _beyond(most: float, size: float) -> Sequence[float]:
+    """Return shifts for a variable up to `most`, of the root mean square `size`, whose pole lies beyond it."""
+    return [-(most + shift * size) for shift in _WIDE_SHIFTS if most > 0.0]
 
 
 def _powers_of_shifts(exponent: int, size: float) -> Sequence[float]:

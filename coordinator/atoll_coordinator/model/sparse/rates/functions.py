@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 
 from atoll.data.dataset import FloatArray
+from atoll.expression.operators import DIVIDE
 from atoll_coordinator.model.sparse.rates.rows import RateRows
 from atoll_coordinator.model.sparse.rates.sums import Atom, RateSum, fitted, polished
 from atoll_coordinator.model.sparse.shapes import Shape, powers, shapes
@@ -49,14 +50,29 @@ def extended(
 
 
 def dictionary(inputs: FloatArray, columns: Sequence[int], operators: Collection[int]) -> list[Shape]:
-    """Return products of up to two variables with functions, of one or none where there are too many."""
-    plain = list(powers(inputs, columns, 2))
-    for degree in (2, 1, 0):
-        products = [shape for shape in plain if len(shape.factors) <= degree]
-        single = list(shapes(inputs, columns, operators, products[:1], has_powers=True))
-        if len(products) * sum(len(shape.constants()) for shape in single) <= SETTINGS.rates.most_atoms:
-            return list(shapes(inputs, columns, operators, products, has_powers=True))
-    return []
+    """Return products of up to two variables with functions, of one or none where there are too many.
+
+    Where all functions are too many for two variables, quotients are taken by themselves: most laws with many variables
+    have these.
+    """
+    found = _products(inputs, columns, operators, 2)
+    if found is not None:
+        return found
+    quotients = _products(inputs, columns, {DIVIDE} & set(operators), 2)
+    rest = set(operators) if quotients is None else set(operators) - {DIVIDE}
+    others = next((those for degree in (1, 0) if (those := _products(inputs, columns, rest, degree)) is not None), [])
+    return [*(quotients or ()), *others]
+
+
+def _products(
+    inputs: FloatArray, columns: Sequence[int], operators: Collection[int], degree: int
+) -> list[Shape] | None:
+    """Return products of variables up to a degree with functions, None where there are too many."""
+    products = list(powers(inputs, columns, degree))
+    single = shapes(inputs, columns, operators, products[:1], has_powers=True)
+    if len(products) * sum(len(shape.constants()) for shape in single) > SETTINGS.rates.most_atoms:
+        return None
+    return list(shapes(inputs, columns, operators, products, has_powers=True))
 
 
 class Beside:

@@ -18,7 +18,7 @@ def find_rate_laws(rows: RateRows, columns: Sequence[int], operators: Collection
     """Return the law, none where no sum of a few terms leaves as little as the derivatives' errors.
 
     Polynomials of the first and second degree first, then a node of a network, then these polynomials with functions,
-    then those of higher degree.
+    then those of higher degree; at last the function taken in first is exchanged.
 
     Args:
         rows: of the derivative sought.
@@ -55,6 +55,14 @@ def _sums(rows: RateRows, columns: Sequence[int], operators: Collection[int]) ->
         beginnings = [those[0] for those in longer if those]
     for atoms in high:
         yield _shortest(rows, [atoms])
+    exchanged = [extended(rows, _without_first(begun), columns, operators) for begun in beginnings]
+    yield _shortest(rows, [atoms for those in exchanged for atoms in those])
+
+
+def _without_first(atoms: Sequence[Atom]) -> list[Atom]:
+    """Return the atoms without the function that was taken in first, which may have stood in for another."""
+    first = next((place for place, atom in enumerate(atoms) if atom.shape.function is not None), len(atoms))
+    return [*atoms[:first], *atoms[first + 1 :]]
 
 
 def _shortest(rows: RateRows, libraries: Iterable[Sequence[Atom]]) -> list[RateSum]:
