@@ -12,19 +12,15 @@ from dataclasses import dataclass
 from statistics import geometric_mean, median
 from typing import Final
 
-import numpy as np
-
 from atoll.config import PRESETS, JobConfig, PriorConfig
-from atoll.data.dataset import Dataset, Problem, Target
-from atoll.expression.evaluation import values_of
-from atoll.expression.text.parsing import from_infix
+from atoll.data.dataset import Dataset, Problem
 from atoll_coordinator.cli.terminal.output import count, note, say, table
 from atoll_coordinator.service.jobs.defaults import resolve
 from benchmarks.harness.command_line import add_run_options, plain_errors, positive, seeds
 from benchmarks.harness.parallel import in_parallel
 from benchmarks.harness.record import Record
-from benchmarks.harness.systems import TRUTH, trajectories
 from benchmarks.paper.archipelago import Archipelago
+from benchmarks.paper.readings_runs import equation_problem
 
 STRIDE: Final = 10
 KINDS: Final = ("none", "form", "part", "wrong")
@@ -71,15 +67,6 @@ class Found:
     has_hit: bool
 
 
-def problem_of(guessed: Guessed, seed: int, step: float = 0.1) -> Problem:
-    """Return the equation's problem: sampled states, and the truth's values there."""
-    sampled = trajectories(guessed.system, step, seed)
-    inputs = np.ascontiguousarray(np.concatenate(sampled.values).T)
-    values = values_of(from_infix(TRUTH[guessed.system][guessed.variable], sampled.names), inputs)
-    target = Target(guessed.variable, f"d{guessed.variable}/dt", values, 0.0, float(values.std()))
-    return Problem(sampled.names, inputs, target)
-
-
 def config_of(guessed: Guessed, kind: str, seed: int, problem: Problem) -> JobConfig:
     """Return the resolved configuration of a search that begins with that kind of guess."""
     guesses = {} if kind == "none" else {guessed.variable: (str(getattr(guessed, kind)),)}
@@ -91,7 +78,7 @@ def config_of(guessed: Guessed, kind: str, seed: int, problem: Problem) -> JobCo
 def search(task: Task) -> Found:
     """Search until an island meets the target or the limit is reached."""
     guessed = EQUATIONS[task.equation]
-    problem = problem_of(guessed, task.seed)
+    problem = equation_problem(guessed.system, guessed.variable, task.seed)
     archipelago = Archipelago(problem, config_of(guessed, task.kind, task.seed, problem))
     for stride in archipelago.strides(STRIDE):
         if any(entry.error <= 1e-9 * problem.target.standard_deviation for entry in stride.additions):

@@ -228,7 +228,7 @@ def _of_table1(task: Task, states: Sequence[bytes] | None) -> tuple[Archipelago,
 def _of_table3(task: Task, states: Sequence[bytes] | None = None) -> tuple[Archipelago, int, Judge]:
     """Return the search for an equation of Table III, and what writes down a program that has its form."""
     system, variable = task.problem.split()
-    problem = _problem(system, variable, task.seed, "near" in task.reading.split("+"))
+    problem = equation_problem(system, variable, task.seed, "near" in task.reading.split("+"))
     data = dict(zip(problem.names, problem.inputs, strict=True))
     deviation = problem.target.standard_deviation
 
@@ -242,7 +242,7 @@ def _of_table3(task: Task, states: Sequence[bytes] | None = None) -> tuple[Archi
     return Archipelago(problem, config, states), STRIDE, is_right
 
 
-def _problem(system: str, variable: str, seed: int, is_near: bool) -> Problem:
+def equation_problem(system: str, variable: str, seed: int, is_near: bool = False) -> Problem:
     """Return four trajectories of 100 points with the exact derivative of `variable`."""
     states = np.concatenate([values.T for values in _sampled(system, seed, is_near).values], axis=1)
     index = SYSTEMS[system].states.index(variable)

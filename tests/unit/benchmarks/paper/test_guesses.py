@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from atoll.expression.text.parsing import from_infix
-from benchmarks.paper.guesses import EQUATIONS, KINDS, Found, Task, config_of, problem_of, rows, search
+from benchmarks.paper.guesses import EQUATIONS, KINDS, Found, Task, config_of, rows, search
+from benchmarks.paper.readings_runs import equation_problem
 
 LIMIT = 3e5
 
@@ -23,7 +24,7 @@ def test_a_search_ends_at_its_limit():
 
 @pytest.mark.parametrize("guessed", EQUATIONS)
 def test_every_guess_can_be_read_and_enters_the_configuration(guessed):
-    problem = problem_of(guessed, 100)
+    problem = equation_problem(guessed.system, guessed.variable, 100)
     assert np.isfinite(problem.target.values).all()
     for kind in KINDS:
         guesses = config_of(guessed, kind, 100, problem).prior.guesses
