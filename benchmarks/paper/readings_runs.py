@@ -80,6 +80,7 @@ READINGS: Final[Mapping[str, Changes]] = {
     "quick-renewal": {"predictors": {"renewal": 10}},
     "effort": {"predictors": {"effort": 0.2}},
     "ratio": {"predictors": {"agreement": "relative"}},
+    "seldom": {"migration": {"generations": 10_000}},
     "near": {},
 }
 """By name, what each changes in `FIRST`; `near` changes the data instead, see `NEAR`."""
