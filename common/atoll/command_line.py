@@ -2,10 +2,11 @@
 
 import argparse
 import re
+import sys
 from collections.abc import Callable
 from typing import Any, Final, NoReturn
 
-from atoll.errors import UsageError
+from atoll.errors import AtollError, UsageError
 from atoll.suggestions import did_you_mean
 
 LOG_FORMATS: Final = ("text", "json")
@@ -35,8 +36,20 @@ class Parser(argparse.ArgumentParser):
         if left:
             used = self._used(found)
             hint = did_you_mean(left[0].partition("=")[0], used._option_string_actions) if left[0][:1] == "-" else ""
-            raise UsageError(f"unknown option {' '.join(left)}; see {used.prog} --help{hint}")
+            kind = "unknown option" if left[0][:1] == "-" else "one word too many:"
+            raise UsageError(f"{kind} {' '.join(left)}; see {used.prog} --help{hint}")
         return found
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Print help; raises AtollError where it cannot be written, unless its reader has gone."""
+        stream = file or sys.stdout
+        try:
+            stream.write(message)
+            stream.flush()
+        except BrokenPipeError:
+            pass
+        except OSError as error:
+            raise unwritable(error) from error
 
     def _used(self, found: argparse.Namespace) -> argparse.ArgumentParser:
         """Return the parser of the verb that was given, or this one."""
@@ -51,6 +64,11 @@ class Parser(argparse.ArgumentParser):
         raise UsageError(f"{text}; see {self.prog} --help{hint}")
 
 
+def unwritable(error: OSError) -> AtollError:
+    """Return the error of an output that cannot be written."""
+    return AtollError(f"the output cannot be written ({error.strerror}); make room, or send it elsewhere")
+
+
 def _reworded(message: str) -> tuple[str, str]:
     """Return argparse's complaint in the order found, expected; and what may have been meant."""
     choice = re.fullmatch(r"argument (.+): invalid choice: (.+) \(choose from (.+)\)", message)
@@ -61,7 +79,10 @@ def _reworded(message: str) -> tuple[str, str]:
     switch = re.fullmatch(r"argument (.+): ignored explicit argument (.+)", message)
     if switch:
         return f"{switch[1]} takes no value, but {switch[2]} was given", ""
-    return message.removeprefix("argument "), ""
+    missing = re.fullmatch(r"the following arguments are required: (.+)", message)
+    if missing:
+        return f"{missing[1]} is missing", ""
+    return message.removeprefix("argument ").replace(": expected one argument", " needs a value"), ""
 
 
 def whole_number(least: int, most: int) -> Callable[[str], int]:

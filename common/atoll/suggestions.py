@@ -1,10 +1,19 @@
 """What a person may have meant by a name that is not known. Light, because the command line is."""
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Final
 
 _LIKENESS: Final = 0.6
 """Least share of characters that two names have in common, in order, as `difflib` measures it by default."""
+
+
+def similar_file(path: Path) -> str:
+    """Return ``; did you mean 'a.csv'?`` for a file that is not there, "" where its folder has none like it."""
+    try:
+        return did_you_mean(path.name, [each.name for each in path.parent.iterdir() if each.name != path.name])
+    except OSError:
+        return ""
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

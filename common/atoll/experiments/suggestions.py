@@ -14,8 +14,7 @@ Purpose = Literal["discrimination", "precision"]
 
 
 _WEIGHTS: Final = (
-    "weights are by how well the data are described alone (Akaike); the result also counts how long equations are, "
-    "and chose by that"
+    "weights are by how well the data are described alone (Akaike); the result also counts how long equations are"
 )
 
 

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from atoll.errors import UsageError
 from atoll.model.arguments import path_of, shown
+from atoll.suggestions import similar_file
 
 SCHEMA: Final = 1
 RESULT: Final = "result.json"
@@ -148,12 +149,15 @@ def read_result(path: str | Path) -> dict[str, Any]:
 
     Raises UsageError when the file cannot be read or holds none.
     """
-    file = path_of(path)
-    file = file / RESULT if file.is_dir() else file
+    file_or_folder = path_of(path)
+    file = file_or_folder / RESULT if file_or_folder.is_dir() else file_or_folder
     try:
         found = json.loads(file.read_text("utf-8"))
     except OSError as error:
-        raise UsageError(f"{file} cannot be read ({error.strerror}); give the path of a saved result.json") from error
+        hint = similar_file(file_or_folder)
+        raise UsageError(
+            f"{file} cannot be read ({error.strerror}); give the path of a saved result.json{hint}"
+        ) from error
     except ValueError as error:
         raise UsageError(f"{file} holds no JSON; give the path of a saved result.json") from error
     try:

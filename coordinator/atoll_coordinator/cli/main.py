@@ -3,6 +3,7 @@
 Nothing heavy is imported here; each verb's module is imported when it is called.
 """
 
+import contextlib
 import importlib
 import os
 import sys
@@ -45,7 +46,9 @@ def _dispatch(argv: Sequence[str]) -> int:
 
 def _complain(sentence: str) -> None:
     flush_streams()
-    sys.stderr.write(f"coordinator: {sentence}\n")
+    with contextlib.suppress(OSError):  # a full disk: the exit code says that something was wrong
+        sys.stderr.write(f"coordinator: {sentence}\n")
+        sys.stderr.flush()
 
 
 def _forget_stdout() -> int:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from atoll.config import JobConfig
 from atoll.errors import DataError, RefusedError, UsageError
+from atoll.suggestions import similar_file
 from atoll.wire.addresses import Destination, destination
 from atoll.wire.messages.views import JobView
 from atoll.wire.security.credentials import credentials_of
@@ -116,7 +117,8 @@ def request_of(options: argparse.Namespace) -> Request:
     for file in files:
         if not file.is_file():
             found = _what_is_there(file)
-            raise DataError(f"{file} {found}, but a data file was expected, such as CSV; check the name")
+            hint = similar_file(file) or "; check the name"
+            raise DataError(f"{file} {found}, but a data file was expected, such as CSV{hint}")
     return request
 
 

@@ -1,10 +1,13 @@
 """Types of options that both programs have."""
 
 import argparse
+import errno
+import io
 
 import pytest
 
-from atoll.command_line import duration, seconds, whole_number
+from atoll.command_line import Parser, duration, seconds, whole_number
+from atoll.errors import AtollError
 
 
 @pytest.mark.parametrize(
@@ -26,3 +29,15 @@ def test_numbers_outside_their_limits_are_refused() -> None:
     for parse, text in ((seconds, "-1"), (seconds, "1e9"), (whole_number(1, 5), "6"), (whole_number(1, 5), "1.0")):
         with pytest.raises(argparse.ArgumentTypeError, match="expected"):
             parse(text)
+
+
+class Full(io.StringIO):
+    """A stream on a disk without room."""
+
+    def flush(self) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_help_that_cannot_be_written_is_said() -> None:
+    with pytest.raises(AtollError, match=r"the output cannot be written \(No space left on device\)"):
+        Parser(prog="a").print_help(Full())

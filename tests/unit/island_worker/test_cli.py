@@ -47,7 +47,7 @@ def worked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, float]]:
         (["--connect", "tcp/a:1", "--lifetime", "soon"], "a time such as 90s, 30m or 12h was expected, but 'soon'"),
         (["--connect", "tcp/a:1", "--grace=-5m"], "a time such as"),
         (["--connect", "tcp/a:1", "--speed", "2"], "unknown option"),
-        (["--connect"], "expected one argument"),
+        (["--connect"], "--connect needs a value"),
         (["--connect", "tcp/a:1", "--connect-file", "f"], "both --connect and --connect-file were given"),
         (["--connect-file", __file__], "holds no list of addresses"),
     ],

@@ -5,7 +5,6 @@ module that `HANDLERS` names.
 """
 
 import argparse
-import sys
 from collections.abc import Sequence
 from typing import Any, Final, NoReturn
 
@@ -107,7 +106,7 @@ class _Version(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
         from atoll import PROTOCOL_VERSION, VERSION
 
-        sys.stdout.write(f"coordinator {VERSION} (protocol {PROTOCOL_VERSION})\n")
+        parser._print_message(f"coordinator {VERSION} (protocol {PROTOCOL_VERSION})\n")
         parser.exit()
 
 

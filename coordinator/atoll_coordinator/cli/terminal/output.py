@@ -1,5 +1,6 @@
 """What verbs print: lines on stdout, notes on stderr, JSON, and plain aligned tables."""
 
+import contextlib
 import json
 import re
 import sys
@@ -7,7 +8,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from atoll.errors import AtollError, UsageError
+from atoll.command_line import unwritable
+from atoll.errors import UsageError
 
 REPORT: Final = "report.html"
 """The page of a result, beside it."""
@@ -25,13 +27,14 @@ def say(text: str) -> None:
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise AtollError(f"the output cannot be written ({error.strerror}); make room, or send it elsewhere") from error
+        raise unwritable(error) from error
 
 
 def note(text: str) -> None:
-    """Print progress or advice on stderr."""
-    sys.stderr.write(text + "\n")
-    sys.stderr.flush()
+    """Print progress or advice on stderr; where nobody can read it, the work goes on."""
+    with contextlib.suppress(OSError):
+        sys.stderr.write(text + "\n")
+        sys.stderr.flush()
 
 
 def as_json(value: object) -> str:

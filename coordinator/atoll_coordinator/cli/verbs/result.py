@@ -4,6 +4,7 @@ The job is one of a coordinator, or a saved ``result.json``.
 """
 
 import argparse
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,9 @@ def result(options: argparse.Namespace) -> int:
     if path.suffix == ".json" or (path / RESULT).is_file():
         found = read_result(path)
     else:
+        if not (options.connect or os.environ.get("ATOLL_CONNECT")):
+            found_nothing = f"{options.job} is no saved result, and no coordinator was named to look for such a job"
+            raise UsageError(f"{found_nothing}; give PATH/result.json, or --connect tcp/HOST:PORT")
         with connected(address_of(options), CONNECT_LIMIT_S) as client:
             found = client.result(client.resolve(options.job))
     say(_text(found, "json" if options.json else options.format or "text", options.pick))

@@ -18,10 +18,10 @@ def test_help_lists_the_verbs() -> None:
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("run", ["DATA", "required"]),
-        ("result", ["ID", "required"]),
+        ("run", ["DATA is missing; see coordinator run --help"]),
+        ("result", ["ID is missing"]),
         ("run a.csv --bogus", ["unknown option --bogus"]),
-        ("run a.csv --seed", ["--seed", "expected one argument"]),
+        ("run a.csv --seed", ["--seed needs a value; see coordinator run --help"]),
         ("run a.csv --workers 0", ["--workers", "from 1 to 1024", "'0'"]),
         ("run a.csv --workers two", ["--workers", "from 1 to 1024", "'two'"]),
         ("run a.csv --workers 100000", ["--workers", "from 1 to 1024", "'100000'"]),
@@ -30,11 +30,12 @@ def test_help_lists_the_verbs() -> None:
         ("sumbit a.csv", ["must be one of", "see coordinator --help; did you mean 'submit'?"]),
         ("run a.csv --stats x", ["unknown option --stats x; see coordinator run --help; did you mean '--states'?"]),
         ("run a.csv --sede=3", ["did you mean '--seed'?"]),
-        ("jobs one two", ["unknown option two; see coordinator jobs --help\n"]),
+        ("jobs one two", ["one word too many: two; see coordinator jobs --help\n"]),
         ("result a --format jsn", ["'jsn' was given", "did you mean 'json'?"]),
         ("", ["no command was given"]),
         ("run a.csv --max", ["unknown option --max"]),
-        ("delete", ["ID", "required"]),
+        ("delete", ["ID is missing"]),
+        ("run a.csv --report=x", ["--report takes no value, but 'x' was given"]),
         *(
             (f"serve --keep {keep}", ["--keep", "90d,8G", repr(keep)])
             for keep in ("90", "1d,2d", "0d", "8g", "1.5d", "1d,")

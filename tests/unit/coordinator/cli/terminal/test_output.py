@@ -11,11 +11,13 @@ from atoll_coordinator.cli.terminal.output import (
     clipped,
     count,
     duration,
+    note,
     refuse_existing_result,
     shortened,
     table,
     write_result,
 )
+from tests.unit.common.test_command_line import Full
 
 
 @pytest.mark.parametrize(
@@ -84,3 +86,8 @@ def test_rows_of_numbers_stand_on_one_line_and_stay_the_same():
     assert '"times": [1.0, 2.5e-07, null]' in text
     assert "    [1, 2]," in text
     assert "3" in next(line for line in text.splitlines() if '"a"' in line)
+
+
+def test_notes_that_cannot_be_written_stop_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stderr", Full())
+    note("progress")

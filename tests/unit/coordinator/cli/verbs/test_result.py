@@ -45,3 +45,17 @@ def test_what_is_no_result_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
         path.write_text(text, "utf-8")
     assert main(["result", str(path)]) == 2
     assert "saved result.json" in capsys.readouterr().err
+
+
+def test_what_is_neither_a_result_nor_a_job_is_said(
+    tmp_path: Path, path: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("ATOLL_CONNECT", raising=False)
+    assert main(["result", "7f3a"]) == 2
+    assert (
+        "7f3a is no saved result, and no coordinator was named to look for such a job; give" in capsys.readouterr().err
+    )
+    assert main(["result", str(tmp_path / "reslut.json")]) == 2
+    assert capsys.readouterr().err.endswith("give the path of a saved result.json; did you mean 'result.json'?\n")
+    assert main(["run", str(tmp_path / "reslut.json"), "--dry-run"]) == 2
+    assert "was expected, such as CSV; did you mean 'result.json'?" in capsys.readouterr().err
