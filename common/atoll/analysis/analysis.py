@@ -127,7 +127,7 @@ def _analysed(
         reached,
         conserved_quantities(flow, box),
         is_volume_preserving(flow, box),
-        compared(flow, box, stable, measured, reached.duration),
+        compared(flow, box, stable, measured, reached.duration, has_family=cycles.has_family),
         coefficients,
         None if along is None else along[1],
         branches,

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.analysis.basins import Attractor, destinations
+from atoll.analysis.basins import UNDECIDED, Attractor, destinations
 from atoll.analysis.box import Box
 from atoll.analysis.flow import UNBOUNDED, Flow, follow, follow_rates
 from atoll.data.dataset import FloatArray
@@ -21,6 +21,9 @@ ROWS: Final = 2000
 
 _TURNS: Final = 3
 """Rises through the mean that make a period: two gaps, whose spread can be seen."""
+
+_LONGER: Final = 8.0
+"""How much longer than a trajectory the model is simulated to see the period of its orbit: of half a turn, four."""
 
 _REGULAR: Final = 0.2
 """Spread of the gaps, as a share of their mean, up to which a course has one period: twice `_SAME`."""
@@ -57,13 +60,17 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """The model beside one measured trajectory; `reaches` is the index of an attractor or a code of `basins`."""
+    """The model beside one measured trajectory; `reaches` is the index of an attractor or a code of `basins`.
+
+    `orbit_period` is that of the closed orbit on which the model goes round, where such orbits are not isolated.
+    """
 
     name: str
     is_bounded: bool
     measured: Motion
     simulated: Motion
     reaches: int
+    orbit_period: float | None = None
 
     @property
     def has_same_period(self) -> bool | None:
@@ -150,9 +157,17 @@ def _curve(
 
 
 def compared(
-    flow: Flow, box: Box, attractors: Sequence[Attractor], trajectories: Sequence[Measured], duration: float
+    flow: Flow,
+    box: Box,
+    attractors: Sequence[Attractor],
+    trajectories: Sequence[Measured],
+    duration: float,
+    *,
+    has_family: bool = False,
 ) -> tuple[Comparison, ...]:
     """Return the model beside each measured trajectory; `duration` is how long courses have to reach an attractor.
+
+    `has_family`: there are closed orbits that are not isolated.
 
     A model with inputs is driven by those that were recorded; trajectories without any are left out. What it reaches is
     with the inputs held.
@@ -170,8 +185,17 @@ def compared(
             inside = np.abs((course - box.middle) / box.widths).max(axis=1) < UNBOUNDED
         known = np.isfinite(course).all(axis=1)
         simulated = motion(times[known], course[known])
-        found.append(Comparison(each.name, bool(inside.all()), motion(each.times, each.states), simulated, reaches))
+        orbit = _orbit_period(flow, each) if has_family and reaches == UNDECIDED else None
+        measured = motion(each.times, each.states)
+        found.append(Comparison(each.name, bool(inside.all()), measured, simulated, reaches, orbit))
     return tuple(found)
+
+
+def _orbit_period(flow: Flow, its: Measured) -> float | None:
+    """Return the period of the model from where a trajectory begins, which may be too short to show one itself."""
+    times = np.linspace(0.0, _LONGER * its.times[-1], ROWS)
+    course = follow(flow, its.states[0], times)
+    return motion(times, course).period if np.isfinite(course).all() else None
 
 
 def _course(flow: Flow, its: Measured, times: FloatArray) -> FloatArray:

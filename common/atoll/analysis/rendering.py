@@ -164,6 +164,7 @@ def _comparison(each: Comparison, its: Analysis) -> dict[str, Any]:
         "has_same_amplitudes": each.has_same_amplitudes,
         "has_same_phases": each.has_same_order,
         "reaches": _reached(each.reaches, its),
+        "orbit_period": each.orbit_period,
     }
 
 
@@ -272,6 +273,8 @@ def _basin_lines(its: Analysis) -> list[str]:
     for which in _codes(its):
         share, error = its.basins.fraction(which)
         ending = _ENDINGS[which] if which < 0 else f"reach the {_reached(which, its)}"
+        if which == UNDECIDED and its.cycles.has_family:
+            ending = "go round closed orbits, or reach none of these within the time that was simulated"
         lines.append(f"  {_share(share, error)} {ending}")
     return lines
 
@@ -307,7 +310,10 @@ def _beside(each: Comparison, its: Analysis) -> list[str]:
     if each.has_same_order is not None:
         facts.append("phases agree" if each.has_same_order else "phases differ")
     held = ", inputs held" if its.field.inputs else ""
-    facts.append(f"reaches{held}: {_reached(each.reaches, its)}")
+    if each.orbit_period is None:
+        facts.append(f"reaches{held}: {_reached(each.reaches, its)}")
+    else:
+        facts.append(f"goes round a closed orbit of period {each.orbit_period:.4g}{held}")
     return [f"from trajectory {each.name} the model " + ", ".join(facts)]
 
 

@@ -189,8 +189,12 @@ def _lyapunov(found: Mapping[str, Any]) -> list[Element]:
 
 
 def _basins(found: Mapping[str, Any]) -> Element:
+    others = "undecided, or on closed orbits" if found["limit_cycles_search"]["has_family"] else "undecided"
     rows = [
-        [each["reaches"], f"{100 * each['fraction']:.1f} ± {100 * each['std_error']:.1f} %"]
+        [
+            others if each["reaches"] == "undecided" else each["reaches"],
+            f"{100 * each['fraction']:.1f} ± {100 * each['std_error']:.1f} %",
+        ]
         for each in found["basins"]["fractions"]
     ]
     return table(f"What {found['basins']['starts']} starts in the box reach", ["reached", "share"], rows)
@@ -209,7 +213,9 @@ def _comparisons(found: Mapping[str, Any]) -> list[Element]:
             _same(each["has_same_period"], number(each["simulated"]["period"]), number(each["measured"]["period"])),
             "same" if each["has_same_amplitudes"] else "other",
             _same(each["has_same_phases"]),
-            each["reaches"],
+            each["reaches"]
+            if each["orbit_period"] is None
+            else f"a closed orbit of period {number(each['orbit_period'])}",
         ]
         for each in found["dynamics"]
     ]

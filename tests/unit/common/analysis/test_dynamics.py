@@ -58,3 +58,18 @@ def test_driven_models_are_compared_along_the_recorded_inputs_or_not_at_all() ->
     assert its.has_same_amplitudes
     assert its.simulated.period == pytest.approx(2.0 * np.pi, rel=1e-2)
     assert known.as_dict()["not_compared"] == []
+
+
+def test_of_closed_orbits_the_period_is_said_also_where_the_data_are_too_short() -> None:
+    """A pendulum of amplitude 1 has the period 4 K(sin(1/2)) = 6.6998."""
+    found = result({"x": "y", "y": "-sin(x)"})
+    times = np.linspace(0.0, 8.0, 41)
+    values = {"x": np.cos(times).tolist(), "y": (-np.sin(times)).tolist()}
+    course = {"name": "1", "times": times.tolist(), "values": values, "start": {"x": 1.0, "y": 0.0}}
+    found["simulation"] = {"trajectories": [course]}
+    known = analyse_result(found, {})
+    (its,) = known.comparisons
+    assert its.measured.period is None
+    assert its.orbit_period == pytest.approx(6.6998, rel=1e-3)
+    assert "goes round a closed orbit of period 6.7" in str(known)
+    assert known.as_dict()["dynamics"][0]["orbit_period"] == its.orbit_period
