@@ -189,7 +189,10 @@ def _logarithmic_ticks(low: float, high: float) -> list[tuple[float, str]]:
     every = max(1, math.ceil((high - low) / _TICKS))
     parts = (1.0, 2.0, 5.0) if high - low < _FEW_DECADES else (1.0,)
     places = [(decade + math.log10(part), decade, part) for decade in decades if decade % every == 0 for part in parts]
-    return [(place, f"{part * 10.0**decade:g}") for place, decade, part in places if low <= place <= high]
+    made = [(place, f"{part * 10.0**decade:g}") for place, decade, part in places if low <= place <= high]
+    if len(made) > 1:
+        return made
+    return [(math.log10(value), label) for value, label in _even_ticks(10.0**low, 10.0**high) if value > 0.0]
 
 
 def _step(least: float) -> float:

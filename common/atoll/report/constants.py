@@ -1,18 +1,15 @@
 """The constants with their errors, and which of them the data hardly tell apart."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from atoll.model.parameters import constant_names, differing_groups
 from atoll.report.chart import Axis, Chart
-from atoll.report.findings import Findings
+from atoll.report.findings import MOST_PROFILES, Findings, count_constants
 from atoll.report.markup import Element, element, figure, number, paragraph, section, table
 
 if TYPE_CHECKING:
     from atoll.experiments.identifiability import Identifiability, ProfiledConstant
-
-MOST_PROFILES: Final = 12
-"""Profiles that are drawn."""
 
 
 def constants(its: Findings) -> list[Element]:
@@ -32,7 +29,9 @@ def constants(its: Findings) -> list[Element]:
         "determined",
     ]
     notes = [paragraph(_correlation(each, names)) for each in its.result.get("correlations") or ()]
-    profiles = () if its.identifiability is None else _profiles(its.identifiability)
+    profiles = [] if its.identifiability is None else _profiles(its.identifiability)
+    if count_constants(its.result) > MOST_PROFILES:
+        profiles.append(paragraph("coordinator analyse --identifiability says what the data determine of so many."))
     return [section("constants", "Constants", table("Constants", heads, rows), *_groups(its, names), *notes, *profiles)]
 
 
@@ -70,7 +69,7 @@ def _profiles(found: "Identifiability") -> list[Element]:
     )
     listed = [element("li", f"{each.name} = {each.sentence}") for each in found.constants]
     listed += [element("li", each.words) for each in found.sloppy]
-    pictures = [_profile(each, found.quantile**2) for each in found.constants[:MOST_PROFILES]]
+    pictures = [_profile(each, found.quantile**2) for each in found.constants]
     return [
         element("h3", "What the data determine"),
         text,

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from atoll.errors import DataError, UsageError
 from atoll.expression.text.infix import to_infix
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 
 Found = TypeVar("Found")
+MOST_PROFILES: Final = 12
+"""Constants whose profiles are drawn; of more they are not made, since each takes a fit for every point."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,9 @@ class Findings:
             return cls(result, None, None, str(error))
         if model.is_regression:
             return cls(result, model, None, "the model has no time")
-        identifiability, suggestions = _found(model.identifiability), _found(model.suggest)
+        has_profiles = count_constants(result) <= MOST_PROFILES
+        identifiability = _found(model.identifiability) if has_profiles else None
+        suggestions = _found(model.suggest)
         try:
             return cls(result, model, model.analyse(), "", identifiability, suggestions)
         except UsageError as error:
@@ -72,6 +76,11 @@ class Findings:
         """Return a column name with its unit."""
         unit = (self.system.get("units") or {}).get(column)
         return f"{column} [{unit}]" if unit else column
+
+
+def count_constants(result: Mapping[str, Any]) -> int:
+    """Return how many constants were fitted, factors of 1 that nobody writes included."""
+    return sum(len(each.get(key) or ()) for each in result["equations"] for key in ("constants", "implied"))
 
 
 def _found(find: Callable[[], Found]) -> Found | None:

@@ -52,9 +52,14 @@ def facts(pairs: Iterable[tuple[str, Child]]) -> Element:
 
 
 def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Child]]) -> Element:
-    """Return a table that scrolls by itself where it is wider than the page; texts that are numbers stand right."""
-    head = element("tr", *(element("th", text, scope="col") for text in heads))
-    body = element("tbody", *(element("tr", *map(_cell, row)) for row in rows))
+    """Return a table that scrolls by itself where it is wider than the page; texts that are numbers stand right.
+
+    A column without any entry is left out.
+    """
+    rows = [*rows]
+    kept = [place for place in range(len(heads)) if not rows or any(row[place] != "" for row in rows)]
+    head = element("tr", *(element("th", heads[place], scope="col") for place in kept))
+    body = element("tbody", *(element("tr", *(_cell(row[place]) for place in kept)) for row in rows))
     made = element("table", element("caption", caption), element("thead", head), body)
     return scrolling(caption, made)
 

@@ -23,8 +23,13 @@ def overview(its: Findings) -> Element:
     warnings = [element("li", text) for text in found.get("warnings") or ()]
     noted = (element("h3", "Warnings"), element("ul", *warnings)) if warnings else ()
     remark = remark_on_groups(found)
-    means = [paragraph(remark)] if remark else []
-    return section("found", "Found", *equations, *means, facts(_facts(its)), *noted)
+    said = [remark] if remark else []
+    if found.get("process"):
+        said.append("Of a state x, d[x]/dt is the variance that noise adds in a unit of time.")
+    verdicts = dict.fromkeys(each["verdict"] for each in found["equations"] if each.get("verdict") is not None)
+    meanings = element("small", " ".join(f"{each.capitalize()}: {MEANINGS[each]}." for each in verdicts))
+    said_of_all = [paragraph(meanings), *map(paragraph, said)]
+    return section("found", "Found", *equations, *said_of_all, facts(_facts(its)), *noted)
 
 
 def _equation(each: Mapping[str, Any], its: Findings) -> Element:
@@ -38,7 +43,7 @@ def _equation(each: Mapping[str, Any], its: Findings) -> Element:
         parts.append(paragraph(f"{each['lhs']}: no equation"))
     if verdict is not None:
         badge = element("strong", verdict, class_=f"verdict {verdict.replace(' ', '-')}")
-        parts.append(paragraph(badge, f" {reason or ''} ", element("small", f"({verdict}: {MEANINGS[verdict]}.)")))
+        parts.append(paragraph(badge, f" {reason or ''}"))
     return element("div", *parts, class_="equation")
 
 

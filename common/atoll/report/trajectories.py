@@ -32,10 +32,11 @@ def trajectories(its: Findings) -> list[Element]:
 
 
 def chosen(parts: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return at most `SHOWN` simulated trajectories, from the one explained worst to the one explained best."""
-    known = sorted((each for each in parts if each.get("values")), key=_least)
+    """Return the simulated trajectories; of more than `SHOWN` some, from the worst explained to the best."""
+    known = [each for each in parts if each.get("values")]
     if len(known) <= SHOWN:
         return known
+    known.sort(key=_least)
     return [known[index * (len(known) - 1) // (SHOWN - 1)] for index in range(SHOWN)]
 
 

@@ -11,8 +11,8 @@ from atoll.experiments.suggestions import Candidate, Suggestion, Suggestions
 from atoll.model.model import Model
 from atoll.report.choice import choice
 from atoll.report.constants import constants
-from atoll.report.findings import Findings
-from atoll.report.markup import Element, to_text
+from atoll.report.findings import MOST_PROFILES, Findings
+from atoll.report.markup import Element, table, to_text
 from atoll.report.origin import origin
 from atoll.report.overview import overview
 from atoll.report.page import as_html
@@ -114,6 +114,30 @@ def test_an_equation_that_was_not_found_leaves_the_rest_of_the_page() -> None:
 
 def read(sections: list[Element]) -> Reader:
     return Reader("".join(map(to_text, sections)))
+
+
+def test_a_verdict_is_explained_once_however_many_equations_have_it() -> None:
+    page = read([overview(Findings(dynamics(), None))])
+    assert sum("can be relied on within" in text for text in page.texts) == 1
+
+
+def test_a_page_says_what_the_equation_of_noise_is() -> None:
+    said = "Of a state x, d[x]/dt is the variance that noise adds in a unit of time."
+    assert said in read([overview(Findings(process(), None))]).texts
+    assert said not in read([overview(Findings(dynamics(), None))]).texts
+
+
+def test_columns_without_any_entry_are_left_out() -> None:
+    page = read([table("some", ["name", "never", "value"], [["a", "", "1"], ["b", "", ""]])])
+    assert page.texts == ["some", "name", "value", "a", "1", "b"]
+    assert "never" in read([table("none", ["never"], [])]).texts
+
+
+def test_many_constants_are_not_profiled_for_a_page() -> None:
+    found = dynamics()
+    found["equations"][0]["constants"] *= MOST_PROFILES + 1
+    page = read(constants(Findings(found, None)))
+    assert any("coordinator analyse --identifiability" in text for text in page.texts)
 
 
 def test_profiles_say_what_the_data_determine_of_each_constant() -> None:
